@@ -1,0 +1,78 @@
+"""The public doors: 64-bit floats are required, and callers' mistakes are named before anything is converted."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+T = TypeVar("T")
+
+
+def enable_x64() -> None:
+    """Turn on JAX's 64-bit floats, which every position on the Earth needs; call it once, first of all."""
+    jax.config.update("jax_enable_x64", True)
+
+
+def require_x64() -> None:
+    """Raise `RuntimeError` unless JAX computes in 64-bit floats."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise RuntimeError(
+            "jaxgeo needs 64-bit floats, but JAX is set to 32 bits, in which a position on the Earth is uncertain "
+            "by half a metre. Call jaxgeo.enable_x64() at the start of the program, or set JAX_ENABLE_X64=1."
+        )
+
+
+def as_float64(tree: T, name: str) -> T:
+    """`tree` with every number as a float64 array; integers and Python numbers are promoted.
+
+    `name` is how messages call the argument. Integer arrays that index (static or int8 statuses) do not belong here.
+    Raises `RuntimeError` with 64-bit floats off, `TypeError` on any other float or complex dtype.
+    """
+    require_x64()
+    return jax.tree_util.tree_map_with_path(lambda path, leaf: _leaf_as_float64(path, leaf, name), tree)
+
+
+def _leaf_as_float64(path: Any, leaf: Any, name: str) -> Any:
+    if not (eqx.is_array_like(leaf) or isinstance(leaf, np.generic)):
+        return leaf
+    dtype = np.asarray(leaf).dtype if isinstance(leaf, bool | int | float | complex) else leaf.dtype
+    if dtype == np.float64 or np.issubdtype(dtype, np.integer):
+        return jnp.asarray(leaf, jnp.float64)
+    where = f"{name}{jax.tree_util.keystr(path)}"
+    raise TypeError(
+        f"{where} has dtype {dtype}, but jaxgeo computes in float64: a {dtype} angle or position has already lost "
+        f"the metres. Make it float64 where it is read or created, e.g. np.asarray(x, np.float64)."
+    )
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """`value` as a NumPy array if it is known now, None while it is traced."""
+    if isinstance(value, jax.core.Tracer):
+        return None
+    return np.asarray(value)
+
+
+def check_finite(value: Any, name: str, unit: str) -> None:
+    """Raise `ValueError` if a concrete `value` holds NaN or an infinity."""
+    known = concrete(value)
+    if known is not None and not np.all(np.isfinite(known)):
+        raise ValueError(f"{name} must be finite, in {unit}; got {_shown(known)}.")
+
+
+def check_range(value: Any, name: str, unit: str, low: float, high: float) -> None:
+    """Raise `ValueError` if a concrete `value` is not finite or lies outside [low, high]."""
+    check_finite(value, name, unit)
+    known = concrete(value)
+    if known is not None and known.size and not (np.all(known >= low) and np.all(known <= high)):
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}] {unit}; got {_shown(known)}.")
+
+
+def _shown(value: np.ndarray) -> str:
+    if value.ndim == 0:
+        return f"{value.item()!r}"
+    text = np.array2string(value, threshold=6, edgeitems=2)
+    return f"{text} of shape {value.shape}"

@@ -1,0 +1,72 @@
+"""Small numerical tools that are safe to differentiate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._typing import Flag, Scalar
+
+T = TypeVar("T")
+
+
+def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Square root of max(x, 0); its gradient where x <= 0 is zero, not infinite."""
+    positive = x > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
+
+
+def safe_norm(v: Float[Array, " n"]) -> Scalar:
+    """Length of `v`; its gradient at zero is zero, not NaN."""
+    return safe_sqrt(jnp.sum(v**2))
+
+
+def safe_angle(a: Float[Array, "3"], b: Float[Array, "3"]) -> Scalar:
+    """Angle between two vectors in [0, pi] rad, exact for small ones too; its gradient at zero is zero."""
+    return jnp.arctan2(safe_norm(jnp.cross(a, b)), jnp.dot(a, b))
+
+
+def value_and_slope(function: Callable[[Scalar], Scalar], x: Scalar) -> tuple[Scalar, Scalar]:
+    """A scalar function and its derivative, in forward mode."""
+    return jax.jvp(function, (x,), (jnp.ones_like(x),))
+
+
+def with_implicit_derivative(residual: Callable[[Scalar], Scalar], root: Scalar) -> Scalar:
+    """`root` of `residual` unchanged in value, with its first and second derivatives with respect to what `residual` closes over.
+
+    Two Newton steps whose values are subtracted again: the first carries the first derivative of the implicit
+    function, the second makes the second derivative right (one step with a frozen slope would lose it).
+    """
+    root = jax.lax.stop_gradient(root)
+    for _ in range(2):
+        value, slope = value_and_slope(residual, root)
+        step = -value / jnp.where(slope == 0.0, 1.0, slope)
+        root = root + (step - jax.lax.stop_gradient(step))
+    return root
+
+
+def all_finite(tree: object) -> Flag:
+    """Whether every floating leaf of `tree` is finite."""
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if _is_float(leaf)]
+    finite = jnp.asarray(True)
+    for leaf in leaves:
+        finite = finite & jnp.all(jnp.isfinite(leaf))
+    return finite
+
+
+def finite_or(tree: T, substitute: float) -> T:
+    """`tree` with `substitute` for every number that is not finite, so that no NaN enters a gradient."""
+    return jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, substitute) if _is_float(x) else x, tree)
+
+
+def tree_where(condition: Flag, if_true: T, if_false: T) -> T:
+    """Leaf by leaf `jnp.where`; both trees must be finite where gradients are taken."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), if_true, if_false)
+
+
+def _is_float(leaf: object) -> bool:
+    return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)  # pyright: ignore

@@ -1,0 +1,64 @@
+"""Rotations. All are active and right-handed: `R_b_from_a @ v_a = v_b`."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxgeo._numerics import safe_norm
+from jaxgeo._typing import Matrix3, Scalar, Vector3
+
+
+def Rx(angle: Scalar) -> Matrix3:
+    """Rotation by `angle` rad about the first axis."""
+    c, s, zero, one = _parts(angle)
+    return jnp.stack([one, zero, zero, zero, c, -s, zero, s, c]).reshape(3, 3)
+
+
+def Ry(angle: Scalar) -> Matrix3:
+    """Rotation by `angle` rad about the second axis."""
+    c, s, zero, one = _parts(angle)
+    return jnp.stack([c, zero, s, zero, one, zero, -s, zero, c]).reshape(3, 3)
+
+
+def Rz(angle: Scalar) -> Matrix3:
+    """Rotation by `angle` rad about the third axis."""
+    c, s, zero, one = _parts(angle)
+    return jnp.stack([c, -s, zero, s, c, zero, zero, zero, one]).reshape(3, 3)
+
+
+def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
+    """`Rz(heading) Ry(pitch) Rx(roll)`: with angles of a body (forward, right, down), `R_ned_from_body`."""
+    return Rz(heading) @ Ry(pitch) @ Rx(roll)
+
+
+def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
+    """Heading in (-pi, pi], pitch in [-pi/2, pi/2] and roll in (-pi, pi] rad of `Rz(heading) Ry(pitch) Rx(roll)`.
+
+    At pitch of exactly +-pi/2 heading and roll turn about one axis; roll is then zero by choice.
+    """
+    horizontal = safe_norm(R[:2, 0])
+    locked = horizontal < 1e-15
+    pitch = jnp.arctan2(-R[2, 0], horizontal)
+    heading = jnp.arctan2(jnp.where(locked, -R[0, 1], R[1, 0]), jnp.where(locked, R[1, 1], R[0, 0]))
+    # Not atan2(R[2, 1], R[2, 2]): close to the lock that and the heading would be noise independent of each other.
+    levelled = Rz(-heading) @ R
+    roll = jnp.arctan2(-levelled[1, 2], levelled[1, 1])
+    return heading, pitch, jnp.where(locked, 0.0, roll)
+
+
+def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
+    """Rotation about `rotation` by its length in rad (Rodrigues), smooth at zero."""
+    x, y, z = rotation
+    zero = jnp.zeros_like(x)
+    K = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    squared = jnp.sum(rotation**2)
+    small = squared < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    sinc = jnp.where(small, 1.0 - squared / 6.0 + squared**2 / 120.0, jnp.sin(angle) / angle)
+    half = jnp.where(small, 0.5 - squared / 24.0 + squared**2 / 720.0, 2.0 * (jnp.sin(0.5 * angle) / angle) ** 2)
+    return jnp.eye(3) + sinc * K + half * (K @ K)
+
+
+def _parts(angle: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    angle = jnp.asarray(angle)
+    return jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle), jnp.ones_like(angle)

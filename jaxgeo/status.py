@@ -1,0 +1,83 @@
+"""What became of a ray or a projection: one small integer that stands for a full sentence."""
+
+from __future__ import annotations
+
+import enum
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._typing import Flag, StatusCode
+
+
+class Status(enum.IntEnum):
+    """Outcome of one ray or one projection. Records hold it as an int8 array; `Status(code).message` is the sentence.
+
+    Only `hit` is an unconditional answer. `near_tangent` and `enters_from_side` keep their coordinates for callers
+    who accept them; every other member comes with NaN coordinates (`hits_void` gives the point of entry).
+    """
+
+    hit = 0
+    near_tangent = 1
+    enters_from_side = 2
+    hits_void = 3
+    rises_away = 4
+    leaves_terrain = 5
+    ray_misses_terrain = 6
+    enters_below_terrain = 7
+    camera_below_terrain = 8
+    invalid_input = 9
+    not_converged = 10
+    behind_camera = 11
+    outside_image = 12
+    outside_distortion_field = 13
+    hidden_by_terrain = 14
+
+    @property
+    def message(self) -> str:
+        """The status as a full sentence."""
+        return _MESSAGES[self]
+
+    @property
+    def code(self) -> StatusCode:
+        """The status as the int8 scalar that records carry."""
+        return jnp.asarray(self.value, jnp.int8)
+
+
+_MESSAGES = {
+    Status.hit: "The ray meets the terrain; this is the first point it meets.",
+    Status.near_tangent: "The ray meets the terrain almost along the surface: the position holds, its derivatives do not.",
+    Status.enters_from_side: "The ray comes in over the terrain's edge below its highest ground: ground outside may hide this point.",
+    Status.hits_void: "The ray goes below the terrain's ceiling over a void, where the ground is unknown; this is the point of entry.",
+    Status.rises_away: "The ray rises above the terrain's highest ground without meeting it.",
+    Status.leaves_terrain: "The ray leaves over the terrain's edge before it meets the ground; load a larger area.",
+    Status.ray_misses_terrain: "The ray never passes over the terrain's area.",
+    Status.enters_below_terrain: "The ray comes in over the terrain's edge below the ground there.",
+    Status.camera_below_terrain: "The camera is below the terrain; check the vertical datum of its height.",
+    Status.invalid_input: "An input is not a number, infinite or out of range.",
+    Status.not_converged: "An iteration did not converge.",
+    Status.behind_camera: "The point lies behind the camera.",
+    Status.outside_image: "The point projects outside the image.",
+    Status.outside_distortion_field: "The point lies outside the field in which the lens distortion can be inverted.",
+    Status.hidden_by_terrain: "Terrain hides the point from the camera.",
+}
+
+
+def first_failure(*statuses: StatusCode) -> StatusCode:
+    """The first status that is not `hit`, in the order given; `hit` if all are."""
+    merged = statuses[-1]
+    for status in reversed(statuses[:-1]):
+        merged = jnp.where(status != Status.hit, status, merged)
+    return merged
+
+
+def status_where(condition: Flag, status: Status, otherwise: StatusCode) -> StatusCode:
+    """`status` where `condition` holds, `otherwise` elsewhere."""
+    return jnp.where(condition, status.code, otherwise)
+
+
+def count_statuses(codes: ArrayLike) -> dict[Status, int]:
+    """How often each status occurs in a concrete array of codes; only those that do."""
+    values, counts = np.unique(np.asarray(codes), return_counts=True)
+    return {Status(int(value)): int(count) for value, count in zip(values, counts, strict=True)}

@@ -1,0 +1,42 @@
+"""Settings that every test runs under, the folder of real data, and the switch for slow tests."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+import jax
+import pytest
+
+PROJECT = pathlib.Path(__file__).resolve().parents[1]
+
+# The package itself changes no JAX setting; jaxgeo may not be imported here, before pytest switches its checks on.
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the tests marked slow too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--slow"):
+        return
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
+
+
+@pytest.fixture(scope="session")
+def jaxgeo_test_data() -> pathlib.Path:
+    """Folder of real data that the project may use but not publish; skips where it is missing."""
+    folder = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", PROJECT / ".." / "shared" / "data")).resolve()
+    if not folder.is_dir():
+        pytest.skip(f"no real data: {folder} does not exist; name another folder in JAXGEO_TEST_DATA")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def project_root() -> pathlib.Path:
+    """Root of the working copy."""
+    return PROJECT

@@ -1,0 +1,94 @@
+"""The public doors: what they let in, and what they say to the rest."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo._checks import as_float64, check_finite, check_range, require_x64
+from jaxgeo.earth import WGS84, Geodetic
+
+
+@pytest.fixture
+def x64_off():
+    jax.config.update("jax_enable_x64", False)
+    yield
+    jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize(
+    "door",
+    [
+        require_x64,
+        lambda: as_float64(np.float64(1.0), "x"),
+        lambda: Geodetic.from_degrees(lat=1.0, lon=2.0, height=3.0),
+        lambda: WGS84.to_geodetic(jnp.array([6.4e6, 0.0, 0.0])),
+        lambda: WGS84.to_ecef(Geodetic(lat=0.0, lon=0.0, height=0.0)),
+    ],
+)
+def test_every_door_asks_for_64_bits_and_says_how(x64_off, door):
+    with pytest.raises(RuntimeError, match=r"needs 64-bit floats.*jaxgeo\.enable_x64\(\).*JAX_ENABLE_X64=1"):
+        door()
+
+
+def test_enable_x64_opens_the_doors(x64_off):
+    jaxgeo.enable_x64()
+    assert as_float64(jnp.asarray(1), "x").dtype == jnp.float64
+
+
+@pytest.mark.parametrize("value", [1, 1.0, np.int16(1), np.float64(1.0), np.uint8(1), jnp.int32(1)])
+def test_numbers_and_integers_are_promoted(value):
+    found = as_float64(value, "x")
+    assert isinstance(found, jax.Array)
+    assert found.dtype == jnp.float64
+    assert float(found) == 1.0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float16, jnp.bfloat16, np.complex128])
+def test_other_floats_are_refused_by_name(dtype):
+    tree = {"pose": Geodetic(lat=0.5, lon=np.zeros(3, dtype), height=0.0)}
+    with pytest.raises(TypeError, match=r"shot\['pose'\]\.lon has dtype .*computes in float64.*np\.float64"):
+        as_float64(tree, "shot")
+
+
+def test_what_is_not_a_number_passes_untouched():
+    tree = {"name": "camera", "nothing": None, "values": np.arange(3)}
+    found = as_float64(tree, "x")
+    assert found["name"] == "camera"
+    assert found["nothing"] is None
+    assert found["values"].dtype == jnp.float64
+
+
+def test_doors_work_on_traced_values():
+    assert jax.jit(lambda x: as_float64(x, "x"))(jnp.arange(3)).dtype == jnp.float64
+    with pytest.raises(TypeError, match="float32"):
+        jax.jit(lambda x: as_float64(x, "x"))(jnp.float32(1.0))
+
+
+def test_finite_and_range_checks_name_value_and_unit():
+    check_finite(np.array([1.0, 2.0]), "height", "m")
+    check_range(45.0, "lat", "deg", -90.0, 90.0)
+    check_range(np.zeros(0), "lat", "deg", -90.0, 90.0)
+    with pytest.raises(ValueError, match=r"height must be finite, in m; got .*nan.* of shape \(2,\)"):
+        check_finite(np.array([1.0, np.nan]), "height", "m")
+    with pytest.raises(ValueError, match=r"lat must lie in \[-90, 90\] deg; got 91\.0"):
+        check_range(91.0, "lat", "deg", -90.0, 90.0)
+    with pytest.raises(ValueError, match="lat must be finite"):
+        check_range(np.nan, "lat", "deg", -90.0, 90.0)
+
+
+def test_a_large_array_is_not_printed_whole():
+    with pytest.raises(ValueError, match=r"of shape \(1000,\)") as caught:
+        check_range(np.full(1000, 99.0), "lat", "deg", -90.0, 90.0)
+    assert len(str(caught.value)) < 200
+
+
+def test_checks_let_tracers_pass():
+    def f(x):
+        check_range(x, "x", "deg", 0.0, 1.0)
+        return x
+
+    assert float(jax.jit(f)(jnp.asarray(5.0))) == 5.0
