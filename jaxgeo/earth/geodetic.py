@@ -1,0 +1,38 @@
+"""A position given by latitude, longitude and height."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._typing import ScalarField
+
+
+class Geodetic(eqx.Module):
+    """A point near the ellipsoid: latitude and longitude in rad, height above the ellipsoid in m."""
+
+    _: KW_ONLY
+    lat: ScalarField
+    lon: ScalarField
+    height: ScalarField
+
+    @classmethod
+    def from_degrees(cls, *, lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Geodetic:
+        """Geodetic position from degrees and m; shapes may carry a batch axis.
+
+        Raises `ValueError` for a latitude outside [-90, 90], a longitude outside [-360, 360] or a height that is not
+        finite; `RuntimeError` with 64-bit floats off; `TypeError` for float32.
+        """
+        check_range(lat, "lat", "deg", -90.0, 90.0)
+        check_range(lon, "lon", "deg", -360.0, 360.0)
+        check_finite(height, "height", "m above the ellipsoid")
+        lat, lon, height = as_float64((lat, lon, height), "Geodetic.from_degrees(lat, lon, height)")
+        return cls(lat=jnp.deg2rad(lat), lon=jnp.deg2rad(lon), height=height)
+
+    def to_degrees(self) -> tuple[ScalarField, ScalarField, ScalarField]:
+        """(lat, lon, height) in deg, deg, m."""
+        return jnp.rad2deg(self.lat), jnp.rad2deg(self.lon), self.height
