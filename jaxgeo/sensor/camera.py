@@ -1,0 +1,192 @@
+"""Cameras: from a pixel to a ray and back. No files, no images, no terrain."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Num
+
+from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._numerics import safe_angle, safe_norm
+from jaxgeo._typing import Flag, Pixel, PixelField, Scalar, StatusCode, Vector3
+from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
+from jaxgeo.status import Status, first_failure, status_where
+
+IMAGE_PLANE = 1e-12  # directions this close (rad) to a right angle with the axis count as behind the camera
+
+Numbers = ArrayLike | Sequence[Any]
+PixelLike = Num[ArrayLike, "2"]
+Vector3Like = Num[ArrayLike, "3"]
+
+
+class AbstractCamera(eqx.Module):
+    """Two functions that invert each other: pixel to ray, point to pixel.
+
+    The camera frame is (right, down, forward); `uv` is (column, row), with pixel centres at integers.
+    """
+
+    @abc.abstractmethod
+    def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
+        """Unit direction in the camera frame that a pixel sees.
+
+        `outside_image` comes with its direction; with any other status but `hit` the direction is NaN.
+        """
+
+    @abc.abstractmethod
+    def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
+        """Pixel of a point or direction in the camera frame, of any length.
+
+        `outside_image` comes with its pixel; with any other status but `hit` the pixel is NaN.
+        """
+
+    @abc.abstractmethod
+    def time_of(self, uv: PixelLike) -> Scalar:
+        """When a pixel is exposed, in s after the time of the shot."""
+
+
+class FrameCamera(AbstractCamera):
+    """A camera that exposes its whole image at once: a pinhole behind a lens with distortion.
+
+    `focal_px` along (columns, rows) and `principal_px` (column, row) in pixels; `width` and `height` in pixels.
+    """
+
+    focal_px: PixelField
+    principal_px: PixelField
+    distortion: AbstractDistortion
+    width: int = eqx.field(static=True)
+    height: int = eqx.field(static=True)
+
+    @classmethod
+    def from_metric(
+        cls,
+        *,
+        focal_length: ArrayLike,
+        pixel_pitch: Numbers,
+        width: int,
+        height: int,
+        principal_point: Numbers = (0.0, 0.0),
+        distortion: AbstractDistortion | None = None,
+    ) -> FrameCamera:
+        """Camera from lengths in m: `pixel_pitch` one number or (along columns, along rows).
+
+        `principal_point` is the foot of the optical axis as an offset (right, down) from the centre of the image.
+        Raises `ValueError` for lengths that are not positive and finite, or a size that is not a whole number.
+        """
+        _check_positive(focal_length, "focal_length", "m", "a 50 mm lens is focal_length=0.050")
+        _check_positive(pixel_pitch, "pixel_pitch", "m", "pixels of 5 um are pixel_pitch=5e-6")
+        _check_pair_or_number(pixel_pitch, "pixel_pitch")
+        check_finite(principal_point, "principal_point", "m")
+        focal_length, pitch, offset = as_float64(
+            (focal_length, _array(pixel_pitch), _array(principal_point)), "FrameCamera.from_metric"
+        )
+        focal_px = jnp.broadcast_to(focal_length / pitch, (2,))
+        return cls.from_pixels(
+            focal_px=focal_px,
+            width=width,
+            height=height,
+            principal_px=_centre(_check_size(width, "width"), _check_size(height, "height")) + offset / pitch,
+            distortion=distortion,
+        )
+
+    @classmethod
+    def from_pixels(
+        cls,
+        *,
+        focal_px: Numbers,
+        width: int,
+        height: int,
+        principal_px: Numbers | None = None,
+        distortion: AbstractDistortion | None = None,
+    ) -> FrameCamera:
+        """Camera from lengths in pixels: `focal_px` one number or (along columns, along rows).
+
+        `principal_px` is (column, row) with pixel centres at integers, by default the centre of the image,
+        ((width - 1) / 2, (height - 1) / 2). Raises `ValueError` as `from_metric` does.
+        """
+        _check_positive(focal_px, "focal_px", "pixels", "it is the focal length divided by the pixel pitch")
+        _check_pair_or_number(focal_px, "focal_px")
+        width, height = _check_size(width, "width"), _check_size(height, "height")
+        centre = _centre(width, height) if principal_px is None else _array(principal_px)
+        check_finite(centre, "principal_px", "pixels")
+        distortion = NoDistortion() if distortion is None else distortion
+        focal, centre, distortion = as_float64((_array(focal_px), centre, distortion), "FrameCamera.from_pixels")
+        return cls(jnp.broadcast_to(focal, (2,)), centre, distortion, width, height)
+
+    def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
+        camera, uv = as_float64((self, uv), "camera.ray(uv)")
+        valid = jnp.all(jnp.isfinite(uv))
+        uv = jnp.where(valid, uv, camera.principal_px)
+        ideal, status = camera.distortion.undistort((uv - camera.principal_px) / camera.focal_px)
+        status = status_where(~valid, Status.invalid_input, status)
+        failed = status != Status.hit
+        v = jnp.stack([ideal[0], ideal[1], jnp.ones_like(ideal[0])])
+        direction = jnp.where(failed, jnp.nan, v / safe_norm(v))
+        return direction, first_failure(status, self._inside_status(uv))
+
+    def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
+        camera, p = as_float64((self, p_camera), "camera.project(p_camera)")
+        valid = jnp.all(jnp.isfinite(p))
+        largest = jnp.max(jnp.abs(jnp.where(valid, p, 0.0)))
+        ahead = valid & (p[2] > IMAGE_PLANE * largest)
+        p = jnp.where(ahead, p, jnp.array([0.0, 0.0, 1.0]))
+        ideal = p[:2] / p[2]
+        in_field = camera.distortion.in_field(ideal)
+        uv = camera.principal_px + camera.focal_px * camera.distortion.distort(jnp.where(in_field, ideal, 0.0))
+        status = self._inside_status(uv)
+        status = status_where(~in_field, Status.outside_distortion_field, status)
+        status = status_where(~ahead, Status.behind_camera, status)
+        status = status_where(~valid, Status.invalid_input, status)
+        return jnp.where(ahead & in_field, uv, jnp.nan), status
+
+    def time_of(self, uv: PixelLike) -> Scalar:
+        return jnp.zeros((), jnp.float64)
+
+    def inside(self, uv: PixelLike) -> Flag:
+        """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
+        uv = as_float64(uv, "uv")
+        return jnp.all((uv >= -0.5) & (uv <= jnp.array([self.width - 0.5, self.height - 0.5])))
+
+    def field_of_view(self) -> tuple[Scalar, Scalar]:
+        """Angles in rad across the image (along its middle row, along its middle column), edge to edge."""
+        middle = _centre(self.width, self.height)
+        size = jnp.array([self.width, self.height], jnp.float64)
+        angles = []
+        for axis in (0, 1):
+            half = 0.5 * size * jnp.eye(2)[axis]
+            angles.append(safe_angle(self.ray(middle - half)[0], self.ray(middle + half)[0]))
+        return angles[0], angles[1]
+
+    def _inside_status(self, uv: Pixel) -> StatusCode:
+        return status_where(~self.inside(uv), Status.outside_image, Status.hit.code)
+
+
+def _centre(width: int, height: int) -> np.ndarray:
+    return np.array([(width - 1) / 2.0, (height - 1) / 2.0])
+
+
+def _array(value: Numbers) -> ArrayLike:
+    return np.asarray(value) if isinstance(value, list | tuple) else value  # pyright: ignore[reportReturnType]
+
+
+def _check_positive(value: Numbers, name: str, unit: str, hint: str) -> None:
+    check_finite(value, name, unit)
+    known = concrete(value)
+    if known is not None and not np.all(known > 0.0):
+        raise ValueError(f"{name} must be positive, in {unit}; got {known.tolist()!r}: {hint}.")
+
+
+def _check_pair_or_number(value: Numbers, name: str) -> None:
+    if np.shape(value) not in ((), (1,), (2,)):
+        raise ValueError(f"{name} must be a number or a pair (along columns, along rows); got shape {np.shape(value)}.")
+
+
+def _check_size(value: int, name: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value <= 0:
+        raise ValueError(f"{name} must be a whole number of pixels greater than zero; got {value!r}.")
+    return int(value)

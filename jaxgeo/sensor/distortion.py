@@ -1,0 +1,191 @@
+"""Lens distortion: from ideal to distorted image coordinates and back.
+
+Both are the tangents of the ray's angles, (right, down) over forward, without a unit: a pixel is focal length times the
+distorted coordinates plus the principal point.
+"""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64
+from jaxgeo._numerics import safe_norm
+from jaxgeo._typing import Flag, Scalar, ScalarField, StatusCode
+from jaxgeo.sensor._newton import PlanePoint, determinant, solve_2d
+from jaxgeo.status import Status, status_where
+
+FIELD_SAMPLES = 32  # along the segment from the centre, at equal steps of the angle off the axis
+MAX_STEPS = 80  # Newton needs 4 to 8; towards a fold the distance to it halves at each step
+FOLD = 1e-3  # determinant at which an iteration that found no root is said to have run into the fold (1 at the centre)
+
+
+class AbstractDistortion(eqx.Module):
+    """A smooth map of the image plane that leaves the neighbourhood of the centre as it is.
+
+    Its field is the part of the plane around the centre on which it does not fold: where the determinant of its
+    Jacobian is positive all the way from the centre.
+    """
+
+    @abc.abstractmethod
+    def distort(self, ideal: PlanePoint) -> PlanePoint:
+        """Distorted image coordinates of ideal ones, by the formula alone, inside the field or not."""
+
+    @abc.abstractmethod
+    def in_field(self, ideal: PlanePoint) -> Flag:
+        """Whether ideal image coordinates lie in the field; no derivative."""
+
+    @abc.abstractmethod
+    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
+        """Ideal coordinates in the field of distorted ones, and a status; (0, 0) where the status is not `hit`."""
+
+
+class NoDistortion(AbstractDistortion):
+    """A perfect lens."""
+
+    def distort(self, ideal: PlanePoint) -> PlanePoint:
+        return ideal
+
+    def in_field(self, ideal: PlanePoint) -> Flag:
+        return jnp.all(jnp.isfinite(ideal))
+
+    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
+        valid = jnp.all(jnp.isfinite(distorted))
+        return jnp.where(valid, distorted, 0.0), status_where(~valid, Status.invalid_input, Status.hit.code)
+
+
+class BrownConrady(AbstractDistortion):
+    """Radial (rational) and tangential distortion in OpenCV's formula and order of coefficients, all without a unit.
+
+    With r2 = x2 + y2, radial = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6):
+    x' = x radial + 2 p1 x y + p2 (r2 + 2 x2), y' = y radial + p1 (r2 + 2 y2) + 2 p2 x y.
+    """
+
+    k1: ScalarField = 0.0
+    k2: ScalarField = 0.0
+    p1: ScalarField = 0.0
+    p2: ScalarField = 0.0
+    k3: ScalarField = 0.0
+    k4: ScalarField = 0.0
+    k5: ScalarField = 0.0
+    k6: ScalarField = 0.0
+
+    def distort(self, ideal: PlanePoint) -> PlanePoint:
+        x, y = ideal
+        r2 = x**2 + y**2
+        radial = self._numerator(r2) / self._denominator(r2)
+        cross = 2.0 * x * y
+        return jnp.stack(
+            [
+                x * radial + self.p1 * cross + self.p2 * (r2 + 2.0 * x**2),
+                y * radial + self.p1 * (r2 + 2.0 * y**2) + self.p2 * cross,
+            ]
+        )
+
+    def jacobian(self, ideal: PlanePoint) -> Float[Array, "2 2"]:
+        """Derivative of `distort`; symmetric. Written out, since every step of the inverse needs it."""
+        x, y = ideal
+        r2 = x**2 + y**2
+        denominator = self._denominator(r2)
+        radial = self._numerator(r2) / denominator
+        slope = self.k1 + r2 * (2.0 * self.k2 + 3.0 * r2 * self.k3)
+        slope = slope - radial * (self.k4 + r2 * (2.0 * self.k5 + 3.0 * r2 * self.k6))
+        slope = 2.0 * slope / denominator
+        xx = radial + x**2 * slope + 2.0 * self.p1 * y + 6.0 * self.p2 * x
+        xy = x * y * slope + 2.0 * self.p1 * x + 2.0 * self.p2 * y
+        yy = radial + y**2 * slope + 6.0 * self.p1 * y + 2.0 * self.p2 * x
+        return jnp.stack([xx, xy, xy, yy]).reshape(2, 2)
+
+    def in_field(self, ideal: PlanePoint) -> Flag:
+        distortion, ideal = jax.lax.stop_gradient((self, ideal))
+
+        def unfolded(point: PlanePoint) -> Flag:
+            positive = distortion._denominator(jnp.sum(point**2)) > 0.0
+            return positive & (determinant(distortion.jacobian(point)) > 0.0)
+
+        return jnp.all(jax.vmap(unfolded)(_segment(ideal)))
+
+    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
+        lens, distorted = as_float64((self, distorted), "undistort")
+        frozen, target = jax.lax.stop_gradient((lens, distorted))
+        valid = jnp.all(jnp.isfinite(target))
+        root, converged, at_fold = _find_root(frozen, jnp.where(valid, target, 0.0))
+        status = status_where(~converged, Status.not_converged, Status.hit.code)
+        beyond = at_fold | (converged & ~frozen.in_field(root))
+        status = status_where(beyond, Status.outside_distortion_field, status)
+        status = status_where(~valid, Status.invalid_input, status)
+        found = status == Status.hit
+        distorted, root = jnp.where(found, distorted, 0.0), jax.lax.stop_gradient(jnp.where(found, root, 0.0))
+        return _with_derivative(lens, distorted, root), status
+
+    def _numerator(self, r2: Scalar) -> Scalar:
+        return 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+
+    def _denominator(self, r2: Scalar) -> Scalar:
+        return 1.0 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
+
+
+@jax.custom_jvp
+def _with_derivative(lens: BrownConrady, distorted: PlanePoint, root: PlanePoint) -> PlanePoint:
+    """`root`, where `lens` maps it to `distorted`, with the derivatives of the implicit function."""
+    return root
+
+
+@_with_derivative.defjvp
+def _(primals, tangents):
+    """d root = J^-1 (d distorted - d lens (root)). Reused within itself, so that second derivatives are right too."""
+    lens, distorted, root = primals
+    d_lens, d_distorted, _ = tangents
+    root = _with_derivative(lens, distorted, root)
+    _, d_by_lens = jax.jvp(lambda lens: lens.distort(root), (lens,), (d_lens,))
+    return root, solve_2d(lens.jacobian(root), d_distorted - d_by_lens)
+
+
+def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag, Flag]:
+    """Damped Newton from the centre: (root, whether it is one, whether the fold stopped the search).
+
+    A step that does not shrink the residual, or leaves the region of positive determinant, is tried again at half its
+    length. So the iterates stay on the branch of the centre; where it does not reach `target`, they end at its fold.
+    """
+    scale = 1.0 + safe_norm(target)
+
+    def residual_norm(ideal: PlanePoint) -> Scalar:
+        return safe_norm(lens.distort(ideal) - target)
+
+    def newton_step(ideal: PlanePoint) -> PlanePoint:
+        return -solve_2d(lens.jacobian(ideal), lens.distort(ideal) - target)
+
+    def body(state):
+        ideal, residual, step, damping, count = state
+        trial = ideal + damping * step
+        trial_residual = residual_norm(trial)
+        accepted = (trial_residual < residual) & (determinant(lens.jacobian(trial)) > 0.0)
+        ideal = jnp.where(accepted, trial, ideal)
+        residual = jnp.where(accepted, trial_residual, residual)
+        step = jnp.where(accepted, newton_step(ideal), step)
+        damping = jnp.where(accepted, jnp.minimum(1.0, 2.0 * damping), 0.5 * damping)
+        return ideal, residual, step, damping, count + 1
+
+    def unfinished(state) -> Flag:
+        ideal, residual, step, damping, count = state
+        stuck = damping * safe_norm(step) < 1e-16 * (1.0 + safe_norm(ideal))
+        return (residual > 1e-15 * scale) & ~stuck & (count < MAX_STEPS)
+
+    centre = jnp.zeros_like(target)
+    start = (centre, residual_norm(centre), newton_step(centre), jnp.asarray(1.0, target.dtype), jnp.asarray(0))
+    ideal, residual, *_ = jax.lax.while_loop(unfinished, body, start)
+    converged = residual <= 1e-13 * scale
+    at_fold = ~converged & (determinant(lens.jacobian(ideal)) < FOLD)
+    return ideal, converged, at_fold
+
+
+def _segment(end: PlanePoint) -> Float[Array, "samples 2"]:
+    """Points from the centre to `end`, at equal steps of the angle off the axis, so that a far end hides no fold."""
+    radius = safe_norm(end)
+    fractions = jnp.linspace(0.0, 1.0, FIELD_SAMPLES + 1)[1:]
+    radii = jnp.tan(fractions * jnp.arctan(radius)).at[-1].set(radius)
+    return radii[:, None] * (end / jnp.where(radius == 0.0, 1.0, radius))[None, :]

@@ -1,0 +1,185 @@
+"""Where the sensor is and how it is held: `Mount`, `Pose` and `Shot`."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._numerics import safe_norm
+from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3Field
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.rotations import R_from_heading_pitch_roll, Rx, Ry, Rz, heading_pitch_roll_from_R
+from jaxgeo.sensor.gimbal import ReadingsField
+
+# Columns: the camera's right, down and forward in head axes (x forward, y right, z down).
+R_HEAD_FROM_CAMERA_NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+R_HEAD_FROM_CAMERA_FORWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+R_HEAD_FROM_CAMERA_LI_2020 = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+R_HEAD_FROM_CAMERA_LI_2023 = np.diag([-1.0, -1.0, 1.0])
+# The photogrammetric image frame is x right, y up, z backwards.
+R_IMAGE_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+
+
+class Mount(eqx.Module):
+    """How gimbal and camera sit on the platform: two rotations and two lever arms in m.
+
+    `lever_body` runs from the IMU (the position of the pose) to the gimbal's centre, in body axes;
+    `lever_head` from the gimbal's centre to the perspective centre, in head axes.
+    `R_body_from_base` has no part in a gimbal that reports in local level.
+    """
+
+    R_body_from_base: Matrix3Field = eqx.field(default_factory=lambda: np.eye(3))
+    R_head_from_camera: Matrix3Field = eqx.field(default_factory=lambda: np.eye(3))
+    lever_body: Vector3Field = eqx.field(default_factory=lambda: np.zeros(3))
+    lever_head: Vector3Field = eqx.field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def nadir(
+        cls,
+        *,
+        R_body_from_base: Matrix3Field | None = None,
+        lever_body: Vector3Field | None = None,
+        lever_head: Vector3Field | None = None,
+    ) -> Mount:
+        """The camera looks along the head's z (down), the top of its image towards the head's x (forward)."""
+        return _mount(R_HEAD_FROM_CAMERA_NADIR, R_body_from_base, lever_body, lever_head)
+
+    @classmethod
+    def forward(
+        cls,
+        *,
+        R_body_from_base: Matrix3Field | None = None,
+        lever_body: Vector3Field | None = None,
+        lever_head: Vector3Field | None = None,
+    ) -> Mount:
+        """The camera looks along the head's x (forward), the top of its image up: drones and turrets."""
+        return _mount(R_HEAD_FROM_CAMERA_FORWARD, R_body_from_base, lever_body, lever_head)
+
+
+def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0) -> Matrix3:
+    """`R_body_from_base = Rz(heading) Ry(pitch) Rx(roll)` from angles in deg, small or large.
+
+    Li et al. (2023) call it the calibration of the INS against the gimbal. Raises `ValueError` beyond +-360 deg.
+    """
+    for value, name in ((heading, "heading"), (pitch, "pitch"), (roll, "roll")):
+        check_range(value, f"boresight {name}", "deg", -360.0, 360.0)
+    heading, pitch, roll = as_float64((heading, pitch, roll), "boresight_from_degrees")
+    return R_from_heading_pitch_roll(jnp.deg2rad(heading), jnp.deg2rad(pitch), jnp.deg2rad(roll))
+
+
+class Pose(eqx.Module):
+    """Position of the IMU and attitude of the body (forward, right, down); angles in rad, heading from true north.
+
+    R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): nose to the right, nose up, right wing down are positive.
+    """
+
+    position: Geodetic
+    heading: ScalarField = 0.0
+    pitch: ScalarField = 0.0
+    roll: ScalarField = 0.0
+
+    @classmethod
+    def from_degrees(
+        cls,
+        *,
+        lat: ArrayLike,
+        lon: ArrayLike,
+        height: ArrayLike,
+        heading: ArrayLike = 0.0,
+        pitch: ArrayLike = 0.0,
+        roll: ArrayLike = 0.0,
+    ) -> Pose:
+        """Pose from degrees and m above the ellipsoid; shapes may carry a batch axis.
+
+        Raises `ValueError` for a heading outside [-360, 360], a pitch outside [-90, 90], a roll outside [-180, 180]
+        deg, and as `Geodetic.from_degrees` does.
+        """
+        position = Geodetic.from_degrees(lat=lat, lon=lon, height=height)
+        check_range(heading, "heading", "deg", -360.0, 360.0)
+        check_range(pitch, "pitch", "deg", -90.0, 90.0)
+        check_range(roll, "roll", "deg", -180.0, 180.0)
+        angles = as_float64((heading, pitch, roll), "Pose.from_degrees(heading, pitch, roll)")
+        return cls(position, *(jnp.deg2rad(angle) for angle in angles))
+
+    @classmethod
+    def from_omega_phi_kappa(
+        cls,
+        position: Geodetic,
+        omega: ScalarField,
+        phi: ScalarField,
+        kappa: ScalarField,
+        *,
+        convergence: ScalarField = 0.0,
+    ) -> Pose:
+        """Pose from the angles of photogrammetry in a map grid, all in rad.
+
+        R_map_from_image = Rx(omega) Ry(phi) Rz(kappa), with the image frame (right, up, out of the scene) and the map
+        frame (easting, northing, up). `convergence` is that of the grid at the position: its north lies that far
+        clockwise of true north. The camera has this orientation with `Gimbal.fixed()` and `Mount.nadir()`.
+        """
+        omega, phi, kappa, convergence = as_float64((omega, phi, kappa, convergence), "from_omega_phi_kappa")
+        R_map_from_image = Rx(omega) @ Ry(phi) @ Rz(kappa)
+        R_map_from_camera = R_map_from_image @ R_IMAGE_FROM_CAMERA
+        R_ned_from_body = R_ned_from_map(convergence) @ R_map_from_camera @ R_HEAD_FROM_CAMERA_NADIR.T
+        return cls(position, *heading_pitch_roll_from_R(R_ned_from_body))
+
+    @classmethod
+    def looking_at(cls, *, position: Geodetic, point: Geodetic, roll: ScalarField = 0.0) -> Pose:
+        """Pose whose body x axis, from `position`, looks at `point`; with `Mount.forward()` so does the camera.
+
+        Lever arms and boresight are not allowed for: `Sensor.looking_at` does that, with a gimbal.
+        """
+        position, point, roll = as_float64((position, point, roll), "Pose.looking_at")
+        sight = R_ecef_from_ned(position).T @ (WGS84.to_ecef(point) - WGS84.to_ecef(position))
+        north, east, down = sight
+        upright = (north == 0.0) & (east == 0.0)
+        heading = jnp.arctan2(jnp.where(upright, 0.0, east), jnp.where(upright, 1.0, north))
+        return cls(position, heading, jnp.arctan2(-down, safe_norm(sight[:2])), roll)
+
+    @property
+    def R_ned_from_body(self) -> Matrix3:
+        """Attitude as a rotation from body axes to north-east-down at the position."""
+        heading, pitch, roll = as_float64((self.heading, self.pitch, self.roll), "pose")
+        return R_from_heading_pitch_roll(heading, pitch, roll)
+
+    def to_omega_phi_kappa(self, *, convergence: ScalarField = 0.0) -> tuple[Scalar, Scalar, Scalar]:
+        """(omega, phi, kappa) in rad that `from_omega_phi_kappa` takes, with phi in [-pi/2, pi/2]."""
+        convergence = as_float64(convergence, "convergence")
+        R_map_from_camera = R_ned_from_map(convergence).T @ self.R_ned_from_body @ R_HEAD_FROM_CAMERA_NADIR
+        R = R_map_from_camera @ R_IMAGE_FROM_CAMERA.T
+        # R = Rx(omega) Ry(phi) Rz(kappa) is the transpose of a heading-pitch-roll matrix with the signs turned.
+        kappa, phi, omega = heading_pitch_roll_from_R(R.T)
+        return -omega, -phi, -kappa
+
+
+class Shot(eqx.Module):
+    """One exposure: where the platform was, what its gimbal read (rad, in the order of its axes), when (s)."""
+
+    pose: Pose
+    gimbal_readings: ReadingsField = eqx.field(default_factory=lambda: np.zeros(0))
+    time: ScalarField = 0.0
+
+
+def R_ned_from_map(convergence: Scalar) -> Matrix3:
+    """Rotation from (easting, northing, up) of a grid to north-east-down; grid north lies `convergence` clockwise."""
+    R_gridned_from_map = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    return Rz(convergence) @ R_gridned_from_map
+
+
+def _mount(
+    R_head_from_camera: np.ndarray,
+    R_body_from_base: Matrix3Field | None,
+    lever_body: Vector3Field | None,
+    lever_head: Vector3Field | None,
+) -> Mount:
+    for lever, name in ((lever_body, "lever_body"), (lever_head, "lever_head")):
+        check_finite(np.zeros(3) if lever is None else lever, name, "m")
+    return Mount(
+        np.eye(3) if R_body_from_base is None else R_body_from_base,
+        R_head_from_camera,
+        np.zeros(3) if lever_body is None else lever_body,
+        np.zeros(3) if lever_head is None else lever_head,
+    )

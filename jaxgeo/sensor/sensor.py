@@ -1,0 +1,104 @@
+"""The sensor: a camera on a gimbal on a platform, and the staircase of frames from pixel to Earth."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Num
+
+from jaxgeo._checks import as_float64
+from jaxgeo._numerics import all_finite, finite_or
+from jaxgeo._typing import Matrix3, Pixel, StatusCode, Vector3
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.sensor.camera import AbstractCamera
+from jaxgeo.sensor.gimbal import Gimbal
+from jaxgeo.sensor.platform import Mount, Pose, Shot
+from jaxgeo.status import Status, status_where
+
+
+class Sensor(eqx.Module):
+    """A camera, the gimbal that turns it, and how both are mounted; what stays the same from shot to shot."""
+
+    camera: AbstractCamera
+    gimbal: Gimbal = eqx.field(default_factory=Gimbal.fixed)
+    mount: Mount = eqx.field(default_factory=Mount.nadir)
+
+    def R_ned_from_head(self, shot: Shot) -> Matrix3:
+        """Orientation of the gimbal's head in north-east-down at the position of the pose."""
+        R_base_from_head = self.gimbal.R_base_from_head(shot.gimbal_readings)
+        if self.gimbal.reference == "level":
+            return R_base_from_head
+        R_body_from_base = as_float64(self.mount.R_body_from_base, "mount.R_body_from_base")
+        return shot.pose.R_ned_from_body @ R_body_from_base @ R_base_from_head
+
+    def R_ned_from_camera(self, shot: Shot) -> Matrix3:
+        """Orientation of the camera (right, down, forward) in north-east-down at the position of the pose."""
+        return self.R_ned_from_head(shot) @ as_float64(self.mount.R_head_from_camera, "mount.R_head_from_camera")
+
+    def R_ecef_from_camera(self, shot: Shot) -> Matrix3:
+        """Orientation of the camera (right, down, forward) in ECEF."""
+        position = as_float64(shot.pose.position, "shot.pose.position")
+        return R_ecef_from_ned(position) @ self.R_ned_from_camera(shot)
+
+    def perspective_centre(self, shot: Shot) -> Vector3:
+        """Perspective centre in ECEF, m: the position of the pose and both lever arms."""
+        position, mount = as_float64((shot.pose.position, self.mount), "sensor")
+        lever_ned = shot.pose.R_ned_from_body @ mount.lever_body + self.R_ned_from_head(shot) @ mount.lever_head
+        return WGS84.to_ecef(position) + R_ecef_from_ned(position) @ lever_ned
+
+    def ray_ecef(self, shot: Shot, uv: Num[ArrayLike, "2"]) -> tuple[Vector3, Vector3, StatusCode]:
+        """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
+
+        The direction is given with `hit` and `outside_image` and NaN otherwise; with `invalid_input` (anything that is
+        not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
+        """
+        valid, sensor, shot, uv = _made_safe(self, shot, uv)
+        direction_camera, status = sensor.camera.ray(uv)
+        usable = valid & ((status == Status.hit) | (status == Status.outside_image))
+        direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
+        direction = sensor.R_ecef_from_camera(shot) @ direction_camera
+        origin = sensor.perspective_centre(shot)
+        status = status_where(~valid, Status.invalid_input, status)
+        return jnp.where(valid, origin, jnp.nan), jnp.where(usable, direction, jnp.nan), status
+
+    def to_camera(self, shot: Shot, p_ecef: Num[ArrayLike, "3"]) -> Vector3:
+        """A point in ECEF m as a vector from the perspective centre in the camera frame, m."""
+        p_ecef = as_float64(p_ecef, "p_ecef")
+        return self.R_ecef_from_camera(shot).T @ (p_ecef - self.perspective_centre(shot))
+
+    def project_ecef(self, shot: Shot, p_ecef: Num[ArrayLike, "3"]) -> tuple[Pixel, StatusCode]:
+        """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite."""
+        valid, sensor, shot, p_ecef = _made_safe(self, shot, p_ecef)
+        uv, status = sensor.camera.project(sensor.to_camera(shot, p_ecef))
+        return jnp.where(valid, uv, jnp.nan), status_where(~valid, Status.invalid_input, status)
+
+    def looking_at(
+        self,
+        pose: Pose,
+        point: Geodetic,
+        *,
+        uv: Num[ArrayLike, "2"] | None = None,
+        readings: Num[ArrayLike, " axes"] | None = None,
+        time: ArrayLike = 0.0,
+    ) -> Shot:
+        """Shot whose gimbal readings put the optical axis (or pixel `uv`) on `point`, from `pose`.
+
+        Lever arms, boresight, gains and distortion are allowed for. `readings` are where the search starts, and what
+        axes are held at that are not needed: of more than two, those that there move the line of sight least (the
+        roll of a drone's gimbal); by default axis angles of zero, or the nearest within the limits.
+        Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; where the
+        input is traced, the readings are NaN instead.
+        """
+        from jaxgeo.sensor.pointing import readings_towards  # it needs this class
+
+        return Shot(pose, readings_towards(self, pose, point, uv, readings), time)
+
+
+def _made_safe(sensor, shot, vector):
+    """Whether everything that makes a ray is finite, and the same in float64 with ones for what is not."""
+    sensor, shot, vector = as_float64((sensor, shot, vector), "(sensor, shot, uv or point)")
+    gimbal = sensor.gimbal
+    valid = all_finite((sensor.camera, gimbal.sign, gimbal.gain, gimbal.offset, sensor.mount, shot, vector))
+    finite = finite_or((sensor, shot, vector), 1.0)
+    return (valid, *finite)

@@ -1,0 +1,121 @@
+"""Lens distortion: OpenCV's formula, its inverse on the branch of the centre, and what lies beyond its fold."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgeo.sensor import BrownConrady, NoDistortion
+from jaxgeo.status import Status
+
+# Each with the largest radius (tangent of the angle off the axis) at which it is to be inverted.
+DISTORTIONS = {
+    "none": (NoDistortion(), 2.0),
+    "barrel, close to its fold": (BrownConrady(k1=-0.35), 0.95),
+    "pincushion": (BrownConrady(k1=0.25, k2=0.1), 1.2),
+    "barrel turning to pincushion": (BrownConrady(k1=-0.35, k2=0.18, k3=-0.01), 1.0),
+    "tangential": (BrownConrady(k1=-0.1, p1=0.01, p2=-0.02), 0.8),
+    "rational": (BrownConrady(0.9, 0.4, 1e-3, -2e-3, 0.05, 1.2, 0.7, 0.2), 1.5),
+    "wide lens, rational": (BrownConrady(k1=2.0, k2=0.8, k3=0.02, k4=2.4, k5=1.5, k6=0.16), 2.0),
+}
+ROWS = pytest.mark.parametrize("name", DISTORTIONS)
+
+in_field = jax.jit(jax.vmap(lambda distortion, points: distortion.in_field(points), (None, 0)))
+distort = jax.jit(jax.vmap(lambda distortion, points: distortion.distort(points), (None, 0)))
+undistort = jax.jit(jax.vmap(lambda distortion, points: distortion.undistort(points), (None, 0)))
+
+
+def disc(radius: float, count: int = 400) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    angle, r = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.uniform(0, 1, count))
+    return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
+
+
+def opencv_distortion(points: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """The formula as OpenCV documents it for projectPoints, (k1, k2, p1, p2, k3, k4, k5, k6)."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    x, y = points[:, 0], points[:, 1]
+    r = np.hypot(x, y)
+    radial = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6) / (1 + k4 * r**2 + k5 * r**4 + k6 * r**6)
+    xx = x * radial + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2)
+    yy = y * radial + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y
+    return np.stack([xx, yy], axis=1)
+
+
+def test_it_is_opencvs_formula_in_opencvs_order():
+    coefficients = (-0.31, 0.12, 1.3e-3, -2.1e-3, 0.04, 0.21, -0.05, 0.013)
+    points = disc(0.8)
+    np.testing.assert_allclose(
+        distort(BrownConrady(*coefficients), points), opencv_distortion(points, coefficients), rtol=0, atol=1e-15
+    )
+
+
+@ROWS
+def test_inverse_and_formula_undo_each_other(name):
+    distortion, radius = DISTORTIONS[name]
+    ideal = disc(radius)
+    assert np.all(in_field(distortion, ideal))
+    back, status = undistort(distortion, distort(distortion, ideal))
+    assert np.all(status == Status.hit)
+    np.testing.assert_allclose(distort(distortion, back), distort(distortion, ideal), rtol=0, atol=5e-15)
+    np.testing.assert_allclose(back, ideal, rtol=0, atol=2e-13)  # near a fold the inverse magnifies the last bit
+
+
+def test_beyond_the_fold_of_a_barrel_is_outside_the_field():
+    """k1 = -1/3: r - r^3 / 3 turns at r = 1, where it is 2/3."""
+    lens = BrownConrady(k1=-1.0 / 3.0)
+    radii = np.array([0.5, 0.999, 1.001, 1.7, 3.0, 1e3, 1e9])
+    points = radii[:, None] * np.array([0.6, -0.8])
+    assert np.array_equal(in_field(lens, points), radii < 1.0)
+    reached = np.array([0.2, 0.666, 0.667, 0.9, 5.0, 1e3, 1e9])
+    back, status = undistort(lens, reached[:, None] * np.array([0.6, -0.8]))
+    assert np.array_equal(status == Status.hit, reached < 2.0 / 3.0)
+    assert np.all(np.asarray(status)[2:] == Status.outside_distortion_field)
+    assert np.all(np.hypot(*back.T) < 1.0)
+
+
+def test_a_second_branch_far_out_is_not_in_the_field():
+    """Barrel that folds back and out again: far points have a positive determinant, but a fold lies before them."""
+    lens = BrownConrady(k1=-0.8, k2=0.2)
+    outward = np.geomspace(0.1, 1e4, 200)[:, None] * np.array([[1.0, 0.0]])
+    r = outward[:, 0]
+    folds = np.sqrt(np.roots([5 * 0.2, -3 * 0.8, 1.0]).min())
+    assert np.array_equal(in_field(lens, outward), r < folds)
+    far = distort(lens, outward[r > 2.5])
+    back, status = undistort(lens, far)
+    assert np.all((status == Status.outside_distortion_field) | (np.hypot(*back.T) < folds))
+
+
+def test_a_pole_of_the_rational_model_ends_the_field():
+    lens = BrownConrady(k4=-1.0)  # x / (1 - r2): infinite at r = 1, turned inside out beyond
+    radii = np.array([0.3, 0.9, 1.1, 2.0, 50.0])
+    points = radii[:, None] * np.array([0.0, 1.0])
+    assert np.array_equal(in_field(lens, points), radii < 1.0)
+    back, status = undistort(lens, distort(lens, points[:2]))
+    np.testing.assert_allclose(back, points[:2], rtol=0, atol=1e-14)
+    assert np.all(status == Status.hit)
+
+
+@ROWS
+def test_what_is_not_finite_is_said_to_be_so(name):
+    distortion, _ = DISTORTIONS[name]
+    points = np.array([[np.nan, 0.0], [0.0, np.inf]])
+    back, status = undistort(distortion, points)
+    assert np.all(status == Status.invalid_input)
+    assert not np.any(in_field(distortion, points))
+    assert np.all(back == 0.0)
+
+
+@ROWS
+def test_the_field_starts_as_the_identity(name):
+    distortion, _ = DISTORTIONS[name]
+    jacobian = jax.jacfwd(distortion.distort)(jnp.zeros(2))
+    np.testing.assert_allclose(jacobian, np.eye(2), rtol=0, atol=1e-15)
+
+
+def test_the_written_out_jacobian_is_the_derivative_of_the_formula():
+    lens, points = DISTORTIONS["rational"][0], disc(1.5)
+    automatic = jax.jit(jax.vmap(jax.jacfwd(lens.distort)))(points)
+    np.testing.assert_allclose(jax.jit(jax.vmap(lens.jacobian))(points), automatic, rtol=0, atol=1e-14)

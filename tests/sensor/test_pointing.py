@@ -1,0 +1,144 @@
+"""Gimbal readings that look at a point: through lever arms, boresight, gains and distortion, or an error in words."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, boresight_from_degrees
+
+CAMERA = FrameCamera.from_pixels(focal_px=9000.0, width=8000, height=6000, distortion=BrownConrady(k1=-0.12))
+HELD = {
+    "R_body_from_base": boresight_from_degrees(heading=1.0, pitch=-2.0, roll=0.5),
+    "lever_body": np.array([3.0, -1.0, 0.5]),
+    "lever_head": np.array([0.2, 0.1, -0.3]),
+}
+PAN_TILT = Gimbal.from_degrees(axes={"pan": "z", "tilt": "y"}, gain=(0.5, 1.0), offset=(30.0, 0.0), limits=(-720, 720))
+ROLL_BEFORE_PITCH = Gimbal.from_degrees(
+    axes={"yaw": "z", "roll": "x", "pitch": "y"}, limits=((-180, 180), (-90, 90), (-90, 90)), reference="level"
+)
+SENSORS = {
+    "two axes": Sensor(CAMERA, Gimbal.two_axis(), Mount.nadir(**HELD)),
+    "mirror": Sensor(CAMERA, Gimbal.mirror_two_axis(), Mount.nadir(**HELD)),
+    "drone": Sensor(CAMERA, Gimbal.three_axis(), Mount.forward(**HELD)),
+    "drone, roll before pitch": Sensor(CAMERA, ROLL_BEFORE_PITCH, Mount.forward(**HELD)),
+    "pan and tilt, pan geared down": Sensor(CAMERA, PAN_TILT, Mount.forward(**HELD)),
+}
+ROWS = pytest.mark.parametrize("name", SENSORS)
+POSE = Pose.from_degrees(lat=29.0, lon=89.0, height=9000.0, heading=-102.0, pitch=2.8, roll=-1.4)
+
+
+def points_to_the_right(count: int = 24) -> Geodetic:
+    """Points within reach of a frame that looks to the right and down, in all distances from 3 to 40 km."""
+    rng = np.random.default_rng(8)
+    right, ahead = np.geomspace(3e3, 4e4, count), rng.uniform(-1.5e3, 1.5e3, count)
+    heading = -1.78
+    north = ahead * np.cos(heading) - right * np.sin(heading)
+    east = ahead * np.sin(heading) + right * np.cos(heading)
+    offsets = np.stack([north, east, rng.uniform(4e3, 8.9e3, count)], axis=1)
+    R, origin = np.asarray(R_ecef_from_ned(POSE.position)), np.asarray(WGS84.to_ecef(POSE.position))
+    return jax.vmap(WGS84.to_geodetic)(jnp.asarray(origin + offsets @ R.T))
+
+
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, None, 0, None))
+def look_and_project(sensor, pose, point, uv):
+    shot = sensor.looking_at(pose, point, uv=uv)
+    seen, _ = sensor.project_ecef(shot, WGS84.to_ecef(point))
+    return shot.gimbal_readings, seen, sensor.gimbal.inside_limits(shot.gimbal_readings)
+
+
+@ROWS
+def test_the_pixel_that_should_see_the_point_does(name):
+    sensor, points = SENSORS[name], points_to_the_right()
+    for uv in (CAMERA.principal_px, jnp.array([7000.0, 900.0])):
+        _, seen, inside = look_and_project(sensor, POSE, points, uv)
+        assert np.all(inside)
+        np.testing.assert_allclose(seen, np.tile(uv, (24, 1)), rtol=0, atol=1e-8)  # px; ECEF's last bit is 3e-9 px
+
+
+@pytest.mark.parametrize("name, roll", [("drone", 2), ("drone, roll before pitch", 1)])
+def test_an_axis_that_is_not_needed_is_held(name, roll):
+    readings, _, _ = look_and_project(SENSORS[name], POSE, points_to_the_right(), jnp.array([7000.0, 900.0]))
+    assert np.all(readings[:, roll] == 0.0)
+    start = np.zeros(3)
+    start[roll] = 0.1
+    point = jax.tree.map(lambda leaf: leaf[3], points_to_the_right())
+    assert SENSORS[name].looking_at(POSE, point, readings=start).gimbal_readings[roll] == 0.1
+
+
+def test_the_optical_axis_is_the_default():
+    point = Geodetic.from_degrees(lat=28.9, lon=88.95, height=4000.0)
+    shot = SENSORS["two axes"].looking_at(POSE, point, time=7.0)
+    sight = SENSORS["two axes"].to_camera(shot, WGS84.to_ecef(point))
+    np.testing.assert_allclose(sight[:2] / sight[2], 0.0, rtol=0, atol=1e-12)
+    assert sight[2] > 0.0
+    assert shot.time == 7.0
+
+
+def test_derivatives_equal_differences():
+    """First and second, in the pose and the point, in units of 1e-3 rad of attitude, 1e-5 rad of position and 100 m."""
+    sensor, point = SENSORS["mirror"], jax.tree.map(lambda leaf: leaf[10], points_to_the_right())
+    flat, unravel = ravel_pytree((POSE, point))
+    unit = jnp.array([1e-5, 1e-5, 100.0, 1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 100.0])
+
+    def f(x):
+        return sensor.looking_at(*unravel(flat + unit * x)).gimbal_readings
+
+    @jax.jit
+    def all_of_them(x):
+        steps = 0.1 * jnp.eye(x.size)
+        first, second = jax.jacfwd(f), jax.jacfwd(jax.jacfwd(f))
+        values, slopes = jax.vmap(f), jax.vmap(first)
+        value_differences = (values(steps) - values(-steps)).T / 0.2
+        slope_differences = jnp.moveaxis(slopes(steps) - slopes(-steps), 0, -1) / 0.2
+        return first(x), value_differences, second(x), slope_differences
+
+    first, value_differences, second, slope_differences = all_of_them(jnp.zeros(flat.size))
+    np.testing.assert_allclose(first, value_differences, rtol=0, atol=1e-6 * np.abs(first).max())
+    np.testing.assert_allclose(second, slope_differences, rtol=0, atol=1e-4 * np.abs(second).max())
+
+
+POINT = Geodetic.from_degrees(lat=29.05, lon=88.98, height=4000.0)  # to the right, 44 deg off nadir
+NARROW = Sensor(CAMERA, Gimbal.two_axis(limits=np.deg2rad([[70.0, 80.0], [-10.0, 10.0]])), Mount.nadir())
+MISTAKES = {
+    "no axes": (lambda: Sensor(CAMERA).looking_at(POSE, POINT), "gimbal has no axes.* turn the platform"),
+    "out of limits": (
+        lambda: NARROW.looking_at(POSE, POINT),
+        r"would have to go to outer .*, inner .* deg.* outside its limits, outer 70\.\.80, inner -10\.\.10 deg",
+    ),
+    "out of reach": (
+        lambda: Sensor(CAMERA, Gimbal.from_degrees(axes={"pan": "z"}), Mount.forward()).looking_at(POSE, POINT),
+        r"cannot look at the point: the best it finds, pan .* deg, misses it by [1-9]\d?\.\d+ deg",
+    ),
+    "pixel without a ray": (
+        lambda: SENSORS["two axes"].looking_at(POSE, POINT, uv=np.array([1e7, 0.0])),
+        "Pixel uv cannot be put on the point. The point lies outside the field",
+    ),
+    "pose not finite": (
+        lambda: NARROW.looking_at(Pose(POSE.position, np.nan, 0.0, 0.0), POINT),
+        r"looking_at is given \(pose, point, uv, readings\) must be finite",
+    ),
+    "readings of another gimbal": (
+        lambda: NARROW.looking_at(POSE, POINT, readings=np.zeros(3)),
+        r"2 axes \(outer, inner\).* got \(3,\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_point_it_cannot_look_at_is_an_error_in_words(name):
+    mistake, message = MISTAKES[name]
+    with pytest.raises(ValueError, match=message):
+        mistake()
+
+
+def test_traced_it_is_not_a_number_instead():
+    readings = jax.jit(lambda pose: NARROW.looking_at(pose, POINT).gimbal_readings)(POSE)
+    assert np.all(np.isnan(readings))
