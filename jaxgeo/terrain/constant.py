@@ -1,0 +1,48 @@
+"""Terrain of one height: the ellipsoid model."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxgeo._typing import Flag, Scalar, ScalarField, Vector3
+from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
+from jaxgeo.earth.ray import Ray
+from jaxgeo.status import Status, status_where
+from jaxgeo.terrain.interface import AbstractTerrain, Bracket
+from jaxgeo.terrain.search.base import AbstractSearch
+
+
+class ConstantHeight(AbstractTerrain):
+    """The surface of constant geodetic `height` in m (exact, not an inflated ellipsoid).
+
+    The ellipsoid model of Li et al. (2023), "A target location method for aerial images through fast iteration of
+    elevation based on DEM", section 2.1. Every search finds the same, near intersection. Another `ellipsoid`, such as a
+    sphere, is for studies: the fix's ECEF point then lies on it, while its geodetic position stays that of WGS 84.
+    """
+
+    height: ScalarField
+    ellipsoid: Ellipsoid = eqx.field(static=True, default=WGS84)
+
+    def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
+        del search
+        ray, height = jax.lax.stop_gradient((ray, jnp.asarray(self.height, jnp.float64)))
+        near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
+        below = self.ellipsoid.normal_and_height(ray.origin)[1] < height
+        ahead = meets & (near >= 0.0) & ~below
+        status = status_where(ahead, Status.hit, Status.rises_away.code)
+        status = status_where(below, Status.camera_below_terrain, status)
+        distance = jnp.where(ahead, near, 0.0)
+        return Bracket(distance, distance, jnp.zeros(2, jnp.int32), status)
+
+    def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
+        del cell
+        return self.ellipsoid.normal_and_height(p_ecef)[1] - self.height
+
+    def is_valid(self) -> Flag:
+        return jnp.isfinite(jnp.asarray(self.height, jnp.float64))
+
+    def safe_ray(self) -> Ray:
+        return Ray(jnp.array([self.ellipsoid.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))

@@ -1,0 +1,210 @@
+"""A digital elevation model: posts on the file's own grid, and the bilinear surface through them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Num
+
+from jaxgeo._checks import as_float64, concrete, require_x64
+from jaxgeo._numerics import safe_angle
+from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
+from jaxgeo.earth.ellipsoid import WGS84
+from jaxgeo.earth.frames import R_ecef_from_enu
+from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.ray import Ray
+from jaxgeo.terrain.grid import AbstractGrid
+from jaxgeo.terrain.interface import AbstractTerrain, Bracket
+from jaxgeo.terrain.patch import bilinear
+from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
+from jaxgeo.terrain.search.base import AbstractSearch
+
+EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
+
+
+class Dem(AbstractTerrain):
+    """Posts on a grid and the bilinear surface between them; make one with `Dem.from_array` or `jaxgeo.io.read_dem`.
+
+    `posts` are ellipsoidal heights in m, indexed [row, col], stored in any real dtype and finite everywhere; `void`
+    marks those that are unknown. `grid` maps positions to (row, col). `extent` is the true (rows, cols) when the
+    arrays are padded. `lowest` and `highest` are those of the known posts; the ground over a void cell (one with a void
+    post) is unknown up to `void_ceiling`.
+    """
+
+    posts: Num[ArrayLike, "... rows cols"]
+    void: Bool[ArrayLike, "... rows cols"]
+    grid: AbstractGrid
+    extent: Int[ArrayLike, "... 2"]
+    lowest: ScalarField
+    highest: ScalarField
+    void_ceiling: ScalarField
+    pyramid: Pyramid
+
+    @classmethod
+    def from_array(
+        cls,
+        posts: ArrayLike,
+        grid: AbstractGrid,
+        *,
+        void: ArrayLike | None = None,
+        void_ceiling: ArrayLike | None = None,
+        extent: ArrayLike | tuple[int, int] | None = None,
+    ) -> Dem:
+        """A terrain from an array of ellipsoidal heights in m, (rows, cols); NaN posts are voids.
+
+        `void` marks further unknown posts; `void_ceiling` is the height in m up to which the ground over a void may
+        rise: the highest known post unless you know better (a lake, a plain); rays below it over a void have no answer.
+        `extent` is the true (rows, cols) if the array is padded at its end. Posts may be traced by JAX: gradients then
+        reach them through the hits, never through the bounds.
+        Raises `ValueError` for fewer than 2 x 2 posts, posts all void or infinite, or a ceiling that is not finite.
+        """
+        require_x64()
+        is_known_now = all(concrete(given) is not None for given in (posts, void, void_ceiling, extent))
+        xp: Any = np if is_known_now else jnp
+        posts = xp.asarray(posts)
+        if posts.ndim != 2 or min(posts.shape) < 2:
+            raise ValueError(f"posts must be an array of at least 2 x 2 heights; got shape {posts.shape}.")
+        unknown = xp.isnan(posts) if posts.dtype.kind == "f" else xp.zeros(posts.shape, bool)
+        if void is not None:
+            unknown = unknown | xp.asarray(void)
+        rows, cols = posts.shape if extent is None else xp.asarray(extent)
+        inside = (np.arange(posts.shape[0]) < rows)[:, None] & (np.arange(posts.shape[1]) < cols)[None, :]
+        known = inside & ~unknown
+        if is_known_now:
+            _check_posts(posts, known)
+        highest = xp.max(xp.where(known, posts, -np.inf))
+        lowest = xp.min(xp.where(known, posts, np.inf))
+        ceiling = highest if void_ceiling is None else xp.asarray(void_ceiling, np.float64)
+        if is_known_now and not np.isfinite(ceiling):
+            raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {ceiling!r}.")
+        posts = xp.where(known, posts, lowest.astype(posts.dtype))
+        frozen = posts if is_known_now else jax.lax.stop_gradient(posts)
+        return cls(
+            posts=jnp.asarray(posts),
+            void=jnp.asarray(unknown | ~inside),
+            grid=grid,
+            extent=jnp.stack([jnp.asarray(rows, jnp.int32), jnp.asarray(cols, jnp.int32)]),
+            lowest=jax.lax.stop_gradient(jnp.asarray(lowest, jnp.float64)),
+            highest=jax.lax.stop_gradient(jnp.asarray(highest, jnp.float64)),
+            void_ceiling=jax.lax.stop_gradient(jnp.asarray(ceiling, jnp.float64)),
+            pyramid=build_pyramid(_cell_tops(frozen, unknown, ceiling, xp), xp),
+        )
+
+    def with_posts(self, posts: ArrayLike) -> Dem:
+        """The same terrain with other heights (rows, cols) in m: voids and their ceiling stay, bounds are rebuilt."""
+        if jnp.shape(posts) != jnp.shape(self.posts):
+            raise ValueError(f"posts must keep the shape {jnp.shape(self.posts)}; got {jnp.shape(posts)}.")
+        return Dem.from_array(posts, self.grid, void=self.void, void_ceiling=self.void_ceiling, extent=self.extent)
+
+    @property
+    def ceiling(self) -> Scalar:
+        """Height in m above which there is nothing, known or unknown."""
+        has_void = jnp.any(self.void)
+        return jnp.where(has_void, jnp.maximum(self.highest, self.void_ceiling), jnp.asarray(self.highest))
+
+    def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
+        return search.bracket(*jax.lax.stop_gradient((ray, self)))
+
+    def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
+        rowcol, height = self.over(p_ecef)
+        return height - self.surface(rowcol, cell)
+
+    def is_valid(self) -> Flag:
+        return jnp.isfinite(self.lowest) & jnp.isfinite(self.highest)
+
+    def safe_ray(self) -> Ray:
+        normal = jax.lax.stop_gradient(self.centre_normal())
+        lat, lon = jnp.arcsin(normal[2]), jnp.arctan2(normal[1], normal[0])
+        origin = WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=self.highest + 1000.0))
+        return jax.lax.stop_gradient(Ray(origin, -normal))
+
+    def centre_normal(self) -> Vector3:
+        """The ellipsoid's unit normal at the middle of the grid."""
+        return self.grid.normal(0.5 * (jnp.asarray(self.extent) - 1).astype(jnp.float64))
+
+    # The surface of one cell, and what bounds it.
+
+    def over(self, p_ecef: Vector3) -> tuple[Float[Array, "2"], Scalar]:
+        """(row, col) and ellipsoidal height in m of an ECEF point."""
+        normal, height = WGS84.normal_and_height(p_ecef)
+        return self.grid.rowcol(normal), height
+
+    def patch(self, cell: Int[Array, "2"]) -> tuple[Float[Array, "2 2"], Flag]:
+        """The four posts of a cell in m, [row, col], and whether the cell is void: it then is flat at the void ceiling."""
+        cell = jnp.clip(cell, 0, jnp.asarray(jnp.shape(self.posts), jnp.int32) - 2)
+        rows = cell[0] + jnp.array([[0, 0], [1, 1]])
+        cols = cell[1] + jnp.array([[0, 1], [0, 1]])
+        posts = jnp.asarray(self.posts)[rows, cols].astype(jnp.float64)
+        is_void = jnp.any(jnp.asarray(self.void)[rows, cols])
+        return jnp.where(is_void, self.void_ceiling, posts), is_void
+
+    def surface(self, rowcol: Float[Array, "2"], cell: Int[Array, "2"]) -> Scalar:
+        """Height in m at (row, col) of the bilinear patch of a frozen cell, continued beyond it."""
+        posts, _ = self.patch(cell)
+        return bilinear(posts, rowcol - cell)
+
+    def bound(self, level: Index, corner: Int[Array, "2"]) -> Scalar:
+        """Upper bound in m of the surface over the texels at `corner` and beside it (see `Pyramid`)."""
+        return self.pyramid.bound(level, corner)
+
+    def contains(self, rowcol: Float[Array, "2"]) -> Flag:
+        """Whether (row, col) lies within the posts."""
+        last = (jnp.asarray(self.extent) - 1).astype(jnp.float64)
+        return jnp.all((rowcol >= -EDGE_TOLERANCE) & (rowcol <= last + EDGE_TOLERANCE))
+
+    def cell_of(self, rowcol: Float[Array, "2"]) -> Int[Array, "2"]:
+        """The cell that holds (row, col), clipped to the grid: its first post."""
+        return jnp.clip(jnp.floor(rowcol).astype(jnp.int32), 0, jnp.asarray(self.extent) - 2)
+
+    # The surface at a position.
+
+    def rowcol_at(self, position: Geodetic) -> Float[Array, "2"]:
+        """(row, col) of a position; posts lie at integers."""
+        position = as_float64(position, "position")
+        return self.grid.rowcol(R_ecef_from_enu(position)[:, 2])
+
+    def height_at(self, position: Geodetic) -> Scalar:
+        """Height of the surface in m at a latitude and longitude (the height of `position` is ignored).
+
+        NaN outside the grid and over voids; differentiable in position and posts.
+        """
+        rowcol = self.rowcol_at(position)
+        cell, is_known = self._known_cell(rowcol)
+        safe = jnp.where(is_known, rowcol, cell.astype(jnp.float64))
+        return jnp.where(is_known, self.surface(safe, cell), jnp.nan)
+
+    def normal_at(self, position: Geodetic) -> Vector3:
+        """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as in `height_at`."""
+        position = as_float64(position, "position")
+        cell, is_known = self._known_cell(self.rowcol_at(position))
+        on_surface = Geodetic(lat=position.lat, lon=position.lon, height=jnp.where(is_known, self.height_at(position), 0.0))
+        gradient = jax.grad(self.clearance)(WGS84.to_ecef(on_surface), cell)
+        normal = R_ecef_from_enu(position).T @ (gradient / jnp.linalg.norm(gradient))
+        return jnp.where(is_known, normal, jnp.nan)
+
+    def slope_at(self, position: Geodetic) -> Scalar:
+        """Angle in rad between the surface and the horizontal at a latitude and longitude; NaN as in `height_at`."""
+        return safe_angle(self.normal_at(position), jnp.array([0.0, 0.0, 1.0]))
+
+    def _known_cell(self, rowcol: Float[Array, "2"]) -> tuple[Int[Array, "2"], Flag]:
+        cell = self.cell_of(jnp.where(jnp.isfinite(rowcol), rowcol, 0.0))
+        _, is_void = self.patch(cell)
+        return cell, self.contains(rowcol) & ~is_void
+
+
+def _check_posts(posts: np.ndarray, known: np.ndarray) -> None:
+    if not known.any():
+        raise ValueError(f"all {posts.size} posts are void: there is no terrain here.")
+    if not np.all(np.isfinite(posts[known])):
+        raise ValueError("posts must be finite or NaN (void); found an infinite height. Mark such posts in `void`.")
+
+
+def _cell_tops(posts: Any, unknown: Any, ceiling: Any, xp: Any) -> Any:
+    tops = xp.where(unknown, ceiling, posts.astype(np.float64))
+    tops = xp.maximum(tops[:-1], tops[1:])
+    return xp.maximum(tops[:, :-1], tops[:, 1:])

@@ -1,0 +1,235 @@
+"""Where a post lies on the Earth: maps between positions and (row, col), smooth and exact both ways.
+
+A position is given by the outward unit normal of the WGS 84 ellipsoid, which unlike latitude and longitude is smooth at
+the poles and across the date line. Posts (pixel centres) are at integers of (row, col); row 0 is the file's first row.
+All leaves are floats, so another window or another file of the same kind does not recompile anything.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Num
+
+from jaxgeo._checks import as_float64, require_x64
+from jaxgeo._numerics import safe_norm
+from jaxgeo._typing import ScalarField, Vector3
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.earth.projection import TransverseMercator
+
+RowCol = Float[Array, "2"]
+Pair = Num[Array, "... 2"]  # fields may carry batch axes
+Step = Num[Array, "... 2 2"]
+Rotation = Num[Array, "... 3 3"]
+GridT = TypeVar("GridT", bound="AbstractGrid")
+
+_EDGE = 2.0  # a fitted map is trusted to twice the half width of the area it was fitted over, and linear beyond
+_HORIZON = 0.05  # cosine of the angle from a tangent frame's centre beyond which its plane coordinates stop growing
+
+
+class AbstractGrid(eqx.Module):
+    """A map between positions and (row, col), smooth over its own area and its neighbourhood."""
+
+    rowcol0: eqx.AbstractVar[Pair]
+    """(row, col) of the reference point, the centre of the grid."""
+
+    @abc.abstractmethod
+    def rowcol(self, normal: Vector3) -> RowCol:
+        """(row, col) of the place whose ellipsoid normal is `normal`; outside the grid too."""
+
+    @abc.abstractmethod
+    def normal(self, rowcol: RowCol) -> Vector3:
+        """Outward unit normal of WGS 84 (ECEF axes) at (row, col); the inverse of `rowcol`."""
+
+    def cell_size(self) -> Float[Array, "2"]:
+        """Length in m of one step in row and one in col, on the ellipsoid at the grid's centre."""
+        centre = jnp.asarray(self.rowcol0, jnp.float64)
+        steps = jax.jacfwd(lambda rowcol: surface_point(self.normal(rowcol)))(centre)
+        return jnp.sqrt(jnp.sum(steps**2, axis=0))
+
+    def window(self: GridT, row: ScalarField, col: ScalarField) -> GridT:
+        """The grid of a window whose first post is this grid's post (row, col)."""
+        first = jnp.stack([jnp.asarray(row, jnp.float64), jnp.asarray(col, jnp.float64)])
+        return eqx.tree_at(lambda grid: grid.rowcol0, self, jnp.asarray(self.rowcol0, jnp.float64) - first)
+
+
+class GeographicGrid(AbstractGrid):
+    """Rows and columns affine in WGS 84 longitude and latitude, which may be rotated or sheared against them.
+
+    Longitude is counted from the grid's own centre, so the date line and 0..360 files are like any other. `lonlat0` in
+    rad at `rowcol0`; `step` is d(lon, lat) / d(row, col) in rad. A grid that holds a pole has a seam opposite to its
+    centre.
+    """
+
+    rowcol0: Pair
+    lonlat0: Pair
+    step: Step
+
+    @classmethod
+    def from_affine(cls, affine: Sequence[float | int], shape: tuple[int, int]) -> GeographicGrid:
+        """From (a, b, c, d, e, f) at post centres, lon_deg = a col + b row + c, lat_deg = d col + e row + f."""
+        return cls(*_centred(affine, shape, math.pi / 180.0))
+
+    def rowcol(self, normal: Vector3) -> RowCol:
+        lon0, lat0 = self.lonlat0
+        x, y, z = _turned(normal, -lon0)
+        at_pole = (x == 0.0) & (y == 0.0)
+        lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
+        lat = jnp.arctan2(z, safe_norm(jnp.stack([x, y])))
+        return self.rowcol0 + _inverse(self.step) @ jnp.stack([lon, lat - lat0])
+
+    def normal(self, rowcol: RowCol) -> Vector3:
+        lon, lat = self.lonlat0 + self.step @ (rowcol - self.rowcol0)
+        cos_lat = jnp.cos(lat)
+        return jnp.stack([cos_lat * jnp.cos(lon), cos_lat * jnp.sin(lon), jnp.sin(lat)])
+
+
+class TransverseMercatorGrid(AbstractGrid):
+    """Rows and columns affine in a transverse Mercator map (UTM, Gauss-Krueger, Lo, custom), by Krueger's series.
+
+    `easting_northing0` in m at `rowcol0`; `step` is d(easting, northing) / d(row, col) in m. Latitude and longitude of
+    the projection's datum are taken to be those of WGS 84; where that is not so to 0.1 mm, use `FittedGrid`.
+    """
+
+    rowcol0: Pair
+    easting_northing0: Pair
+    step: Step
+    projection: TransverseMercator
+
+    @classmethod
+    def from_affine(
+        cls, projection: TransverseMercator, affine: Sequence[float | int], shape: tuple[int, int]
+    ) -> TransverseMercatorGrid:
+        """From (a, b, c, d, e, f) at post centres, easting = a col + b row + c, northing = d col + e row + f in m."""
+        return cls(*_centred(affine, shape, 1.0), as_float64(projection, "projection"))
+
+    def rowcol(self, normal: Vector3) -> RowCol:
+        position = jnp.stack(self.projection.forward_from_normal(normal))
+        return self.rowcol0 + _inverse(self.step) @ (position - self.easting_northing0)
+
+    def normal(self, rowcol: RowCol) -> Vector3:
+        easting, northing = self.easting_northing0 + self.step @ (rowcol - self.rowcol0)
+        return self.projection.inverse_normal(easting, northing)
+
+
+class TangentGrid(AbstractGrid):
+    """Rows and columns affine in the gnomonic plane at a point: for synthetic terrain, exact anywhere on Earth.
+
+    `R_enu_from_ecef` turns ECEF axes to east, north, up at the plane's centre, where `plane0` is (0, 0) if the grid is
+    centred; `step` is d(x, y) / d(row, col), x and y being tangents of the angle between normals.
+    """
+
+    rowcol0: Pair
+    plane0: Pair
+    step: Step
+    R_enu_from_ecef: Rotation
+
+    @classmethod
+    def centred(
+        cls, centre: Geodetic, *, spacing: tuple[float, float], shape: tuple[int, int], heading: float = 0.0
+    ) -> TangentGrid:
+        """A grid of (rows, cols) posts about `centre`, `spacing` m apart in row and col at the centre's height.
+
+        Rows go south and columns east; with a `heading` in rad the whole grid is turned clockwise by it. Spacing holds
+        at the centre and grows outwards with the square of the distance, by 1e-6 at 6 km.
+        """
+        centre = as_float64(centre, "centre")
+        lat = jnp.asarray(centre.lat)
+        radii = jnp.stack([WGS84.prime_vertical_radius(lat), WGS84.meridian_radius(lat)]) + centre.height
+        c, s = jnp.cos(heading), jnp.sin(heading)
+        directions = jnp.array([[-s, c], [-c, -s]])  # columns: where a step in row and in col goes, (east, north)
+        step = directions * jnp.asarray(spacing, jnp.float64)[None, :] / radii[:, None]
+        rowcol0 = (jnp.asarray(shape, jnp.float64) - 1.0) / 2.0
+        return cls(rowcol0, jnp.zeros(2), step, R_ecef_from_enu(centre).T)
+
+    def rowcol(self, normal: Vector3) -> RowCol:
+        return self.rowcol0 + _inverse(self.step) @ (_plane(self.R_enu_from_ecef, normal) - self.plane0)
+
+    def normal(self, rowcol: RowCol) -> Vector3:
+        return _normal_of_plane(self.R_enu_from_ecef, self.plane0 + self.step @ (rowcol - self.rowcol0))
+
+
+class FittedGrid(AbstractGrid):
+    """Rows and columns as Chebyshev polynomials in the gnomonic plane at the grid's centre: for every other map.
+
+    Made by `jaxgeo.io`, which fits it to PROJ and measures its error. `plane_half` is the half width of the fitted area
+    in the plane, `rowcol_half` in posts; `coefficients[i, j]` belongs to T_i(x) T_j(y), `inverse` to the way back,
+    which one Newton step makes consistent with the way there. Nothing is singular at a pole or the date line.
+    """
+
+    rowcol0: Pair
+    R_enu_from_ecef: Rotation
+    plane_half: Pair
+    rowcol_half: Pair
+    coefficients: Num[Array, "... n n 2"]
+    inverse: Num[Array, "... n n 2"]
+
+    def rowcol(self, normal: Vector3) -> RowCol:
+        return self._rowcol_of_plane(_plane(self.R_enu_from_ecef, normal) / self.plane_half)
+
+    def normal(self, rowcol: RowCol) -> Vector3:
+        plane = chebyshev_map(self.inverse, (rowcol - self.rowcol0) / self.rowcol_half)
+        slope = jax.jacfwd(self._rowcol_of_plane)(plane)
+        plane = plane - _inverse(slope) @ (self._rowcol_of_plane(plane) - rowcol)
+        return _normal_of_plane(self.R_enu_from_ecef, plane * self.plane_half)
+
+    def _rowcol_of_plane(self, plane: Float[Array, "2"]) -> RowCol:
+        return self.rowcol0 + self.rowcol_half * chebyshev_map(self.coefficients, plane)
+
+
+def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Two polynomials in T_i(x) T_j(y); beyond twice the fitted area [-1, 1]^2 they go on by their linear part."""
+    near = jnp.clip(xy, -_EDGE, _EDGE)
+    x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
+    linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
+    return jnp.einsum("i,j,ijk->k", x, y, coefficients) + linear @ (xy - near)
+
+
+def surface_point(normal: Vector3) -> Vector3:
+    """ECEF coordinates in m of the point of WGS 84's surface whose outward unit normal is `normal`."""
+    N = WGS84.a / jnp.sqrt(1.0 - WGS84.e2 * normal[2] ** 2)
+    return N * normal * jnp.array([1.0, 1.0, 1.0 - WGS84.e2])
+
+
+def _chebyshev(x: Float[Array, ""], count: int) -> Float[Array, " n"]:
+    terms = [jnp.ones_like(x), x]
+    while len(terms) < count:
+        terms.append(2.0 * x * terms[-1] - terms[-2])
+    return jnp.stack(terms[:count])
+
+
+def _plane(R_enu_from_ecef: Num[Array, "3 3"], normal: Vector3) -> Float[Array, "2"]:
+    enu = R_enu_from_ecef @ normal
+    return enu[:2] / jnp.maximum(enu[2], _HORIZON)
+
+
+def _normal_of_plane(R_enu_from_ecef: Num[Array, "3 3"], plane: Float[Array, "2"]) -> Vector3:
+    enu = jnp.append(plane, 1.0)
+    return R_enu_from_ecef.T @ (enu / jnp.sqrt(jnp.sum(enu**2)))
+
+
+def _turned(normal: Vector3, angle: Float[Array, ""]) -> Vector3:
+    x, y, z = normal
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([c * x - s * y, s * x + c * y, z])
+
+
+def _inverse(m: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+    (a, b), (c, d) = m
+    return jnp.stack([jnp.stack([d, -b]), jnp.stack([-c, a])]) / (a * d - b * c)
+
+
+def _centred(affine: Sequence[float | int], shape: tuple[int, int], unit: float) -> tuple[Array, Array, Array]:
+    """(row, col) of the centre, map position there and steps, the latter two times `unit`."""
+    require_x64()
+    a, b, c, d, e, f = (float(x) for x in affine[:6])
+    row, col = (shape[0] - 1) / 2.0, (shape[1] - 1) / 2.0
+    position = (c + a * col + b * row) * unit, (f + d * col + e * row) * unit
+    step = [[b * unit, a * unit], [e * unit, d * unit]]
+    return jnp.array([row, col]), jnp.array(position), jnp.array(step)

@@ -1,0 +1,48 @@
+"""What a terrain is to a ray."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+from jaxtyping import Array, Int
+
+from jaxgeo._typing import Flag, Scalar, StatusCode, Vector3
+from jaxgeo.earth.ray import Ray
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.search.base import AbstractSearch
+
+
+class Bracket(eqx.Module):
+    """Where along a ray the surface is crossed, found without gradients.
+
+    `lower` and `upper` are ranges in m, `cell` the (row, col) of the cell's first post, `status` an int8 `Status`.
+    Where there is no crossing the ranges are zero and the cell is (0, 0).
+    """
+
+    lower: Scalar
+    upper: Scalar
+    cell: Int[Array, "2"]
+    status: StatusCode
+
+
+class AbstractTerrain(eqx.Module):
+    """A surface that rays can meet."""
+
+    @abstractmethod
+    def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
+        """The crossing that `search` finds; it carries no derivatives."""
+
+    @abstractmethod
+    def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
+        """Height in m of an ECEF point above the surface of one frozen cell, smooth in every input."""
+
+    @abstractmethod
+    def is_valid(self) -> Flag:
+        """Whether the terrain's own numbers are usable."""
+
+    @abstractmethod
+    def safe_ray(self) -> Ray:
+        """A ray whose clearance is finite with a slope of -1, to stand in for rays that have no answer."""

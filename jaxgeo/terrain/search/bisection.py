@@ -1,0 +1,67 @@
+"""Bisection over the interval between the highest and the lowest ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._typing import Flag, Scalar
+from jaxgeo.earth.ray import Ray
+from jaxgeo.status import Status, status_where
+from jaxgeo.terrain.interface import Bracket
+from jaxgeo.terrain.search.base import AbstractSearch, reach_of
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+
+SHORTEST = 1e-9  # m, with a relative part for far rays
+STEPS = 100
+
+
+class Bisection(AbstractSearch):
+    """Sign-bracketing bisection: keeps one end above the surface and one below, and halves.
+
+    It finds *a* crossing. Over rough ground seen at a shallow angle it may be one on a hidden slope behind the first;
+    `FirstHit` returns the one the camera sees. Rays that never reach below the lowest ground (looking up or along)
+    have no bracket: `not_converged`. A ray whose search ends beside the grid `leaves_terrain`.
+    """
+
+    def bracket(self, ray: Ray, dem: Dem) -> Bracket:
+        reach = reach_of(ray, dem)
+        possible = reach.exists & reach.is_near & reach.sinks
+        lower, upper = _bisect(ray, dem, reach.start, jnp.where(possible, reach.end, reach.start))
+        rowcol, _ = dem.over(ray.at(0.5 * (lower + upper)))
+        cell = dem.cell_of(rowcol)
+        _, is_void = dem.patch(cell)
+        status = status_where(is_void, Status.hits_void, Status.hit.code)
+        status = status_where(~dem.contains(rowcol), Status.leaves_terrain, status)
+        status = status_where(_is_below(ray, dem, reach.start), Status.camera_below_terrain, status)
+        status = status_where(~reach.sinks, Status.not_converged, status)
+        status = status_where(~reach.exists, Status.rises_away, status)
+        status = status_where(~reach.is_near, Status.ray_misses_terrain, status)
+        return Bracket(lower, upper, cell, status)
+
+
+def _bisect(ray: Ray, dem: Dem, start: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
+    def unfinished(state: tuple[Scalar, Scalar, jax.Array]) -> Flag:
+        lower, upper, count = state
+        return (upper - lower > SHORTEST + 4e-16 * upper) & (count < STEPS)
+
+    def halve(state: tuple[Scalar, Scalar, jax.Array]) -> tuple[Scalar, Scalar, jax.Array]:
+        lower, upper, count = state
+        middle = 0.5 * (lower + upper)
+        below = _is_below(ray, dem, middle)
+        return jnp.where(below, lower, middle), jnp.where(below, middle, upper), count + 1
+
+    lower, upper, _ = jax.lax.while_loop(unfinished, halve, (start, end, jnp.asarray(0)))
+    return lower, upper
+
+
+def _is_below(ray: Ray, dem: Dem, distance: Scalar) -> Flag:
+    """Whether the ray is below the surface there; beside the grid the nearest edge goes on level."""
+    rowcol, height = dem.over(ray.at(distance))
+    last = (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
+    inside = jnp.clip(rowcol, 0.0, last)
+    return height < dem.surface(inside, dem.cell_of(inside))

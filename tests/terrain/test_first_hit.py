@@ -1,0 +1,175 @@
+"""The first hit against a walk over every cell, and every status that a ray can end with."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+from support.fractal import median_slope_deg
+from support.scenes import SIZE, flat, hit, local_ray, rough, small_dem
+
+from jaxgeo import Bisection, FirstHit, Geodetic, Status, intersect
+from jaxgeo.status import count_statuses
+
+WRONG_DISTANCE = 1e-3  # m
+TIE = 1e-6  # m of height
+
+
+def test_every_ray_over_rough_mountains_meets_the_same_ground_as_an_exhaustive_walk(mountains):
+    assert median_slope_deg(mountains.numpy.posts, mountains.numpy.spacing) == pytest.approx(20.0, abs=1.0)
+    fix = jax.jit(jax.vmap(intersect, in_axes=(0, None)))(mountains.rays, mountains.dem)
+    expected = np.array([walked.distance for walked in mountains.walked])
+    closest = np.array([walked.closest for walked in mountains.walked])
+    doubles = sum(walked.crossings == 2 for walked in mountains.walked)
+    away = np.abs(np.asarray(fix.slant_range) - expected)
+    differs = ~(away <= WRONG_DISTANCE)
+    ties = np.flatnonzero(differs & (closest <= TIE))
+    print(f"largest distance {np.nanmax(away[~differs]):.1e} m; {doubles} double crossings; ties: {ties.tolist()}")
+    assert doubles >= 200
+    assert np.all(np.isfinite(expected))
+    assert np.flatnonzero(differs & (closest > TIE)).tolist() == []
+    assert ties.size < 1e-4 * expected.size + 1
+    assert set(count_statuses(fix.status)) <= {Status.hit, Status.enters_from_side, Status.near_tangent}
+
+
+def test_bisection_finds_a_crossing_but_not_always_the_first(mountains):
+    rays = jax.tree.map(lambda x: x[:1600], mountains.rays)
+    fix = jax.jit(jax.vmap(lambda ray, dem: intersect(ray, dem, search=Bisection()), in_axes=(0, None)))(
+        rays, mountains.dem
+    )
+    distance = np.asarray(fix.slant_range)
+    first = np.array([walked.distance for walked in mountains.walked[:1600]])
+    beyond = distance - first
+    assert np.all(beyond > -WRONG_DISTANCE)
+    print(f"bisection lands beyond the first hit for {np.mean(beyond > 1.0):.1%} of the rays, by up to {beyond.max():.0f} m")
+    assert 0.01 < np.mean(beyond > 1.0) < 0.5
+    point = np.asarray(rays.origin) + distance[:, None] * np.asarray(rays.direction)
+    rowcol, _ = mountains.numpy.over(point)
+    assert np.abs(mountains.numpy.clearance(point, np.floor(rowcol).astype(int))).max() < 1e-6
+
+
+EDGE = 30.0 * (SIZE - 1) / 2.0  # m from the centre to the last post
+
+
+def peak() -> np.ndarray:
+    posts = flat(100.0)
+    posts[8, 8] = 400.0
+    return posts
+
+
+def with_void() -> np.ndarray:
+    posts = peak()
+    posts[8, 11] = np.nan
+    return posts
+
+
+CASES = {
+    "straight down": (flat, (0, 0, 500), (0, -90), Status.hit),
+    "straight down on a post": (peak, (0, 0, 500), (0, -90), Status.hit),
+    "along a line of posts": (flat, (-200, 0, 200), (90, -45), Status.hit),
+    "horizontal into the peak": (peak, (-200, 0.0, 250), (90, 0), Status.hit),
+    "up from the valley to the peak": (peak, (-100, 0, 120), (90, 60), Status.hit),
+    "up past the peak": (peak, (-100, 0, 120), (90, 80), Status.rises_away),
+    "up from above": (flat, (0, 0, 500), (0, 45), Status.rises_away),
+    "level above everything": (flat, (0, 0, 500), (0, 0), Status.rises_away),
+    "out over the edge": (peak, (0, 100, 150), (0, -5), Status.leaves_terrain),
+    "out over the edge, still high": (flat, (0, 200, 500), (0, -45), Status.leaves_terrain),
+    "over a corner and out, high": (flat, (-EDGE - 100, 0, 2000), (90, -45), Status.leaves_terrain),
+    "down beside the terrain": (flat, (1000, 0, 500), (0, -90), Status.ray_misses_terrain),
+    "away from the terrain": (flat, (-1000, 0, 500), (270, -30), Status.ray_misses_terrain),
+    "up, away from the terrain": (flat, (-1000, 0, 500), (270, 30), Status.rises_away),
+    "in over the edge from below the ceiling": (peak, (-1000, 10, 150), (90, -2), Status.enters_from_side),
+    "in over the edge from above the ceiling": (peak, (-1000, 10, 1100), (90, -40), Status.hit),
+    "in over the edge underground": (peak, (-1000, 10, 99), (90, 1e-2), Status.enters_below_terrain),
+    "from underground": (flat, (0, 0, 50), (0, -45), Status.camera_below_terrain),
+    "from underground, up": (flat, (0, 0, 50), (0, 45), Status.camera_below_terrain),
+    "straight down into the void": (with_void, (95, 0, 500), (0, -90), Status.hits_void),
+    "over the void to the ground": (with_void, (60, 0, 580), (90, -70), Status.hit),
+    "below the ceiling over the void": (with_void, (30, 0, 460), (90, -40), Status.hits_void),
+    "from within the void": (with_void, (95, 0, 200), (0, -80), Status.hits_void),
+    "from the far side of the Earth": (flat, (-1.2e7, 0, 500), (90, -40), Status.ray_misses_terrain),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_status(name):
+    posts, (east, north, height), (azimuth, elevation), expected = CASES[name]
+    fix = hit([local_ray(east, north, height, azimuth=azimuth, elevation=elevation)], small_dem(posts()))
+    status = Status(int(fix.status[0]))
+    assert status is expected, status.message
+    has_point = expected in (Status.hit, Status.enters_from_side, Status.hits_void)
+    assert np.all(np.isfinite(fix.ecef[0])) == has_point
+    assert fix.found[0] == has_point
+    assert fix.ok[0] == (expected is Status.hit)
+
+
+def test_a_ray_along_the_surface_is_near_tangent():
+    posts = flat(100.0) + 30.0 * np.arange(SIZE)[:, None] * np.tan(np.deg2rad(20.0))
+    rays = [local_ray(0, 0, 100 + 8 * 30 * np.tan(np.deg2rad(20.0)) + 0.01, azimuth=0, elevation=-20 - d) for d in (0.02, 2.0)]
+    fix = hit(rays, small_dem(posts))
+    assert [Status(int(code)) for code in fix.status] == [Status.near_tangent, Status.hit]
+    assert np.all(np.isfinite(fix.ecef))
+
+
+def test_the_void_is_entered_at_its_ceiling_and_passed_above_it():
+    ray = local_ray(95, 0, 1000)
+    low, high = (hit([ray], small_dem(with_void(), void_ceiling=ceiling)) for ceiling in (400.0, 700.0))
+    assert low.position.height[0] == pytest.approx(400.0, abs=1e-6)
+    assert high.position.height[0] == pytest.approx(700.0, abs=1e-6)
+    passing = local_ray(60, 0, 580, azimuth=90, elevation=-70)
+    assert Status(int(hit([passing], small_dem(with_void(), void_ceiling=700.0)).status[0])) is Status.hits_void
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (60.0, -180.0), (0.0, 0.0), (89.9995, 77.0)])
+def test_nothing_is_special_about_a_pole_or_the_date_line(lat, lon):
+    """The same posts and rays in another place: only the Earth's curvature, 1e-2 m of range here, may differ."""
+    where = [(120.0, 40.0, 400.0, 250.0, -35.0), (-100.0, -80.0, 300.0, 30.0, -60.0), (7.0, 5.0, 500.0, 0.0, -90.0)]
+    fixes = []
+    for place in ((lat, lon), (47.0, 11.0)):
+        rays = [
+            local_ray(e, n, h, azimuth=a, elevation=el, lat=place[0], lon=place[1]) for e, n, h, a, el in where
+        ]
+        fixes.append(hit(rays, small_dem(rough(), lat=place[0], lon=place[1])))
+    assert np.all(fixes[0].ok)
+    np.testing.assert_allclose(fixes[0].slant_range, fixes[1].slant_range, atol=2e-2)
+    np.testing.assert_allclose(fixes[0].slope, fixes[1].slope, atol=1e-3)
+
+
+def test_a_batch_is_its_rays_one_by_one():
+    dem = small_dem(rough(3))
+    rays = [local_ray(e, -50.0, 400.0, azimuth=a, elevation=-40.0) for e, a in ((0, 0), (50, 90), (-90, 200), (1000, 90))]
+    together = hit(rays, dem)
+    for k, ray in enumerate(rays):
+        alone = hit([ray], dem)
+        assert alone.status[0] == together.status[k]
+        np.testing.assert_array_equal(alone.ecef[0], together.ecef[k])
+
+
+@pytest.mark.parametrize("search", [FirstHit(), Bisection()], ids=["first hit", "bisection"])
+def test_the_point_found_lies_on_the_ray_and_on_the_surface(search):
+    dem = small_dem(rough(5))
+    rays = [local_ray(-60.0, -80.0, 400.0, azimuth=a, elevation=-55.0) for a in range(0, 80, 10)]
+    fix = hit(rays, dem, search)
+    assert np.all(fix.ok)
+    heights = jax.vmap(dem.height_at)(fix.position)
+    np.testing.assert_allclose(heights, fix.position.height, atol=1e-8)
+    for ray, ecef, distance in zip(rays, fix.ecef, fix.slant_range, strict=True):
+        np.testing.assert_allclose(ray.origin + distance * ray.direction, ecef, atol=2e-9)
+
+
+def test_padding_does_not_change_the_answer():
+    posts = rough(7)[:12, :9]
+    padded = np.full((SIZE, SIZE), -500.0)
+    padded[:12, :9] = posts
+    centre = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
+    from jaxgeo import Dem
+    from jaxgeo.terrain import TangentGrid
+
+    grid = TangentGrid.centred(centre, spacing=(30.0, 30.0), shape=posts.shape)
+    rays = [local_ray(0, 0, 300, azimuth=a, elevation=-50) for a in (0, 90, 180, 270)] + [local_ray(200, 0, 300)]
+    plain, larger = (
+        hit(rays, Dem.from_array(posts, grid)),
+        hit(rays, Dem.from_array(padded, grid, extent=posts.shape)),
+    )
+    np.testing.assert_array_equal(plain.status, larger.status)
+    np.testing.assert_allclose(plain.slant_range, larger.slant_range, atol=1e-9)
