@@ -1,0 +1,57 @@
+"""Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain, in JAX."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from jaxgeo._checks import enable_x64
+from jaxgeo.earth import WGS84, Ellipsoid, Geodetic
+from jaxgeo.earth.ray import Ray
+from jaxgeo.locate import Fix, Projection, at_range, intersect, locate, project
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.status import Status
+from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
+
+if TYPE_CHECKING:
+    from jaxgeo import io, plot
+
+__all__ = [
+    "WGS84",
+    "Bisection",
+    "BrownConrady",
+    "ConstantHeight",
+    "Dem",
+    "Ellipsoid",
+    "FirstHit",
+    "Fix",
+    "FrameCamera",
+    "Geodetic",
+    "Gimbal",
+    "Mount",
+    "Pose",
+    "Projection",
+    "Ray",
+    "Sensor",
+    "Shot",
+    "Status",
+    "at_range",
+    "enable_x64",
+    "intersect",
+    "io",
+    "locate",
+    "plot",
+    "project",
+]
+
+_ON_DEMAND = ("io", "plot")  # these load rasterio and pyproj, or matplotlib
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ON_DEMAND:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_ON_DEMAND})

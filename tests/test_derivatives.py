@@ -1,0 +1,216 @@
+"""Derivatives through the terrain hit: against differences, forward against reverse, and finite whatever fails."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from support.scenes import local_ray, rough, small_dem, stack
+from test_locate import a_sensor, a_shot, over_terrain  # noqa: F401
+
+import jaxgeo
+from jaxgeo import Dem, Gimbal, Status
+from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.rotations import R_from_rotation_vector
+
+
+@pytest.fixture(scope="module")
+def forward(over_terrain):  # noqa: F811
+    """The hit in local east, north, up as a function of one vector: sensor, shot and pixel, all at once.
+
+    The mount's two rotations enter as small rotation vectors, so that differences stay among rotations.
+    """
+    sensor, shot, dem = over_terrain
+    uv = jnp.array([2500.0, 1900.0])
+    small = (jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([-2e-3, 1e-3, 1e-3]))
+    numbers = (sensor.camera, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount.lever_body, sensor.mount.lever_head)
+    x, unravel = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), (numbers, small, shot, uv)))
+
+    def rebuilt(x):
+        (camera, gain, offset, lever_body, lever_head), (base, head), shot, uv = unravel(x)
+        turned = (
+            camera,
+            gain,
+            offset,
+            R_from_rotation_vector(base) @ sensor.mount.R_body_from_base,
+            R_from_rotation_vector(head) @ sensor.mount.R_head_from_camera,
+            lever_body,
+            lever_head,
+        )
+        places = lambda s: (  # noqa: E731
+            s.camera,
+            s.gimbal.gain,
+            s.gimbal.offset,
+            s.mount.R_body_from_base,
+            s.mount.R_head_from_camera,
+            s.mount.lever_body,
+            s.mount.lever_head,
+        )
+        return eqx.tree_at(places, sensor, turned), shot, uv
+
+    fix = jax.jit(lambda x: jaxgeo.locate(*rebuilt(x), dem))(x)
+    assert bool(fix.ok)
+    rowcol = np.asarray(dem.rowcol_at(fix.position))
+    assert np.all(np.abs(rowcol - np.round(rowcol)) > 0.02)
+    R = R_ecef_from_enu(fix.position).T
+    hit = jax.jit(lambda x, dem: R @ (jaxgeo.locate(*rebuilt(x), dem).ecef - fix.ecef))
+    J = np.asarray(jax.jit(jax.jacfwd(hit))(x, dem))
+    return hit, x, dem, J
+
+
+def difference(function, x: np.ndarray, inputs: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Derivative of `function` by each of `inputs`, by central differences of fourth order: (inputs, ...)."""
+    shifts = np.zeros((inputs.size, x.size))
+    shifts[np.arange(inputs.size), inputs] = step
+    points = np.concatenate([shifts, -shifts, 2.0 * shifts, -2.0 * shifts]) + x
+    values = np.asarray(jax.jit(jax.vmap(function))(jnp.asarray(points)))
+    near_ahead, near_behind, far_ahead, far_behind = values.reshape(4, inputs.size, *values.shape[1:])
+    width = step.reshape(-1, *[1] * (values.ndim - 1))
+    return (8.0 * (near_ahead - near_behind) - (far_ahead - far_behind)) / (12.0 * width)
+
+
+def steps_for(J: np.ndarray, move: float) -> tuple[np.ndarray, np.ndarray]:
+    """The inputs that move the hit at all, and for each the step that moves it by `move` m."""
+    strength = np.linalg.norm(J, axis=0)
+    moving = np.flatnonzero(strength > 1e-3)
+    return moving, move / strength[moving]
+
+
+def test_the_jacobian_equals_central_differences_and_forward_equals_reverse(forward):
+    hit, x, dem, J = forward
+    reverse = np.asarray(jax.jit(jax.jacrev(hit))(x, dem))
+    np.testing.assert_allclose(reverse, J, rtol=1e-12, atol=1e-12 * np.abs(J).max())
+    moving, step = steps_for(J, 0.02)
+    assert moving.size >= 35  # 10 of the camera, 4 of the gimbal, 12 of the mount, 6 of the pose, 2 readings, 2 of the pixel
+    numeric = difference(lambda x: hit(x, dem), np.asarray(x), moving, step).T
+    error = np.linalg.norm(numeric - J[:, moving], axis=0) / np.linalg.norm(J[:, moving], axis=0)
+    print(f"{moving.size} inputs, worst relative error {error.max():.1e}")
+    assert error.max() < 1e-6
+
+
+def test_the_second_derivative_equals_differences_of_the_first(forward):
+    hit, x, dem, J = forward
+    moving, step = steps_for(J, 0.1)
+    weights = jnp.array([0.6, -0.3, 0.7])
+
+    def gradient(x):
+        return jax.jacrev(lambda x: weights @ hit(x, dem))(x)
+
+    H = np.asarray(jax.jit(jax.jacfwd(gradient))(x))[np.ix_(moving, moving)]
+    numeric = difference(gradient, np.asarray(x), moving, step)[:, moving]
+    scale = np.outer(step, step)  # each entry as what it adds, in m, over one step of both inputs
+    error = np.abs(H - numeric) * scale
+    print(f"largest second derivative {np.abs(H * scale).max():.1e} m, largest error {error.max():.1e} m")
+    assert error.max() < 1e-4 * np.abs(H * scale).max()
+    np.testing.assert_allclose(H, H.T, rtol=1e-9, atol=1e-9 * np.abs(H).max())
+
+
+def test_gradients_reach_exactly_the_four_posts_under_the_hit(forward):
+    hit, x, dem, _ = forward
+
+    def with_posts(posts):
+        return hit(x, eqx.tree_at(lambda d: d.posts, dem, posts))
+
+    J = np.asarray(jax.jit(jax.jacrev(with_posts))(dem.posts))
+    touched = np.argwhere(np.any(J != 0.0, axis=0))
+    assert len(touched) == 4
+    assert np.ptp(touched, axis=0).tolist() == [1, 1]
+    rebuilt = np.asarray(jax.jit(jax.jacrev(lambda posts: hit(x, dem.with_posts(posts))))(dem.posts))
+    np.testing.assert_allclose(rebuilt, J, atol=1e-12)
+    moved = jax.jit(with_posts)
+    for row, col in touched:
+        step = 0.01 / np.linalg.norm(J[:, row, col])
+        difference = (moved(dem.posts.at[row, col].add(step)) - moved(dem.posts.at[row, col].add(-step))) / (2 * step)
+        np.testing.assert_allclose(difference, J[:, row, col], rtol=1e-6, atol=1e-6 * np.abs(J[:, row, col]).max())
+
+
+FAILING = {
+    "rises": local_ray(0, 0, 300, elevation=30.0),
+    "leaves": local_ray(0, 0, 900, elevation=-45.0),
+    "misses": local_ray(2000, 0, 500),
+    "from the side": local_ray(-1000, -75, 178, azimuth=90, elevation=-2.0),
+    "buried": local_ray(0, 0, 20),
+    "hits": local_ray(20, 10, 500, azimuth=20, elevation=-60.0),
+    "over the void": local_ray(95, 0, 500),
+    "not a number": jaxgeo.Ray(jnp.array([jnp.nan, 0.0, 0.0]), jnp.array([0.0, 0.0, -1.0])),
+    "not a unit vector": jaxgeo.Ray(WGS84.to_ecef(jaxgeo.Geodetic(lat=0.8, lon=0.2, height=9.0)), jnp.zeros(3)),
+    "under the edge": local_ray(-1000, 10, 60, azimuth=90, elevation=1e-2),
+}
+
+
+def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_rays_do():
+    posts = rough(4)
+    posts[8, 11] = np.nan
+    dem = small_dem(posts)
+    rays = stack(list(FAILING.values()), len(FAILING))
+
+    def mean_height(rays, posts):
+        fix = jax.vmap(lambda ray: jaxgeo.intersect(ray, eqx.tree_at(lambda d: d.posts, dem, posts)))(rays)
+        return jnp.sum(jnp.where(fix.ok, fix.position.height, 0.0)) / jnp.sum(fix.ok), fix.status
+
+    differentiated = jax.jit(jax.value_and_grad(mean_height, argnums=(0, 1), has_aux=True))
+    (mean, status), gradient = differentiated(rays, dem.posts)
+    assert {int(code) for code in status} == set(range(10)) - {Status.near_tangent}
+    assert np.isfinite(mean)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+
+    slope = np.tan(np.deg2rad(20.0))
+    along = local_ray(0, 0, 100.01, azimuth=180, elevation=-20.02)
+    graze = stack([along, FAILING["hits"]], len(FAILING))
+    plane = jnp.asarray(100.0 - 30.0 * slope * (np.arange(17.0)[:, None] - 8.0) * np.ones(17))
+    (_, grazing), steep = differentiated(graze, plane)
+    assert int(grazing[0]) == Status.near_tangent
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(steep))
+    alive = np.any(np.asarray(gradient[0].origin) != 0.0, axis=1)
+    assert alive.tolist() == [int(code) == Status.hit for code in status]
+
+
+def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_shots_are(over_terrain):  # noqa: F811
+    sensor, shot, dem = over_terrain
+    uv = jnp.array([[2000.0, 1500.0], [-900.0, 10.0], [2000.0, jnp.nan], [2000.0, 1500.0], [2000.0, 1500.0]])
+    heading = jnp.array([shot.pose.heading, shot.pose.heading, shot.pose.heading, jnp.nan, shot.pose.heading + 3.0])
+
+    def mean_height(sensor, heading, uv):
+        def one(heading, uv):
+            posed = eqx.tree_at(lambda s: s.pose.heading, shot, heading)
+            return jaxgeo.locate(sensor, posed, uv, dem)
+
+        fix = jax.vmap(one)(heading, uv)
+        return jnp.sum(jnp.where(fix.ok, fix.position.height, 0.0)) / jnp.sum(fix.ok), fix.status
+
+    as_float = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), sensor)
+    (_, status), gradient = jax.jit(jax.value_and_grad(mean_height, argnums=(0, 1, 2), has_aux=True))(as_float, heading, uv)
+    words = [Status(int(code)).name for code in status]
+    assert words[:4] == ["hit", "outside_image", "invalid_input", "invalid_input"]
+    for leaf in jax.tree.leaves(gradient):
+        assert np.all(np.isfinite(leaf))
+
+
+def test_nested_maps_and_maps_over_terrains():
+    dems = [small_dem(rough(seed)) for seed in range(3)]
+    rays = stack([local_ray(e, 0, 500, azimuth=30, elevation=-60) for e in (-40, 0, 40, 55)], 4)
+    stacked: Dem = jax.tree.map(lambda *leaves: jnp.stack(leaves), *dems)
+    grid = jax.jit(jax.vmap(jax.vmap(jaxgeo.intersect, in_axes=(0, None)), in_axes=(None, 0)))(rays, stacked)
+    alone = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))
+    for k, dem in enumerate(dems):
+        np.testing.assert_allclose(grid.ecef[k], alone(rays, dem).ecef, atol=1e-9)
+
+
+def test_a_gimbal_in_local_level_moves_the_hit_by_its_own_angles():
+    """The body's attitude then only carries the lever arm."""
+    rng = np.random.default_rng(3)
+    gimbal = Gimbal.three_axis()
+    sensor, shot = a_sensor(gimbal, rng), a_shot(gimbal, rng)
+
+    def hit(roll, yaw):
+        posed = eqx.tree_at(lambda s: s.pose.roll, shot, roll)
+        readings = jnp.stack([yaw, jnp.asarray(0.1), jnp.asarray(0.0)])
+        turned = eqx.tree_at(lambda s: s.gimbal_readings, posed, readings)
+        return jaxgeo.locate(sensor, turned, jnp.array([2000.0, 1500.0]), jaxgeo.ConstantHeight(100.0)).ecef
+
+    by_roll, by_yaw = jax.jit(jax.jacfwd(hit, argnums=(0, 1)))(0.02, 0.3)
+    assert np.linalg.norm(by_roll) < 20.0  # a lever arm of metres
+    assert np.linalg.norm(by_yaw) > 50.0

@@ -1,0 +1,116 @@
+"""The floors of the house: a room imports only rooms on floors below it, or its own package."""
+
+from __future__ import annotations
+
+import ast
+import pathlib
+
+import pytest
+
+# In order from the ground up. Rooms on one floor do not import each other.
+FLOORS = [
+    ["_typing", "_checks", "_numerics", "status", "least_squares"],
+    ["earth", "rotations"],
+    ["sensor", "terrain"],
+    ["locate"],
+    ["uncertainty"],
+    ["adjust"],
+    ["coverage", "register"],
+    ["io", "plot", "scale"],
+    ["studies", "demo"],
+    ["cli", "report", "__main__"],
+]
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+# Floor 0 is one package in all but name, and the earth may turn itself.
+MAY_TALK = {frozenset(pair) for pair in [("_typing", room) for room in FLOORS[0]]} | {
+    frozenset({"_checks", "_numerics"}),
+    frozenset({"status", "_checks"}),
+    frozenset({"earth", "rotations"}),
+}
+
+HEAVY = {"rasterio", "pyproj"}  # only io/
+NUMPY_ROOMS = {"io", "plot", "studies", "cli", "report"}
+# Files of the mathematical rooms that may use numpy, each for a reason.
+NUMPY_FILES = {
+    "_checks.py": "looks at dtypes and concrete values before anything is converted",
+    "locate.py": "puts fixes into plain numbers and words",
+    "sensor/camera.py": "constants and checks of records, outside any trace",
+    "sensor/gimbal.py": "the same",
+    "sensor/platform.py": "the same",
+    "status.py": "counts concrete statuses for reports",
+    "terrain/dem.py": "builds the record from a file's posts, outside any trace",
+    "terrain/pyramid.py": "builds the bounds once, outside any trace",
+}
+
+
+def package() -> pathlib.Path:
+    return pathlib.Path(__file__).resolve().parents[1] / "jaxgeo"
+
+
+SOURCES = sorted(path.relative_to(package()).as_posix() for path in package().rglob("*.py"))
+
+
+def imported_modules(source: str, path: str) -> set[str]:
+    """Full names of all modules a file imports, those for type checking included."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: imports are absolute in this project"
+            module = node.module or ""
+            names |= {f"jaxgeo.{alias.name}" for alias in node.names} if module == "jaxgeo" else {module}
+    return names
+
+
+def room_of(path: str) -> str:
+    return pathlib.PurePosixPath(path).parts[0].removesuffix(".py")
+
+
+def broken_rules(source: str, path: str) -> list[str]:
+    """What in the file at `path` (relative to the package) goes against the floors, as sentences."""
+    room = room_of(path)
+    if room not in FLOOR:
+        return [f"{path}: room '{room}' has no floor; give it one in FLOORS"]
+    rules = []
+    for name in sorted(imported_modules(source, path)):
+        top, *rest = name.split(".")
+        if top in HEAVY and room != "io":
+            rules.append(f"{path} imports {name}: only io/ may")
+        if top == "numpy" and room not in NUMPY_ROOMS and path not in NUMPY_FILES:
+            rules.append(f"{path} imports numpy: the maths is jax.numpy")
+        other = rest[0] if top == "jaxgeo" and rest else None
+        if other is None or other == room or frozenset({room, other}) in MAY_TALK:
+            continue
+        if other not in FLOOR:
+            rules.append(f"{path} imports {name} from the package's front; import it from its own room")
+        elif FLOOR[other] >= FLOOR[room]:
+            rules.append(f"{path} (floor {FLOOR[room]}) imports {name} (floor {FLOOR[other]})")
+    return rules
+
+
+@pytest.mark.parametrize("path", [path for path in SOURCES if path != "__init__.py"])
+def test_imports_go_down(path: str) -> None:
+    assert broken_rules((package() / path).read_text(), path) == []
+
+
+@pytest.mark.parametrize(
+    "path, line, rule",
+    [
+        ("sensor/camera.py", "from jaxgeo.terrain.dem import Dem", "floor 2"),
+        ("earth/frames.py", "from jaxgeo.sensor import Pose", "floor 1"),
+        ("earth/frames.py", "import rasterio.warp", "only io/"),
+        ("locate.py", "from pyproj import CRS", "only io/"),
+        ("locate.py", "import numpy as np", "jax.numpy"),
+        ("locate.py", "from jaxgeo import Geodetic", "front"),
+        ("attic.py", "import jax", "no floor"),
+        ("io/dem.py", "def f():\n    import jaxgeo.cli", "floor"),
+    ],
+)
+def test_the_rules_bite(path: str, line: str, rule: str) -> None:
+    assert any(rule in sentence for sentence in broken_rules(line, path))
+
+
+def test_numpy_exceptions_are_used() -> None:
+    for path in NUMPY_FILES:
+        assert "numpy" in imported_modules((package() / path).read_text(), path), f"{path} needs no exception"

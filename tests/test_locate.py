@@ -1,0 +1,219 @@
+"""Pixel to ground and back: round trips, the papers' numbers, statuses at the doors."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.scenes import rough, small_dem
+
+import jaxgeo
+from jaxgeo import (
+    BrownConrady,
+    ConstantHeight,
+    Ellipsoid,
+    FrameCamera,
+    Geodetic,
+    Gimbal,
+    Mount,
+    Pose,
+    Ray,
+    Sensor,
+    Shot,
+    Status,
+)
+from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.rotations import R_from_rotation_vector
+
+COUNT = 16
+
+
+def a_sensor(gimbal: Gimbal, rng: np.random.Generator) -> Sensor:
+    """A camera with lens distortion, lever arms and a boresight, on a gimbal."""
+    camera = FrameCamera.from_pixels(
+        focal_px=rng.uniform(3000.0, 9000.0),
+        width=4000,
+        height=3000,
+        principal_px=rng.uniform([1950.0, 1450.0], [2050.0, 1550.0]),
+        distortion=BrownConrady(
+            **dict(zip(["k1", "k2", "p1", "p2", "k3"], rng.normal(0.0, [0.05, 0.02, 1e-3, 1e-3, 0.01]), strict=True))
+        ),
+    )
+    mount = Mount(
+        R_body_from_base=R_from_rotation_vector(jnp.asarray(rng.normal(0.0, 0.01, 3))),
+        R_head_from_camera=Mount.nadir().R_head_from_camera,
+        lever_body=rng.normal(0.0, 1.0, 3),
+        lever_head=rng.normal(0.0, 0.2, 3),
+    )
+    return Sensor(camera, gimbal, mount)
+
+
+def a_shot(gimbal: Gimbal, rng: np.random.Generator) -> Shot:
+    """An aircraft at 500 to 3000 m, banking, looking 0 to 60 degrees off nadir."""
+    pose = Pose.from_degrees(
+        lat=rng.uniform(46.999, 47.001),
+        lon=rng.uniform(10.999, 11.001),
+        height=rng.uniform(500.0, 3000.0),
+        heading=rng.uniform(-180.0, 180.0),
+        pitch=rng.normal(0.0, 3.0),
+        roll=rng.normal(0.0, 3.0),
+    )
+    return Shot(pose, np.deg2rad(rng.uniform(-40.0, 40.0, len(gimbal.axes))), 0.0)
+
+
+def batch(items: list):
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, jnp.float64) for leaf in leaves]), *items)
+
+
+GIMBALS = {
+    "two-axis in the body": Gimbal.two_axis(),
+    "three-axis in local level": Gimbal.three_axis(),
+    "fixed": Gimbal.fixed(),
+}
+
+
+@pytest.mark.parametrize("name", GIMBALS)
+def test_project_is_the_inverse_of_locate(name):
+    rng = np.random.default_rng(5)
+    gimbal = GIMBALS[name]
+    sensors, shots = (
+        batch([a_sensor(gimbal, rng) for _ in range(COUNT)]),
+        batch([a_shot(gimbal, rng) for _ in range(COUNT)]),
+    )
+    uv = jnp.asarray(rng.uniform(0.0, [3999.0, 2999.0], (COUNT, 2)))
+
+    @jax.jit
+    @jax.vmap
+    def there_and_back(sensor, shot, uv):
+        fix = jaxgeo.locate(sensor, shot, uv, ConstantHeight(120.0))
+        pixel = jaxgeo.project(sensor, shot, fix.position)
+        again = jaxgeo.locate(sensor, shot, pixel.uv, ConstantHeight(120.0))
+        return fix, pixel, again
+
+    fix, pixel, again = there_and_back(sensors, shots, uv)
+    seen = np.asarray(fix.ok)
+    assert seen.sum() >= COUNT // 2
+    np.testing.assert_allclose(pixel.uv[seen], uv[seen], atol=1e-9)
+    np.testing.assert_allclose(again.ecef[seen], fix.ecef[seen], atol=1e-6)
+    assert np.all(np.asarray(pixel.status)[seen] == Status.hit)
+
+
+@pytest.fixture(scope="module")
+def over_terrain():
+    """One sensor over rough ground, its shot, and the terrain."""
+    rng = np.random.default_rng(11)
+    gimbal = Gimbal.two_axis()
+    sensor = a_sensor(gimbal, rng)
+    pose = Pose.from_degrees(lat=47.0, lon=10.993, height=800.0, heading=5.0, pitch=1.0, roll=-2.0)
+    dem = small_dem(rough(2))
+    return sensor, sensor.looking_at(pose, Geodetic.from_degrees(lat=47.0, lon=11.0, height=130.0)), dem
+
+
+def test_the_round_trip_holds_over_terrain_and_hidden_ground_is_told(over_terrain):
+    sensor, shot, dem = over_terrain
+    rng = np.random.default_rng(1)
+    uv = jnp.asarray(rng.uniform([1700, 1200], [2300, 1800], (8, 2)))
+    located = jax.jit(jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, None)))(sensor, shot, uv, dem)
+    assert np.all(located.ok)
+
+    def projected(point):
+        return jaxgeo.project(sensor, shot, point, terrain=dem)
+
+    project = jax.jit(jax.vmap(projected))
+    pixel = project(located.position)
+    np.testing.assert_allclose(pixel.uv, uv, atol=1e-9)
+    assert np.all(pixel.ok)
+    buried = Geodetic(lat=located.position.lat, lon=located.position.lon, height=located.position.height - 5.0)
+    hidden = project(buried)
+    assert np.all(np.asarray(hidden.status) == Status.hidden_by_terrain)
+    assert np.all(np.isfinite(hidden.uv))
+
+
+def test_a_point_behind_and_a_point_beside(over_terrain):
+    sensor, shot, _ = over_terrain
+    project = jax.jit(lambda point: jaxgeo.project(sensor, shot, point))
+    behind = project(Geodetic.from_degrees(lat=47.0, lon=10.9, height=4000.0))
+    assert Status(int(behind.status)) is Status.behind_camera
+    assert np.all(np.isnan(behind.uv))
+    beside = project(Geodetic.from_degrees(lat=47.1, lon=11.008, height=130.0))
+    assert Status(int(beside.status)) is Status.outside_image
+    assert np.all(np.isfinite(beside.uv))
+
+
+def test_a_measured_range_gives_the_point_that_terrain_gives(over_terrain):
+    sensor, shot, dem = over_terrain
+    uv = jnp.array([2000.0, 1500.0])
+    fix = jax.jit(jaxgeo.locate)(sensor, shot, uv, dem)
+    at_range = jax.jit(jaxgeo.at_range)
+    measured = at_range(sensor, shot, uv, fix.slant_range)
+    np.testing.assert_allclose(measured.ecef, fix.ecef, atol=1e-8)
+    assert bool(measured.ok)
+    assert np.isnan(measured.slope)
+    for bad in (-1.0, 0.0, np.nan, np.inf):
+        wrong = at_range(sensor, shot, uv, bad)
+        assert Status(int(wrong.status)) is Status.invalid_input
+        assert np.all(np.isnan(wrong.ecef))
+
+
+LI_2023_TABLE_2 = {
+    # lat, lon, outer, inner of the aircraft; printed target; obtained minus printed, north and east in m
+    "plain": ((28.9702, 89.0043, 74.6747, 0.2304), (29.3559124, 88.8988296, 3850.0036), (-0.41, -9.70)),
+    "hill": ((28.9703, 89.0045, 75.3977, -0.7532), (29.3746921, 88.9026302, 3935.7022), (-47.91, 20.28)),
+    "mountain": ((28.9705, 89.0056, 78.7673, -0.7064), (29.4453004, 88.8862045, 5289.8706), (-10.65, 99.96)),
+    "mountain, inner corrected": ((28.9705, 89.0056, 78.7673, -0.6064), (29.4453004, 88.8862045, 5289.8706), (-5.91, 0.91)),
+}
+
+
+@pytest.mark.parametrize("row", LI_2023_TABLE_2)
+def test_li_2023_table_2(row):
+    """Li et al. (2023), Table 2: from the aircraft's printed state to the printed target; the conventions are ours."""
+    (lat, lon, outer, inner), target, (north, east) = LI_2023_TABLE_2[row]
+    camera = FrameCamera.from_metric(focal_length=1.9, pixel_pitch=1e-5, width=7584, height=7584)
+    sensor = Sensor(camera, Gimbal.two_axis(), Mount.nadir())
+    pose = Pose.from_degrees(lat=lat, lon=lon, height=15409.0, heading=-102.48, pitch=2.8679, roll=-0.3876)
+    shot = Shot(pose, np.deg2rad([outer, inner]), 0.0)
+    fix = jax.jit(jaxgeo.locate)(sensor, shot, jnp.array([3791.5, 3791.5]), ConstantHeight(target[2]))
+    printed = Geodetic.from_degrees(lat=target[0], lon=target[1], height=target[2])
+    east_north_up = R_ecef_from_enu(printed).T @ (fix.ecef - WGS84.to_ecef(printed))
+    np.testing.assert_allclose(east_north_up[:2], [east, north], atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["sphere", "WGS 84"])
+def test_derivatives_over_a_smooth_earth_follow_slant_range_and_incidence(name):
+    """Along the track S / cos i and across it S per rad of pointing; tan i per m of height."""
+    sphere = Ellipsoid(a=6371008.8, f=0.0)
+    ellipsoid = {"sphere": sphere, "WGS 84": WGS84}[name]
+    origin = ellipsoid.to_ecef(Geodetic.from_degrees(lat=0.0 if name == "sphere" else 35.0, lon=20.0, height=15000.0))
+    R = R_ecef_from_enu(Geodetic.from_degrees(lat=0.0 if name == "sphere" else 35.0, lon=20.0, height=0.0))
+    off_nadir = _off_nadir(60_000.0, 15_000.0, 6371008.8)
+
+    def hit(elevation, azimuth, height):
+        line = jnp.stack([jnp.sin(azimuth) * jnp.sin(elevation), jnp.cos(azimuth) * jnp.sin(elevation), -jnp.cos(elevation)])
+        return jaxgeo.intersect(Ray(origin, R @ line), ConstantHeight(height, ellipsoid=ellipsoid))
+
+    fix, (by_elevation, by_azimuth, by_height) = jax.jit(
+        lambda *a: (hit(*a), jax.jacfwd(lambda *b: hit(*b).ecef, argnums=(0, 1, 2))(*a))
+    )(off_nadir, 0.0, 0.0)
+    S, i = float(fix.slant_range), _incidence(ellipsoid, fix.ecef, R @ jnp.array([0.0, jnp.sin(off_nadir), -jnp.cos(off_nadir)]))
+    if name == "sphere":
+        assert S == pytest.approx(60_000.0, abs=1e-6)
+        assert np.rad2deg(off_nadir) == pytest.approx(75.262, abs=5e-4)
+        assert np.rad2deg(i) == pytest.approx(75.784, abs=5e-4)
+        assert S / np.cos(i) == pytest.approx(244314.0, abs=0.5)
+        assert np.tan(i) == pytest.approx(3.947, abs=5e-4)
+    np.testing.assert_allclose(jnp.linalg.norm(by_elevation), S / np.cos(i), rtol=1e-6)
+    np.testing.assert_allclose(jnp.linalg.norm(by_azimuth), S * np.sin(off_nadir), rtol=1e-6)
+    normal, _ = ellipsoid.normal_and_height(fix.ecef)
+    level = by_height - normal * jnp.dot(normal, by_height)
+    np.testing.assert_allclose(jnp.linalg.norm(level), np.tan(i), rtol=1e-6)
+
+
+def _off_nadir(slant_range: float, altitude: float, radius: float) -> float:
+    r = radius + altitude
+    return float(np.arccos((slant_range**2 + r**2 - radius**2) / (2.0 * slant_range * r)))
+
+
+def _incidence(ellipsoid: Ellipsoid, p_ecef, direction) -> float:
+    normal, _ = ellipsoid.normal_and_height(p_ecef)
+    return float(jnp.arccos(-jnp.dot(normal, direction)))
