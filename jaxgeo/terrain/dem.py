@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Num
+from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._numerics import safe_angle
-from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
+from jaxgeo._typing import ExtentField, Flag, Index, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
@@ -36,10 +35,10 @@ class Dem(AbstractTerrain):
     post) is unknown up to `void_ceiling`.
     """
 
-    posts: Num[ArrayLike, "... rows cols"]
-    void: Bool[ArrayLike, "... rows cols"]
+    posts: PostsField
+    void: VoidField
     grid: AbstractGrid
-    extent: Int[ArrayLike, "... 2"]
+    extent: ExtentField
     lowest: ScalarField
     highest: ScalarField
     void_ceiling: ScalarField
@@ -48,7 +47,7 @@ class Dem(AbstractTerrain):
     @classmethod
     def from_array(
         cls,
-        posts: ArrayLike,
+        posts: PostsField,
         grid: AbstractGrid,
         *,
         void: ArrayLike | None = None,
@@ -81,7 +80,7 @@ class Dem(AbstractTerrain):
         lowest = xp.min(xp.where(known, posts, np.inf))
         ceiling = highest if void_ceiling is None else xp.asarray(void_ceiling, np.float64)
         if is_known_now and not np.isfinite(ceiling):
-            raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {ceiling!r}.")
+            raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {float(ceiling)!r}.")
         posts = xp.where(known, posts, lowest.astype(posts.dtype))
         frozen = posts if is_known_now else jax.lax.stop_gradient(posts)
         return cls(
@@ -135,7 +134,7 @@ class Dem(AbstractTerrain):
         return self.grid.rowcol(normal), height
 
     def patch(self, cell: Int[Array, "2"]) -> tuple[Float[Array, "2 2"], Flag]:
-        """The four posts of a cell in m, [row, col], and whether the cell is void: it then is flat at the void ceiling."""
+        """The four posts of a cell in m, [row, col], and whether it is void: it then is flat at the void ceiling."""
         cell = jnp.clip(cell, 0, jnp.asarray(jnp.shape(self.posts), jnp.int32) - 2)
         rows = cell[0] + jnp.array([[0, 0], [1, 1]])
         cols = cell[1] + jnp.array([[0, 1], [0, 1]])
@@ -182,7 +181,8 @@ class Dem(AbstractTerrain):
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as in `height_at`."""
         position = as_float64(position, "position")
         cell, is_known = self._known_cell(self.rowcol_at(position))
-        on_surface = Geodetic(lat=position.lat, lon=position.lon, height=jnp.where(is_known, self.height_at(position), 0.0))
+        height = jnp.where(is_known, self.height_at(position), 0.0)
+        on_surface = Geodetic(lat=position.lat, lon=position.lon, height=height)
         gradient = jax.grad(self.clearance)(WGS84.to_ecef(on_surface), cell)
         normal = R_ecef_from_enu(position).T @ (gradient / jnp.linalg.norm(gradient))
         return jnp.where(is_known, normal, jnp.nan)

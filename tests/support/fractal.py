@@ -92,7 +92,10 @@ class TangentTerrain:
         u, v = rowcol[..., 0] - i, rowcol[..., 1] - j
         z = self.posts
         return (
-            z[i, j] * (1 - u) * (1 - v) + z[i, j + 1] * (1 - u) * v + z[i + 1, j] * u * (1 - v) + z[i + 1, j + 1] * u * v
+            z[i, j] * (1 - u) * (1 - v)
+            + z[i, j + 1] * (1 - u) * v
+            + z[i + 1, j] * u * (1 - v)
+            + z[i + 1, j + 1] * u * v
         )
 
     def clearance(self, p: np.ndarray, cell: np.ndarray) -> np.ndarray:
@@ -111,15 +114,20 @@ class TangentTerrain:
 
 @dataclass(frozen=True)
 class Walked:
-    """Outcome of the exhaustive walk of one ray: range of the first crossing (NaN if none), the smallest clearance passed
-    before it (m), and how often the surface is crossed within the first cell that is crossed."""
+    """Outcome of the exhaustive walk of one ray.
+
+    Range of the first crossing (NaN if none), the smallest clearance passed before it (m), and how often the surface is
+    crossed within the first cell that is crossed.
+    """
 
     distance: float
     closest: float
     crossings: int
 
 
-def walk_every_cell(terrain: TangentTerrain, origin: np.ndarray, direction: np.ndarray, start: float, end: float) -> Walked:
+def walk_every_cell(
+    terrain: TangentTerrain, origin: np.ndarray, direction: np.ndarray, start: float, end: float
+) -> Walked:
     """First crossing between two ranges, found by going through every cell under the ray with the exact map."""
     rowcol_ends, _ = terrain.over(origin + np.array([start, end])[:, None] * direction)
     count = int(4 * np.abs(np.diff(rowcol_ends, axis=0)).max()) + 8
@@ -189,7 +197,12 @@ class Sight:
 
 
 def sights(
-    terrain: TangentTerrain, rowcol: np.ndarray, height: np.ndarray, zenith: np.ndarray, azimuth: np.ndarray, altitude: float
+    terrain: TangentTerrain,
+    rowcol: np.ndarray,
+    height: np.ndarray,
+    zenith: np.ndarray,
+    azimuth: np.ndarray,
+    altitude: float,
 ) -> Sight:
     """Rays from `altitude` through points at (row, col) and height, `zenith` rad off nadir there."""
     p = terrain.position(rowcol, height)
@@ -215,7 +228,7 @@ def random_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: f
 
 
 def grazing_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: float = 15_000.0) -> Sight:
-    """Rays 60-79 degrees off nadir that dip into one bilinear patch and come out of it again: two crossings in a cell."""
+    """Rays 60-79 degrees off nadir that dip into one bilinear patch and come out again: two crossings in a cell."""
     rng = np.random.default_rng(seed)
     size, z = terrain.posts.shape[0], terrain.posts
     tries = 4000 * count
@@ -227,9 +240,7 @@ def grazing_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: 
     slope = (z[i + 1, j] - z[i, j] + twist * v) * per_row + (z[i, j + 1] - z[i, j] + twist * u) * per_col
     bend = 2.0 * twist * per_row * per_col
     depression = np.arctan(-slope)
-    room = np.minimum(
-        np.minimum(u, 1.0 - u) / np.abs(per_row), np.minimum(v, 1.0 - v) / np.abs(per_col)
-    )
+    room = np.minimum(np.minimum(u, 1.0 - u) / np.abs(per_row), np.minimum(v, 1.0 - v) / np.abs(per_col))
     sagitta = -0.5 * bend * room**2
     good = (np.rad2deg(depression) > 11.5) & (np.rad2deg(depression) < 29.5) & (sagitta > 1e-4)
     keep = np.flatnonzero(good)[:count]

@@ -67,5 +67,3 @@ def hit(rays: list[Ray], dem: Dem, search=None):
     """Fixes of up to eight rays, compiled once for each search."""
     fix = _hit(stack(rays), dem, FirstHit() if search is None else search)
     return jax.tree.map(lambda x: np.asarray(x)[: len(rays)], fix)
-
-

@@ -41,7 +41,9 @@ def test_bisection_finds_a_crossing_but_not_always_the_first(mountains):
     first = np.array([walked.distance for walked in mountains.walked[:1600]])
     beyond = distance - first
     assert np.all(beyond > -WRONG_DISTANCE)
-    print(f"bisection lands beyond the first hit for {np.mean(beyond > 1.0):.1%} of the rays, by up to {beyond.max():.0f} m")
+    print(
+        f"bisection lands beyond the first hit for {np.mean(beyond > 1.0):.1%} of the rays, up to {beyond.max():.0f} m"
+    )
     assert 0.01 < np.mean(beyond > 1.0) < 0.5
     point = np.asarray(rays.origin) + distance[:, None] * np.asarray(rays.direction)
     rowcol, _ = mountains.numpy.over(point)
@@ -105,7 +107,10 @@ def test_status(name):
 
 def test_a_ray_along_the_surface_is_near_tangent():
     posts = flat(100.0) + 30.0 * np.arange(SIZE)[:, None] * np.tan(np.deg2rad(20.0))
-    rays = [local_ray(0, 0, 100 + 8 * 30 * np.tan(np.deg2rad(20.0)) + 0.01, azimuth=0, elevation=-20 - d) for d in (0.02, 2.0)]
+    rays = [
+        local_ray(0, 0, 100 + 8 * 30 * np.tan(np.deg2rad(20.0)) + 0.01, azimuth=0, elevation=-20 - d)
+        for d in (0.02, 2.0)
+    ]
     fix = hit(rays, small_dem(posts))
     assert [Status(int(code)) for code in fix.status] == [Status.near_tangent, Status.hit]
     assert np.all(np.isfinite(fix.ecef))
@@ -120,15 +125,15 @@ def test_the_void_is_entered_at_its_ceiling_and_passed_above_it():
     assert Status(int(hit([passing], small_dem(with_void(), void_ceiling=700.0)).status[0])) is Status.hits_void
 
 
-@pytest.mark.parametrize(("lat", "lon"), [(90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (60.0, -180.0), (0.0, 0.0), (89.9995, 77.0)])
+@pytest.mark.parametrize(
+    "lat, lon", [(90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (60.0, -180.0), (0.0, 0.0), (89.9995, 77.0)]
+)
 def test_nothing_is_special_about_a_pole_or_the_date_line(lat, lon):
     """The same posts and rays in another place: only the Earth's curvature, 1e-2 m of range here, may differ."""
     where = [(120.0, 40.0, 400.0, 250.0, -35.0), (-100.0, -80.0, 300.0, 30.0, -60.0), (7.0, 5.0, 500.0, 0.0, -90.0)]
     fixes = []
     for place in ((lat, lon), (47.0, 11.0)):
-        rays = [
-            local_ray(e, n, h, azimuth=a, elevation=el, lat=place[0], lon=place[1]) for e, n, h, a, el in where
-        ]
+        rays = [local_ray(e, n, h, azimuth=a, elevation=el, lat=place[0], lon=place[1]) for e, n, h, a, el in where]
         fixes.append(hit(rays, small_dem(rough(), lat=place[0], lon=place[1])))
     assert np.all(fixes[0].ok)
     np.testing.assert_allclose(fixes[0].slant_range, fixes[1].slant_range, atol=2e-2)
@@ -137,7 +142,9 @@ def test_nothing_is_special_about_a_pole_or_the_date_line(lat, lon):
 
 def test_a_batch_is_its_rays_one_by_one():
     dem = small_dem(rough(3))
-    rays = [local_ray(e, -50.0, 400.0, azimuth=a, elevation=-40.0) for e, a in ((0, 0), (50, 90), (-90, 200), (1000, 90))]
+    rays = [
+        local_ray(e, -50.0, 400.0, azimuth=a, elevation=-40.0) for e, a in ((0, 0), (50, 90), (-90, 200), (1000, 90))
+    ]
     together = hit(rays, dem)
     for k, ray in enumerate(rays):
         alone = hit([ray], dem)

@@ -43,8 +43,10 @@ def test_the_published_hits_are_met_to_two_millimetres(ventoux, jaxgeo_test_data
     away = np.linalg.norm(fix.ecef - hit, axis=1)
     assert np.all(np.asarray(fix.ok) | over_void)
     counted = ~touches_void & ~over_void
-    print(f"{counted.sum()} rays, largest distance {away[counted].max():.1e} m, "
-          f"to the other program's {np.linalg.norm(fix.ecef - other, axis=1)[counted].max():.1e} m")
+    print(
+        f"{counted.sum()} rays, largest distance {away[counted].max():.1e} m, "
+        f"to the other program's {np.linalg.norm(fix.ecef - other, axis=1)[counted].max():.1e} m"
+    )
     assert away[counted].max() < 2e-3
 
     lower = _located(rays, jaxgeo_test_data, "N44E005.hgt", void_ceiling=1500.0)
@@ -53,10 +55,14 @@ def test_the_published_hits_are_met_to_two_millimetres(ventoux, jaxgeo_test_data
 
 
 def test_another_file_of_the_same_ground_differs_by_its_resampling(ventoux, jaxgeo_test_data):
-    """The UTM file was resampled to 90 m from the same heights: its bilinear surface is another one. Hits differ by what
-    the two surfaces differ in height there, times the tangent of incidence; the map itself is exact to a nanometre."""
+    """The UTM file was resampled to 90 m from the same heights: its bilinear surface is another one.
+
+    Hits differ by what the two surfaces differ in height there, times the tangent of incidence; the map is exact.
+    """
     rays, _, _, touches_void = ventoux
-    original = jaxgeo.io.read_dem(jaxgeo_test_data / "dem" / "N44E005.hgt", vertical_datum="EPSG:5773", void_ceiling=1500.0)
+    original = jaxgeo.io.read_dem(
+        jaxgeo_test_data / "dem" / "N44E005.hgt", vertical_datum="EPSG:5773", void_ceiling=1500.0
+    )
     resampled = jaxgeo.io.read_dem(
         jaxgeo_test_data / "dem" / "N44E005_UTM.tif", vertical_datum="EPSG:5773", void_ceiling=1500.0
     )
@@ -65,8 +71,10 @@ def test_another_file_of_the_same_ground_differs_by_its_resampling(ventoux, jaxg
     seen = np.asarray(second.ok) & ~touches_void
     height_difference = jax.vmap(original.height_at)(second.position) - second.position.height
     away = np.linalg.norm(first.ecef - second.ecef, axis=1)
-    print(f"{seen.sum()} rays; distance median {np.median(away[seen]):.2f} m, largest {away[seen].max():.2f} m; "
-          f"surfaces differ by {np.median(np.abs(height_difference[seen])):.2f} m (median)")
+    print(
+        f"{seen.sum()} rays; distance median {np.median(away[seen]):.2f} m, largest {away[seen].max():.2f} m; "
+        f"surfaces differ by {np.median(np.abs(height_difference[seen])):.2f} m (median)"
+    )
     assert seen.sum() >= 20
     assert np.median(away[seen]) < 5.0
     steepness = np.abs(1.0 / np.cos(second.incidence_surface)) / np.cos(second.slope)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
@@ -80,47 +82,82 @@ def _next_track(walk: _Walk, ray: Ray, dem: Dem, end: Scalar) -> _Walk:
 
 
 class _Step(eqx.Module):
-    """State of the walk along one track: a dyadic interval [position, position + 2^level) of 2^finest."""
+    """An interval [position, position + 2^level) of the 2^finest along one track; whether it must be settled."""
 
     position: Index
     level: Index
-    event: Event
+    must_settle: Flag
+
+
+class _Stretch(eqx.Module):
+    """A track cut into 2^finest intervals of `unit` tau, none longer than a cell; `sag` bounds its bending."""
+
+    track: Track
+    finest: Index
+    count: Index
+    unit: Scalar
+    sag: Float[Array, "3"]
+
+    @classmethod
+    def of(cls, track: Track) -> _Stretch:
+        finest = jnp.ceil(jnp.log2(jnp.maximum(2.0 * track.speed(), 1.0)))
+        finest = jnp.clip(finest, 0, FINEST).astype(jnp.int32)
+        count = jnp.left_shift(jnp.asarray(1, jnp.int32), finest)
+        return cls(track, finest, count, 2.0 / count, track.sag())
+
+    def interval(self, step: _Step) -> tuple[Scalar, Scalar]:
+        """The ends of an interval in tau."""
+        width = jnp.left_shift(jnp.asarray(1, jnp.int32), step.level)
+        return -1.0 + self.unit * step.position, -1.0 + self.unit * (step.position + width)
+
+    def after(self, step: _Step) -> _Step:
+        """The interval after this one, twice as long where that is aligned."""
+        position = step.position + jnp.left_shift(jnp.asarray(1, jnp.int32), step.level)
+        is_aligned = (jnp.right_shift(position, step.level) & 1) == 0
+        return _Step(position, step.level + (is_aligned & (step.level < self.finest)), jnp.asarray(False))
 
 
 def _walk_track(track: Track, dem: Dem, event: Event, skip: Flag) -> Event:
-    """Walk one track to its end or to the first event."""
-    finest = jnp.ceil(jnp.log2(jnp.maximum(2.0 * track.speed(), 1.0))).astype(jnp.int32)
-    finest = jnp.clip(finest, 0, FINEST)
-    count = jnp.left_shift(jnp.asarray(1, jnp.int32), finest)
-    unit = 2.0 / count
-    sag = track.sag()
+    """Walk one track to its end or to the first event.
 
-    def is_going_on(step: _Step) -> Flag:
-        return (step.position < count) & ~step.event.happened & ~skip
+    In rounds: all rays of a batch go on to the next interval that they cannot pass, then all settle it together.
+    """
+    stretch = _Stretch.of(track)
+
+    def is_going_on(state: tuple[_Step, Event]) -> Flag:
+        step, event = state
+        return (step.position < stretch.count) & ~event.happened & ~skip
+
+    def round_(state: tuple[_Step, Event]) -> tuple[_Step, Event]:
+        step, event = state
+        step = _next_to_settle(stretch, dem, step, event.entered)
+        begin, end = stretch.interval(step)
+        event = jax.lax.cond(step.must_settle, lambda: first_event(track, dem, begin, end, event), lambda: event)
+        return tree_where(step.must_settle, stretch.after(step), step), event
+
+    first = _Step(jnp.asarray(0, jnp.int32), stretch.finest, jnp.asarray(False))
+    return jax.lax.while_loop(is_going_on, round_, (first, event))[1]
+
+
+def _next_to_settle(stretch: _Stretch, dem: Dem, step: _Step, entered: Flag) -> _Step:
+    """The next interval of the finest level that cannot be passed unseen, or the end of the track."""
+
+    def is_passing(step: _Step) -> Flag:
+        return (step.position < stretch.count) & ~step.must_settle
 
     def advance(step: _Step) -> _Step:
-        width = jnp.left_shift(jnp.asarray(1, jnp.int32), step.level)
-        begin = -1.0 + unit * step.position
-        end = -1.0 + unit * (step.position + width)
-        clear = _is_clear(track, dem, begin, end, sag, step)
-        at_leaf = ~clear & (step.level == 0)
-        event = jax.lax.cond(
-            at_leaf, lambda: first_event(track, dem, begin, end, step.event), lambda: step.event
-        )
-        passes = clear | at_leaf
-        position = jnp.where(passes, step.position + width, step.position)
-        is_aligned = (jnp.right_shift(position, step.level) & 1) == 0
-        level = jnp.where(passes, step.level + (is_aligned & (step.level < finest)), step.level - 1)
-        return _Step(position, level.astype(jnp.int32), event)
+        clear = _is_clear(stretch, dem, step, entered)
+        finer = _Step(step.position, jnp.maximum(step.level - 1, 0), step.level == 0)
+        return tree_where(clear, stretch.after(step), finer)
 
-    first = _Step(jnp.asarray(0, jnp.int32), finest, event)
-    return jax.lax.while_loop(is_going_on, advance, first).event
+    return jax.lax.while_loop(is_passing, advance, step)
 
 
-def _is_clear(track: Track, dem: Dem, begin: Scalar, end: Scalar, sag: jax.Array, step: _Step) -> Flag:
-    """Whether the interval certainly holds no event: above all ground it can touch, or (before entry) beside the grid."""
-    first, last = track.at(begin), track.at(end)
-    bend = sag * (end - begin) ** 2
+def _is_clear(stretch: _Stretch, dem: Dem, step: _Step, entered: Flag) -> Flag:
+    """Whether the interval surely holds no event: above all ground it can touch, or (before entry) beside the grid."""
+    begin, end = stretch.interval(step)
+    first, last = stretch.track.at(begin), stretch.track.at(end)
+    bend = stretch.sag * (end - begin) ** 2
     low = jnp.minimum(first, last) - bend
     high = jnp.maximum(first, last) + bend
     edge = (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
@@ -130,7 +167,7 @@ def _is_clear(track: Track, dem: Dem, begin: Scalar, end: Scalar, sag: jax.Array
     high_texel = jnp.right_shift(jnp.floor(high[:2]).astype(jnp.int32), step.level)
     fits = jnp.all(high_texel <= low_texel + 1)
     is_above = is_inside & fits & (low[2] > dem.bound(step.level, low_texel))
-    return jnp.where(step.event.entered, is_above, is_beside)
+    return jnp.where(entered, is_above, is_beside)
 
 
 def _as_bracket(walk: _Walk, ray: Ray, dem: Dem, reach: Reach) -> Bracket:

@@ -71,7 +71,7 @@ def first_event(track: Track, dem: Dem, begin: Scalar, end: Scalar, event: Event
 
 
 def _crossing(track: Track, begin: Scalar, end: Scalar, axis: int) -> Scalar:
-    """Where row (axis 0) or column (1) passes an integer within the interval; its end if nowhere. Newton on a near-line."""
+    """Where row (axis 0) or column (1) passes an integer within the interval, else its end. Newton on a near-line."""
     first, last = track.at(begin)[axis], track.at(end)[axis]
     line = jnp.maximum(jnp.floor(first), jnp.floor(last))
     crosses = jnp.floor(first) != jnp.floor(last)

@@ -1,0 +1,129 @@
+"""The mistakes of a scene file in words: the key, its value, and the key, unit or range that is expected."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from jaxgeo.io._schema import SceneTable, Unit
+
+
+def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
+    """One sentence for each mistake: the key, the value, and the expected key, unit or range."""
+    mistakes = list(_without_branches(error))
+    suggested = {(*e["loc"][:-1], _meant(e["loc"])) for e in mistakes if e["type"] == "extra_forbidden"}
+    lines = []
+    for mistake in mistakes:
+        if mistake["type"] == "missing" and mistake["loc"] in suggested:
+            continue  # the misspelt key says it already
+        lines.append(_sentence(mistake, content))
+    return lines
+
+
+def _without_branches(error: ValidationError) -> Iterator[dict[str, Any]]:
+    """Errors with the names of union branches taken out of their location, each location once."""
+    seen = set()
+    for entry in error.errors():
+        loc = tuple(part for part in entry["loc"] if isinstance(part, int) or part not in ("str", "float"))
+        if loc not in seen:
+            seen.add(loc)
+            yield {**entry, "loc": loc}
+
+
+def _sentence(mistake: Mapping[str, Any], content: Mapping[str, Any]) -> str:
+    loc, kind = mistake["loc"], mistake["type"]
+    where = _address(loc)
+    if kind == "missing":
+        return f"{where} is missing{_expected(loc, '; expected ')}."
+    if kind == "value_error":
+        return f"{where}: {mistake['ctx']['error']}."
+    value = _value_at(content, loc)
+    if kind == "extra_forbidden":
+        shown = f"[{where}]" if isinstance(value, dict) else f"{where} = {value!r}"
+        return f"{shown}: unknown {'table' if isinstance(value, dict) else 'key'}; {_advice(loc)}."
+    if kind in _BOUNDS:
+        word, bound = _BOUNDS[kind]
+        return f"{where} = {value!r}: must be {word} {mistake['ctx'][bound]:g} {_unit_of(loc) or ''}."
+    reason = mistake["msg"].replace("Input should be", "must be").replace("List should have", "must have")
+    return f"{where} = {value!r}: {reason.replace(' after validation', '')}{_expected(loc, ', expected ')}."
+
+
+_BOUNDS = {
+    "greater_than_equal": ("at least", "ge"),
+    "less_than_equal": ("at most", "le"),
+    "greater_than": ("greater than", "gt"),
+}
+
+
+def _address(loc: tuple[Any, ...]) -> str:
+    tables = [part for part in loc[:-1] if isinstance(part, str)]
+    last = loc[-1]
+    if isinstance(last, int):
+        return f"{_address(loc[:-1])}[{last}]"
+    return f"[{'.'.join(tables)}] {last}" if tables else (f"[{last}]" if _table_at(loc) else str(last))
+
+
+def _value_at(content: Any, loc: tuple[Any, ...]) -> Any:
+    for part in loc:
+        content = content[part]
+    return content
+
+
+def _table_at(loc: tuple[Any, ...]) -> type[BaseModel] | None:
+    """The model of the table at a location, if it is one."""
+    table: type[BaseModel] | None = SceneTable
+    for part in loc:
+        field = table.model_fields.get(part) if table and isinstance(part, str) else None
+        table = _table_of(field) if field else None
+    return table
+
+
+def _table_of(field: FieldInfo) -> type[BaseModel] | None:
+    candidates = [field.annotation, *getattr(field.annotation, "__args__", ())]
+    return next((c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)), None)
+
+
+def _unit_of(loc: tuple[Any, ...]) -> str | None:
+    names = tuple(part for part in loc if isinstance(part, str))
+    parent = _table_at(names[:-1])
+    field = parent.model_fields.get(names[-1]) if parent else None
+    return _find_unit(field) if field else None
+
+
+def _find_unit(field: Any) -> str | None:
+    metadata = [*getattr(field, "metadata", ()), *getattr(field, "__metadata__", ())]
+    units = [str(item) for item in metadata if isinstance(item, Unit)]
+    nested = getattr(getattr(field, "annotation", field), "__args__", ())
+    return next(iter(units), None) or next((unit for part in nested if (unit := _find_unit(part))), None)
+
+
+def _expected(loc: tuple[Any, ...], lead: str) -> str:
+    unit = _unit_of(loc)
+    if unit is None or unit == "1":
+        return ""
+    return f"{lead}{unit if ' ' in unit else 'in ' + unit}"
+
+
+def _stem(key: str) -> str:
+    return re.sub(r"_(deg|rad|mrad|m|mm|um|cm|km|ft|feet|px|pixels|s|ms)$", "", key)
+
+
+def _meant(loc: tuple[Any, ...]) -> str | None:
+    """The known key that an unknown one stands for: the same word with another unit, or a near spelling."""
+    key, table = str(loc[-1]), _table_at(loc[:-1])
+    known = list(table.model_fields) if table else []
+    same_word = [name for name in known if _stem(name) == _stem(key)]
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    return (same_word + near + [None])[0]
+
+
+def _advice(loc: tuple[Any, ...]) -> str:
+    meant, table = _meant(loc), _table_at(loc[:-1])
+    if meant:
+        return f"write {meant}{_expected((*loc[:-1], meant), ', ')}"
+    return f"known here: {', '.join(table.model_fields)}" if table else "no table is expected here"

@@ -1,0 +1,107 @@
+"""PROJ as this package uses it: its own geoid grid found, no ballpark transformation, one fixed operation per file."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+import warnings
+from typing import Any
+
+import numpy as np
+import pyproj
+from pyproj.aoi import AreaOfInterest
+from pyproj.datadir import append_data_dir, get_user_data_dir  # pyright: ignore[reportPrivateImportUsage]
+from pyproj.transformer import Transformer, TransformerGroup
+
+DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
+
+# The wheels of pyproj carry no grids and ignore PROJ_DATA. This adds the EGM96 grid of the package, and nothing else.
+append_data_dir(str(DATA))
+
+
+@dataclasses.dataclass(frozen=True)
+class Operation:
+    """One coordinate operation of PROJ, the same for every point, with the name and accuracy that PROJ gives it."""
+
+    transformer: Transformer
+    name: str
+    accuracy: float | None
+    """Accuracy in m; None where PROJ does not know it."""
+    better: tuple[str, ...]
+    """What would have been preferred, had its grid been here."""
+
+    def __str__(self) -> str:
+        accuracy = "unknown accuracy" if self.accuracy is None else f"accuracy {self.accuracy:g} m"
+        note = f"; better, but without its grid here: {', '.join(self.better[:2])}" if self.better else ""
+        return f"{self.name} ({accuracy}{note})"
+
+
+class NoOperation(ValueError):
+    """PROJ has no operation, or none whose grids are here: `missing` lists (operation, grid file, address)."""
+
+    def __init__(self, source: str, target: str, missing: list[tuple[str, str, str]]) -> None:
+        super().__init__(f"PROJ has no usable transformation from {source} to {target}")
+        self.missing = missing
+
+
+def operation(source: Any, target: Any, area: tuple[float, float, float, float] | None = None) -> Operation:
+    """The best operation from `source` to `target` (x or longitude first) that is available here; never a ballpark one.
+
+    `area` is (west, south, east, north) in deg. Raises `NoOperation`.
+    """
+    source, target = pyproj.CRS.from_user_input(source), pyproj.CRS.from_user_input(target)
+    group = _group(source, target, area)
+    if not group.transformers and area is not None and not group.unavailable_operations:
+        group = _group(source, target, None)
+    missing = [
+        (op.name or "unnamed operation", grid.short_name, grid.url)
+        for op in group.unavailable_operations
+        for grid in op.grids
+        if not grid.available
+    ]
+    if not group.transformers:
+        raise NoOperation(source.name, target.name, missing)
+    best = group.transformers[0]
+    accuracy = best.accuracy if best.accuracy is not None and best.accuracy >= 0 else None
+    better = () if group.best_available else tuple(dict.fromkeys(grid for _, grid, _ in missing))
+    return Operation(best, _named(best.description), accuracy, better)
+
+
+def _named(description: str) -> str:
+    """PROJ's name of an operation without the steps that move nothing."""
+    parts = description.split(" + ")
+    moving = [part for part in parts if not part.startswith(("axis order change", "Null geographic offset"))]
+    return " + ".join(moving) or "no change"
+
+
+def _group(source: pyproj.CRS, target: pyproj.CRS, area: tuple[float, float, float, float] | None) -> TransformerGroup:
+    aoi = None if area is None else AreaOfInterest(*area)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # "best transformation is not available": `operation` reports it itself
+        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=aoi)  # pyright: ignore[reportArgumentType]
+
+
+def how_to_get(missing: list[tuple[str, str, str]]) -> str:
+    """Which grid files are missing, and how to put them where PROJ looks."""
+    files = list(dict.fromkeys(grid for _, grid, _ in missing))
+    on_net = [grid for grid in files if any(g == grid and url for _, g, url in missing)]
+    shown = ", ".join(files[:4]) + (f" and {len(files) - 4} more" if len(files) > 4 else "")
+    sync = f"sync --file {on_net[0]}" if on_net else ""
+    how = f"`pyproj {sync}` (or PROJ's `proj{sync}`) downloads it; or" if on_net else "Get it from its publisher and"
+    return (
+        f"the grid file is missing: {shown} (any one of them serves). {how} put the file into "
+        f"{get_user_data_dir()}, name its folder with pyproj.datadir.append_data_dir(folder), "
+        f"or give the path of a geoid grid as vertical_datum."
+    )
+
+
+def unit_normals(lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
+    """Normals of WGS 84, (..., 3), at longitudes and latitudes in deg."""
+    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+
+
+def lonlat_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes and latitudes in deg of normals (..., 3)."""
+    x, y, z = np.moveaxis(normals, -1, 0)
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))

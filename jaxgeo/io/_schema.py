@@ -1,0 +1,173 @@
+"""What a scene file may hold, field by field, with units and ranges."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Unit(str):
+    """What a value is measured in, or what is expected of it, for messages."""
+
+    __slots__ = ()
+
+
+_strict = Field(strict=True)
+Coefficient = Annotated[float, _strict, Unit("1")]
+Angle = Annotated[float, Field(strict=True, ge=-360.0, le=360.0), Unit("deg")]
+SmallAngle = Annotated[float, Field(strict=True, ge=-90.0, le=90.0), Unit("deg")]
+HalfTurn = Annotated[float, Field(strict=True, ge=-180.0, le=180.0), Unit("deg")]
+Millimetres = Annotated[float, Field(strict=True, gt=0.0), Unit("mm")]
+Micrometres = Annotated[float, Field(strict=True, gt=0.0), Unit("um")]
+Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
+Count = Annotated[int, Field(strict=True, gt=0), Unit("whole pixels")]
+Seconds = Annotated[float, _strict, Unit("s")]
+Height = Annotated[float, Field(strict=True, ge=-2000.0, le=2_000_000.0), Unit("m")]
+_Number = Annotated[float, _strict]
+Triple = Annotated[list[_Number], Field(min_length=3, max_length=3), Unit("a list of 3 numbers in m")]
+PairMillimetres = Annotated[list[_Number], Field(min_length=2, max_length=2), Unit("a list of 2 numbers in mm")]
+PairPixels = Annotated[list[_Number], Field(min_length=2, max_length=2), Unit("a list of 2 numbers in pixels")]
+Datum = Annotated[
+    Annotated[str, _strict] | _Number,
+    Unit('a vertical datum: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m'),
+]
+Text = Annotated[str, _strict, Unit("a text")]
+
+# Names of the readings of each kind of gimbal, from base to head; keys and columns are these with _deg.
+READINGS = {
+    "two_axis": ("outer", "inner"),
+    "mirror": ("depression", "azimuth"),
+    "level": ("yaw", "pitch", "roll"),
+    "fixed": (),
+}
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DistortionTable(_Table):
+    """Brown-Conrady coefficients in the formula of OpenCV, for normalised image coordinates."""
+
+    k1: Coefficient = 0.0
+    k2: Coefficient = 0.0
+    k3: Coefficient = 0.0
+    k4: Coefficient = 0.0
+    k5: Coefficient = 0.0
+    k6: Coefficient = 0.0
+    p1: Coefficient = 0.0
+    p2: Coefficient = 0.0
+
+
+class CameraTable(_Table):
+    """A frame camera, in metric terms (focal_length_mm, pixel_pitch_um) or in pixels (focal_px)."""
+
+    width: Count
+    height: Count
+    focal_length_mm: Millimetres | None = None
+    pixel_pitch_um: Micrometres | None = None
+    principal_point_mm: PairMillimetres | None = None
+    focal_px: Pixels | None = None
+    principal_px: PairPixels | None = None
+    distortion: DistortionTable | None = None
+
+    @model_validator(mode="after")
+    def _one_way_of_saying_it(self) -> CameraTable:
+        metric = [self.focal_length_mm, self.pixel_pitch_um]
+        if self.focal_px is not None:
+            if any(value is not None for value in [*metric, self.principal_point_mm]):
+                raise ValueError("give either focal_px (pixels) or focal_length_mm and pixel_pitch_um, not both")
+        elif any(value is None for value in metric):
+            raise ValueError("give focal_length_mm (mm) and pixel_pitch_um (um), or focal_px (pixels)")
+        elif self.principal_px is not None:
+            raise ValueError("principal_px (pixels) goes with focal_px; here it is principal_point_mm (mm)")
+        return self
+
+
+class GimbalTable(_Table):
+    """The kind of gimbal, and its readings; these may come from a table of shots instead."""
+
+    kind: Literal["two_axis", "mirror", "level", "fixed"]
+    outer_deg: Angle | None = None
+    inner_deg: Angle | None = None
+    depression_deg: Angle | None = None
+    azimuth_deg: Angle | None = None
+    yaw_deg: Angle | None = None
+    pitch_deg: Angle | None = None
+    roll_deg: Angle | None = None
+
+    @property
+    def readings(self) -> dict[str, float]:
+        """The readings given, by name, deg."""
+        values = {name: getattr(self, f"{name}_deg") for names in READINGS.values() for name in names}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @model_validator(mode="after")
+    def _readings_of_its_kind(self) -> GimbalTable:
+        wanted, given = READINGS[self.kind], self.readings
+        if given and set(given) != set(wanted):
+            keys = ", ".join(f"{name}_deg" for name in wanted) or "none"
+            got = ", ".join(f"{name}_deg" for name in given)
+            raise ValueError(f"the readings of a gimbal of kind {self.kind!r} are {keys} (deg); got {got}")
+        return self
+
+
+class MountTable(_Table):
+    """How gimbal and camera are fitted: turns of the gimbal's base in the body, the camera's place, lever arms."""
+
+    base_heading_deg: Angle = 0.0
+    base_pitch_deg: Angle = 0.0
+    base_roll_deg: Angle = 0.0
+    camera_looks: Literal["down", "forward"] | None = None
+    lever_body_m: Triple = [0.0, 0.0, 0.0]
+    lever_head_m: Triple = [0.0, 0.0, 0.0]
+
+
+class PoseTable(_Table):
+    """Where the aircraft is and how it lies.
+
+    The attitude is true heading, pitch and roll, or omega, phi and kappa in the grid of `map_crs`.
+    """
+
+    lat_deg: SmallAngle
+    lon_deg: Angle
+    height_m: Height
+    height_datum: Datum
+    heading_deg: Angle | None = None
+    pitch_deg: SmallAngle | None = None
+    roll_deg: HalfTurn | None = None
+    omega_deg: Angle | None = None
+    phi_deg: Angle | None = None
+    kappa_deg: Angle | None = None
+    map_crs: Text | None = None
+    time_s: Seconds = 0.0
+
+    @model_validator(mode="after")
+    def _one_attitude(self) -> PoseTable:
+        body = [self.heading_deg, self.pitch_deg, self.roll_deg]
+        grid = [self.omega_deg, self.phi_deg, self.kappa_deg, self.map_crs]
+        complete = (None not in body and grid == [None] * 4) or (None not in grid and body == [None] * 3)
+        if not complete:
+            raise ValueError(
+                "the attitude is heading_deg, pitch_deg and roll_deg (deg), all three; "
+                "or omega_deg, phi_deg and kappa_deg (deg) with map_crs"
+            )
+        return self
+
+
+class ShotsTable(_Table):
+    """What a table of shots cannot say in its columns: the datum of its heights."""
+
+    height_datum: Datum
+
+
+class SceneTable(_Table):
+    """A whole scene file: `pose` for one shot, `shots` where poses and readings come from a table of shots."""
+
+    title: Text = ""
+    camera: CameraTable
+    gimbal: GimbalTable = GimbalTable(kind="fixed")
+    mount: MountTable = MountTable()
+    pose: PoseTable | None = None
+    shots: ShotsTable | None = None

@@ -1,0 +1,11 @@
+"""What the readers of this package raise when they refuse a file."""
+
+from __future__ import annotations
+
+
+class DemError(ValueError):
+    """An elevation file that cannot be used as it stands: the message names the file, the place and the reason."""
+
+
+class VerticalDatumError(DemError):
+    """Heights whose vertical datum is unknown, contradictory, or not reachable with the grids that are here."""

@@ -1,0 +1,160 @@
+"""From a file's map to a grid: which exact grid serves, a fit to PROJ where none does, and the error measured."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+
+from jaxgeo.earth import WGS84
+from jaxgeo.io._proj import NoOperation, operation, unit_normals
+from jaxgeo.io.errors import DemError
+from jaxgeo.terrain.grid import AbstractGrid
+
+Affine6 = tuple[float, float, float, float, float, float]
+XY = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileMap:
+    """A file's map as PROJ sees it: between longitude and latitude of WGS 84 in deg and (row, col)."""
+
+    affine: Affine6
+    shape: tuple[int, int]
+    crs: pyproj.CRS
+    to_lonlat: XY
+    from_lonlat: XY
+    horizontal: str
+
+    def lonlat(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Longitude and latitude in deg at (row, col); infinite where the map does not reach."""
+        a, b, c, d, e, f = self.affine
+        return self.to_lonlat(a * col + b * row + c, d * col + e * row + f)
+
+    def rowcol(self, lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(row, col) at longitude and latitude in deg; on a geographic map within half a turn of the centre."""
+        a, b, c, d, e, f = self.affine
+        x, y = self.from_lonlat(lon, lat)
+        if self.crs.is_geographic:
+            turn = 2.0 * np.pi / self.crs.axis_info[0].unit_conversion_factor
+            centre = c + a * (self.shape[1] - 1) / 2 + b * (self.shape[0] - 1) / 2
+            with np.errstate(invalid="ignore"):
+                x = x - turn * np.round((x - centre) / turn)
+        x, y, det = x - c, y - f, a * e - b * d
+        return (a * y - d * x) / det, (e * x - b * y) / det
+
+    def window(self, row: int, col: int, shape: tuple[int, int]) -> FileMap:
+        """The map of a part that starts at (row, col)."""
+        a, b, c, d, e, f = self.affine
+        moved = (a, b, c + a * col + b * row, d, e, f + d * col + e * row)
+        return dataclasses.replace(self, affine=moved, shape=shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class MapError:
+    """Largest differences between a grid and PROJ over a fresh set of posts: there in m and cells, and back in m."""
+
+    metres: float
+    cells: float
+    back_metres: float
+
+    @property
+    def worst(self) -> float:
+        """The larger of both ways, m."""
+        return max(self.metres, self.back_metres)
+
+
+def file_map(
+    name: str, crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], *, assume_wgs84: bool = False
+) -> FileMap:
+    """PROJ's view of a file's horizontal CRS.
+
+    One operation serves the whole file. A null transformation that the EPSG registry states (ETRS89, NAD83 or RGF93 to
+    WGS 84) is taken, with the accuracy it states; a ballpark one is refused with `DemError` unless `assume_wgs84`
+    says that the file's latitudes and longitudes are to be taken as those of WGS 84. Between two ellipsoids PROJ shifts
+    a position as if it lay at height zero: the shift of an old national datum is then off by a decimetre or two at
+    3000 m, well within its stated accuracy.
+    """
+    geographic = crs.geodetic_crs
+    if assume_wgs84 and geographic is not None:
+        if crs.is_geographic:
+            return FileMap(affine, shape, crs, _keep, _keep, "taken as WGS 84 by the caller")
+        found = operation(crs, geographic)
+        horizontal = f"{found.name}, then taken as WGS 84 by the caller"
+    else:
+        try:
+            found = operation(crs, "EPSG:4326", _area(crs, affine, shape))
+        except NoOperation as error:
+            raise DemError(
+                f"{name}: PROJ knows no transformation from {crs.name!r} to WGS 84 but a ballpark one, which may be "
+                f"off by hundreds of metres. If the file's datum is WGS 84 in all but name, pass assume_wgs84=True."
+            ) from error
+        horizontal = str(found)
+    return FileMap(affine, shape, crs, found.transformer.transform, _true_inverse(found.transformer), horizontal)
+
+
+def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
+    """Largest error of a grid against PROJ, over a lattice of posts with the edges and as many random places."""
+    rows, cols = (np.asarray(n - 1.0) for n in mapping.shape)
+    lattice = np.stack(np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41), indexing="ij"), -1).reshape(-1, 2)
+    scattered = np.random.default_rng(20).uniform(size=lattice.shape)
+    rowcol = np.concatenate([lattice, scattered]) * np.array([rows, cols])
+    normals = unit_normals(*mapping.lonlat(rowcol[:, 0], rowcol[:, 1]))
+    if not np.all(np.isfinite(normals)):
+        return MapError(np.inf, np.inf, np.inf)
+    found, back = _both_ways(grid, jnp.asarray(normals), jnp.asarray(rowcol))
+    cells = np.abs(np.asarray(found) - rowcol)
+    size = np.asarray(grid.cell_size())
+    metres = np.linalg.norm(cells * size, axis=1).max()
+    return MapError(
+        float(metres), float(cells.max()), float(np.linalg.norm(np.asarray(back) - normals, axis=1).max() * WGS84.a)
+    )
+
+
+@eqx.filter_jit
+def _both_ways(grid: AbstractGrid, normals: jax.Array, rowcol: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(grid.rowcol)(normals), jax.vmap(grid.normal)(rowcol)
+
+
+def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[float, float, float, float] | None:
+    """Rough (west, south, east, north) in deg, by which PROJ picks an operation; None where it cannot be told."""
+    if crs.geodetic_crs is None:
+        return None
+    a, b, c, d, e, f = affine
+    row, col = (u.ravel() for u in np.meshgrid(np.linspace(0, shape[0] - 1, 9), np.linspace(0, shape[1] - 1, 9)))
+    x, y = a * col + b * row + c, d * col + e * row + f
+    if not crs.is_geographic:
+        x, y = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+    x, y = x[np.isfinite(x)], y[np.isfinite(y)]
+    if not x.size or not y.size or np.ptp(x) > 180.0:
+        return None
+    west, east = ((lon + 180.0) % 360.0 - 180.0 for lon in (x.min(), x.max()))
+    return float(west), float(np.clip(y.min(), -90, 90)), float(east), float(np.clip(y.max(), -90, 90))
+
+
+def _true_inverse(transformer: pyproj.Transformer) -> XY:
+    """The inverse of `transformer.transform`, which PROJ's own is only to millimetres between two ellipsoids.
+
+    There PROJ takes the height as zero on either side; the posts lie where the way to WGS 84 puts them.
+    """
+
+    def inverse(lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = transformer.transform(lon, lat, direction="INVERSE")
+        again = transformer.transform(x, y)
+        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+            off_lon, off_lat = (lon - again[0] + 180.0) % 360.0 - 180.0, lat - again[1]
+            off = np.maximum(np.abs(off_lon) * np.cos(np.radians(lat)), np.abs(off_lat))
+        if not np.any((off > 1e-11) & np.isfinite(off)):
+            return x, y
+        return transformer.transform(lon + off_lon, np.clip(lat + off_lat, -90.0, 90.0), direction="INVERSE")
+
+    return inverse
+
+
+def _keep(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return x, y

@@ -1,0 +1,182 @@
+"""Scene files: a camera, its gimbal and mount, and one shot, in degrees and metres, as records in radians.
+
+The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pathlib
+import tomllib
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+from pydantic import ValidationError
+from pyproj.exceptions import CRSError
+
+from jaxgeo._checks import require_x64
+from jaxgeo.earth import Geodetic
+from jaxgeo.io._mistakes import explain
+from jaxgeo.io._schema import CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
+from jaxgeo.io.vertical import height_shift
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.platform import boresight_from_degrees
+
+_Numbers = np.ndarray | list[float]
+
+
+class SceneError(ValueError):
+    """A scene file that cannot be read; the message names the file and every key that is wrong."""
+
+
+class Scene(eqx.Module):
+    """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
+
+    `height_datum` is what the file says the heights of its pose, or of a table of shots, are measured from.
+    """
+
+    sensor: Sensor
+    shot: Shot | None
+    height_datum: str | float | None = eqx.field(static=True)
+    title: str = eqx.field(static=True, default="")
+
+
+def read_scene(path: str | os.PathLike[str]) -> Scene:
+    """The scene in a TOML file, every field checked.
+
+    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    64-bit floats off.
+    """
+    require_x64()
+    table = _read_table(pathlib.Path(path))
+    try:
+        sensor = Sensor(_camera(table.camera), _gimbal(table.gimbal), _mount(table.mount, table.gimbal.kind))
+        shot = None if table.pose is None else _shot(table.pose, table.gimbal, sensor.gimbal)
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from error
+    stated = table.pose or table.shots
+    return Scene(sensor, shot, stated.height_datum if stated else None, table.title)
+
+
+def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
+    """The sensor and the shot of a scene file; raises as `read_scene`, and `SceneError` for a file without a pose."""
+    scene = read_scene(path)
+    if scene.shot is None:
+        raise SceneError(f"{path}: [pose] is missing; it has lat_deg, lon_deg, height_m, height_datum and an attitude.")
+    return scene.sensor, scene.shot
+
+
+def _read_table(path: pathlib.Path) -> SceneTable:
+    try:
+        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: there is no such scene file.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{path}: not a TOML file: {error}.") from error
+    try:
+        return SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+
+
+def _camera(table: CameraTable) -> FrameCamera:
+    distortion = None if table.distortion is None else BrownConrady(**table.distortion.model_dump())
+    if table.focal_px is not None:
+        return FrameCamera.from_pixels(
+            focal_px=table.focal_px,
+            width=table.width,
+            height=table.height,
+            principal_px=table.principal_px,
+            distortion=distortion,
+        )
+    assert table.focal_length_mm is not None
+    assert table.pixel_pitch_um is not None
+    return FrameCamera.from_metric(
+        focal_length=table.focal_length_mm * 1e-3,
+        pixel_pitch=table.pixel_pitch_um * 1e-6,
+        width=table.width,
+        height=table.height,
+        principal_point=[1e-3 * offset for offset in table.principal_point_mm or (0.0, 0.0)],
+        distortion=distortion,
+    )
+
+
+def _gimbal(table: GimbalTable) -> Gimbal:
+    makers = {
+        "two_axis": Gimbal.two_axis,
+        "mirror": Gimbal.mirror_two_axis,
+        "level": Gimbal.three_axis,
+        "fixed": Gimbal.fixed,
+    }
+    return makers[table.kind]()
+
+
+def _mount(table: MountTable, kind: str) -> Mount:
+    looks = table.camera_looks or ("forward" if kind == "level" else "down")
+    make = Mount.forward if looks == "forward" else Mount.nadir
+    R_body_from_base = boresight_from_degrees(
+        heading=table.base_heading_deg, pitch=table.base_pitch_deg, roll=table.base_roll_deg
+    )
+    return make(
+        R_body_from_base=R_body_from_base,
+        lever_body=jnp.asarray(table.lever_body_m),
+        lever_head=jnp.asarray(table.lever_head_m),
+    )
+
+
+def _shot(table: PoseTable, readings: GimbalTable, gimbal: Gimbal) -> Shot:
+    if gimbal.names and not readings.readings:
+        names = ", ".join(f"{name}_deg" for name in gimbal.names)
+        raise ValueError(f"[gimbal] of kind {readings.kind!r} needs its readings for the pose: {names} (deg).")
+    return Shot(_pose(table), gimbal.readings_from_degrees(**readings.readings), table.time_s)
+
+
+def _pose(table: PoseTable) -> Pose:
+    height = ellipsoidal_heights([table.lon_deg], [table.lat_deg], [table.height_m], table.height_datum)[0]
+    position = Geodetic.from_degrees(lat=table.lat_deg, lon=table.lon_deg, height=height)
+    if table.map_crs is None:
+        return Pose(position, *_radians(table.heading_deg, table.pitch_deg, table.roll_deg))
+    angles = _radians(table.omega_deg, table.phi_deg, table.kappa_deg)
+    convergence = grid_convergence(table.map_crs, table.lon_deg, table.lat_deg)
+    return Pose.from_omega_phi_kappa(position, *angles, convergence=convergence)
+
+
+def _radians(*angles_deg: float | None) -> list[float]:
+    return [math.radians(angle) for angle in angles_deg if angle is not None]
+
+
+def ellipsoidal_heights(lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float) -> np.ndarray:
+    """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
+
+    NaN stays NaN. Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
+    `ValueError` where the datum's grid does not reach.
+    """
+    lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
+    known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
+    shift = height_shift(datum)
+    result = np.full(height.shape, np.nan)
+    if known.any():
+        result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])
+    lost = known & ~np.isfinite(result)
+    if lost.any():
+        raise ValueError(
+            f"height_datum = {datum!r} is not defined at {lat[lost][0]:.6f} deg, {lon[lost][0]:.6f} deg (lat, lon)."
+        )
+    return result
+
+
+def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:
+    """Direction of a map's grid north at a position in rad, clockwise from true north."""
+    try:
+        crs = pyproj.CRS.from_user_input(map_crs)
+    except CRSError as error:
+        raise ValueError(
+            f"[pose] map_crs = {map_crs!r} is unknown to PROJ; expected for example 'EPSG:32617'."
+        ) from error
+    if not crs.is_projected:
+        raise ValueError(f"[pose] map_crs = {map_crs!r} ({crs.name}) is no map; expected a projected CRS.")
+    return math.radians(pyproj.Proj(crs).get_factors(lon_deg, lat_deg).meridian_convergence)

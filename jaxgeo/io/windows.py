@@ -1,0 +1,113 @@
+"""Windows of a raster: which posts lie within bounds in degrees, and the few sizes that windows are padded to."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from jaxgeo.io.errors import DemError
+from jaxgeo.io.mapping import FileMap
+
+Bounds = tuple[float | int, float | int, float | int, float | int]
+
+_ALONG_EDGE = 721
+_INSIDE = 33
+_SMALLEST = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Window:
+    """Rows `row` to `stop_row` and columns `col` to `stop_col`, the ends not included."""
+
+    row: int
+    col: int
+    stop_row: int
+    stop_col: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.stop_row - self.row, self.stop_col - self.col
+
+    def moved(self, row: int, col: int) -> Window:
+        """The same window counted from a post `row`, `col` before."""
+        return Window(self.row + row, self.col + col, self.stop_row + row, self.stop_col + col)
+
+
+def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn: int | None) -> Window:
+    """Posts within (west, south, east, north) in deg and one more on each side, as far as the file has them.
+
+    A global file with `cols_per_turn` columns may be cut across its own edge. Raises `DemError` for bounds that make
+    no sense or hold no posts.
+    """
+    west, south, east, north = _checked(name, bounds)
+    lon, lat = _places(west, south, east, north)
+    row, col = mapping.rowcol((lon + 180.0) % 360.0 - 180.0, lat)
+    known = np.isfinite(row) & np.isfinite(col)
+    rows, cols = mapping.shape
+    a, b, _, d, _, _ = mapping.affine
+    if mapping.crs.is_geographic and b == 0.0 and d == 0.0:
+        turn = 2.0 * np.pi / mapping.crs.axis_info[0].unit_conversion_factor / abs(a)
+        col = col - turn * np.round((col - col[0]) / turn)  # the first place is the centre of the bounds
+    if not known.any():
+        raise DemError(f"{name}: {_shown(bounds)} lie outside the area that {mapping.crs.name!r} maps.")
+    r0, r1 = math.floor(row[known].min()) - 1, math.ceil(row[known].max()) + 2
+    c0, c1 = math.floor(col[known].min()) - 1, math.ceil(col[known].max()) + 2
+    r0, r1 = max(r0, 0), min(r1, rows)
+    is_round = cols_per_turn is not None and cols >= cols_per_turn
+    if not is_round or c1 - c0 >= cols:
+        c0, c1 = max(c0, 0), min(c1, cols)
+    if r1 - r0 < 2 or c1 - c0 < 2:
+        raise DemError(f"{name}: {_shown(bounds)} hold no posts of the file, which covers {_extent(mapping)}.")
+    return Window(r0, c0, r1, c1)
+
+
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """The next of the sizes 64, 96, 128, 192, 256, ... in rows and columns."""
+    return _padded(shape[0]), _padded(shape[1])
+
+
+def _padded(n: int) -> int:
+    size = _SMALLEST
+    while size < n:
+        if size * 3 // 2 >= n:
+            return size * 3 // 2
+        size *= 2
+    return size
+
+
+def _checked(name: str, bounds: Bounds) -> tuple[float, float, float, float]:
+    try:
+        west, south, east, north = (float(edge) for edge in bounds)
+    except (TypeError, ValueError) as error:
+        raise DemError(f"{name}: bounds must be (west, south, east, north) in deg; got {bounds!r}.") from error
+    if not all(map(math.isfinite, (west, south, east, north))) or max(abs(west), abs(east)) > 360.0:
+        raise DemError(f"{name}: bounds must be finite, longitudes within 360 deg; got {_shown(bounds)}.")
+    if not -90.0 <= south < north <= 90.0:
+        raise DemError(f"{name}: bounds must have -90 <= south < north <= 90 deg; got {_shown(bounds)}.")
+    if west == east:
+        raise DemError(f"{name}: the bounds are empty, west = east = {west:g} deg.")
+    return west, south, east if east > west else east + 360.0, north
+
+
+def _places(west: float, south: float, east: float, north: float) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes and latitudes of the bounds' centre, their edges and a lattice inside (a pole may be there)."""
+    t, i = np.linspace(0.0, 1.0, _ALONG_EDGE), np.linspace(0.0, 1.0, _INSIDE)
+    zero, one = np.zeros_like(t), np.ones_like(t)
+    u, v = (grid.ravel() for grid in np.meshgrid(i, i))
+    u, v = np.concatenate([[0.5], t, t, zero, one, u]), np.concatenate([[0.5], zero, one, t, t, v])
+    return west + u * (east - west), south + v * (north - south)
+
+
+def _shown(bounds: Bounds) -> str:
+    return "bounds (west, south, east, north) = ({:g}, {:g}, {:g}, {:g}) deg".format(*bounds)
+
+
+def _extent(mapping: FileMap) -> str:
+    rows, cols = (np.linspace(0.0, n - 1.0, 21) for n in mapping.shape)
+    lon, lat = mapping.lonlat(*(u.ravel() for u in np.meshgrid(rows, cols)))
+    known = np.isfinite(lon) & np.isfinite(lat)
+    lon, lat = lon[known], lat[known]
+    return f"longitudes {lon.min():.4f} to {lon.max():.4f}, latitudes {lat.min():.4f} to {lat.max():.4f} deg"

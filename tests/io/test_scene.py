@@ -1,0 +1,189 @@
+"""Scene files: what they mean, and what is said about every mistake in them."""
+
+from __future__ import annotations
+
+import pathlib
+
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+import pytest
+
+from jaxgeo.io import undulation
+from jaxgeo.io.scene import SceneError, load_scene, read_scene
+
+GOOD = """
+title = "a test"
+
+[camera]
+width = 400
+height = 300
+focal_length_mm = 50.0
+pixel_pitch_um = 5.0
+
+[gimbal]
+kind = "two_axis"
+outer_deg = 60.0
+inner_deg = -1.0
+
+[mount]
+base_heading_deg = 0.5
+lever_body_m = [1.0, 0.0, 0.5]
+
+[pose]
+lat_deg = 44.2
+lon_deg = 5.3
+height_m = 4000.0
+height_datum = "ellipsoid"
+heading_deg = 90
+pitch_deg = 2.0
+roll_deg = -3.0
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path: pathlib.Path):
+    def write(text: str, *replacements: tuple[str, str]) -> pathlib.Path:
+        for old, new in replacements:
+            assert old in text
+            text = text.replace(old, new)
+        path = tmp_path / "scene.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_records_are_in_radians_and_metres(scene_file) -> None:
+    sensor, shot = load_scene(scene_file(GOOD))
+    np.testing.assert_allclose(sensor.camera.focal_px, [10_000.0, 10_000.0], rtol=1e-14)
+    np.testing.assert_allclose(sensor.camera.principal_px, [199.5, 149.5], rtol=1e-14)
+    np.testing.assert_allclose(shot.gimbal_readings, np.deg2rad([60.0, -1.0]), rtol=1e-15)
+    np.testing.assert_allclose(sensor.mount.lever_body, [1.0, 0.0, 0.5])
+    np.testing.assert_allclose(
+        jnp.arctan2(sensor.mount.R_body_from_base[1, 0], sensor.mount.R_body_from_base[0, 0]), np.deg2rad(0.5)
+    )
+    pose = shot.pose
+    np.testing.assert_allclose([pose.heading, pose.pitch, pose.roll], np.deg2rad([90.0, 2.0, -3.0]), rtol=1e-15)
+    np.testing.assert_allclose([pose.position.lat, pose.position.lon], np.deg2rad([44.2, 5.3]), rtol=1e-15)
+    assert float(pose.position.height) == 4000.0
+
+
+def test_the_packaged_example_is_a_scene() -> None:
+    from jaxgeo.demo import scene_file
+
+    sensor, shot = load_scene(scene_file())
+    assert sensor.gimbal.names == ("outer", "inner")
+    shift = float(undulation(np.array(36.318), np.array(-84.105)))
+    assert float(shot.pose.position.height) == pytest.approx(5500.0 + shift, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "datum, expected",
+    [('"ellipsoid"', 0.0), ("31.25", 31.25), ('"EPSG:5773"', None)],
+    ids=["ellipsoid", "number", "egm96"],
+)
+def test_heights_become_ellipsoidal(scene_file, datum: str, expected: float | None) -> None:
+    _, shot = load_scene(scene_file(GOOD, ('height_datum = "ellipsoid"', f"height_datum = {datum}")))
+    shift = float(undulation(np.array(44.2), np.array(5.3))) if expected is None else expected
+    assert float(shot.pose.position.height) == pytest.approx(4000.0 + shift, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "kind, readings",
+    [
+        ("mirror", "depression_deg = 16.0\nazimuth_deg = 44.0"),
+        ("level", "yaw_deg = 10.0\npitch_deg = -60.0\nroll_deg = 0.0"),
+        ("fixed", ""),
+    ],
+)
+def test_kinds_of_gimbal(scene_file, kind: str, readings: str) -> None:
+    path = scene_file(GOOD, ('"two_axis"', f'"{kind}"'), ("outer_deg = 60.0\ninner_deg = -1.0", readings))
+    sensor, shot = load_scene(path)
+    assert shot.gimbal_readings.shape == (len(sensor.gimbal.names),)
+    looks = np.asarray(sensor.R_ned_from_camera(shot))[:, 2]
+    assert looks[2] > 0.0 or kind == "level"
+    if kind == "level":
+        np.testing.assert_allclose(looks[2], np.sin(np.deg2rad(60.0)), rtol=1e-14)
+
+
+def test_omega_phi_kappa_of_a_level_camera_is_the_grid_north(scene_file) -> None:
+    attitude = "heading_deg = 90\npitch_deg = 2.0\nroll_deg = -3.0"
+    grid = 'omega_deg = 0.0\nphi_deg = 0.0\nkappa_deg = 0.0\nmap_crs = "EPSG:32631"'
+    _, shot = load_scene(scene_file(GOOD, (attitude, grid)))
+    expected = pyproj.Proj("EPSG:32631").get_factors(5.3, 44.2).meridian_convergence
+    assert expected > 1.0
+    np.testing.assert_allclose([shot.pose.pitch, shot.pose.roll], [0.0, 0.0], atol=1e-12)
+    assert np.rad2deg(shot.pose.heading) == pytest.approx(expected, abs=1e-9)
+
+
+def test_pixel_terms_and_distortion(scene_file) -> None:
+    metric = "focal_length_mm = 50.0\npixel_pitch_um = 5.0"
+    pixels = "focal_px = 9000.0\nprincipal_px = [190.0, 140.0]\n[camera.distortion]\nk1 = -0.1\np2 = 0.001"
+    sensor, _ = load_scene(scene_file(GOOD, (metric, pixels)))
+    np.testing.assert_allclose(sensor.camera.focal_px, [9000.0, 9000.0])
+    np.testing.assert_allclose(sensor.camera.principal_px, [190.0, 140.0])
+    assert float(sensor.camera.distortion.k1) == -0.1
+    assert float(sensor.camera.distortion.p2) == 0.001
+
+
+# Each mistake: what is replaced, by what, and what the message must say: the key, the value, the key or unit expected.
+MISTAKES = [
+    (
+        "heading_deg = 90",
+        "heading_rad = 1.57",
+        ["[pose] heading_rad = 1.57", "unknown key", "write heading_deg, in deg"],
+    ),
+    ("focal_length_mm = 50.0", "focal_length_m = 0.05", ["[camera] focal_length_m = 0.05", "focal_length_mm, in mm"]),
+    ("height_m = 4000.0", "height_ft = 13123.0", ["[pose] height_ft = 13123.0", "write height_m, in m"]),
+    ("roll_deg = -3.0", "rol_deg = -3.0", ["[pose] rol_deg", "write roll_deg"]),
+    ("inner_deg = -1.0", "inner_deg = -1.0\ncolour = 3", ["[gimbal] colour = 3", "known here: kind, outer_deg"]),
+    ("lat_deg = 44.2", "lat_deg = 95.0", ["[pose] lat_deg = 95.0", "at most 90 deg"]),
+    ("lat_deg = 44.2", "lat_deg = nan", ["[pose] lat_deg = nan", "finite number", "deg"]),
+    ("lon_deg = 5.3", "", ["[pose] lon_deg is missing", "in deg"]),
+    ("lon_deg = 5.3", 'lon_deg = "5 E"', ["[pose] lon_deg = '5 E'", "valid number", "deg"]),
+    ("pixel_pitch_um = 5.0", "pixel_pitch_um = -5.0", ["[camera] pixel_pitch_um = -5.0", "greater than 0 um"]),
+    ("width = 400", "width = 400.5", ["[camera] width = 400.5", "whole pixels"]),
+    ("[1.0, 0.0, 0.5]", "[1.0, 0.5]", ["[mount] lever_body_m = [1.0, 0.5]", "list of 3 numbers in m"]),
+    ('"two_axis"', '"two-axis"', ["[gimbal] kind = 'two-axis'", "'two_axis', 'mirror', 'level' or 'fixed'"]),
+    ("inner_deg = -1.0", "yaw_deg = 1.0", ["[gimbal]", "outer_deg, inner_deg (deg)", "yaw_deg"]),
+    ("outer_deg = 60.0\ninner_deg = -1.0", "", ["[gimbal]", "outer_deg, inner_deg (deg)"]),
+    ('height_datum = "ellipsoid"', "", ["[pose] height_datum is missing", "EPSG:5773", "undulation in m"]),
+    ('height_datum = "ellipsoid"', 'height_datum = "sea"', ["sea", "EPSG:5773"]),
+    ("roll_deg = -3.0", "omega_deg = -3.0", ["[pose]", "heading_deg, pitch_deg and roll_deg", "map_crs"]),
+    ("pixel_pitch_um = 5.0", "", ["[camera]", "pixel_pitch_um (um)", "focal_px (pixels)"]),
+    ("pixel_pitch_um = 5.0", "pixel_pitch_um = 5.0\nfocal_px = 1.0", ["[camera]", "not both"]),
+    ("[pose]", "[pse]", ["[pse]", "unknown table", "write pose"]),
+    ("[camera]", "[camera", ["not a TOML file", "line 4"]),
+]
+
+
+@pytest.mark.parametrize(
+    "old, new, words", MISTAKES, ids=[(new or f"no {old}").split("=")[0].strip() for old, new, _ in MISTAKES]
+)
+def test_mistakes_are_named(scene_file, old: str, new: str, words: list[str]) -> None:
+    path = scene_file(GOOD, (old, new))
+    with pytest.raises(ValueError, match=r"scene\.toml") as caught:
+        read_scene(path)
+    for word in [str(path), *words]:
+        assert word in str(caught.value)
+
+
+def test_every_mistake_is_told_at_once(scene_file) -> None:
+    path = scene_file(GOOD, ("heading_deg = 90", "heading_rad = 1.57"), ("width = 400", "width = 0"))
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+    assert len(str(caught.value).splitlines()) == 2
+
+
+def test_a_scene_without_pose_is_for_tables(scene_file) -> None:
+    text = GOOD[: GOOD.index("[pose]")] + '[shots]\nheight_datum = "EPSG:5773"\n'
+    path = scene_file(text)
+    assert read_scene(path).height_datum == "EPSG:5773"
+    with pytest.raises(SceneError, match=r"\[pose\] is missing"):
+        load_scene(path)
+
+
+def test_a_missing_file_is_named(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
+        read_scene(tmp_path / "nowhere.toml")

@@ -1,0 +1,189 @@
+"""A Dem as an array with a place: heights, normals, voids, bounds, and what it refuses."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.scenes import SIZE, flat, rough, small_dem
+
+import jaxgeo
+from jaxgeo import Dem, Geodetic
+from jaxgeo.earth import WGS84
+from jaxgeo.terrain import TangentGrid
+from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
+from jaxgeo.terrain.track import make_track
+
+
+def at(dem: Dem, row: float, col: float) -> Geodetic:
+    """The position of (row, col) on the ellipsoid."""
+    x, y, z = dem.grid.normal(jnp.array([row, col]))
+    return Geodetic(lat=jnp.arctan2(z, jnp.hypot(x, y)), lon=jnp.arctan2(y, x), height=jnp.zeros(()))
+
+
+def test_posts_are_met_and_between_them_the_surface_is_bilinear():
+    posts = rough(1)
+    dem = small_dem(posts)
+    height_at = eqx.filter_jit(dem.height_at)
+    assert float(height_at(at(dem, 5.0, 7.0))) == pytest.approx(posts[5, 7], abs=1e-7)
+    u, v = 0.3, 0.8
+    expected = np.array([1 - u, u]) @ posts[5:7, 7:9] @ np.array([1 - v, v])
+    assert float(height_at(at(dem, 5.0 + u, 7.0 + v))) == pytest.approx(expected, abs=1e-6)
+    for row, col in ((0.0, 0.0), (16.0, 16.0), (16.0, 3.5)):
+        assert np.isfinite(height_at(at(dem, row, col)))
+    for row, col in ((-0.01, 3.0), (16.01, 3.0), (3.0, 17.0)):
+        assert np.isnan(height_at(at(dem, row, col)))
+
+
+def test_slope_and_normal_of_a_plane():
+    rise = np.tan(np.deg2rad(25.0))
+    posts = 30.0 * rise * np.arange(SIZE)[None, :] * np.ones((SIZE, 1))  # up towards the east
+    dem = small_dem(posts)
+    position = at(dem, 8.2, 8.3)
+    np.testing.assert_allclose(np.rad2deg(dem.slope_at(position)), 25.0, atol=1e-2)
+    east, north, up = dem.normal_at(position)
+    np.testing.assert_allclose(np.rad2deg(np.arctan2(-east, up)), 25.0, atol=1e-2)
+    assert abs(float(north)) < 1e-3
+
+
+def test_height_is_differentiable_in_position_and_posts():
+    dem = small_dem(rough(2))
+    position = at(dem, 4.4, 9.7)
+    gradient = jax.grad(dem.height_at)(position)
+    step = 1e-8
+    for name in ("lat", "lon"):
+        ahead, behind = (
+            dem.height_at(Geodetic(**{**vars_of(position), name: getattr(position, name) + s})) for s in (step, -step)
+        )
+        np.testing.assert_allclose(getattr(gradient, name), (ahead - behind) / (2 * step), rtol=1e-5)
+    by_posts = jax.grad(lambda posts: dem.with_posts(posts).height_at(position))(dem.posts)
+    weights = np.asarray(by_posts)[4:6, 9:11]
+    np.testing.assert_allclose(weights, np.outer([0.6, 0.4], [0.3, 0.7]), atol=1e-6)
+    assert np.count_nonzero(by_posts) == 4
+
+
+def vars_of(position: Geodetic) -> dict:
+    return {name: getattr(position, name) for name in ("lat", "lon", "height")}
+
+
+def test_a_cell_with_one_void_post_has_no_height_and_no_slope():
+    posts = rough(3)
+    posts[6, 6] = np.nan
+    dem = small_dem(posts)
+    for row, col in ((5.5, 5.5), (6.5, 6.5), (5.5, 6.5)):
+        assert np.isnan(dem.height_at(at(dem, row, col)))
+        assert np.isnan(dem.slope_at(at(dem, row, col)))
+    assert np.isfinite(dem.height_at(at(dem, 4.5, 4.5)))
+    assert np.all(np.isfinite(np.asarray(dem.posts)))
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 17), (17, 3), (64, 64), (33, 50)])
+@pytest.mark.parametrize("kind", ["numpy", "jax"])
+def test_every_bound_holds_over_all_cells_that_a_box_can_touch(shape, kind):
+    xp = {"numpy": np, "jax": jnp}[kind]
+    rng = np.random.default_rng(0)
+    tops = rng.uniform(0.0, 3000.0, shape)
+    pyramid = build_pyramid(xp.asarray(tops), xp)
+    levels, corners, largest = [], [], []
+    for _ in range(200):
+        level = int(rng.integers(0, pyramid.top + 1))
+        low = rng.integers(0, shape)
+        high = np.minimum(low + rng.integers(0, 2**level + 1, 2), np.array(shape) - 1)
+        if np.any(high // 2**level > low // 2**level + 1):
+            continue
+        levels.append(level)
+        corners.append(low // 2**level)
+        largest.append(tops[low[0] : high[0] + 1, low[1] : high[1] + 1].max())
+    bound = jax.jit(jax.vmap(Pyramid.bound, in_axes=(None, 0, 0)))
+    assert np.all(np.asarray(bound(pyramid, jnp.asarray(levels), jnp.asarray(np.array(corners)))) >= np.array(largest))
+    whole = pyramid.bound(jnp.asarray(pyramid.top), jnp.array([0, 0]))
+    assert float(whole) == pytest.approx(tops.max(), rel=2e-7)
+
+
+@pytest.mark.parametrize("length", [3e3, 2e4, 6e4])
+def test_a_track_is_true_to_the_exact_map(length):
+    """To a tenth of a micrometre over 60 km, of which the map's own rounding is the larger part."""
+    dem = small_dem(flat(0.0))
+    origin = WGS84.to_ecef(Geodetic.from_degrees(lat=47.1, lon=10.9, height=9000.0))
+    target = WGS84.to_ecef(Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0))
+    ray = jaxgeo.Ray(origin, (target - origin) / jnp.linalg.norm(target - origin))
+    track = make_track(ray, dem, jnp.asarray(0.0), jnp.asarray(length))
+    tau = jnp.linspace(-1.0, 1.0, 101)
+    rowcol, height = jax.vmap(lambda t: dem.over(ray.at(track.range_at(t))))(tau)
+    values = jax.vmap(track.at)(tau)
+    np.testing.assert_allclose(values[:, :2] * 30.0, rowcol * 30.0, atol=1e-7)
+    np.testing.assert_allclose(values[:, 2], height, atol=1e-7)
+    assert float(track.error) < 1e-7
+    steps = np.abs(np.diff(values[:, :2], axis=0)).max() / float(tau[1] - tau[0])
+    assert float(track.speed()) >= steps
+    assert float(track.speed()) < 1.1 * steps
+
+
+GRID = TangentGrid.centred(Geodetic(lat=0.8, lon=0.2, height=0.0), spacing=(30.0, 30.0), shape=(3, 3))
+REFUSED = {
+    "all void": (lambda: Dem.from_array(np.full((3, 3), np.nan), GRID), ValueError, "all 9 posts are void"),
+    "one row": (
+        lambda: Dem.from_array(np.zeros((1, 5)), GRID),
+        ValueError,
+        r"at least 2 x 2 heights; got shape \(1, 5\)",
+    ),
+    "infinite": (lambda: Dem.from_array(np.array([[0.0, np.inf], [0.0, 0.0]]), GRID), ValueError, "infinite height"),
+    "ceiling": (lambda: Dem.from_array(np.zeros((3, 3)), GRID, void_ceiling=np.nan), ValueError, "void_ceiling .* nan"),
+    "other shape": (
+        lambda: Dem.from_array(np.zeros((3, 3)), GRID).with_posts(np.zeros((4, 3))),
+        ValueError,
+        "keep the shape",
+    ),
+    "long direction": (
+        lambda: jaxgeo.intersect(jaxgeo.Ray(jnp.zeros(3), jnp.array([0.0, 0.0, 2.0])), jaxgeo.ConstantHeight(0.0)),
+        ValueError,
+        "unit vector in ECEF; got one of length 2",
+    ),
+    "float32 ray": (
+        lambda: jaxgeo.intersect(
+            jaxgeo.Ray(jnp.zeros(3, jnp.float32), jnp.array([0.0, 0.0, 1.0])), jaxgeo.ConstantHeight(0.0)
+        ),
+        TypeError,
+        r"ray\.origin has dtype float32",
+    ),
+    "throw": (
+        lambda: jaxgeo.intersect(small_up(), jaxgeo.ConstantHeight(0.0), throw=True),
+        ValueError,
+        "rises_away: The ray rises above",
+    ),
+    "throw while traced": (
+        lambda: jax.jit(lambda ray: jaxgeo.intersect(ray, jaxgeo.ConstantHeight(0.0), throw=True))(small_up()),
+        ValueError,
+        "throw=True needs values that are known now",
+    ),
+}
+
+
+def small_up() -> jaxgeo.Ray:
+    return jaxgeo.Ray(jnp.array([WGS84.a + 100.0, 0.0, 0.0]), jnp.array([1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_refused_says_what_was_wrong(case):
+    call, error, message = REFUSED[case]
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_with_64_bit_floats_off_nothing_is_computed():
+    with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"jaxgeo\.enable_x64\(\)"):
+        Dem.from_array(np.zeros((3, 3)), GRID)
+    with jax.enable_x64(False), pytest.raises(RuntimeError, match="64-bit floats"):
+        jaxgeo.intersect(small_up(), jaxgeo.ConstantHeight(0.0))
+
+
+@pytest.mark.parametrize("dtype", [np.int16, np.int32, np.float32, np.float64])
+def test_posts_keep_their_dtype_and_are_cast_on_look_up(dtype):
+    posts = np.round(rough(6)).astype(dtype)
+    dem = small_dem(posts)
+    assert dem.posts.dtype == dtype
+    height = dem.height_at(at(dem, 3.5, 3.5))
+    assert height.dtype == jnp.float64
+    assert float(height) == pytest.approx(posts[3:5, 3:5].mean(), abs=1e-3)
