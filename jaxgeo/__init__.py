@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from jaxgeo._checks import enable_x64
 from jaxgeo.earth import WGS84, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
-from jaxgeo.locate import Fix, Projection, at_range, intersect, locate, project
+from jaxgeo.fix import Fix, Projection
+from jaxgeo.locate import at_range, intersect, locate, project
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit

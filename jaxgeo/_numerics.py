@@ -36,7 +36,7 @@ def value_and_slope(function: Callable[[Scalar], Scalar], x: Scalar) -> tuple[Sc
 
 
 def with_implicit_derivative(residual: Callable[[Scalar], Scalar], root: Scalar) -> Scalar:
-    """`root` of `residual` unchanged in value, with its first and second derivatives with respect to what `residual` closes over.
+    """`root` unchanged in value, with its first and second derivatives by what `residual` closes over.
 
     Two Newton steps whose values are subtracted again: the first carries the first derivative of the implicit
     function, the second makes the second derivative right (one step with a frozen slope would lose it).

@@ -23,9 +23,17 @@ if TYPE_CHECKING:
     PixelField: TypeAlias = Any
     Vector3Field: TypeAlias = Any
     Matrix3Field: TypeAlias = Any
+    PostsField: TypeAlias = Any
+    VoidField: TypeAlias = Any
+    ExtentField: TypeAlias = Any
+    StatusField: TypeAlias = Any
 else:
     ScalarLike: TypeAlias = Num[ArrayLike, ""]
     ScalarField: TypeAlias = Num[ArrayLike, "..."]
     PixelField: TypeAlias = Num[ArrayLike, "... 2"]
     Vector3Field: TypeAlias = Num[ArrayLike, "... 3"]
     Matrix3Field: TypeAlias = Num[ArrayLike, "... 3 3"]
+    PostsField: TypeAlias = Num[ArrayLike, "... rows cols"]
+    VoidField: TypeAlias = Bool[ArrayLike, "... rows cols"]
+    ExtentField: TypeAlias = Int[ArrayLike, "... 2"]
+    StatusField: TypeAlias = Int8[ArrayLike, "..."]

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool
 
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._numerics import all_finite, safe_angle, safe_norm, tree_where
-from jaxgeo._typing import Flag, Pixel, PixelField, Scalar, ScalarField, StatusCode, Vector3, Vector3Field
+from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
+from jaxgeo.fix import Fix, Projection
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, FirstHit
@@ -28,68 +27,7 @@ UNIT_TOLERANCE = 1e-6
 FIRST_HIT = FirstHit()
 
 
-class Fix(eqx.Module):
-    """A point on the ground, how it is seen, and whether it can be trusted.
-
-    `position` and `ecef` (m) are the same point; `slant_range` in m from the perspective centre; angles in rad:
-    `incidence_ellipsoid` between the reversed ray and the ellipsoid's normal there, `incidence_surface` between it and
-    the normal of the terrain's own surface, `slope` between that surface and the horizontal. `status` is an int8
-    `Status`. What could not be computed is NaN.
-    """
-
-    position: Geodetic
-    ecef: Vector3Field
-    slant_range: ScalarField
-    incidence_ellipsoid: ScalarField
-    incidence_surface: ScalarField
-    slope: ScalarField
-    status: Any
-
-    @property
-    def ok(self) -> Bool[Array, "..."]:
-        """Whether the fix is an unconditional hit."""
-        return jnp.asarray(self.status) == Status.hit
-
-    @property
-    def found(self) -> Bool[Array, "..."]:
-        """Whether there are coordinates: also near a tangent, after coming in from the side, and at a void's edge."""
-        return jnp.isfinite(jnp.asarray(self.slant_range))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words, in degrees and m, of one fix (or lists of them for a batch)."""
-        lat, lon, height = self.position.to_degrees()
-        status = np.asarray(self.status)
-        words = [Status(int(code)).name for code in status.reshape(-1)]
-        return {
-            "lat_deg": np.asarray(lat).tolist(),
-            "lon_deg": np.asarray(lon).tolist(),
-            "height_m": np.asarray(height).tolist(),
-            "slant_range_m": np.asarray(self.slant_range).tolist(),
-            "incidence_ellipsoid_deg": np.rad2deg(self.incidence_ellipsoid).tolist(),
-            "incidence_surface_deg": np.rad2deg(self.incidence_surface).tolist(),
-            "slope_deg": np.rad2deg(self.slope).tolist(),
-            "status": words[0] if status.ndim == 0 else np.reshape(words, status.shape).tolist(),
-        }
-
-
-class Projection(eqx.Module):
-    """Where a ground point lies in an image: `uv` = (column, row) in px, and an int8 `Status`.
-
-    `uv` is NaN where there is no image of the point; a point beside the image keeps its `uv`.
-    """
-
-    uv: PixelField
-    status: Any
-
-    @property
-    def ok(self) -> Bool[Array, "..."]:
-        """Whether the point is seen inside the image."""
-        return jnp.asarray(self.status) == Status.hit
-
-
-def intersect(
-    ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FIRST_HIT, throw: bool = False
-) -> Fix:
+def intersect(ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FIRST_HIT, throw: bool = False) -> Fix:
     """Where a ray (ECEF, m, unit direction) meets a terrain: the first point, unless `search` looks for another.
 
     Differentiable to second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a
@@ -98,8 +36,8 @@ def intersect(
     """
     _check_throw(throw, (ray, terrain))
     ray = as_float64(ray, "ray")
-    _check_unit(ray.direction)
-    fix = _intersect(ray, terrain, search, Status.hit.code)
+    _check_ray(ray)
+    fix = _intersect(ray, Status.hit.code, terrain, search)
     return _thrown(fix) if throw else fix
 
 
@@ -120,26 +58,18 @@ def locate(
     """
     _check_throw(throw, (sensor, shot, uv, terrain))
     sensor, shot, pixel = _door(sensor, shot, uv)
-    ray, status = _line_of_sight(sensor, shot, pixel)
-    fix = _intersect(ray, terrain, search, status)
+    fix = _locate(sensor, shot, pixel, terrain, search)
     return _thrown(fix) if throw else fix
 
 
 def at_range(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike], slant_range: ArrayLike) -> Fix:
     """The point at a measured slant range (a laser's, m from the perspective centre) along a pixel's line of sight.
 
-    No terrain is asked: `incidence_surface` and `slope` are NaN. Raises as `intersect`; a range that is not positive and
-    finite has the status `invalid_input`.
+    No terrain is asked: `incidence_surface` and `slope` are NaN. Raises as `intersect`; a range that is not positive
+    and finite has the status `invalid_input`.
     """
     sensor, shot, pixel = _door(sensor, shot, uv)
-    distance = as_float64(slant_range, "slant_range")
-    ray, status = _line_of_sight(sensor, shot, pixel)
-    usable = jnp.isfinite(distance) & (distance > 0.0)
-    distance = jnp.where(usable, distance, 1.0)
-    status = first_failure(status, status_where(usable, Status.hit, Status.invalid_input.code))
-    position, incidence = _seen_from(ray, ray.at(distance))
-    unknown = jnp.full_like(distance, jnp.nan)
-    return _mask(Fix(position, ray.at(distance), distance, incidence, unknown, unknown, status), status == Status.hit)
+    return _at_range(sensor, shot, pixel, as_float64(slant_range, "slant_range"))
 
 
 def project(
@@ -156,16 +86,40 @@ def project(
     `hidden_by_terrain` (it keeps its `uv`). Raises `RuntimeError` with 64-bit floats off and `TypeError` on float32.
     """
     sensor, shot, point = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(point, "point")
+    return _project(sensor, shot, point, terrain, as_float64(hidden_tolerance, "hidden_tolerance"))
+
+
+@jax.jit
+def _locate(sensor: Sensor, shot: Shot, pixel: Pixel, terrain: AbstractTerrain, search: AbstractSearch) -> Fix:
+    return _intersect(*_line_of_sight(sensor, shot, pixel), terrain, search)
+
+
+@jax.jit
+def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar) -> Fix:
+    ray, status = _line_of_sight(sensor, shot, pixel)
+    usable = jnp.isfinite(distance) & (distance > 0.0)
+    distance = jnp.where(usable, distance, 1.0)
+    status = first_failure(status, status_where(usable, Status.hit, Status.invalid_input.code))
+    position, incidence = _seen_from(ray, ray.at(distance))
+    unknown = jnp.full_like(distance, jnp.nan)
+    return _mask(Fix(position, ray.at(distance), distance, incidence, unknown, unknown, status), status == Status.hit)
+
+
+@jax.jit
+def _project(
+    sensor: Sensor, shot: Shot, point: Geodetic, terrain: AbstractTerrain | None, tolerance: Scalar
+) -> Projection:
     p_ecef = WGS84.to_ecef(point)
     uv, status = sensor.project_ecef(shot, p_ecef)
     if terrain is not None:
-        hidden = _is_hidden(sensor.perspective_centre(shot), p_ecef, terrain, hidden_tolerance)
+        hidden = _is_hidden(sensor.perspective_centre(shot), p_ecef, terrain, tolerance)
         status = first_failure(status, status_where(hidden, Status.hidden_by_terrain, Status.hit.code))
     keeps = (status == Status.hit) | (status == Status.outside_image) | (status == Status.hidden_by_terrain)
     return Projection(jnp.where(keeps, uv, jnp.nan), status)
 
 
-def _intersect(ray: Ray, terrain: AbstractTerrain, search: AbstractSearch, status: StatusCode) -> Fix:
+@jax.jit
+def _intersect(ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch) -> Fix:
     """Search, polish and describe; `status` is what is already known to be wrong with the ray."""
     length = safe_norm(jnp.where(jnp.isfinite(ray.direction), ray.direction, 0.0))
     is_valid = all_finite(ray) & terrain.is_valid() & (jnp.abs(length - 1.0) <= UNIT_TOLERANCE)
@@ -223,12 +177,12 @@ def _mask(fix: Fix, found: Flag) -> Fix:
     return Fix(*numbers, status=fix.status)
 
 
-def _is_hidden(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: float) -> Flag:
-    """Whether ground lies between the camera and the point; a line of sight that meets only the point's own ground is free."""
+def _is_hidden(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> Flag:
+    """Whether ground lies between the camera and the point, not counting the point's own."""
     line = p_ecef - origin
     distance = safe_norm(line)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
-    fix = _intersect(jax.lax.stop_gradient(ray), terrain, FIRST_HIT, Status.hit.code)
+    fix = _intersect(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT)
     return fix.found & (fix.slant_range < distance - tolerance)
 
 
@@ -244,15 +198,20 @@ def _door(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike]) -> tu
     return sensor, shot, pixel
 
 
-def _check_unit(direction: Any) -> None:
-    known = concrete(direction)
+def _check_ray(ray: Ray) -> None:
+    for name, vector in (("origin", ray.origin), ("direction", ray.direction)):
+        if jnp.shape(vector) != (3,):
+            raise ValueError(
+                f"ray.{name} must be one vector of shape (3,), ECEF; got shape {jnp.shape(vector)}. "
+                "For many rays use jax.vmap(intersect, in_axes=(0, None))."
+            )
+    known = concrete(ray.direction)
     if known is None or not np.all(np.isfinite(known)):
         return
-    length = np.linalg.norm(known, axis=-1)
-    if np.any(np.abs(length - 1.0) > UNIT_TOLERANCE):
+    length = float(np.linalg.norm(known))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
         raise ValueError(
-            f"ray.direction must be a unit vector in ECEF; got one of length {np.max(np.abs(length)):.9g}. "
-            "Divide it by its length."
+            f"ray.direction must be a unit vector in ECEF; got one of length {length:.9g}. Divide it by its length."
         )
 
 

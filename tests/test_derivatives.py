@@ -26,7 +26,13 @@ def forward(over_terrain):  # noqa: F811
     sensor, shot, dem = over_terrain
     uv = jnp.array([2500.0, 1900.0])
     small = (jnp.array([1e-3, -2e-3, 3e-3]), jnp.array([-2e-3, 1e-3, 1e-3]))
-    numbers = (sensor.camera, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount.lever_body, sensor.mount.lever_head)
+    numbers = (
+        sensor.camera,
+        sensor.gimbal.gain,
+        sensor.gimbal.offset,
+        sensor.mount.lever_body,
+        sensor.mount.lever_head,
+    )
     x, unravel = ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), (numbers, small, shot, uv)))
 
     def rebuilt(x):
@@ -84,7 +90,9 @@ def test_the_jacobian_equals_central_differences_and_forward_equals_reverse(forw
     reverse = np.asarray(jax.jit(jax.jacrev(hit))(x, dem))
     np.testing.assert_allclose(reverse, J, rtol=1e-12, atol=1e-12 * np.abs(J).max())
     moving, step = steps_for(J, 0.02)
-    assert moving.size >= 35  # 10 of the camera, 4 of the gimbal, 12 of the mount, 6 of the pose, 2 readings, 2 of the pixel
+    assert (
+        moving.size >= 35
+    )  # 10 of the camera, 4 of the gimbal, 12 of the mount, 6 of the pose, 2 readings, 2 of the pixel
     numeric = difference(lambda x: hit(x, dem), np.asarray(x), moving, step).T
     error = np.linalg.norm(numeric - J[:, moving], axis=0) / np.linalg.norm(J[:, moving], axis=0)
     print(f"{moving.size} inputs, worst relative error {error.max():.1e}")
@@ -182,7 +190,9 @@ def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_shots_are(over_ter
         return jnp.sum(jnp.where(fix.ok, fix.position.height, 0.0)) / jnp.sum(fix.ok), fix.status
 
     as_float = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), sensor)
-    (_, status), gradient = jax.jit(jax.value_and_grad(mean_height, argnums=(0, 1, 2), has_aux=True))(as_float, heading, uv)
+    (_, status), gradient = jax.jit(jax.value_and_grad(mean_height, argnums=(0, 1, 2), has_aux=True))(
+        as_float, heading, uv
+    )
     words = [Status(int(code)).name for code in status]
     assert words[:4] == ["hit", "outside_image", "invalid_input", "invalid_input"]
     for leaf in jax.tree.leaves(gradient):
