@@ -1,4 +1,28 @@
-"""Sensors: cameras, lens distortion, gimbals, mounts, poses and shots. A sensor knows no terrain."""
+"""Sensors: cameras, lens distortion, gimbals, mounts, poses and shots. A sensor knows no terrain.
+
+The conventions in one drawing (`docs/figures/conventions.png` shows them from all sides):
+
+        north                               heading  from true north, clockwise        Rz
+          |  x forward                      pitch    nose up                           Ry
+          | /  (nose)                       roll     right wing down                   Rx
+          |/ heading                        R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll)
+          +-------- east
+           \\                                seen from behind, x into the page:
+             y right (wing)
+        ned: x north, y east, z down        left wing ----(x)---- y right
+        body: x forward, y right, z down                   | \\
+                                                     z down   line of sight, `outer` off nadir to the right
+
+    image      u: columns ->                camera   right, down, forward (out through the lens)
+             (0,0) . . . .                  uv = (column, row), pixel centres at integers:
+       v:      .   +----- right             the image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]
+       rows    .   |        .               Mount.nadir()    right +y, down -x, forward +z of the head
+        |      . down       .               Mount.forward()  right +y, down +z, forward +x of the head
+        v      . . . . . . (width-1, height-1)
+
+    pixel --camera--> camera --R_head_from_camera--> head --gimbal readings--> base --R_body_from_base--> body
+          --heading, pitch, roll--> ned --position--> ecef;  a gimbal with reference "level" goes from head to ned.
+"""
 
 from jaxgeo.sensor import conventions
 from jaxgeo.sensor.camera import AbstractCamera, FrameCamera

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,9 +20,14 @@ from jaxgeo.status import Status, first_failure, status_where
 
 IMAGE_PLANE = 1e-12  # directions this close (rad) to a right angle with the axis count as behind the camera
 
-Numbers = ArrayLike | Sequence[Any]
-PixelLike = Num[ArrayLike, "2"]
-Vector3Like = Num[ArrayLike, "3"]
+if TYPE_CHECKING:  # to a type checker a union of arrays and plain numbers would be neither
+    Numbers: TypeAlias = Any
+    PixelLike: TypeAlias = Any
+    Vector3Like: TypeAlias = Any
+else:
+    Numbers: TypeAlias = ArrayLike | Sequence[Any]
+    PixelLike: TypeAlias = Num[ArrayLike, "2"]
+    Vector3Like: TypeAlias = Num[ArrayLike, "3"]
 
 
 class AbstractCamera(eqx.Module):

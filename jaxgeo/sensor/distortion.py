@@ -20,6 +20,9 @@ from jaxgeo.sensor._newton import PlanePoint, determinant, solve_2d
 from jaxgeo.status import Status, status_where
 
 FIELD_SAMPLES = 32  # along the segment from the centre, at equal steps of the angle off the axis
+# Of a step of the inverse; beyond radius 1, times the radius. With steps three times as long, one point in 200 of wild
+# rational lenses is lost to a branch beyond a fold; with these, none of 81351.
+LONGEST_STEP = 0.3
 MAX_STEPS = 80  # Newton needs 4 to 8; towards a fold the distance to it halves at each step
 FOLD = 1e-3  # determinant at which an iteration that found no root is said to have run into the fold (1 at the centre)
 
@@ -103,11 +106,7 @@ class BrownConrady(AbstractDistortion):
     def in_field(self, ideal: PlanePoint) -> Flag:
         distortion, ideal = jax.lax.stop_gradient((self, ideal))
 
-        def unfolded(point: PlanePoint) -> Flag:
-            positive = distortion._denominator(jnp.sum(point**2)) > 0.0
-            return positive & (determinant(distortion.jacobian(point)) > 0.0)
-
-        return jnp.all(jax.vmap(unfolded)(_segment(ideal)))
+        return jnp.all(jax.vmap(distortion._unfolded)(_segment(ideal)))
 
     def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
         lens, distorted = as_float64((self, distorted), "undistort")
@@ -121,6 +120,10 @@ class BrownConrady(AbstractDistortion):
         found = status == Status.hit
         distorted, root = jnp.where(found, distorted, 0.0), jax.lax.stop_gradient(jnp.where(found, root, 0.0))
         return _with_derivative(lens, distorted, root), status
+
+    def _unfolded(self, ideal: PlanePoint) -> Flag:
+        """Whether the formula keeps its orientation at a point, on the near side of any pole of the radial factor."""
+        return (self._denominator(jnp.sum(ideal**2)) > 0.0) & (determinant(self.jacobian(ideal)) > 0.0)
 
     def _numerator(self, r2: Scalar) -> Scalar:
         return 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -148,8 +151,9 @@ def _(primals, tangents):
 def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag, Flag]:
     """Damped Newton from the centre: (root, whether it is one, whether the fold stopped the search).
 
-    A step that does not shrink the residual, or leaves the region of positive determinant, is tried again at half its
-    length. So the iterates stay on the branch of the centre; where it does not reach `target`, they end at its fold.
+    A step that does not shrink the residual, or ends where the formula is folded, is tried again at half its length,
+    and none is longer than LONGEST_STEP, so as not to jump over a fold. So the iterates stay on the branch of the
+    centre; where it does not reach `target`, they end at its fold.
     """
     scale = 1.0 + safe_norm(target)
 
@@ -157,13 +161,15 @@ def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag
         return safe_norm(lens.distort(ideal) - target)
 
     def newton_step(ideal: PlanePoint) -> PlanePoint:
-        return -solve_2d(lens.jacobian(ideal), lens.distort(ideal) - target)
+        step = -solve_2d(lens.jacobian(ideal), lens.distort(ideal) - target)
+        longest = LONGEST_STEP * jnp.maximum(1.0, safe_norm(ideal))
+        return step * (longest / jnp.maximum(safe_norm(step), longest))
 
     def body(state):
         ideal, residual, step, damping, count = state
         trial = ideal + damping * step
         trial_residual = residual_norm(trial)
-        accepted = (trial_residual < residual) & (determinant(lens.jacobian(trial)) > 0.0)
+        accepted = (trial_residual < residual) & lens._unfolded(trial)
         ideal = jnp.where(accepted, trial, ideal)
         residual = jnp.where(accepted, trial_residual, residual)
         step = jnp.where(accepted, newton_step(ideal), step)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,11 +16,18 @@ from jaxgeo._checks import as_float64, check_finite
 from jaxgeo._typing import Flag, Matrix3
 from jaxgeo.rotations import Rx, Ry, Rz
 
-Axis = Literal["x", "y", "z"]
-Numbers = ArrayLike | Sequence[Any]
-Readings = Float[Array, " axes"]
-ReadingsLike = Num[ArrayLike, " axes"]
-ReadingsField = Num[ArrayLike, "... axes"]
+Axis: TypeAlias = Literal["x", "y", "z"]
+Readings: TypeAlias = Float[Array, " axes"]
+if TYPE_CHECKING:  # to a type checker a union of arrays and plain numbers would be neither
+    Numbers: TypeAlias = Any
+    ReadingsLike: TypeAlias = Any
+    ReadingsField: TypeAlias = Any
+    LimitsField: TypeAlias = Any
+else:
+    Numbers: TypeAlias = ArrayLike | Sequence[Any]
+    ReadingsLike: TypeAlias = Num[ArrayLike, " axes"]
+    ReadingsField: TypeAlias = Num[ArrayLike, "... axes"]
+    LimitsField: TypeAlias = Num[ArrayLike, "... axes 2"]
 
 _ROTATIONS = {"x": Rx, "y": Ry, "z": Rz}
 _RIGHT_ANGLE = math.pi / 2.0
@@ -40,7 +47,7 @@ class Gimbal(eqx.Module):
     sign: ReadingsField
     gain: ReadingsField
     offset: ReadingsField
-    limits: Num[ArrayLike, "... axes 2"]
+    limits: LimitsField
     reference: Literal["body", "level"] = eqx.field(static=True, default="body")
 
     @classmethod
@@ -53,7 +60,7 @@ class Gimbal(eqx.Module):
     def two_axis(
         cls,
         *,
-        limits: Num[ArrayLike, "2 2"] | None = None,
+        limits: LimitsField | None = None,
         names: tuple[str, str] = ("outer", "inner"),
     ) -> Gimbal:
         """The two-axis frame of Li et al. (2020, 2023); readings (frame angle off nadir, inner angle) in rad.
@@ -79,7 +86,7 @@ class Gimbal(eqx.Module):
     def three_axis(
         cls,
         *,
-        limits: Num[ArrayLike, "3 2"] | None = None,
+        limits: LimitsField | None = None,
         reference: Literal["body", "level"] = "level",
     ) -> Gimbal:
         """A drone's gimbal; readings (yaw, pitch, roll) in rad, R = Rz(yaw) Ry(pitch) Rx(roll).

@@ -9,19 +9,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, Num
+from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import all_finite, safe_norm
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.sensor._newton import solve_2d
-from jaxgeo.sensor.gimbal import Gimbal
+from jaxgeo.sensor.camera import PixelLike
+from jaxgeo.sensor.gimbal import Gimbal, Readings, ReadingsLike
 from jaxgeo.sensor.platform import Pose, Shot
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.status import Status, status_where
 
-Readings = Float[Array, " axes"]
 FreeAxes = Int[Array, " free"]
 FreeAngles = Float[Array, " free"]
 Seen = Callable[[Readings], Vector3]
@@ -36,8 +36,8 @@ def readings_towards(
     sensor: Sensor,
     pose: Pose,
     point: Geodetic,
-    uv: Num[ArrayLike, "2"] | None,
-    readings: Num[ArrayLike, " axes"] | None,
+    uv: PixelLike | None,
+    readings: ReadingsLike | None,
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
     if not sensor.gimbal.axes:
@@ -65,7 +65,7 @@ def _search(
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
 
     def seen(readings: Readings) -> Vector3:
-        return _point_seen(*frozen, readings)
+        return _point_seen(frozen, readings)
 
     free = _free_axes(sensor, pose, sight, frozen_start)
     if given is None:
@@ -88,8 +88,9 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
     return jnp.where(status == Status.hit, direction, axis), status
 
 
-def _point_seen(sensor: Sensor, pose: Pose, point: Geodetic, sight: Vector3, readings: Readings) -> Vector3:
+def _point_seen(world: World, readings: Readings) -> Vector3:
     """Unit vector to the point: two components across the line of sight, then the one along it."""
+    sensor, pose, point, sight = world
     p_camera = sensor.to_camera(Shot(pose, readings), WGS84.to_ecef(point))
     right = jnp.cross(jnp.array([0.0, 1.0, 0.0]), sight)
     right = right / safe_norm(right)
@@ -162,8 +163,8 @@ def _(primals, tangents):
     world, held, free, root = primals
     d_world, d_held, _, _ = tangents
     found = _with_derivative(world, held, free, root)
-    _, d_seen = jax.jvp(lambda w, h: _point_seen(*w, h.at[free].set(found[free]))[:2], (world, held), (d_world, d_held))
-    J = jax.jacfwd(lambda angles: _point_seen(*world, found.at[free].set(angles))[:2])(found[free])
+    _, d_seen = jax.jvp(lambda w, h: _point_seen(w, h.at[free].set(found[free]))[:2], (world, held), (d_world, d_held))
+    J = jax.jacfwd(lambda angles: _point_seen(world, found.at[free].set(angles))[:2])(found[free])
     return found, d_held.at[free].set(-_least_squares(J, d_seen))
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Num
 
 from jaxgeo._checks import as_float64
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._typing import Matrix3, Pixel, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
-from jaxgeo.sensor.camera import AbstractCamera
-from jaxgeo.sensor.gimbal import Gimbal
+from jaxgeo.sensor.camera import AbstractCamera, PixelLike, Vector3Like
+from jaxgeo.sensor.gimbal import Gimbal, ReadingsLike
 from jaxgeo.sensor.platform import Mount, Pose, Shot
 from jaxgeo.status import Status, status_where
 
@@ -47,7 +46,7 @@ class Sensor(eqx.Module):
         lever_ned = shot.pose.R_ned_from_body @ mount.lever_body + self.R_ned_from_head(shot) @ mount.lever_head
         return WGS84.to_ecef(position) + R_ecef_from_ned(position) @ lever_ned
 
-    def ray_ecef(self, shot: Shot, uv: Num[ArrayLike, "2"]) -> tuple[Vector3, Vector3, StatusCode]:
+    def ray_ecef(self, shot: Shot, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
         """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
 
         The direction is given with `hit` and `outside_image` and NaN otherwise; with `invalid_input` (anything that is
@@ -62,12 +61,12 @@ class Sensor(eqx.Module):
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(valid, origin, jnp.nan), jnp.where(usable, direction, jnp.nan), status
 
-    def to_camera(self, shot: Shot, p_ecef: Num[ArrayLike, "3"]) -> Vector3:
+    def to_camera(self, shot: Shot, p_ecef: Vector3Like) -> Vector3:
         """A point in ECEF m as a vector from the perspective centre in the camera frame, m."""
         p_ecef = as_float64(p_ecef, "p_ecef")
         return self.R_ecef_from_camera(shot).T @ (p_ecef - self.perspective_centre(shot))
 
-    def project_ecef(self, shot: Shot, p_ecef: Num[ArrayLike, "3"]) -> tuple[Pixel, StatusCode]:
+    def project_ecef(self, shot: Shot, p_ecef: Vector3Like) -> tuple[Pixel, StatusCode]:
         """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite."""
         valid, sensor, shot, p_ecef = _made_safe(self, shot, p_ecef)
         uv, status = sensor.camera.project(sensor.to_camera(shot, p_ecef))
@@ -78,8 +77,8 @@ class Sensor(eqx.Module):
         pose: Pose,
         point: Geodetic,
         *,
-        uv: Num[ArrayLike, "2"] | None = None,
-        readings: Num[ArrayLike, " axes"] | None = None,
+        uv: PixelLike | None = None,
+        readings: ReadingsLike | None = None,
         time: ArrayLike = 0.0,
     ) -> Shot:
         """Shot whose gimbal readings put the optical axis (or pixel `uv`) on `point`, from `pose`.

@@ -1,0 +1,167 @@
+"""The command line: every pixel gets a row, every mistake one clean message and exit code 2."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import pathlib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.demo import scene_file
+from jaxgeo.io import undulation
+from jaxgeo.io.tables import FIX_COLUMNS
+from jaxgeo.status import Status
+
+DEM = str(pathlib.Path(scene_file()).with_name("jacksboro.tif"))
+HEADER = "name,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,gimbal_outer_deg,gimbal_inner_deg,u,v"
+ROWS = {
+    "axis": "36.318,-84.105,5500,160,1,-0.5,72,0,1199.5,2399.5",
+    "upwards": "36.318,-84.105,5500,160,1,-0.5,95,0,1199.5,2399.5",
+    "unknown": "nan,-84.105,5500,160,1,-0.5,72,0,1199.5,2399.5",
+    "beside": "36.318,-84.105,5500,160,1,-0.5,72,0,-1199.5,2399.5",
+    "away": "36.318,-84.105,5500,340,1,-0.5,72,0,1199.5,2399.5",
+}
+
+
+def run(*arguments: str | pathlib.Path):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def shots_file(tmp_path: pathlib.Path):
+    def write(text: str) -> pathlib.Path:
+        path = tmp_path / "shots.csv"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def all_rows() -> str:
+    return "\n".join([HEADER, *(f"{name},{row}" for name, row in ROWS.items())]) + "\n"
+
+
+def locate_shots(path: pathlib.Path, *more: str | pathlib.Path):
+    return run("locate", "--scene", scene_file(), "--dem", DEM, "--shots", path, *more)
+
+
+def test_every_row_of_a_table_comes_back(shots_file) -> None:
+    result = locate_shots(shots_file(all_rows()))
+    assert result.exit_code == 0, result.stderr
+    rows = list(csv.DictReader(io.StringIO(result.stdout)))
+    assert [row["name"] for row in rows] == list(ROWS)
+    status = {row["name"]: row["status"] for row in rows}
+    assert status["axis"] == "hit"
+    assert status["upwards"] == "rises_away"
+    assert status["unknown"] == "invalid_input"
+    assert status["beside"] == "outside_image"
+    assert status["away"] in ("leaves_terrain", "ray_misses_terrain")
+    for row in rows:
+        assert (row["fix_lat_deg"] == "") == (row["status"] != "hit")
+        assert row["roll_deg"] == "-0.5", "columns are carried through as written"
+    lat, lon, height, msl = (float(rows[0][name]) for name in list(FIX_COLUMNS)[:4])
+    assert height - msl == pytest.approx(float(undulation(np.array(lat), np.array(lon))), abs=2e-4)
+    assert "5 pixels" in result.stderr
+    for name in set(status.values()):
+        assert Status[name].message[:40] in result.stderr
+
+
+def test_a_pixel_on_the_command_line_is_the_same_fix(shots_file) -> None:
+    result = run("locate", "--scene", scene_file(), "--dem", DEM, "--pixel", "1199.5,2399.5", "--format", "csv")
+    assert result.exit_code == 0, result.stderr
+    (alone,) = csv.DictReader(io.StringIO(result.stdout))
+    in_table = next(csv.DictReader(io.StringIO(locate_shots(shots_file(all_rows())).stdout)))
+    assert {name: alone[name] for name in FIX_COLUMNS} == {name: in_table[name] for name in FIX_COLUMNS}
+
+
+def test_geojson_keeps_what_has_no_place(shots_file, tmp_path: pathlib.Path) -> None:
+    output = tmp_path / "fixes.geojson"
+    assert locate_shots(shots_file(all_rows()), "--output", output).exit_code == 0
+    features = json.loads(output.read_text())["features"]
+    assert len(features) == len(ROWS)
+    lon, lat, height = features[0]["geometry"]["coordinates"]
+    assert (round(lon), round(lat)) == (-84, 36)
+    assert 200.0 < height < 1100.0
+    assert features[0]["properties"]["u"] == 1199.5
+    assert [feature["geometry"] is None for feature in features] == [False, True, True, True, True]
+
+
+def test_the_table_on_the_screen_fits_and_says_the_status() -> None:
+    result = run("locate", "--scene", scene_file(), "--dem", DEM, "--pixel", "10,10", "--pixel=-10,10")
+    assert result.exit_code == 0, result.stderr
+    assert "outside_image" in result.stdout
+    assert "hit" in result.stdout
+
+
+WRONG_TABLES = [
+    (all_rows().replace(",v\n", "\n", 1).replace(",2399.5\n", "\n"), ["no column v", "The columns needed are"]),
+    (all_rows().replace("36.318,", "36.3.18,", 1), ["row 2", "column lat_deg", "'36.3.18'", "deg"]),
+    (all_rows().replace(",95,", ",,"), ["row 3", "column gimbal_outer_deg", "''"]),
+    (all_rows().replace("36.318,", "136.318,", 1), ["row 2", "lat_deg", "136.318", "[-90, 90] deg"]),
+    (all_rows() + "short,1,2\n", ["row 7", "3 cells", "11"]),
+    (all_rows().replace("name,", "status,"), ["column status", "rename"]),
+    (all_rows().replace("name,", "u,"), ["column u", "twice"]),
+    (HEADER + "\n", ["no rows"]),
+    ("", ["no column", "found none"]),
+]
+
+
+@pytest.mark.parametrize("text, words", WRONG_TABLES, ids=[" ".join(words[0].split()[:3]) for _, words in WRONG_TABLES])
+def test_wrong_tables(shots_file, text: str, words: list[str]) -> None:
+    assert_refused(locate_shots(shots_file(text)), "shots.csv", *words)
+
+
+def test_wrong_scene(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_file().read_text().replace("heading_deg = 160.0", "heading_rad = 2.8"))
+    result = run("locate", "--scene", path, "--dem", DEM, "--pixel", "1,1")
+    assert_refused(result, str(path), "heading_rad = 2.8", "write heading_deg, in deg")
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--dem", DEM, "--pixel", "1;2"], ["'1;2'", "COLUMN,ROW"]),
+        (["--dem", DEM], ["--pixel", "--shots"]),
+        (["--dem", "nowhere.tif", "--pixel", "1,2"], ["nowhere.tif"]),
+        (["--dem", DEM, "--pixel", "1,2", "--vertical-datum", "EPSG:999999"], ["EPSG:999999", "ellipsoid"]),
+        (["--dem", DEM, "--shots", "nowhere.csv"], ["nowhere.csv"]),
+        (["--dem", DEM, "--pixel", "1,2", "--output", "no/such/folder/x.csv"], ["no/such/folder"]),
+    ],
+    ids=["pixel", "nothing asked", "dem", "datum", "shots", "output"],
+)
+def test_wrong_options(arguments: list[str], words: list[str]) -> None:
+    assert_refused(run("locate", "--scene", scene_file(), *arguments), *words)
+
+
+def assert_refused(result, *words: str) -> None:
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    for word in words:
+        assert word in result.stderr.replace("\n", " ")
+    assert result.stderr.startswith("jaxgeo: ")
+
+
+def test_no_partial_output_is_left(tmp_path: pathlib.Path, shots_file) -> None:
+    output = tmp_path / "fixes.csv"
+    assert locate_shots(shots_file(""), "--output", output).exit_code == 2
+    assert list(tmp_path.iterdir()) == [tmp_path / "shots.csv"]
+
+
+def test_demo_shows_a_table_and_a_picture(tmp_path: pathlib.Path) -> None:
+    picture, scene = tmp_path / "demo.png", tmp_path / "scene.toml"
+    result = run("demo", "--output", picture, "--write-scene", scene)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("hit") == 20
+    assert scene.read_text() == scene_file().read_text()
+    import matplotlib.image
+
+    pixels = matplotlib.image.imread(picture)
+    assert pixels.shape[0] > 800
+    assert pixels.shape[1] > 1400
+    assert float(np.std(pixels[..., :3])) > 0.1
