@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -188,7 +189,7 @@ def _is_hidden(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, toler
 
 def _door(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike]) -> tuple[Sensor, Shot, Pixel]:
     require_x64()
-    pixel = uv if hasattr(uv, "dtype") else jnp.stack([jnp.asarray(number) for number in uv])  # pyright: ignore
+    pixel: Any = uv if hasattr(uv, "dtype") else jnp.stack([jnp.asarray(number) for number in uv])  # pyright: ignore
     sensor, shot, pixel = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(pixel, "uv")
     if pixel.shape != (2,):
         raise ValueError(

@@ -48,7 +48,7 @@ class Status(enum.IntEnum):
 _MESSAGES = {
     Status.hit: "The ray meets the terrain; this is the first point it meets.",
     Status.near_tangent: "The ray meets the terrain almost along it: the position holds, its derivatives do not.",
-    Status.enters_from_side: "The ray comes in over the edge below the terrain's ceiling: ground outside may hide this.",
+    Status.enters_from_side: "The ray comes in over the edge below the terrain's ceiling: it may be hidden.",
     Status.hits_void: "The ray goes below the ceiling over a void, where the ground is unknown; this is where it does.",
     Status.rises_away: "The ray rises above the terrain's highest ground without meeting it.",
     Status.leaves_terrain: "The ray leaves over the terrain's edge before it meets the ground; load a larger area.",

@@ -13,6 +13,9 @@ PROJECT = pathlib.Path(__file__).resolve().parents[1]
 # The package itself changes no JAX setting; jaxgeo may not be imported here, before pytest switches its checks on.
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+# Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
+jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
