@@ -34,6 +34,7 @@ def intersect(ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FI
     Differentiable to second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a
     status and NaN coordinates. Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a
     known direction that is not of unit length, and, with `throw=True`, for a fix that is not `ok`.
+    Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
     """
     _check_throw(throw, (ray, terrain))
     ray = as_float64(ray, "ray")

@@ -35,7 +35,7 @@ def test_the_readme_gives_two_commands(project_root: pathlib.Path) -> None:
     ]
     assert len(commands) == 2
     assert commands[0].endswith("jaxgeo demo")
-    assert commands[1].endswith("-m pytest")
+    assert commands[1].endswith("-m pytest -n auto --dist loadfile")
 
 
 def test_the_figure_and_links_exist(project_root: pathlib.Path) -> None:

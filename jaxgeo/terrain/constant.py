@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxgeo._checks import as_float64
 from jaxgeo._typing import Flag, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 from jaxgeo.earth.ray import Ray
@@ -28,7 +29,7 @@ class ConstantHeight(AbstractTerrain):
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
         del search
-        ray, height = jax.lax.stop_gradient((ray, jnp.asarray(self.height, jnp.float64)))
+        ray, height = jax.lax.stop_gradient((ray, self._height()))
         near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
         below = self.ellipsoid.normal_and_height(ray.origin)[1] < height
         ahead = meets & (near >= 0.0) & ~below
@@ -39,10 +40,13 @@ class ConstantHeight(AbstractTerrain):
 
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
         del cell
-        return self.ellipsoid.normal_and_height(p_ecef)[1] - self.height
+        return self.ellipsoid.normal_and_height(p_ecef)[1] - self._height()
 
     def is_valid(self) -> Flag:
-        return jnp.isfinite(jnp.asarray(self.height, jnp.float64))
+        return jnp.isfinite(self._height())
 
     def safe_ray(self) -> Ray:
         return Ray(jnp.array([self.ellipsoid.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))
+
+    def _height(self) -> Scalar:
+        return as_float64(self.height, "terrain.height")

@@ -180,3 +180,23 @@ def test_padding_does_not_change_the_answer():
     )
     np.testing.assert_array_equal(plain.status, larger.status)
     np.testing.assert_allclose(plain.slant_range, larger.slant_range, atol=1e-9)
+
+
+BISECTED = {
+    "down": (flat, (0, 0, 500), (0, -60), Status.hit),
+    "up, so that nothing brackets the ground": (peak, (-100, 0, 120), (90, 60), Status.not_converged),
+    "above everything": (flat, (0, 0, 500), (0, 10), Status.rises_away),
+    "beside the terrain": (flat, (0, 200, 500), (0, -45), Status.leaves_terrain),
+    "into the void": (with_void, (95, 0, 500), (0, -90), Status.hits_void),
+    "from underground": (flat, (0, 0, 50), (0, -45), Status.camera_below_terrain),
+    "from the far side of the Earth": (flat, (-1.2e7, 0, 500), (90, -40), Status.ray_misses_terrain),
+}
+
+
+@pytest.mark.parametrize("name", BISECTED)
+def test_status_of_bisection(name):
+    posts, (east, north, height), (azimuth, elevation), expected = BISECTED[name]
+    ray = local_ray(east, north, height, azimuth=azimuth, elevation=elevation)
+    fix = hit([ray], small_dem(posts()), Bisection())
+    assert Status(int(fix.status[0])) is expected
+    assert np.all(np.isfinite(fix.ecef[0])) == (expected in (Status.hit, Status.hits_void))

@@ -59,3 +59,11 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     centre_up = dem.centre_normal()
     is_near = (jnp.dot(origin_up, centre_up) > FARTHEST) & (jnp.dot(start_up, centre_up) > FARTHEST)
     return Reach(start, end, meets[0] & (exit_ > 0.0), is_near, sinks)
+
+
+def is_buried(ray: Ray, dem: Dem) -> Flag:
+    """Whether the ray begins over the grid and below its known surface."""
+    rowcol, height = dem.over(ray.origin)
+    cell = dem.cell_of(rowcol)
+    _, is_void = dem.patch(cell)
+    return dem.contains(rowcol) & ~is_void & (height < dem.surface(rowcol, cell))

@@ -11,7 +11,7 @@ from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, reach_of
+from jaxgeo.terrain.search.base import AbstractSearch, is_buried, reach_of
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
@@ -37,9 +37,10 @@ class Bisection(AbstractSearch):
         _, is_void = dem.patch(cell)
         status = status_where(is_void, Status.hits_void, Status.hit.code)
         status = status_where(~dem.contains(rowcol), Status.leaves_terrain, status)
-        status = status_where(_is_below(ray, dem, reach.start), Status.camera_below_terrain, status)
-        status = status_where(~reach.sinks, Status.not_converged, status)
+        is_open = ~reach.sinks | _is_below(ray, dem, reach.start)
+        status = status_where(is_open, Status.not_converged, status)
         status = status_where(~reach.exists, Status.rises_away, status)
+        status = status_where(is_buried(ray, dem), Status.camera_below_terrain, status)
         status = status_where(~reach.is_near, Status.ray_misses_terrain, status)
         return Bracket(lower, upper, cell, status)
 

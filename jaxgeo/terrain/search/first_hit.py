@@ -14,7 +14,7 @@ from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, Reach, reach_of
+from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
 from jaxgeo.terrain.search.leaf import Event, first_event
 from jaxgeo.terrain.track import Track, make_track
 
@@ -178,9 +178,5 @@ def _as_bracket(walk: _Walk, ray: Ray, dem: Dem, reach: Reach) -> Bracket:
     without = status_where(~reach.exists, Status.rises_away, without)
     without = status_where(~reach.is_near, Status.ray_misses_terrain, without)
     status = jnp.where(event.happened, event.status, without)
-    rowcol, height = dem.over(ray.origin)
-    cell = dem.cell_of(rowcol)
-    _, is_void = dem.patch(cell)
-    is_buried = reach.is_near & dem.contains(rowcol) & ~is_void & (height < dem.surface(rowcol, cell))
-    status = status_where(is_buried, Status.camera_below_terrain, status)
+    status = status_where(reach.is_near & is_buried(ray, dem), Status.camera_below_terrain, status)
     return Bracket(event.lower, event.upper, event.cell, status)
