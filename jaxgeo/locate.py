@@ -6,13 +6,23 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
-import jax.core
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, concrete, require_x64
-from jaxgeo._numerics import all_finite, safe_angle, safe_norm, tree_where
+from jaxgeo._checks import as_float64
+from jaxgeo._doors import (
+    UNIT_TOLERANCE,
+    as_array,
+    check_is,
+    check_latitude,
+    check_ray,
+    check_terrain,
+    check_throw,
+    observation,
+    pixel_of_shot,
+    thrown,
+)
+from jaxgeo._numerics import all_finite, finite_or, safe_angle, safe_norm, tree_where
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
@@ -20,27 +30,30 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import Status, first_failure, status_where
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain, FirstHit
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, ConstantHeight, FirstHit
 from jaxgeo.terrain.polish import polish
 
 NEAR_TANGENT = 1e-3  # rad between the ray and the surface: beyond, a derivative is a thousand times that of a plumb ray
-UNIT_TOLERANCE = 1e-6
 FIRST_HIT = FirstHit()
 
 
 def intersect(ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FIRST_HIT, throw: bool = False) -> Fix:
     """Where a ray (ECEF, m, unit direction) meets a terrain: the first point, unless `search` looks for another.
 
-    Differentiable to second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a
-    status and NaN coordinates. Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a
+    `ray` is one ray, with `origin` (3,) in ECEF m and `direction` (3,) a unit vector; `terrain` a `Dem` or a
+    `ConstantHeight`. For many rays: `jax.vmap(intersect, in_axes=(0, None))`. The result is a `Fix`, differentiable to
+    second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a status and NaN
+    coordinates. Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a
     known direction that is not of unit length, and, with `throw=True`, for a fix that is not `ok`.
     Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
     """
-    _check_throw(throw, (ray, terrain))
-    ray = as_float64(ray, "ray")
-    _check_ray(ray)
+    check_throw(throw, (ray, terrain))
+    check_is(ray, Ray, "ray")
+    check_terrain(terrain, search)
+    ray = as_float64(Ray(as_array(ray.origin, "ray.origin"), as_array(ray.direction, "ray.direction")), "ray")
+    check_ray(ray)
     fix = _intersect(ray, Status.hit.code, terrain, search)
-    return _thrown(fix) if throw else fix
+    return thrown(fix) if throw else fix
 
 
 def locate(
@@ -54,14 +67,21 @@ def locate(
 ) -> Fix:
     """The ground point that pixel `uv` = (column, row) of a shot sees; pixel centres lie at integers.
 
-    One pixel and one shot; `jax.vmap` makes the crowd. Differentiable to second order in everything: pose, gimbal,
-    mount, camera, pixel and posts. Raises as `intersect`; a pixel outside the image or outside the lens's field, and
-    input that is not finite, set the status.
+    `sensor` (camera, gimbal, mount) and `shot` (pose, gimbal readings in rad) are single records, `uv` is (2,) in px,
+    `terrain` a `Dem` or a `ConstantHeight`, `search` how the terrain is searched (`FirstHit()` or `Bisection()`). For
+    many pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. The result is a `Fix`: position in rad and m above
+    the ellipsoid, ECEF m, slant range, angles, and a status. Differentiable to second order in everything: pose,
+    gimbal, mount, camera, pixel and posts.
+
+    A pixel outside the image or the lens's field, and input that is not finite, set the status and leave NaN. Raises
+    `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong kind; `ValueError` for
+    a wrong shape, a known latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
     """
-    _check_throw(throw, (sensor, shot, uv, terrain))
-    sensor, shot, pixel = _door(sensor, shot, uv)
+    check_throw(throw, (sensor, shot, uv, terrain))
+    check_terrain(terrain, search)
+    sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
     fix = _locate(sensor, shot, pixel, terrain, search)
-    return _thrown(fix) if throw else fix
+    return thrown(fix) if throw else fix
 
 
 def at_range(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike], slant_range: ArrayLike) -> Fix:
@@ -70,8 +90,11 @@ def at_range(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike], sl
     No terrain is asked: `incidence_surface` and `slope` are NaN. Raises as `intersect`; a range that is not positive
     and finite has the status `invalid_input`.
     """
-    sensor, shot, pixel = _door(sensor, shot, uv)
-    return _at_range(sensor, shot, pixel, as_float64(slant_range, "slant_range"))
+    sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
+    distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
+    if distance.shape != ():
+        raise ValueError(f"slant_range must be one number in m; got shape {distance.shape}. For many use jax.vmap.")
+    return _at_range(sensor, shot, pixel, distance)
 
 
 def project(
@@ -84,10 +107,20 @@ def project(
 ) -> Projection:
     """The pixel that sees a ground point; the inverse of `locate`.
 
+    `point` is one position (rad, m above the ellipsoid), on the ground or not. The result is a `Projection`: `uv` =
+    (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`.
+
     With a `terrain`, a point whose line of sight meets ground more than `hidden_tolerance` m before it is
-    `hidden_by_terrain` (it keeps its `uv`). Raises `RuntimeError` with 64-bit floats off and `TypeError` on float32.
+    `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or
+    passes a void) the status says that. The point keeps its `uv` in every such case.
+    Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a latitude beyond a pole.
     """
-    sensor, shot, point = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(point, "point")
+    sensor, shot = observation(sensor, shot)
+    check_is(point, Geodetic, "point")
+    if terrain is not None:
+        check_terrain(terrain, FIRST_HIT)
+    point = as_float64(point, "point")
+    check_latitude(point, "point")
     return _project(sensor, shot, point, terrain, as_float64(hidden_tolerance, "hidden_tolerance"))
 
 
@@ -100,40 +133,51 @@ def _locate(sensor: Sensor, shot: Shot, pixel: Pixel, terrain: AbstractTerrain, 
 def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar) -> Fix:
     ray, status = _line_of_sight(sensor, shot, pixel)
     usable = jnp.isfinite(distance) & (distance > 0.0)
-    distance = jnp.where(usable, distance, 1.0)
     status = first_failure(status, status_where(usable, Status.hit, Status.invalid_input.code))
+    seen = status == Status.hit
+    distance = jnp.where(seen, distance, 1.0)
+    ray = tree_where(seen, ray, ConstantHeight(0.0).safe_ray())
     position, incidence = _seen_from(ray, ray.at(distance))
     unknown = jnp.full_like(distance, jnp.nan)
-    return _mask(Fix(position, ray.at(distance), distance, incidence, unknown, unknown, status), status == Status.hit)
+    return _mask(Fix(position, ray.at(distance), distance, incidence, unknown, unknown, status), seen)
 
 
 @jax.jit
 def _project(
     sensor: Sensor, shot: Shot, point: Geodetic, terrain: AbstractTerrain | None, tolerance: Scalar
 ) -> Projection:
-    p_ecef = WGS84.to_ecef(point)
+    is_valid = all_finite(point)
+    p_ecef = WGS84.to_ecef(finite_or(point, 0.0))
     uv, status = sensor.project_ecef(shot, p_ecef)
+    status = status_where(~is_valid, Status.invalid_input, status)
+    has_image = (status == Status.hit) | (status == Status.outside_image)
     if terrain is not None:
-        hidden = _is_hidden(sensor.perspective_centre(shot), p_ecef, terrain, tolerance)
-        status = first_failure(status, status_where(hidden, Status.hidden_by_terrain, Status.hit.code))
-    keeps = (status == Status.hit) | (status == Status.outside_image) | (status == Status.hidden_by_terrain)
-    return Projection(jnp.where(keeps, uv, jnp.nan), status)
+        origin, target = sensor.perspective_centre(shot), p_ecef
+        status = first_failure(status, _visibility(origin, target, terrain, tolerance))
+    return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
 
 @jax.jit
 def _intersect(ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch) -> Fix:
+    return _intersect_and_bracket(ray, status, terrain, search)[0]
+
+
+def _intersect_and_bracket(
+    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch
+) -> tuple[Fix, Bracket]:
     """Search, polish and describe; `status` is what is already known to be wrong with the ray."""
+    terrain, is_sound = terrain.made_safe()
     length = safe_norm(jnp.where(jnp.isfinite(ray.direction), ray.direction, 0.0))
-    is_valid = all_finite(ray) & terrain.is_valid() & (jnp.abs(length - 1.0) <= UNIT_TOLERANCE)
+    is_valid = is_sound & all_finite(ray) & (jnp.abs(length - 1.0) <= UNIT_TOLERANCE)
     status = first_failure(status, status_where(is_valid, Status.hit, Status.invalid_input.code))
     stand_in = terrain.safe_ray()
     usable = status == Status.hit
     ray = tree_where(usable, Ray(ray.origin, ray.direction / jnp.where(is_valid, length, 1.0)), stand_in)
 
-    bracket = terrain.bracket(ray, search)
-    status = first_failure(status, bracket.status)
+    searched = terrain.bracket(ray, search)
+    status = first_failure(status, searched.status)
     found = _has_point(status)
-    bracket = tree_where(found, bracket, jax.tree.map(jnp.zeros_like, bracket))
+    bracket = tree_where(found, searched, jax.tree.map(jnp.zeros_like, searched))
     ray = tree_where(found, ray, stand_in)
     distance = polish(ray, terrain, bracket)
     p_ecef = ray.at(distance)
@@ -141,7 +185,8 @@ def _intersect(ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: A
     slope, incidence_surface = _surface_angles(ray, terrain, p_ecef, bracket)
     grazing = found & (jnp.abs(jnp.cos(incidence_surface)) < NEAR_TANGENT)
     status = status_where(grazing & (status == Status.hit), Status.near_tangent, status)
-    return _mask(Fix(position, p_ecef, distance, incidence, incidence_surface, slope, status), found)
+    fix = Fix(position, p_ecef, distance, incidence, incidence_surface, slope, status)
+    return _mask(fix, found), searched
 
 
 def _line_of_sight(sensor: Sensor, shot: Shot, uv: Pixel) -> tuple[Ray, StatusCode]:
@@ -179,54 +224,18 @@ def _mask(fix: Fix, found: Flag) -> Fix:
     return Fix(*numbers, status=fix.status)
 
 
-def _is_hidden(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> Flag:
-    """Whether ground lies between the camera and the point, not counting the point's own."""
+def _visibility(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> StatusCode:
+    """Whether the terrain leaves a point in sight: `hit`, `hidden_by_terrain`, or why it cannot tell."""
     line = p_ecef - origin
     distance = safe_norm(line)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
-    fix = _intersect(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT)
-    return fix.found & (fix.slant_range < distance - tolerance)
-
-
-def _door(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike]) -> tuple[Sensor, Shot, Pixel]:
-    require_x64()
-    pixel: Any = uv if hasattr(uv, "dtype") else jnp.stack([jnp.asarray(number) for number in uv])  # pyright: ignore
-    sensor, shot, pixel = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(pixel, "uv")
-    if pixel.shape != (2,):
-        raise ValueError(
-            f"uv must be one pixel (column, row) of shape (2,); got shape {pixel.shape}. "
-            "For many pixels use jax.vmap(locate, in_axes=(None, None, 0, None))."
-        )
-    return sensor, shot, pixel
-
-
-def _check_ray(ray: Ray) -> None:
-    for name, vector in (("origin", ray.origin), ("direction", ray.direction)):
-        if jnp.shape(vector) != (3,):
-            raise ValueError(
-                f"ray.{name} must be one vector of shape (3,), ECEF; got shape {jnp.shape(vector)}. "
-                "For many rays use jax.vmap(intersect, in_axes=(0, None))."
-            )
-    known = concrete(ray.direction)
-    if known is None or not np.all(np.isfinite(known)):
-        return
-    length = float(np.linalg.norm(known))
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise ValueError(
-            f"ray.direction must be a unit vector in ECEF; got one of length {length:.9g}. Divide it by its length."
-        )
-
-
-def _check_throw(throw: bool, arguments: Any) -> None:
-    if throw and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
-        raise ValueError(
-            "throw=True needs values that are known now, but these are traced by JAX (inside jit, vmap or grad), where "
-            "no exception can be raised. Leave throw off and look at `Fix.status`."
-        )
-
-
-def _thrown(fix: Fix) -> Fix:
-    status = Status(int(np.asarray(fix.status)))
-    if status is not Status.hit:
-        raise ValueError(f"{status.name}: {status.message}")
-    return fix
+    fix, bracket = _intersect_and_bracket(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT)
+    met = fix.status
+    happened_at = jnp.where(fix.found, fix.slant_range, bracket.lower)
+    is_nearer = happened_at < distance - tolerance
+    is_ground = fix.found & (met != Status.hits_void) | (met == Status.enters_below_terrain)
+    sees_past = (met == Status.rises_away) | (met == Status.hit) | (met == Status.near_tangent)
+    sees_past |= ~is_nearer & ((met == Status.hits_void) | (met == Status.leaves_terrain))
+    sees_past |= ~is_nearer & (met == Status.enters_below_terrain)
+    unsettled = jnp.where(sees_past, Status.hit.code, met)
+    return status_where(is_nearer & is_ground, Status.hidden_by_terrain, unsettled)

@@ -58,8 +58,8 @@ _MESSAGES = {
     Status.invalid_input: "An input is not a number, infinite or out of range.",
     Status.not_converged: "An iteration did not converge.",
     Status.behind_camera: "The point lies behind the camera.",
-    Status.outside_image: "The point projects outside the image.",
-    Status.outside_distortion_field: "The point lies outside the field in which the lens distortion can be inverted.",
+    Status.outside_image: "The pixel, or the image of the point, lies outside the image.",
+    Status.outside_distortion_field: "The pixel or point lies outside the field where lens distortion can be inverted.",
     Status.hidden_by_terrain: "Terrain hides the point from the camera.",
 }
 

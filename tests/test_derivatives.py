@@ -228,3 +228,52 @@ def test_a_gimbal_in_local_level_moves_the_hit_by_its_own_angles():
     by_roll, by_yaw = jax.jit(jax.jacfwd(hit, argnums=(0, 1)))(0.02, 0.3)
     assert np.linalg.norm(by_roll) < 20.0  # a lever arm of metres
     assert np.linalg.norm(by_yaw) > 50.0
+
+
+@pytest.mark.parametrize("point", [(np.nan, 0.2, 100.0), (0.8, np.nan, 100.0), (0.8, 0.2, np.inf), (-0.8, 0.2, 100.0)])
+def test_the_gradient_of_a_projection_is_finite_whatever_the_point_is(over_terrain, point):  # noqa: F811
+    sensor, shot, _ = over_terrain
+
+    def seen(point):
+        projection = jaxgeo.project(sensor, shot, point)
+        return jnp.sum(jnp.where(projection.ok, projection.uv, 0.0)), projection.status
+
+    where = jaxgeo.Geodetic(**dict(zip(("lat", "lon", "height"), map(jnp.asarray, point), strict=True)))
+    gradient, status = jax.jit(jax.grad(seen, has_aux=True))(where)
+    assert (int(status) == Status.invalid_input) == (not np.all(np.isfinite(point)))
+    assert int(status) != Status.hit
+    assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("uv, distance", [((1e5, 1e5), 500.0), ((np.nan, 0.0), 500.0), ((2000.0, 1500.0), np.inf)])
+def test_the_gradient_at_a_range_is_finite_whatever_fails(over_terrain, uv, distance):  # noqa: F811
+    sensor, shot, _ = over_terrain
+
+    def height(shot, uv, distance):
+        fix = jaxgeo.at_range(sensor, shot, uv, distance)
+        return jnp.where(fix.ok, fix.position.height, 0.0)
+
+    as_float = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), shot)
+    gradient = jax.jit(jax.grad(height, argnums=(0, 1, 2)))(as_float, jnp.array(uv), jnp.asarray(distance))
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_terrain_that_is_not_finite_is_told_and_poisons_no_gradient(bad):
+    ray = FAILING["hits"]
+
+    def height(posts, rowcol0):
+        dem = Dem.from_array(posts, small_dem(rough(4)).grid)
+        fix = jaxgeo.intersect(ray, eqx.tree_at(lambda d: d.grid.rowcol0, dem, rowcol0))
+        return jnp.where(fix.ok, fix.position.height, 0.0), fix.status
+
+    gradient = jax.jit(jax.grad(height, argnums=(0, 1), has_aux=True))
+    posts, rowcol0 = jnp.asarray(rough(4)), jnp.array([8.0, 8.0])
+    good, status = gradient(posts, rowcol0)
+    assert int(status) == Status.hit
+    assert np.count_nonzero(good[0]) == 4
+    for broken in ((posts.at[3, 3].set(bad), rowcol0), (posts, rowcol0.at[0].set(bad))):
+        slopes, status = gradient(*broken)
+        expected = Status.hits_void if np.isnan(bad) and broken[0] is not posts else Status.invalid_input
+        assert int(status) in (expected, Status.hit) if expected is Status.hits_void else int(status) == expected
+        assert all(np.all(np.isfinite(leaf)) for leaf in slopes)

@@ -14,6 +14,7 @@ FLOORS = [
     ["sensor", "terrain"],
     ["fix"],
     ["fix"],
+    ["_doors"],
     ["locate"],
     ["uncertainty"],
     ["adjust"],
@@ -35,7 +36,7 @@ NUMPY_ROOMS = {"io", "plot", "demo", "studies", "cli", "report"}
 # Files of the mathematical rooms that may use numpy, each for a reason.
 NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
-    "locate.py": "looks at concrete values at the door",
+    "_doors.py": "looks at concrete values before they are traced",
     "fix.py": "puts fixes into plain numbers and words",
     "sensor/camera.py": "constants and checks of records, outside any trace",
     "sensor/gimbal.py": "the same",

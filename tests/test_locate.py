@@ -162,6 +162,45 @@ def test_a_measured_range_gives_the_point_that_terrain_gives(over_terrain):
         assert np.all(np.isnan(wrong.ecef))
 
 
+def _place(east: float, north: float, height: float) -> Geodetic:
+    centre = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
+    p = WGS84.to_ecef(centre) + R_ecef_from_enu(centre) @ jnp.array([east, north, 0.0])
+    at = WGS84.to_geodetic(p)
+    return Geodetic(lat=at.lat, lon=at.lon, height=jnp.asarray(height))
+
+
+SIGHTS = {
+    # camera and point, east, north and height, over level ground at 100 m with a wall of 300 m along its western edge
+    "over the wall": ((-1000.0, 0.0, 900.0), (100.0, 0.0, 100.0), Status.hit),
+    "from outside, behind the wall": ((-1000.0, 0.0, 120.0), (100.0, 0.0, 100.0), Status.hidden_by_terrain),
+    "from inside the wall": ((-230.0, 0.0, 200.0), (100.0, 0.0, 100.0), Status.camera_below_terrain),
+    "over the wall's far side": ((-100.0, 0.0, 200.0), (-300.0, 0.0, 100.0), Status.hidden_by_terrain),
+    "above the ground": ((0.0, 0.0, 400.0), (100.0, 0.0, 150.0), Status.hit),
+    "below the ground": ((0.0, 0.0, 400.0), (100.0, 0.0, 90.0), Status.hidden_by_terrain),
+    "up": ((0.0, 0.0, 150.0), (100.0, 0.0, 400.0), Status.hit),
+    "beyond the terrain": ((0.0, 0.0, 400.0), (1000.0, 0.0, 50.0), Status.leaves_terrain),
+}
+
+
+def test_what_terrain_hides_and_what_it_cannot_tell():
+    posts = np.full((17, 17), 100.0)
+    posts[:, :3] = 300.0
+    dem = small_dem(posts)
+    sensor = Sensor(FrameCamera.from_pixels(focal_px=500.0, width=1000, height=1000), mount=Mount.forward())
+
+    @jax.jit
+    @jax.vmap
+    def seen(camera, point):
+        shot = Shot(Pose.looking_at(position=camera, point=point), jnp.zeros(0))
+        return jaxgeo.project(sensor, shot, point, terrain=dem)
+
+    cameras, points = (batch([_place(*sight[k]) for sight in SIGHTS.values()]) for k in (0, 1))
+    projection = seen(cameras, points)
+    words = {name: Status(int(code)).name for name, code in zip(SIGHTS, projection.status, strict=True)}
+    assert words == {name: sight[2].name for name, sight in SIGHTS.items()}
+    np.testing.assert_allclose(projection.uv, 499.5, atol=1e-6)
+
+
 LI_2023_TABLE_2 = {
     # lat, lon, outer, inner of the aircraft; printed target; obtained minus printed, north and east in m
     "plain": ((28.9702, 89.0043, 74.6747, 0.2304), (29.3559124, 88.8988296, 3850.0036), (-0.41, -9.70)),

@@ -30,7 +30,8 @@ class Geodetic(eqx.Module):
         check_range(lat, "lat", "deg", -90.0, 90.0)
         check_range(lon, "lon", "deg", -360.0, 360.0)
         check_finite(height, "height", "m above the ellipsoid")
-        lat, lon, height = as_float64((lat, lon, height), "Geodetic.from_degrees(lat, lon, height)")
+        given = as_float64((lat, lon, height), "Geodetic.from_degrees(lat, lon, height)")
+        lat, lon, height = (jnp.stack(x) if isinstance(x, list | tuple) else x for x in given)
         return cls(lat=jnp.deg2rad(lat), lon=jnp.deg2rad(lon), height=height)
 
     def to_degrees(self) -> tuple[ScalarField, ScalarField, ScalarField]:

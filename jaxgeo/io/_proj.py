@@ -88,8 +88,9 @@ def how_to_get(missing: list[tuple[str, str, str]]) -> str:
     shown = ", ".join(files[:4]) + (f" and {len(files) - 4} more" if len(files) > 4 else "")
     sync = f"sync --file {on_net[0]}" if on_net else ""
     how = f"`pyproj {sync}` (or PROJ's `proj{sync}`) downloads it; or" if on_net else "Get it from its publisher and"
+    choice = " (which of them depends on the place)" if len(files) > 1 else ""
     return (
-        f"the grid file is missing: {shown} (any one of them serves). {how} put the file into "
+        f"the grid file is missing: {shown}{choice}. {how} put the file into "
         f"{get_user_data_dir()}, name its folder with pyproj.datadir.append_data_dir(folder), "
         f"or give the path of a geoid grid as vertical_datum."
     )

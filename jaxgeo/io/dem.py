@@ -13,12 +13,20 @@ from jaxgeo.io.errors import DemError, VerticalDatumError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.raster import Mosaic, Paths, metres_per_unit, open_mosaic, read_window
-from jaxgeo.io.vertical import HeightShift, VerticalDatum, height_shift, horizontal_part, vertical_part
+from jaxgeo.io.vertical import (
+    LARGEST_UNDULATION,
+    HeightShift,
+    VerticalDatum,
+    height_shift,
+    horizontal_part,
+    vertical_part,
+)
 from jaxgeo.io.windows import Bounds, Window, padded_shape, window_of_bounds
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
 CHUNK = 1_000_000  # posts transformed at once
+UNTAGGED = -9999.0
 POSSIBLE_HEIGHTS = (-12_500.0, 9_500.0)  # m; from the deepest trench to above the highest peak
 
 
@@ -124,6 +132,8 @@ def read_dem_and_report(
     values, void = read_window(mosaic, dataclasses.astuple(window))
     if nodata is not None:
         void |= np.isnan(values) if np.isnan(nodata) else values == nodata
+    else:
+        _check_untagged_voids(name, values, void)
     if void.all():
         raise DemError(
             f"{name}: all {void.size} posts of rows {window.row} to {window.stop_row - 1}, columns {window.col} to "
@@ -210,12 +220,39 @@ def _ellipsoidal(
         height = values[rows][row, col].astype(np.float64)
         if not shift.is_identity:
             lon, lat = mapping.lonlat(row + float(top), col.astype(np.float64))
-            height = shift.to_ellipsoid(lon, lat, height)
+            height = _shifted(name, height, shift.to_ellipsoid(lon, lat, height), shift)
         _check_heights(name, height, row + top, col, shift)
         heights[row + top, col] = height
         if dtype.kind != "f" and np.any(heights[row + top, col] != height):
             raise DemError(f"{name}: dtype={dtype} would round the heights; use float64 or float32.")
     return heights
+
+
+def _shifted(name: str, height: np.ndarray, shifted: np.ndarray, shift: HeightShift) -> np.ndarray:
+    """The shifted heights, unless the shift is larger than any geoid's."""
+    with np.errstate(invalid="ignore"):
+        too_far = np.abs(shifted - height) > LARGEST_UNDULATION
+    if too_far.any():
+        largest = float(np.abs(shifted - height)[too_far].max())
+        raise VerticalDatumError(
+            f"{name}: {shift.name} would move heights by up to {largest:.6g} m, but the geoid stays within "
+            f"{LARGEST_UNDULATION:g} m of the ellipsoid. Is the grid a geoid's, in m?"
+        )
+    return shifted
+
+
+def _check_untagged_voids(name: str, values: np.ndarray, void: np.ndarray) -> None:
+    """Refuse posts of exactly -9999 far below all others: the most usual mark of a void, here without its tag."""
+    marked = (values == UNTAGGED) & ~void
+    if not marked.any():
+        return
+    others = values[~void & ~marked]
+    if not others.size or others.min() > UNTAGGED + 1000.0:
+        row, col = np.argwhere(marked)[0]
+        raise DemError(
+            f"{name}: {int(marked.sum())} posts, the first at row {row}, column {col}, are exactly {UNTAGGED:g}, far "
+            f"below all others, and the file has no nodata tag for that. Pass nodata={UNTAGGED:g}."
+        )
 
 
 def _check_heights(name: str, height: np.ndarray, row: np.ndarray, col: np.ndarray, shift: HeightShift) -> None:

@@ -140,7 +140,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
         return by_band
     if by_crs is not None:
         return by_crs
-    if by_datum is not None:
+    if by_datum is not None and by_datum != 1.0:  # a datum in metres says nothing of a map in feet
         return by_datum
     axis = horizontal_part(tile.crs).axis_info[0]
     if not tile.is_geographic and axis.unit_conversion_factor != 1.0:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64
+from jaxgeo._numerics import finite_or
 from jaxgeo._typing import Flag, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 from jaxgeo.earth.ray import Ray
@@ -42,8 +43,9 @@ class ConstantHeight(AbstractTerrain):
         del cell
         return self.ellipsoid.normal_and_height(p_ecef)[1] - self._height()
 
-    def is_valid(self) -> Flag:
-        return jnp.isfinite(self._height())
+    def made_safe(self) -> tuple[ConstantHeight, Flag]:
+        height = self._height()
+        return ConstantHeight(finite_or(height, 0.0), self.ellipsoid), jnp.isfinite(height)
 
     def safe_ray(self) -> Ray:
         return Ray(jnp.array([self.ellipsoid.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
-from jaxgeo._numerics import safe_angle
+from jaxgeo._numerics import all_finite, finite_or, safe_angle
 from jaxgeo._typing import ExtentField, Flag, Index, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
@@ -24,6 +25,7 @@ from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
 from jaxgeo.terrain.search.base import AbstractSearch
 
 EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
+TRUSTED = np.pi / 3.0  # rad of arc beyond a grid's edge within which its map means something
 
 
 class Dem(AbstractTerrain):
@@ -63,14 +65,16 @@ class Dem(AbstractTerrain):
         Raises `ValueError` for fewer than 2 x 2 posts, posts all void or infinite, or a ceiling that is not finite.
         """
         require_x64()
+        grid = as_float64(grid, "grid")
+        posts, void = _unmasked(posts, void)
         is_known_now = all(concrete(given) is not None for given in (posts, void, void_ceiling, extent))
         xp: Any = np if is_known_now else jnp
         posts = xp.asarray(posts)
-        if posts.ndim != 2 or min(posts.shape) < 2:
-            raise ValueError(f"posts must be an array of at least 2 x 2 heights; got shape {posts.shape}.")
+        void = None if void is None else xp.asarray(void)
+        _check_kind(posts, void, extent)
         unknown = xp.isnan(posts) if posts.dtype.kind == "f" else xp.zeros(posts.shape, bool)
         if void is not None:
-            unknown = unknown | xp.asarray(void)
+            unknown = unknown | void
         rows, cols = posts.shape if extent is None else xp.asarray(extent)
         inside = (np.arange(posts.shape[0]) < rows)[:, None] & (np.arange(posts.shape[1]) < cols)[None, :]
         known = inside & ~unknown
@@ -79,6 +83,7 @@ class Dem(AbstractTerrain):
         highest = xp.max(xp.where(known, posts, -np.inf))
         lowest = xp.min(xp.where(known, posts, np.inf))
         ceiling = highest if void_ceiling is None else xp.asarray(void_ceiling, np.float64)
+        ceiling = ceiling if is_known_now else jax.lax.stop_gradient(ceiling)
         if is_known_now and not np.isfinite(ceiling):
             raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {float(ceiling)!r}.")
         posts = xp.where(known, posts, lowest.astype(posts.dtype))
@@ -95,16 +100,25 @@ class Dem(AbstractTerrain):
         )
 
     def with_posts(self, posts: ArrayLike) -> Dem:
-        """The same terrain with other heights (rows, cols) in m: voids and their ceiling stay, bounds are rebuilt."""
+        """The same terrain with other heights (rows, cols) in m; voids stay, and their ceiling if it was set."""
         if jnp.shape(posts) != jnp.shape(self.posts):
             raise ValueError(f"posts must keep the shape {jnp.shape(self.posts)}; got {jnp.shape(posts)}.")
-        return Dem.from_array(posts, self.grid, void=self.void, void_ceiling=self.void_ceiling, extent=self.extent)
+        highest = jnp.max(jnp.where(jnp.asarray(self.void), -jnp.inf, jnp.asarray(posts)))
+        is_default = jnp.asarray(self.void_ceiling) == self.highest
+        ceiling = jax.lax.stop_gradient(jnp.where(is_default, highest, self.void_ceiling))
+        return Dem.from_array(posts, self.grid, void=self.void, void_ceiling=ceiling, extent=self.extent)
 
     @property
     def ceiling(self) -> Scalar:
         """Height in m above which there is nothing, known or unknown."""
         has_void = jnp.any(self.void)
         return jnp.where(has_void, jnp.maximum(self.highest, self.void_ceiling), jnp.asarray(self.highest))
+
+    @property
+    def floor(self) -> Scalar:
+        """Height in m below which no answer can lie: of the lowest post, or of a lower void ceiling."""
+        lowest = jnp.asarray(self.lowest)
+        return jnp.where(jnp.any(self.void), jnp.minimum(lowest, self.void_ceiling), lowest)
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
         return search.bracket(*jax.lax.stop_gradient((ray, self)))
@@ -113,8 +127,10 @@ class Dem(AbstractTerrain):
         rowcol, height = self.over(p_ecef)
         return height - self.surface(rowcol, cell)
 
-    def is_valid(self) -> Flag:
-        return jnp.isfinite(self.lowest) & jnp.isfinite(self.highest)
+    def made_safe(self) -> tuple[Dem, Flag]:
+        small = (self.grid, self.lowest, self.highest, self.void_ceiling)
+        places = lambda dem: (dem.grid, dem.lowest, dem.highest, dem.void_ceiling)  # noqa: E731
+        return eqx.tree_at(places, self, finite_or(small, 1.0)), all_finite(small)
 
     def safe_ray(self) -> Ray:
         normal = jax.lax.stop_gradient(self.centre_normal())
@@ -125,6 +141,17 @@ class Dem(AbstractTerrain):
     def centre_normal(self) -> Vector3:
         """The ellipsoid's unit normal at the middle of the grid."""
         return self.grid.normal(0.5 * (jnp.asarray(self.extent) - 1).astype(jnp.float64))
+
+    def grid_reach(self) -> tuple[Vector3, Scalar]:
+        """The normal at the grid's middle, and the cosine of the arc from it within which its map is trusted.
+
+        That is `TRUSTED` beyond the farthest of the grid's corners and the middles of its edges.
+        """
+        middle = self.centre_normal()
+        last = (jnp.asarray(self.extent) - 1).astype(jnp.float64)
+        around = jnp.array([[r, c] for r in (0.0, 0.5, 1.0) for c in (0.0, 0.5, 1.0)]) * last[None, :]
+        farthest = jnp.arccos(jnp.clip(jnp.min(jax.vmap(self.grid.normal)(around) @ middle), -1.0, 1.0))
+        return middle, jnp.where(farthest + TRUSTED < jnp.pi, jnp.cos(farthest + TRUSTED), -2.0)
 
     # The surface of one cell, and what bounds it.
 
@@ -139,7 +166,7 @@ class Dem(AbstractTerrain):
         rows = cell[0] + jnp.array([[0, 0], [1, 1]])
         cols = cell[1] + jnp.array([[0, 1], [0, 1]])
         posts = jnp.asarray(self.posts)[rows, cols].astype(jnp.float64)
-        is_void = jnp.any(jnp.asarray(self.void)[rows, cols])
+        is_void = jnp.any(jnp.asarray(self.void)[rows, cols]) | ~jnp.all(jnp.isfinite(posts))
         return jnp.where(is_void, self.void_ceiling, posts), is_void
 
     def surface(self, rowcol: Float[Array, "2"], cell: Int[Array, "2"]) -> Scalar:
@@ -195,6 +222,32 @@ class Dem(AbstractTerrain):
         cell = self.cell_of(jnp.where(jnp.isfinite(rowcol), rowcol, 0.0))
         _, is_void = self.patch(cell)
         return cell, self.contains(rowcol) & ~is_void
+
+
+def _unmasked(posts: Any, void: Any) -> tuple[Any, Any]:
+    """Posts and voids of a NumPy masked array, as rasterio reads them with masked=True."""
+    if not isinstance(posts, np.ma.MaskedArray):
+        return posts, void
+    mask = np.ma.getmaskarray(posts)
+    return posts.data, mask if void is None else mask | np.asarray(void)
+
+
+def _check_kind(posts: Any, void: Any, extent: Any) -> None:
+    if posts.ndim != 2 or min(posts.shape) < 2:
+        raise ValueError(f"posts must be an array of at least 2 x 2 heights; got shape {posts.shape}.")
+    if posts.dtype.kind not in "iuf":
+        raise TypeError(f"posts must be heights in m, integers or floats; got dtype {posts.dtype}.")
+    if void is not None and (jnp.shape(void) != posts.shape or void.dtype != bool):
+        raise ValueError(
+            f"void must be a boolean array of the posts' shape {posts.shape}; "
+            f"got dtype {getattr(void, 'dtype', type(void).__name__)} and shape {jnp.shape(void)}."
+        )
+    size = concrete(extent)
+    if extent is None or size is None:
+        return
+    is_whole = size.shape == (2,) and size.dtype.kind in "iu"
+    if not is_whole or np.any(size < 2) or np.any(size > np.array(posts.shape)):
+        raise ValueError(f"extent must be (rows, cols) of 2 x 2 up to the array's {posts.shape}; got {size.tolist()}.")
 
 
 def _check_posts(posts: np.ndarray, known: np.ndarray) -> None:

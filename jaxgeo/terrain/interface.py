@@ -40,8 +40,8 @@ class AbstractTerrain(eqx.Module):
         """Height in m of an ECEF point above the surface of one frozen cell, smooth in every input."""
 
     @abstractmethod
-    def is_valid(self) -> Flag:
-        """Whether the terrain's own numbers are usable."""
+    def made_safe(self) -> tuple[AbstractTerrain, Flag]:
+        """The terrain with finite numbers throughout, so that no NaN enters a gradient, and whether it had them."""
 
     @abstractmethod
     def safe_ray(self) -> Ray:

@@ -39,6 +39,13 @@ class Track(eqx.Module):
             value = value * tau + self.coefficients[power]
         return value
 
+    def slope(self, tau: Scalar) -> Float[Array, "3"]:
+        """d(row, col, height) / d(tau)."""
+        value = (NODES - 1.0) * self.coefficients[-1]
+        for power in range(NODES - 2, 0, -1):
+            value = value * tau + power * self.coefficients[power]
+        return value
+
     def range_at(self, tau: Scalar) -> Scalar:
         """Range in m along the ray at `tau`."""
         return self.middle + self.half * tau

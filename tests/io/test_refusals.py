@@ -14,7 +14,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from support.rasters import DEGREE, hills, write
 
-from jaxgeo.io import DemError, read_dem
+from jaxgeo.io import DemError, VerticalDatumError, read_dem
 
 HERE = Affine(DEGREE, 0, 5.0, 0, -DEGREE, 45.0)
 LAMBERT = "+proj=lcc +lat_1=45 +lat_2=46 +lat_0=45.5 +lon_0=3 +ellps=GRS80"
@@ -94,6 +94,16 @@ REFUSED: dict[str, tuple[Callable[[pathlib.Path], pathlib.Path], dict[str, Any],
         {},
         r"the map is in US survey foot and nothing says whether the heights are too",
     ),
+    "a map in feet, a datum in metres": (
+        plain(crs="EPSG:2263", affine=Affine(30, 0, 980000, 0, -30, 200000)),
+        {"vertical_datum": "EPSG:5773"},
+        r"the map is in US survey foot and nothing says whether the heights are too",
+    ),
+    "untagged -9999": (
+        plain(heights=np.where(np.eye(5, 6) > 0, -9999, 100).astype(np.int16)),
+        {},
+        r"5 posts, the first at row 0, column 0, are exactly -9999, .* no nodata tag.*nodata=-9999",
+    ),
     "ballpark datum": (
         plain(crs=LAMBERT, affine=Affine(30, 0, 0, 0, -30, 0)),
         {},
@@ -161,3 +171,11 @@ def test_what_was_refused_is_read_once_it_is_said(tmp_path: pathlib.Path) -> Non
 def test_32_bit_floats_are_refused_before_anything_is_read() -> None:
     with jax.enable_x64(False), pytest.raises(RuntimeError, match=r"jaxgeo\.enable_x64\(\)"):
         read_dem("/nowhere/dem.tif")
+
+
+def test_a_terrain_given_as_geoid_is_refused(tmp_path: pathlib.Path) -> None:
+    wide = np.full((40, 40), 700.0, np.float32)
+    grid = write(tmp_path / "not_a_geoid.tif", wide, affine=Affine(0.1, 0, 3.0, 0, -0.1, 47.0))
+    path = write(tmp_path / "dem.tif", hills((5, 6)))
+    with pytest.raises(VerticalDatumError, match=r"would move heights by up to 700 m.*Is the grid a geoid's"):
+        read_dem(path, vertical_datum=str(grid))

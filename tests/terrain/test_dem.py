@@ -11,6 +11,7 @@ from support.scenes import SIZE, flat, rough, small_dem
 
 import jaxgeo
 from jaxgeo import Dem, Geodetic
+from jaxgeo._doors import check_is, check_terrain
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
@@ -122,6 +123,8 @@ def test_a_track_is_true_to_the_exact_map(length):
 
 
 GRID = TangentGrid.centred(Geodetic(lat=0.8, lon=0.2, height=0.0), spacing=(30.0, 30.0), shape=(3, 3))
+A_SENSOR = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=100, height=100))
+A_SHOT = jaxgeo.Shot(jaxgeo.Pose(Geodetic(lat=0.8, lon=0.2, height=900.0), 0.0, 0.0, 0.0), np.zeros(0), 0.0)
 REFUSED = {
     "all void": (lambda: Dem.from_array(np.full((3, 3), np.nan), GRID), ValueError, "all 9 posts are void"),
     "one row": (
@@ -131,6 +134,22 @@ REFUSED = {
     ),
     "infinite": (lambda: Dem.from_array(np.array([[0.0, np.inf], [0.0, 0.0]]), GRID), ValueError, "infinite height"),
     "ceiling": (lambda: Dem.from_array(np.zeros((3, 3)), GRID, void_ceiling=np.nan), ValueError, "void_ceiling .* nan"),
+    "void of another shape": (
+        lambda: Dem.from_array(np.zeros((3, 3)), GRID, void=np.zeros((1, 3), bool)),
+        ValueError,
+        r"void must be a boolean array of the posts' shape \(3, 3\)",
+    ),
+    "void as numbers": (
+        lambda: Dem.from_array(np.zeros((3, 3)), GRID, void=np.zeros((3, 3))),
+        ValueError,
+        "void must be a boolean array .* got dtype float64",
+    ),
+    "extent too large": (
+        lambda: Dem.from_array(np.zeros((3, 3)), GRID, extent=(3, 9)),
+        ValueError,
+        r"extent must be .* got \[3, 9\]",
+    ),
+    "complex posts": (lambda: Dem.from_array(np.zeros((3, 3), complex), GRID), TypeError, "got dtype complex128"),
     "other shape": (
         lambda: Dem.from_array(np.zeros((3, 3)), GRID).with_posts(np.zeros((4, 3))),
         ValueError,
@@ -147,6 +166,51 @@ REFUSED = {
         ),
         TypeError,
         r"ray\.origin has dtype float32",
+    ),
+    "an array as terrain": (
+        lambda: check_terrain(np.zeros((3, 3)), jaxgeo.FirstHit()),
+        TypeError,
+        r"terrain must be a jaxgeo terrain; got ndarray. Read one with jaxgeo.io.read_dem",
+    ),
+    "a class as search": (
+        lambda: check_terrain(jaxgeo.ConstantHeight(0.0), jaxgeo.FirstHit),
+        TypeError,
+        r"Did you mean FirstHit\(\)\?",
+    ),
+    "many rays": (
+        lambda: jaxgeo.intersect(jaxgeo.Ray(jnp.zeros((4, 3)), jnp.zeros((4, 3))), jaxgeo.ConstantHeight(0.0)),
+        ValueError,
+        r"use jax.vmap\(intersect",
+    ),
+    "float32 height": (
+        lambda: jaxgeo.intersect(small_up(), jaxgeo.ConstantHeight(np.float32(3.0))),
+        TypeError,
+        "terrain.height has dtype float32",
+    ),
+    "degrees as radians": (
+        lambda: jaxgeo.project(A_SENSOR, A_SHOT, Geodetic(lat=47.0, lon=11.0, height=0.0)),
+        ValueError,
+        r"point.lat must lie within pi/2 rad .* got 47. .*from_degrees takes degrees",
+    ),
+    "one number as pixel": (
+        lambda: jaxgeo.locate(A_SENSOR, A_SHOT, 5.0, jaxgeo.ConstantHeight(0.0)),
+        ValueError,
+        r"uv must be one pixel .* got shape \(\)",
+    ),
+    "many pixels": (
+        lambda: jaxgeo.locate(A_SENSOR, A_SHOT, np.zeros((7, 2)), jaxgeo.ConstantHeight(0.0)),
+        ValueError,
+        r"got shape \(7, 2\). For many pixels use jax.vmap",
+    ),
+    "float32 in a list": (
+        lambda: jaxgeo.locate(A_SENSOR, A_SHOT, [np.float32(1.0), 2.0], jaxgeo.ConstantHeight(0.0)),
+        TypeError,
+        r"uv\[0\] has dtype float32",
+    ),
+    "shot and sensor exchanged": (
+        lambda: check_is(A_SHOT, jaxgeo.Sensor, "sensor"),
+        TypeError,
+        "sensor must be a jaxgeo Sensor; got Shot",
     ),
     "throw": (
         lambda: jaxgeo.intersect(small_up(), jaxgeo.ConstantHeight(0.0), throw=True),
@@ -187,3 +251,10 @@ def test_posts_keep_their_dtype_and_are_cast_on_look_up(dtype):
     height = dem.height_at(at(dem, 3.5, 3.5))
     assert height.dtype == jnp.float64
     assert float(height) == pytest.approx(posts[3:5, 3:5].mean(), abs=1e-3)
+
+
+def test_the_mask_of_a_masked_array_is_kept():
+    posts = np.ma.masked_less(np.array([[1.0, -32768.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]]), -1000.0)
+    dem = Dem.from_array(posts, GRID)
+    assert float(dem.lowest) == 1.0
+    np.testing.assert_array_equal(dem.void, np.ma.getmaskarray(posts))

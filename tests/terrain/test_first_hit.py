@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from support.fractal import median_slope_deg
 from support.scenes import SIZE, flat, hit, local_ray, rough, small_dem
 
-from jaxgeo import Bisection, FirstHit, Geodetic, Status, intersect
+from jaxgeo import WGS84, Bisection, Dem, FirstHit, Geodetic, Ray, Status, intersect
+from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.status import count_statuses
+from jaxgeo.terrain import GeographicGrid, TangentGrid
 
 WRONG_DISTANCE = 1e-3  # m
 TIE = 1e-6  # m of height
@@ -169,9 +172,6 @@ def test_padding_does_not_change_the_answer():
     padded = np.full((SIZE, SIZE), -500.0)
     padded[:12, :9] = posts
     centre = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
-    from jaxgeo import Dem
-    from jaxgeo.terrain import TangentGrid
-
     grid = TangentGrid.centred(centre, spacing=(30.0, 30.0), shape=posts.shape)
     rays = [local_ray(0, 0, 300, azimuth=a, elevation=-50) for a in (0, 90, 180, 270)] + [local_ray(200, 0, 300)]
     plain, larger = (
@@ -200,3 +200,65 @@ def test_status_of_bisection(name):
     fix = hit([ray], small_dem(posts()), Bisection())
     assert Status(int(fix.status[0])) is expected
     assert np.all(np.isfinite(fix.ecef[0])) == (expected in (Status.hit, Status.hits_void))
+
+
+def test_a_ray_out_of_a_void_into_its_wall_has_no_answer():
+    """With a void ceiling below the neighbouring ground the surface has walls, of which nothing is known."""
+    posts = flat(300.0)
+    posts[:, 11] = np.nan
+    posts[0, 0] = 0.0
+    fix = hit([local_ray(95, 0, 330, azimuth=90, elevation=-60.0)], small_dem(posts, void_ceiling=100.0))
+    assert Status(int(fix.status[0])) is Status.hits_void
+
+
+def test_a_void_ceiling_below_all_ground_is_reached():
+    posts = flat(100.0)
+    posts[8, 11] = np.nan
+    fix = hit([local_ray(95, 0, 500)], small_dem(posts, void_ceiling=50.0))
+    assert Status(int(fix.status[0])) is Status.hits_void
+    assert fix.position.height[0] == pytest.approx(50.0, abs=1e-6)
+    dem = small_dem(posts)
+    raised = hit([local_ray(95, 0, 500)], dem.with_posts(dem.posts + 50.0))
+    assert raised.position.height[0] == pytest.approx(150.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("lon, lat", [(0.0, 0.0), (90.0, 10.0), (-150.0, -80.0), (20.0, 89.0)])
+def test_a_grid_of_the_whole_earth_is_met_everywhere(lon, lat):
+    affine = (30.0, 0.0, -180.0, 0.0, -30.0, 90.0)
+    dem = Dem.from_array(np.full((7, 13), 100.0), GeographicGrid.from_affine(affine, (7, 13)))
+    origin = WGS84.to_ecef(Geodetic.from_degrees(lat=lat, lon=lon, height=5000.0))
+    up, _ = WGS84.normal_and_height(origin)
+    fix = hit([Ray(origin, -up)], dem)
+    assert fix.ok[0]
+    assert fix.position.height[0] == pytest.approx(100.0, abs=1e-6)
+
+
+def test_a_track_that_bends_over_a_line_of_posts_and_back_is_settled_on_each_side():
+    """Quarter-degree cells at 60 degrees north, a valley along a parallel: straight lines bulge over it by metres."""
+    step, posts = 0.25, np.zeros((9, 9))
+    posts[3] = posts[5] = 6000.0
+    dem = Dem.from_array(posts, GeographicGrid.from_affine((step, 0, -4 * step, 0, -step, 60 + 4 * step), posts.shape))
+    rng = np.random.default_rng(4)
+    centre = Geodetic.from_degrees(lat=60.0, lon=0.0, height=0.0)
+    R, rays = np.asarray(R_ecef_from_enu(centre)), []
+    for _ in range(8):
+        north, height, dip = rng.uniform([-8.0, 2.0, -1.2e-3], [8.0, 8.0, -3e-4])
+        origin = np.asarray(WGS84.to_ecef(centre)) + R @ np.array([-9000.0, north, height])
+        line = R @ np.array([np.cos(dip), rng.normal(0.0, 5e-4), np.sin(dip)])
+        rays.append(Ray(jnp.asarray(origin), jnp.asarray(line / np.linalg.norm(line))))
+    fix = hit(rays, dem)
+
+    @jax.jit
+    def clearance(ray, distance):
+        def one(s):
+            rowcol, height = dem.over(ray.at(s))
+            return height - dem.surface(rowcol, dem.cell_of(rowcol))
+
+        return jax.vmap(one)(distance)
+
+    assert np.sum(fix.found) >= 4
+    for k in np.flatnonzero(fix.found):
+        before = clearance(rays[k], jnp.linspace(0.0, fix.slant_range[k] - 1e-3, 20_001))
+        assert float(jnp.min(before)) > -1e-6
+        after = clearance(rays[k], fix.slant_range[k] + jnp.array([0.0, 1e-3]))
+        assert abs(float(after[0])) < 1e-6

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 CEILING_MARGIN = 1.0  # m above the highest ground, so that a search starts clearly above the surface
 FLOOR_MARGIN = 1.0  # m below the lowest ground, so that it ends clearly below
-FARTHEST = 0.5  # cosine: a grid's map is trusted within 60 degrees of arc of its centre
 
 
 class AbstractSearch(eqx.Module):
@@ -46,7 +45,7 @@ class Reach(eqx.Module):
 
 def reach_of(ray: Ray, dem: Dem) -> Reach:
     """The part of `ray` that lies between the highest and the lowest ground of `dem`."""
-    top, bottom = dem.ceiling + CEILING_MARGIN, dem.lowest - FLOOR_MARGIN
+    top, bottom = dem.ceiling + CEILING_MARGIN, dem.floor - FLOOR_MARGIN
     ranges, meets = WGS84.crossings(
         ray.origin, ray.direction, jnp.stack([top, top, bottom]), jnp.array([-1.0, 1.0, -1.0])
     )
@@ -56,8 +55,8 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     end = jnp.where(sinks, floor, exit_)
     origin_up, _ = WGS84.normal_and_height(ray.origin)
     start_up, _ = WGS84.normal_and_height(ray.at(start))
-    centre_up = dem.centre_normal()
-    is_near = (jnp.dot(origin_up, centre_up) > FARTHEST) & (jnp.dot(start_up, centre_up) > FARTHEST)
+    centre_up, farthest = dem.grid_reach()
+    is_near = (jnp.dot(origin_up, centre_up) > farthest) & (jnp.dot(start_up, centre_up) > farthest)
     return Reach(start, end, meets[0] & (exit_ > 0.0), is_near, sinks)
 
 

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.track import Track
 
 
+WALL = 1e-6  # m: a surface without voids is continuous to far less
+
+
 class Event(eqx.Module):
     """What a walk has met so far: whether it has come over the grid (and from the side, below the ceiling), and the
     event that ends it, if any: its status, its cell, and the ranges in m between which the surface is crossed."""
@@ -40,10 +43,13 @@ class Event(eqx.Module):
 def first_event(track: Track, dem: Dem, begin: Scalar, end: Scalar, event: Event) -> Event:
     """Go through an interval of `tau` that is at most one cell long on either axis.
 
-    It passes over at most three cells: it is cut where it crosses a grid line, and each piece lies in one cell.
+    It is cut where it crosses a grid line, and each piece lies in one cell. A track that bends over a line and back
+    crosses it twice: hence two crossings on each axis, one before and one after its turning point.
     """
-    crossings = jnp.stack([_crossing(track, begin, end, axis) for axis in (0, 1)])
-    cuts = jnp.stack([begin, jnp.min(crossings), jnp.max(crossings), end])
+    turns = [_turning(track, begin, end, axis) for axis in (0, 1)]
+    crossings = [_crossing(track, begin, turn, axis) for axis, turn in enumerate(turns)]
+    crossings += [_crossing(track, turn, end, axis) for axis, turn in enumerate(turns)]
+    cuts = jnp.concatenate([begin[None], jnp.sort(jnp.stack(crossings)), end[None]])
     pieces = jax.vmap(lambda a, b: _piece(track, dem, a, b))(cuts[:-1], cuts[1:])
 
     inside = pieces.counts & pieces.is_inside
@@ -56,6 +62,7 @@ def first_event(track: Track, dem: Dem, begin: Scalar, end: Scalar, event: Event
 
     status = jnp.where(from_side, Status.enters_from_side.code, Status.hit.code)
     status = jnp.where(pieces.is_void, Status.hits_void.code, status)
+    status = jnp.where(pieces.begins_below & ~enters, Status.hits_void.code, status)  # out of a void, into its wall
     status = jnp.where(enters & pieces.begins_below & ~pieces.is_void, Status.enters_below_terrain.code, status)
     status = jnp.where(leaves, Status.leaves_terrain.code, status)
     which = jnp.argmax(happens)
@@ -70,15 +77,28 @@ def first_event(track: Track, dem: Dem, begin: Scalar, end: Scalar, event: Event
     )
 
 
+def _turning(track: Track, begin: Scalar, end: Scalar, axis: int) -> Scalar:
+    """Where row (axis 0) or column (1) turns within the interval, else one of its ends; it is a parabola there."""
+    middle = 0.5 * (begin + end)
+    first, half, last = track.at(begin)[axis], track.at(middle)[axis], track.at(end)[axis]
+    bend = first + last - 2.0 * half
+    turn = middle - 0.25 * (end - begin) * (last - first) / jnp.where(bend == 0.0, 1.0, bend)
+    return jnp.where(bend == 0.0, end, jnp.clip(turn, begin, end))
+
+
 def _crossing(track: Track, begin: Scalar, end: Scalar, axis: int) -> Scalar:
     """Where row (axis 0) or column (1) passes an integer within the interval, else its end. Newton on a near-line."""
     first, last = track.at(begin)[axis], track.at(end)[axis]
     line = jnp.maximum(jnp.floor(first), jnp.floor(last))
     crosses = jnp.floor(first) != jnp.floor(last)
     run = jnp.where(crosses, last - first, 1.0)
-    tau = begin + (end - begin) * (line - first) / run
-    for _ in range(3):
-        tau = jnp.clip(tau - (track.at(tau)[axis] - line) * (end - begin) / run, begin, end)
+    low, high, tau = begin, end, begin + (end - begin) * (line - first) / run
+    for _ in range(4):
+        off = track.at(tau)[axis] - line
+        is_before = (off < 0.0) == (run > 0.0)
+        low, high = jnp.where(is_before, tau, low), jnp.where(is_before, high, tau)
+        newton = tau - off / jnp.where(crosses, track.slope(tau)[axis], 1.0)
+        tau = jnp.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
     return jnp.where(crosses, tau, end)
 
 
@@ -122,7 +142,7 @@ def _piece(track: Track, dem: Dem, begin: Scalar, end: Scalar) -> _Piece:
         is_void=is_void,
         cell=cell,
         height=begins[2],
-        begins_below=first < 0.0,
+        begins_below=first < -WALL,
         crosses=(first <= 0.0) | (lowest <= 0.0) | (last <= 0.0),
         lower=track.range_at(begin),
         upper=track.range_at(upper),

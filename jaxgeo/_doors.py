@@ -1,0 +1,114 @@
+"""The doors of the hall: what callers hand in is checked and put into float64, and mistakes are named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, concrete, require_x64
+from jaxgeo._typing import Pixel
+from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.ray import Ray
+from jaxgeo.fix import Fix
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+
+UNIT_TOLERANCE = 1e-6
+
+
+def pixel_of_shot(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike]) -> tuple[Sensor, Shot, Pixel]:
+    """Sensor, shot and one pixel in float64, checked."""
+    sensor, shot = observation(sensor, shot)
+    pixel = as_float64(as_array(uv, "uv"), "uv")
+    if pixel.shape != (2,):
+        raise ValueError(
+            f"uv must be one pixel (column, row) of shape (2,); got shape {pixel.shape}. "
+            "For many pixels use jax.vmap(locate, in_axes=(None, None, 0, None))."
+        )
+    return sensor, shot, pixel
+
+
+def observation(sensor: Sensor, shot: Shot) -> tuple[Sensor, Shot]:
+    """Sensor and shot in float64, checked."""
+    require_x64()
+    check_is(sensor, Sensor, "sensor")
+    check_is(shot, Shot, "shot")
+    sensor, shot = as_float64(sensor, "sensor"), as_float64(shot, "shot")
+    check_latitude(shot.pose.position, "shot.pose.position")
+    return sensor, shot
+
+
+def as_array(value: Any, name: str) -> Any:
+    """A list or tuple of numbers, some perhaps traced, as one array; anything else as it is."""
+    if isinstance(value, list | tuple):
+        return jnp.stack([as_float64(number, f"{name}[{k}]") for k, number in enumerate(value)])
+    return value
+
+
+def check_is(value: Any, kind: type, name: str) -> None:
+    """Raise `TypeError` unless `value` is of a kind of record."""
+    if not isinstance(value, kind):
+        hint = f" Did you mean {value.__name__}()?" if isinstance(value, type) else ""
+        raise TypeError(f"{name} must be a jaxgeo {kind.__name__}; got {type(value).__name__}.{hint}")
+
+
+def check_terrain(terrain: Any, search: Any) -> None:
+    """Raise `TypeError` unless these are a terrain and a search."""
+    if not isinstance(terrain, AbstractTerrain):
+        raise TypeError(
+            f"terrain must be a jaxgeo terrain; got {type(terrain).__name__}. Read one with jaxgeo.io.read_dem(path), "
+            "or make one with jaxgeo.Dem.from_array(posts, grid) or jaxgeo.ConstantHeight(height)."
+        )
+    check_is(search, AbstractSearch, "search")
+
+
+def check_latitude(position: Geodetic, name: str) -> None:
+    """Raise `ValueError` for a known latitude beyond a pole: most often degrees in place of radians."""
+    known = concrete(position.lat)
+    if known is not None and np.any(np.abs(known) > 0.5 * np.pi + 1e-12):
+        raise ValueError(
+            f"{name}.lat must lie within pi/2 rad of the equator; got {np.max(np.abs(known)):.9g}. "
+            "Geodetic takes radians; Geodetic.from_degrees takes degrees."
+        )
+
+
+def check_ray(ray: Ray) -> None:
+    """Raise `ValueError` unless a ray is one ray, with a direction of unit length where that is known."""
+    for name, vector in (("origin", ray.origin), ("direction", ray.direction)):
+        if jnp.shape(vector) != (3,):
+            raise ValueError(
+                f"ray.{name} must be one vector of shape (3,), ECEF; got shape {jnp.shape(vector)}. "
+                "For many rays use jax.vmap(intersect, in_axes=(0, None))."
+            )
+    known = concrete(ray.direction)
+    if known is None or not np.all(np.isfinite(known)):
+        return
+    length = float(np.linalg.norm(known))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise ValueError(
+            f"ray.direction must be a unit vector in ECEF; got one of length {length:.9g}. Divide it by its length."
+        )
+
+
+def check_throw(throw: bool, arguments: Any) -> None:
+    """Raise `ValueError` if an exception is asked for where none can be raised."""
+    if throw and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
+        raise ValueError(
+            "throw=True needs values that are known now, but these are traced by JAX (inside jit, vmap or grad), where "
+            "no exception can be raised. Leave throw off and look at `Fix.status`."
+        )
+
+
+def thrown(fix: Fix) -> Fix:
+    """The fix, or `ValueError` with its status if it is not a hit."""
+    status = Status(int(np.asarray(fix.status)))
+    if status is not Status.hit:
+        raise ValueError(f"{status.name}: {status.message}")
+    return fix
