@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import pathlib
+import secrets
 import shutil
 import sys
 from collections.abc import Iterator
@@ -23,6 +25,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # that matplotlib writes by itself
 CHUNKS = (16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
 
 
@@ -51,9 +54,13 @@ def _mistakes_told(show_traceback: bool) -> Iterator[None]:
     except (UserError, ValueError, OSError) as error:
         if show_traceback:
             raise
-        lines = str(error).splitlines() or [type(error).__name__]
-        _stderr().print("\n".join(f"jaxgeo: {line}" for line in lines), markup=False, highlight=False, soft_wrap=True)
+        _tell(str(error) or type(error).__name__)
         raise typer.Exit(2) from None
+
+
+def _tell(message: str) -> None:
+    text = "\n".join(f"jaxgeo: {line}" for line in message.splitlines())
+    _stderr().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _stderr() -> Console:
@@ -74,23 +81,31 @@ def locate_command(
     ] = None,
     output_format: Annotated[
         Format | None,
-        typer.Option("--format", help="Default: from the name of --output, else table, or csv for shots."),
+        typer.Option("--format", help="Default: by the name of --output; on the screen table, or csv for shots."),
     ] = None,
-    output: Annotated[pathlib.Path | None, typer.Option(help="File to write; the screen if left out.")] = None,
+    output: Annotated[
+        pathlib.Path | None, typer.Option(help="File to write (.csv, .geojson, .json); the screen if left out.")
+    ] = None,
     traceback: _Traceback = False,
 ) -> None:
     """The ground points that pixels see, one row for each pixel, whatever became of it."""
-    with _mistakes_told(traceback):
-        _locate(scene, dem, pixel or [], shots, vertical_datum, _chosen_format(output_format, output, shots), output)
+    with _mistakes_told(traceback), _destination("--output", output) as stream:
+        chosen = _chosen_format(output_format, output, shots)
+        _locate(scene, dem, pixel or [], shots, vertical_datum, chosen, stream)
 
 
 @app.command("demo")
 def demo_command(
-    output: Annotated[pathlib.Path, typer.Option(help="The picture.")] = pathlib.Path("jaxgeo-demo.png"),
+    output: Annotated[pathlib.Path, typer.Option(help="The picture: .png, .pdf, .svg, ...")] = pathlib.Path(
+        "jaxgeo-demo.png"
+    ),
     write_scene: Annotated[pathlib.Path | None, typer.Option(help="Also write the scene file, to start from.")] = None,
     traceback: _Traceback = False,
 ) -> None:
-    """An oblique camera over real terrain: a table of fixes and a picture."""
+    """An oblique camera over real terrain: a table of fixes and a picture.
+
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there is the table only, and the exit code is 1.
+    """
     with _mistakes_told(traceback):
         _demo(output, write_scene)
 
@@ -105,7 +120,7 @@ def _locate(
     shots_path: pathlib.Path | None,
     vertical_datum: str | None,
     output_format: Format,
-    output: pathlib.Path | None,
+    stream: Any,
 ) -> None:
     if bool(pixels) == (shots_path is not None):
         raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
@@ -121,15 +136,19 @@ def _locate(
         else _work_of_shots(scene, scene_path, shots_path)
     )
     terrain = read_dem([str(path) for path in dem_paths], vertical_datum=_datum(vertical_datum))
-    with _destination(output) as stream:
-        rows = _located_rows(scene.sensor, *work, terrain)
-        if output_format is Format.table:
-            rows = list(rows)
-            Console(file=stream, width=None if stream.isatty() else 160).print(fix_table(rows))
-        else:
-            from jaxgeo.io.tables import write_csv, write_geojson
+    _write_rows(_located_rows(scene.sensor, *work, terrain), scene.sensor.gimbal.names, output_format, stream)
 
-            (write_csv if output_format is Format.csv else write_geojson)(rows, stream)
+
+def _write_rows(rows: Iterator[dict[str, Any]], readings: tuple[str, ...], output_format: Format, stream: Any) -> None:
+    from jaxgeo.io.tables import number_columns, write_csv, write_geojson
+
+    if output_format is Format.csv:
+        write_csv(rows, stream)
+    elif output_format is Format.geojson:
+        write_geojson(rows, stream, number_columns(readings))
+    else:
+        table = fix_table(list(rows))
+        Console(file=stream, width=None if stream.isatty() else 160).print(table)
 
 
 def _work_of_pixels(scene: Any, path: pathlib.Path, pixels: list[str]) -> tuple[Any, Any, list[dict[str, Any]]]:
@@ -165,7 +184,10 @@ def _work_of_shots(scene: Any, path: pathlib.Path, shots_path: pathlib.Path) -> 
             f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
         )
     table = read_shots(shots_path, scene.sensor.gimbal.names)
-    return (*table.as_records(scene.sensor.gimbal.names, scene.height_datum), table.rows)
+    try:
+        return (*table.as_records(scene.sensor.gimbal.names, scene.height_datum), table.rows)
+    except ValueError as error:  # the datum's grid does not reach a shot
+        raise SceneError(f"{path}, with the heights of {shots_path}: {error}") from error
 
 
 def _located_rows(
@@ -231,7 +253,16 @@ def _chosen_format(asked: Format | None, output: pathlib.Path | None, shots: pat
     by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
     if output is not None and output.suffix.lower() in by_name:
         return by_name[output.suffix.lower()]
-    return Format.table if shots is None else Format.csv
+    if output is None or _is_device(output):
+        return Format.table if shots is None else Format.csv
+    raise UserError(
+        f"--output {output}: {_name_says(output)}. Give a name that ends in {', '.join(by_name)}, "
+        f"or say --format table, csv or geojson."
+    )
+
+
+def _name_says(output: pathlib.Path) -> str:
+    return f"the ending {output.suffix} is not one that is known" if output.suffix else "the name has no ending"
 
 
 def _datum(text: str | None) -> str | float | None:
@@ -243,18 +274,62 @@ def _datum(text: str | None) -> str | float | None:
 
 
 @contextlib.contextmanager
-def _destination(output: pathlib.Path | None) -> Iterator[Any]:
-    """The screen, or a file that appears only when all of it is written."""
+def _destination(option: str, output: pathlib.Path | None, *, binary: bool = False) -> Iterator[Any]:
+    """The screen, a device, or a file that appears only when all of it is written.
+
+    It is opened before the work, so that a place that cannot be written to is told at once. Raises `UserError`.
+    """
     if output is None:
         yield sys.stdout
-        return
-    partial = output.with_name(f".{output.name}.partial")
-    try:
-        with open(partial, "w", newline="", encoding="utf-8") as stream:
+    elif _is_device(output):
+        with _opened(option, output, output, binary) as stream:
             yield stream
-        partial.replace(output)
-    finally:
-        partial.unlink(missing_ok=True)
+    else:
+        _check_place(option, output)
+        target = output.resolve()  # a link stays a link
+        partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
+        stream = _opened(option, output, partial, binary)
+        try:
+            with stream:
+                yield stream
+            if target.exists():
+                shutil.copymode(target, partial)
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def _is_device(output: pathlib.Path) -> bool:
+    """Whether a path is a pipe, a terminal, /dev/null or /dev/stdout: no file that another may take the place of."""
+    of_the_system = os.path.islink(output) and output.absolute().is_relative_to("/dev")
+    of_a_process = output.absolute().is_relative_to("/proc")
+    is_file_or_folder = os.path.isfile(output) or os.path.isdir(output)
+    return of_the_system or of_a_process or (os.path.exists(output) and not is_file_or_folder)
+
+
+def _check_place(option: str, output: pathlib.Path) -> None:
+    with _failure_told(option, output), contextlib.suppress(FileNotFoundError):
+        output.stat()
+    if output.is_dir():
+        raise UserError(f"{option} {output}: this is a folder; give the name of a file in it.")
+    folder = output.resolve().parent
+    if not folder.is_dir():
+        raise UserError(f"{option} {output}: there is no folder {output.parent}; make it first, or name another.")
+    if not os.access(output if output.exists() else folder, os.W_OK):
+        raise UserError(f"{option} {output}: it may not be written; name another file, or change its permissions.")
+
+
+def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
+    with _failure_told(option, output):
+        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _failure_told(option: str, output: pathlib.Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"{option} {output}: it cannot be written: {error.strerror}; name another file.") from error
 
 
 def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
@@ -296,14 +371,37 @@ def _plain(value: Any) -> Any:
 
 
 def _demo(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
+    with _destination("--output", output, binary=True) as stream:
+        picture_format = _picture_format(output)
+        if write_scene is not None:
+            _write_demo_scene(write_scene)
+        _show_demo(stream, picture_format)
+    Console().print(f"picture: {output}", highlight=False, soft_wrap=True)
+
+
+def _picture_format(output: pathlib.Path) -> str:
+    if output.suffix.lower() in PICTURES:
+        return output.suffix.lower().removeprefix(".")
+    if _is_device(output):
+        return "png"
+    raise UserError(f"--output {output}: {_name_says(output)}. Give a name that ends in {', '.join(PICTURES)}.")
+
+
+def _write_demo_scene(path: pathlib.Path) -> None:
+    from jaxgeo import demo
+
+    with _destination("--write-scene", path) as stream:
+        stream.write(demo.scene_file().read_text(encoding="utf-8"))
+
+
+def _show_demo(stream: Any, picture_format: str) -> None:
+    """The table on the screen, the picture into a stream; without matplotlib a message and exit code 1."""
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
     enable_x64()
-    if write_scene is not None:
-        shutil.copyfile(demo.scene_file(), write_scene)
     console = Console()
     with console.status("compiling and locating ..."):
         made = demo.make_demo()
@@ -315,10 +413,10 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
         {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
     )
     try:
-        demo.draw(made, output)
+        demo.draw(made, stream, picture_format)
     except ImportError as error:
-        raise UserError(f"no picture: {error}") from error
-    console.print(f"picture: {output}", highlight=False, soft_wrap=True)
+        _tell(f"there is no picture, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        raise typer.Exit(1) from None
 
 
 if __name__ == "__main__":

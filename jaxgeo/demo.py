@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.resources
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, BinaryIO
 
 import equinox as eqx
 import jax
@@ -186,8 +186,11 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
 # ------------------------------------------------------------------------------------------------------ the picture
 
 
-def draw(demo: Demo, path: pathlib.Path | str) -> None:
-    """Map, what the camera sees, and the section under its optical axis, in one PNG. Needs matplotlib."""
+def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
+    """Map, what the camera sees, and the section under its optical axis, in one picture. Needs matplotlib.
+
+    `picture_format` is one of matplotlib's, such as "png"; left out, it is taken from the name of the file.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -201,7 +204,7 @@ def draw(demo: Demo, path: pathlib.Path | str) -> None:
         _draw_map(demo, figure.add_subplot(grid[:, 0]))
         _draw_view(demo, figure.add_subplot(grid[0, 1]))
         _draw_section(demo, figure.add_subplot(grid[1, 1]))
-        figure.savefig(path, dpi=110)
+        figure.savefig(target, dpi=110, format=picture_format)
 
 
 def _draw_map(demo: Demo, ax: Any) -> None:

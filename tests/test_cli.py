@@ -5,13 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import pathlib
+import sys
+import threading
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from jaxgeo.cli import app
+from jaxgeo.cli import _destination, app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import undulation
 from jaxgeo.io.tables import FIX_COLUMNS
@@ -91,6 +94,37 @@ def test_geojson_keeps_what_has_no_place(shots_file, tmp_path: pathlib.Path) -> 
     assert [feature["geometry"] is None for feature in features] == [False, True, True, True, True]
 
 
+@pytest.mark.parametrize("pixel", ["inf,1", "nan,1", "-inf,nan", "1e400,1"])
+def test_geojson_of_a_pixel_that_is_no_number(pixel: str) -> None:
+    arguments = [f"--pixel={pixel}", "--pixel", "1199.5,2399.5", "--format", "geojson"]
+    result = run("locate", "--scene", scene_file(), "--dem", DEM, *arguments)
+    assert result.exit_code == 0, result.stderr
+    wrong, right = json.loads(result.stdout)["features"]
+    assert wrong["geometry"] is None
+    assert wrong["properties"]["u"] is None
+    assert wrong["properties"]["status"] == "invalid_input"
+    assert right["properties"]["status"] == "hit"
+
+
+def test_only_the_readings_of_the_gimbal_are_numbers(shots_file) -> None:
+    extra = {"gimbal_note": "fine day", "gimbal_yaw_deg": "n/a", "gimbal_serial": "007"}
+    lines = all_rows().splitlines()
+    text = "\n".join([",".join([lines[0], *extra]), *(",".join([line, *extra.values()]) for line in lines[1:])]) + "\n"
+    path = shots_file(text)
+    result = locate_shots(path, "--format", "geojson")
+    assert result.exit_code == 0, result.stderr
+    for feature in json.loads(result.stdout)["features"]:
+        assert {name: feature["properties"][name] for name in extra} == extra
+        assert feature["properties"]["gimbal_inner_deg"] == 0.0
+    assert next(csv.DictReader(io.StringIO(locate_shots(path).stdout)))["gimbal_serial"] == "007"
+
+
+def test_degrees_have_ten_decimals(shots_file) -> None:
+    row = next(csv.DictReader(io.StringIO(locate_shots(shots_file(all_rows())).stdout)))
+    for name in ("fix_lat_deg", "fix_lon_deg"):
+        assert len(row[name].split(".")[1]) >= 10, "1e-10 deg are 0.01 mm"
+
+
 def test_the_table_on_the_screen_fits_and_says_the_status() -> None:
     result = run("locate", "--scene", scene_file(), "--dem", DEM, "--pixel", "10,10", "--pixel=-10,10")
     assert result.exit_code == 0, result.stderr
@@ -106,12 +140,17 @@ WRONG_TABLES = [
     (all_rows() + "short,1,2\n", ["row 7", "3 cells", "11"]),
     (all_rows().replace("name,", "status,"), ["column status", "rename"]),
     (all_rows().replace("name,", "u,"), ["column u", "twice"]),
+    (all_rows().replace(",", ";"), ["separated by ';'", "use commas"]),
+    (all_rows().replace(".", ",").replace("axis,", "axis;").replace(HEADER, HEADER.replace(",", ";")), ["by ';'"]),
+    (all_rows().replace(",", "\t"), ["separated by tabs", "use commas"]),
+    (all_rows().replace("lat_deg", "Lat_Deg"), ["column lat_deg", "Did you mean lat_deg by 'Lat_Deg'?", "capitals"]),
+    (all_rows().replace("heading_deg", "headin_deg"), ["Did you mean heading_deg by 'headin_deg'?"]),
     (HEADER + "\n", ["no rows"]),
     ("", ["no column", "found none"]),
 ]
 
 
-@pytest.mark.parametrize("text, words", WRONG_TABLES, ids=[" ".join(words[0].split()[:3]) for _, words in WRONG_TABLES])
+@pytest.mark.parametrize("text, words", WRONG_TABLES, ids=[" ".join(words[0].split()[:4]) for _, words in WRONG_TABLES])
 def test_wrong_tables(shots_file, text: str, words: list[str]) -> None:
     assert_refused(locate_shots(shots_file(text)), "shots.csv", *words)
 
@@ -137,6 +176,78 @@ def test_wrong_scene(tmp_path: pathlib.Path) -> None:
 )
 def test_wrong_options(arguments: list[str], words: list[str]) -> None:
     assert_refused(run("locate", "--scene", scene_file(), *arguments), *words)
+
+
+@pytest.mark.parametrize("option, words", [("--scene", "the scene file in it"), ("--shots", "the CSV file in it")])
+def test_a_folder_is_no_input(tmp_path: pathlib.Path, option: str, words: str) -> None:
+    files = {"--scene": scene_file(), "--shots": tmp_path / "shots.csv"} | {option: tmp_path}
+    arguments = [part for pair in files.items() for part in pair]
+    assert_refused(run("locate", "--dem", DEM, *arguments), str(tmp_path), "this is a folder", words)
+
+
+WRONG_PLACES = [
+    ("folder", "this is a folder"),
+    (".", "this is a folder"),
+    ("nowhere/x.csv", "there is no folder nowhere"),
+    ("nowhere/x.png", "there is no folder nowhere"),
+    ("fixes.gpkg", "the ending .gpkg is not one that is known"),
+    ("fixes.txt", "the ending .txt is not one that is known"),
+    ("fixes", "the name has no ending"),
+    ("x" * 300 + ".csv", "it cannot be written: File name too long"),
+]
+
+
+@pytest.mark.parametrize("command", ["locate", "demo"])
+@pytest.mark.parametrize("output, words", WRONG_PLACES, ids=[output[:20] for output, _ in WRONG_PLACES])
+def test_a_wrong_place_is_told_before_the_work(tmp_path, monkeypatch, command: str, output: str, words: str) -> None:
+    def work(*_):
+        raise AssertionError("the work has begun")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jaxgeo.cli._locate", work)
+    monkeypatch.setattr("jaxgeo.demo.make_demo", work)
+    (tmp_path / "folder").mkdir()
+    arguments = ["--scene", scene_file(), "--dem", DEM, "--pixel", "1,2"] if command == "locate" else []
+    assert_refused(run(command, *arguments, "--output", output), "--output", output, words)
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_file_that_may_not_be_written_is_told(tmp_path: pathlib.Path, monkeypatch) -> None:
+    monkeypatch.setattr(os, "access", lambda _, mode: mode != os.W_OK)  # root may write anywhere
+    arguments = ["--scene", scene_file(), "--dem", DEM, "--pixel", "1,2", "--output", tmp_path / "x.csv"]
+    assert_refused(run("locate", *arguments), "x.csv", "may not be written")
+
+
+def test_demo_does_not_write_a_scene_onto_a_folder(tmp_path: pathlib.Path) -> None:
+    result = run("demo", "--output", tmp_path / "x.png", "--write-scene", tmp_path)
+    assert_refused(result, "--write-scene", "this is a folder")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_stays_a_pipe(tmp_path: pathlib.Path) -> None:
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    read: list[str] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()), daemon=True)
+    reader.start()
+    result = run("locate", "--scene", scene_file(), "--dem", DEM, "--pixel", "1,2", "--output", pipe)
+    reader.join(timeout=10.0)
+    assert result.exit_code == 0, result.stderr
+    assert pipe.is_fifo()
+    assert read[0].startswith("u,v,fix_lat_deg")
+
+
+def test_a_link_stays_a_link(tmp_path: pathlib.Path) -> None:
+    target, link = tmp_path / "target.csv", tmp_path / "link.csv"
+    target.write_text("old")
+    link.symlink_to(target)
+    with _destination("--output", link) as stream:
+        stream.write("new")
+        stream.flush()
+        assert target.read_text() == "old"
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert sorted(tmp_path.iterdir()) == [link, target]
 
 
 def assert_refused(result, *words: str) -> None:
@@ -165,3 +276,22 @@ def test_demo_shows_a_table_and_a_picture(tmp_path: pathlib.Path) -> None:
     assert pixels.shape[0] > 800
     assert pixels.shape[1] > 1400
     assert float(np.std(pixels[..., :3])) > 0.1
+
+
+def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Path, monkeypatch) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    result = run("demo", "--output", tmp_path / "demo.png")
+    assert result.exit_code == 1, "the table is there, the picture is not"
+    assert result.stdout.count("hit") == 20
+    assert "picture:" not in result.stdout
+    assert "pip install 'jaxgeo[plot]'" in result.stderr
+    assert "Traceback" not in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_says_what_demo_does_without_matplotlib() -> None:
+    text = " ".join(run("demo", "--help").stdout.split())
+    assert "jaxgeo[plot]" in text
+    assert "exit code is 1" in text

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -132,3 +135,12 @@ def test_everything_together_draws(ax) -> None:
     plot.scale_bar(ax)
     ax.figure.canvas.draw()
     assert float(np.asarray(ax.figure.canvas.buffer_rgba())[..., :3].std()) > 10.0
+
+
+def test_without_matplotlib_the_import_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.delitem(sys.modules, "jaxgeo.plot")
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxgeo\[plot\]'"):
+        importlib.import_module("jaxgeo.plot")

@@ -5,6 +5,7 @@ The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import pathlib
@@ -22,7 +23,8 @@ from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
 
@@ -36,7 +38,7 @@ class SceneError(ValueError):
 class Scene(eqx.Module):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
-    `height_datum` is what the file says the heights of its pose, or of a table of shots, are measured from.
+    `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from.
     """
 
     sensor: Sensor
@@ -52,13 +54,16 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
     64-bit floats off.
     """
     require_x64()
-    table = _read_table(pathlib.Path(path))
+    content, table = _read_table(pathlib.Path(path))
     try:
+        for name, part in (("pose", table.pose), ("shots", table.shots)):
+            if part is not None:
+                _check_datum(name, part.height_datum, content[name]["height_datum"])
         sensor = Sensor(_camera(table.camera), _gimbal(table.gimbal), _mount(table.mount, table.gimbal.kind))
         shot = None if table.pose is None else _shot(table.pose, table.gimbal, sensor.gimbal)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from error
-    stated = table.pose or table.shots
+    stated = table.shots or table.pose
     return Scene(sensor, shot, stated.height_datum if stated else None, table.title)
 
 
@@ -70,17 +75,39 @@ def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
     return scene.sensor, scene.shot
 
 
-def _read_table(path: pathlib.Path) -> SceneTable:
+def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
+    """(what the file holds as written, the same checked); a byte order mark is skipped."""
     try:
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such scene file.") from None
+    except IsADirectoryError:
+        raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
+    except OSError as error:
+        raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
     try:
-        return SceneTable.model_validate(content)
+        return content, SceneTable.model_validate(content)
     except ValidationError as error:
         raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+
+
+def _check_datum(table: str, datum: str | float, written: Any) -> None:
+    """Raises `ValueError` with the key and its value as written for a vertical datum that cannot be used."""
+    shown = f"[{table}] height_datum = {json.dumps(written, ensure_ascii=False)}"
+    if isinstance(datum, float) and abs(datum) > LARGEST_UNDULATION:
+        raise ValueError(
+            f"{shown} would be an undulation in m, but the geoid stays within {LARGEST_UNDULATION:g} m of the "
+            f'ellipsoid; a vertical datum is written "EPSG:5773", a text.'
+        )
+    try:
+        height_shift(datum)
+    except VerticalDatumError as error:
+        reason = str(error).replace("as vertical_datum", "as height_datum")  # vertical_datum is an option of `read_dem`
+        if reason.startswith(f"vertical_datum={datum!r}"):
+            raise ValueError(shown + reason.removeprefix(f"vertical_datum={datum!r}")) from error
+        raise ValueError(f"{shown}: {reason.removeprefix('vertical_datum: ')}") from error
 
 
 def _camera(table: CameraTable) -> FrameCamera:
@@ -136,7 +163,10 @@ def _shot(table: PoseTable, readings: GimbalTable, gimbal: Gimbal) -> Shot:
 
 
 def _pose(table: PoseTable) -> Pose:
-    height = ellipsoidal_heights([table.lon_deg], [table.lat_deg], [table.height_m], table.height_datum)[0]
+    try:
+        height = ellipsoidal_heights([table.lon_deg], [table.lat_deg], [table.height_m], table.height_datum)[0]
+    except ValueError as error:
+        raise ValueError(f"[pose] {error}") from error
     position = Geodetic.from_degrees(lat=table.lat_deg, lon=table.lon_deg, height=height)
     if table.map_crs is None:
         return Pose(position, *_radians(table.heading_deg, table.pitch_deg, table.roll_deg))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import difflib
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -29,10 +30,10 @@ POSE_COLUMNS = {
 }
 PIXEL_COLUMNS = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7, "pixels")}
 
-# Column of a fix: decimals that are written. Nine of a degree are a tenth of a millimetre.
+# Column of a fix: decimals that are written. Ten of a degree are a hundredth of a millimetre.
 FIX_COLUMNS = {
-    "fix_lat_deg": 9,
-    "fix_lon_deg": 9,
+    "fix_lat_deg": 10,
+    "fix_lon_deg": 10,
     "fix_height_m": 4,
     "fix_height_msl_m": 4,
     "slant_range_m": 4,
@@ -41,6 +42,8 @@ FIX_COLUMNS = {
     "slope_deg": 6,
     "status": None,
 }
+
+SEPARATORS = {";": "';'", "\t": "tabs", "|": "'|'"}  # that other programs write, and their names in a message
 
 Row = dict[str, Any]
 
@@ -69,14 +72,22 @@ class ShotTable:
         return Shot(pose, angles.T, np.zeros(len(self))), np.stack([n["u"], n["v"]], axis=-1)
 
 
+def number_columns(readings: Iterable[str]) -> dict[str, tuple[float, float, str]]:
+    """(lowest value, highest value, unit) of every column that a table of shots must have.
+
+    `readings` are the gimbal's names; their columns are `gimbal_<name>_deg`.
+    """
+    return POSE_COLUMNS | {f"gimbal_{name}_deg": (-360.0, 360.0, "deg") for name in readings} | PIXEL_COLUMNS
+
+
 def read_shots(path: str | os.PathLike[str], readings: Sequence[str]) -> ShotTable:
     """One shot and pixel for each row of a CSV file; `readings` are the gimbal's names (columns `gimbal_<name>_deg`).
 
     Other columns are carried through. A number written as `nan` is taken as unknown: its fix is `invalid_input`.
     Raises `TableError` for a missing or doubled column, a row of another length, and a cell that is no number or out of
-    range; `FileNotFoundError`.
+    range, another separator than the comma, and a file that cannot be opened; `FileNotFoundError`.
     """
-    wanted = POSE_COLUMNS | {f"gimbal_{name}_deg": (-360.0, 360.0, "deg") for name in readings} | PIXEL_COLUMNS
+    wanted = number_columns(readings)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file, strict=True)
@@ -85,6 +96,10 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str]) -> ShotTab
             cells = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such table of shots.") from None
+    except IsADirectoryError:
+        raise TableError(f"{path}: this is a folder; give the CSV file in it.") from None
+    except OSError as error:
+        raise TableError(f"{path}: the table of shots cannot be read: {error.strerror}.") from error
     except (csv.Error, UnicodeDecodeError) as error:
         raise TableError(f"{path}: not a CSV file in UTF-8: {error}.") from error
     if not cells:
@@ -102,13 +117,31 @@ def _check_header(path: str | os.PathLike[str], header: list[str], wanted: Mappi
         raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")
     missing = [name for name in wanted if name not in header]
     if missing:
+        _check_separator(path, header, wanted)
         raise TableError(
-            f"{path}: no column {', '.join(missing)}. The columns needed are {', '.join(wanted)}; "
-            f"found {', '.join(header) or 'none'}."
+            f"{path}: no column {', '.join(missing)}.{_near_names(missing, header, wanted)} "
+            f"The columns needed are {', '.join(wanted)}; found {', '.join(header) or 'none'}."
         )
     taken = [name for name in FIX_COLUMNS if name in header]
     if taken:
         raise TableError(f"{path}: column {taken[0]} is one that the answer writes; rename it.")
+
+
+def _check_separator(path: str | os.PathLike[str], header: list[str], wanted: Mapping[str, Any]) -> None:
+    for separator, shown in SEPARATORS.items():
+        names = {name.strip(" \"'").lower() for name in ",".join(header).split(separator)}
+        if len(names & set(wanted)) > 1:
+            raise TableError(
+                f"{path}: the columns are separated by {shown}; use commas between columns, and points in decimals."
+            )
+
+
+def _near_names(missing: list[str], header: list[str], wanted: Mapping[str, Any]) -> str:
+    """A question for each missing column that another one, which nobody asks for, may stand for."""
+    spare = {name.lower(): name for name in header if name not in wanted}
+    found = {name: difflib.get_close_matches(name, spare, n=1, cutoff=0.8) for name in missing}
+    pairs = [f"{name} by {spare[near[0]]!r}" for name, near in found.items() if near]
+    return f" Did you mean {', '.join(pairs)}? Rename the column; capitals matter." if pairs else ""
 
 
 def _numbers(
@@ -170,24 +203,24 @@ def _text(value: Any, places: int | None) -> Any:
     return value if places is None else f"{value:.{places}f}"
 
 
-def write_geojson(rows: Iterable[Row], stream: TextIO) -> None:
+def write_geojson(rows: Iterable[Row], stream: TextIO, numbers: Collection[str] = ()) -> None:
     """Rows as GeoJSON points [lon, lat, ellipsoidal height], everything else as properties.
 
-    A fix without coordinates is a feature whose geometry is null, so that none is lost.
+    A fix without coordinates is a feature whose geometry is null, so that none is lost. Columns named in `numbers` are
+    written as numbers where rows hold their text. NaN and infinities, which JSON does not have, are null.
     """
     stream.write('{"type": "FeatureCollection", "features": [')
     for i, row in enumerate(rows):
-        lon, lat, height = row["fix_lon_deg"], row["fix_lat_deg"], row["fix_height_m"]
-        geometry = None if lat is None else {"type": "Point", "coordinates": [lon, lat, height]}
-        properties = {name: _typed(name, value) for name, value in row.items()}
+        properties = {name: _typed(value, name in numbers) for name, value in row.items()}
+        place = [properties[name] for name in ("fix_lon_deg", "fix_lat_deg", "fix_height_m")]
+        geometry = None if None in place else {"type": "Point", "coordinates": place}
         feature = {"type": "Feature", "geometry": geometry, "properties": properties}
         stream.write(("," if i else "") + "\n" + json.dumps(feature, allow_nan=False))
     stream.write("\n]}\n")
 
 
-def _typed(name: str, value: Any) -> Any:
-    """The text of a cell as the number it stands for, in the columns that hold numbers."""
-    if not isinstance(value, str) or not (name in POSE_COLUMNS or name in PIXEL_COLUMNS or name.startswith("gimbal_")):
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else None
+def _typed(value: Any, is_number: bool) -> Any:
+    """A value for JSON: the text of a number as that number, and None for a number that is not finite."""
+    if is_number and isinstance(value, str):
+        value = float(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

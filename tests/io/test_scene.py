@@ -11,6 +11,7 @@ import pytest
 
 from jaxgeo.io import undulation
 from jaxgeo.io.scene import SceneError, load_scene, read_scene
+from jaxgeo.sensor import BrownConrady, FrameCamera
 
 GOOD = """
 title = "a test"
@@ -56,6 +57,7 @@ def scene_file(tmp_path: pathlib.Path):
 
 def test_records_are_in_radians_and_metres(scene_file) -> None:
     sensor, shot = load_scene(scene_file(GOOD))
+    assert isinstance(sensor.camera, FrameCamera)
     np.testing.assert_allclose(sensor.camera.focal_px, [10_000.0, 10_000.0], rtol=1e-14)
     np.testing.assert_allclose(sensor.camera.principal_px, [199.5, 149.5], rtol=1e-14)
     np.testing.assert_allclose(shot.gimbal_readings, np.deg2rad([60.0, -1.0]), rtol=1e-15)
@@ -121,6 +123,8 @@ def test_pixel_terms_and_distortion(scene_file) -> None:
     metric = "focal_length_mm = 50.0\npixel_pitch_um = 5.0"
     pixels = "focal_px = 9000.0\nprincipal_px = [190.0, 140.0]\n[camera.distortion]\nk1 = -0.1\np2 = 0.001"
     sensor, _ = load_scene(scene_file(GOOD, (metric, pixels)))
+    assert isinstance(sensor.camera, FrameCamera)
+    assert isinstance(sensor.camera.distortion, BrownConrady)
     np.testing.assert_allclose(sensor.camera.focal_px, [9000.0, 9000.0])
     np.testing.assert_allclose(sensor.camera.principal_px, [190.0, 140.0])
     assert float(sensor.camera.distortion.k1) == -0.1
@@ -149,7 +153,15 @@ MISTAKES = [
     ("inner_deg = -1.0", "yaw_deg = 1.0", ["[gimbal]", "outer_deg, inner_deg (deg)", "yaw_deg"]),
     ("outer_deg = 60.0\ninner_deg = -1.0", "", ["[gimbal]", "outer_deg, inner_deg (deg)"]),
     ('height_datum = "ellipsoid"', "", ["[pose] height_datum is missing", "EPSG:5773", "undulation in m"]),
-    ('height_datum = "ellipsoid"', 'height_datum = "sea"', ["sea", "EPSG:5773"]),
+    (
+        'height_datum = "ellipsoid"',
+        'height_datum = "sea"',
+        ['[pose] height_datum = "sea" is unknown to PROJ', "EPSG:5773"],
+    ),
+    ('height_datum = "ellipsoid"', "height_datum = 5773", ["[pose] height_datum = 5773 would", '"EPSG:5773"']),
+    ('height_datum = "ellipsoid"', 'height_datum = "no.gtx"', ['[pose] height_datum = "no.gtx": the geoid grid']),
+    ('height_datum = "ellipsoid"', 'height_datum = "EPSG:4326"', ['[pose] height_datum = "EPSG:4326" (WGS 84) says']),
+    ('height_datum = "ellipsoid"', "height_datum = true", ["[pose] height_datum = True", "a vertical datum"]),
     ("roll_deg = -3.0", "omega_deg = -3.0", ["[pose]", "heading_deg, pitch_deg and roll_deg", "map_crs"]),
     ("pixel_pitch_um = 5.0", "", ["[camera]", "pixel_pitch_um (um)", "focal_px (pixels)"]),
     ("pixel_pitch_um = 5.0", "pixel_pitch_um = 5.0\nfocal_px = 1.0", ["[camera]", "not both"]),
@@ -187,3 +199,20 @@ def test_a_scene_without_pose_is_for_tables(scene_file) -> None:
 def test_a_missing_file_is_named(tmp_path: pathlib.Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere\.toml"):
         read_scene(tmp_path / "nowhere.toml")
+
+
+def test_the_datum_of_a_table_of_shots_is_checked_and_goes_before_that_of_the_pose(scene_file) -> None:
+    with pytest.raises(SceneError, match=r'scene\.toml: \[shots\] height_datum = "sea" is unknown to PROJ'):
+        read_scene(scene_file(GOOD + '[shots]\nheight_datum = "sea"\n'))
+    assert read_scene(scene_file(GOOD + "[shots]\nheight_datum = 31.25\n")).height_datum == 31.25
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(GOOD, encoding="utf-8-sig")
+    assert read_scene(path).title == "a test"
+
+
+def test_a_folder_is_no_scene(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(SceneError, match="this is a folder"):
+        read_scene(tmp_path)

@@ -155,8 +155,12 @@ def test_a_batch_is_its_rays_one_by_one():
         np.testing.assert_array_equal(alone.ecef[0], together.ecef[k])
 
 
-@pytest.mark.parametrize("search", [FirstHit(), Bisection()], ids=["first hit", "bisection"])
-def test_the_point_found_lies_on_the_ray_and_on_the_surface(search):
+SEARCHES = {"first hit": FirstHit(), "bisection": Bisection()}
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_the_point_found_lies_on_the_ray_and_on_the_surface(name):
+    search = SEARCHES[name]
     dem = small_dem(rough(5))
     rays = [local_ray(-60.0, -80.0, 400.0, azimuth=a, elevation=-55.0) for a in range(0, 80, 10)]
     fix = hit(rays, dem, search)
