@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import pathlib
-import secrets
-import shutil
-import sys
 from collections.abc import Iterator
 from enum import StrEnum
 from typing import Annotated, Any
@@ -18,6 +14,8 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from jaxgeo.io.destination import destination, is_device
 
 app = typer.Typer(
     help="Where is what this pixel sees? Geolocation of aerial images on real terrain.",
@@ -89,7 +87,7 @@ def locate_command(
     traceback: _Traceback = False,
 ) -> None:
     """The ground points that pixels see, one row for each pixel, whatever became of it."""
-    with _mistakes_told(traceback), _destination("--output", output) as stream:
+    with _mistakes_told(traceback), destination("--output", output) as stream:
         chosen = _chosen_format(output_format, output, shots)
         _locate(scene, dem, pixel or [], shots, vertical_datum, chosen, stream)
 
@@ -253,7 +251,7 @@ def _chosen_format(asked: Format | None, output: pathlib.Path | None, shots: pat
     by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
     if output is not None and output.suffix.lower() in by_name:
         return by_name[output.suffix.lower()]
-    if output is None or _is_device(output):
+    if output is None or is_device(output):
         return Format.table if shots is None else Format.csv
     raise UserError(
         f"--output {output}: {_name_says(output)}. Give a name that ends in {', '.join(by_name)}, "
@@ -271,65 +269,6 @@ def _datum(text: str | None) -> str | float | None:
         return None if text is None else float(text) if not text.isdigit() else int(text)
     except ValueError:
         return text
-
-
-@contextlib.contextmanager
-def _destination(option: str, output: pathlib.Path | None, *, binary: bool = False) -> Iterator[Any]:
-    """The screen, a device, or a file that appears only when all of it is written.
-
-    It is opened before the work, so that a place that cannot be written to is told at once. Raises `UserError`.
-    """
-    if output is None:
-        yield sys.stdout
-    elif _is_device(output):
-        with _opened(option, output, output, binary) as stream:
-            yield stream
-    else:
-        _check_place(option, output)
-        target = output.resolve()  # a link stays a link
-        partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
-        stream = _opened(option, output, partial, binary)
-        try:
-            with stream:
-                yield stream
-            if target.exists():
-                shutil.copymode(target, partial)
-            partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
-
-
-def _is_device(output: pathlib.Path) -> bool:
-    """Whether a path is a pipe, a terminal, /dev/null or /dev/stdout: no file that another may take the place of."""
-    of_the_system = os.path.islink(output) and output.absolute().is_relative_to("/dev")
-    of_a_process = output.absolute().is_relative_to("/proc")
-    is_file_or_folder = os.path.isfile(output) or os.path.isdir(output)
-    return of_the_system or of_a_process or (os.path.exists(output) and not is_file_or_folder)
-
-
-def _check_place(option: str, output: pathlib.Path) -> None:
-    with _failure_told(option, output), contextlib.suppress(FileNotFoundError):
-        output.stat()
-    if output.is_dir():
-        raise UserError(f"{option} {output}: this is a folder; give the name of a file in it.")
-    folder = output.resolve().parent
-    if not folder.is_dir():
-        raise UserError(f"{option} {output}: there is no folder {output.parent}; make it first, or name another.")
-    if not os.access(output if output.exists() else folder, os.W_OK):
-        raise UserError(f"{option} {output}: it may not be written; name another file, or change its permissions.")
-
-
-def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
-    with _failure_told(option, output):
-        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
-
-
-@contextlib.contextmanager
-def _failure_told(option: str, output: pathlib.Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise UserError(f"{option} {output}: it cannot be written: {error.strerror}; name another file.") from error
 
 
 def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
@@ -371,7 +310,7 @@ def _plain(value: Any) -> Any:
 
 
 def _demo(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
-    with _destination("--output", output, binary=True) as stream:
+    with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
         if write_scene is not None:
             _write_demo_scene(write_scene)
@@ -382,7 +321,7 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
 def _picture_format(output: pathlib.Path) -> str:
     if output.suffix.lower() in PICTURES:
         return output.suffix.lower().removeprefix(".")
-    if _is_device(output):
+    if is_device(output):
         return "png"
     raise UserError(f"--output {output}: {_name_says(output)}. Give a name that ends in {', '.join(PICTURES)}.")
 
@@ -390,7 +329,7 @@ def _picture_format(output: pathlib.Path) -> str:
 def _write_demo_scene(path: pathlib.Path) -> None:
     from jaxgeo import demo
 
-    with _destination("--write-scene", path) as stream:
+    with destination("--write-scene", path) as stream:
         stream.write(demo.scene_file().read_text(encoding="utf-8"))
 
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from jaxgeo.cli import _destination, app
+from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import undulation
+from jaxgeo.io.destination import destination
 from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.status import Status
 
@@ -241,7 +242,7 @@ def test_a_link_stays_a_link(tmp_path: pathlib.Path) -> None:
     target, link = tmp_path / "target.csv", tmp_path / "link.csv"
     target.write_text("old")
     link.symlink_to(target)
-    with _destination("--output", link) as stream:
+    with destination("--output", link) as stream:
         stream.write("new")
         stream.flush()
         assert target.read_text() == "old"

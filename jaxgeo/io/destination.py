@@ -1,0 +1,81 @@
+"""Where results go: the screen, a device, or a file that appears only when it is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import secrets
+import shutil
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+
+class DestinationError(ValueError):
+    """Results cannot be written where the caller asked."""
+
+
+@contextlib.contextmanager
+def destination(option: str, output: pathlib.Path | None, *, binary: bool = False) -> Iterator[Any]:
+    """The screen, a device, or a file that appears only when all of it is written.
+
+    It is opened before the work, so that a place that cannot be written to is told at once. Raises `DestinationError`.
+    """
+    if output is None:
+        yield sys.stdout
+    elif is_device(output):
+        with _opened(option, output, output, binary) as stream:
+            yield stream
+    else:
+        _check_place(option, output)
+        target = output.resolve()  # a link stays a link
+        partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
+        stream = _opened(option, output, partial, binary)
+        try:
+            with stream:
+                yield stream
+            if target.exists():
+                shutil.copymode(target, partial)
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def is_device(output: pathlib.Path) -> bool:
+    """Whether a path is a pipe, a terminal, /dev/null or /dev/stdout: no file that another may take the place of."""
+    of_the_system = os.path.islink(output) and output.absolute().is_relative_to("/dev")
+    of_a_process = output.absolute().is_relative_to("/proc")
+    is_file_or_folder = os.path.isfile(output) or os.path.isdir(output)
+    return of_the_system or of_a_process or (os.path.exists(output) and not is_file_or_folder)
+
+
+def _check_place(option: str, output: pathlib.Path) -> None:
+    with _failure_told(option, output), contextlib.suppress(FileNotFoundError):
+        output.stat()
+    if output.is_dir():
+        raise DestinationError(f"{option} {output}: this is a folder; give the name of a file in it.")
+    folder = output.resolve().parent
+    if not folder.is_dir():
+        raise DestinationError(
+            f"{option} {output}: there is no folder {output.parent}; make it first, or name another."
+        )
+    if not os.access(output if output.exists() else folder, os.W_OK):
+        raise DestinationError(
+            f"{option} {output}: it may not be written; name another file, or change its permissions."
+        )
+
+
+def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
+    with _failure_told(option, output):
+        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _failure_told(option: str, output: pathlib.Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DestinationError(
+            f"{option} {output}: it cannot be written: {error.strerror}; name another file."
+        ) from error
