@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from jaxgeo.io.destination import destination, is_device
+from jaxgeo._destination import destination, is_device
 
 app = typer.Typer(
     help="Where is what this pixel sees? Geolocation of aerial images on real terrain.",

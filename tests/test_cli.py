@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from jaxgeo._destination import destination
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import undulation
-from jaxgeo.io.destination import destination
 from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.status import Status
 

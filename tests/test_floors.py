@@ -19,7 +19,7 @@ FLOORS = [
     ["uncertainty"],
     ["adjust"],
     ["coverage", "register"],
-    ["io", "plot", "scale"],
+    ["io", "plot", "scale", "_destination"],
     ["studies", "demo"],
     ["cli", "report", "__main__"],
 ]

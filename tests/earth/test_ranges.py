@@ -49,8 +49,8 @@ def test_both_ends_lie_on_the_surface(name, low, high):
         lat, off, azimuth, np.full(N, 15e3), heights
     )
     assert np.all(meets)
-    np.testing.assert_allclose(error_near, 0, atol=1e-8)  # m
-    np.testing.assert_allclose(error_far, 0, atol=1e-8)
+    np.testing.assert_allclose(error_near, 0, rtol=0, atol=1e-8)  # m
+    np.testing.assert_allclose(error_far, 0, rtol=0, atol=1e-8)
     assert np.all(np.asarray(slope_near) < 0)
     assert np.all(np.asarray(slope_far) > 0)
     assert np.all(np.asarray(near) > 0)
@@ -71,8 +71,8 @@ def test_looking_up_the_line_enters_behind_and_leaves_ahead():
     assert np.all(meets)
     assert np.all(np.asarray(near) < 0)
     assert np.all(np.asarray(far) > 0)
-    np.testing.assert_allclose(error_near, 0, atol=1e-8)
-    np.testing.assert_allclose(error_far, 0, atol=1e-8)
+    np.testing.assert_allclose(error_near, 0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(error_far, 0, rtol=0, atol=1e-8)
 
 
 def test_straight_up_from_below_meets_the_surface_overhead():
@@ -107,16 +107,16 @@ def test_tangent_within_metres_is_met_on_both_sides(depth):
     assert np.all(meets)
     np.testing.assert_allclose(-np.asarray(near) / half, 1.0, rtol=0, atol=0.02)
     np.testing.assert_allclose(np.asarray(far) / half, 1.0, rtol=0, atol=0.02)
-    np.testing.assert_allclose(error_near, 0, atol=1e-8)
-    np.testing.assert_allclose(error_far, 0, atol=1e-8)
+    np.testing.assert_allclose(error_near, 0, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(error_far, 0, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("depth", [-1e-6, -1.0, -1e3, -1e5, -3e6])
 def test_a_miss_gives_the_closest_approach(depth):
     near, far, meets, *_ = graze(*sample(86.5, 89.0, seed=4), np.full(N, depth))
     assert not np.any(meets)
-    np.testing.assert_allclose(near, 0, atol=1e-3)  # m of range
-    np.testing.assert_allclose(far, 0, atol=1e-3)
+    np.testing.assert_allclose(near, 0, rtol=0, atol=1e-3)  # m of range
+    np.testing.assert_allclose(far, 0, rtol=0, atol=1e-3)
 
 
 def test_range_to_height_looks_ahead_only():
