@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,24 @@ from jaxgeo._typing import Flag, Scalar
 T = TypeVar("T")
 
 
+def dot(a: Any, b: Any) -> Scalar:
+    """Scalar product of two short vectors, term by term.
+
+    A batch of small `dot_general`s would be neither fused with its neighbours nor the same to the last bit for every
+    batch size.
+    """
+    first, *others = zip(a, b, strict=True)
+    total = first[0] * first[1]
+    for x, y in others:
+        total = total + x * y
+    return total
+
+
+def times(matrix: Any, vector: Any) -> tuple[Scalar, ...]:
+    """Product of a small matrix (rows) and a short vector, component by component (see `dot`)."""
+    return tuple(dot(row, vector) for row in matrix)
+
+
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Square root of max(x, 0); its gradient where x <= 0 is zero, not infinite."""
     positive = x > 0.0
@@ -22,12 +40,17 @@ def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def safe_norm(v: Float[Array, " n"]) -> Scalar:
     """Length of `v`; its gradient at zero is zero, not NaN."""
-    return safe_sqrt(jnp.sum(v**2))
+    return safe_sqrt(dot(v, v))
 
 
 def safe_angle(a: Float[Array, "3"], b: Float[Array, "3"]) -> Scalar:
     """Angle between two vectors in [0, pi] rad, exact for small ones too; its gradient at zero is zero."""
-    return jnp.arctan2(safe_norm(jnp.cross(a, b)), jnp.dot(a, b))
+    return jnp.arctan2(safe_norm(jnp.stack(cross(a, b))), dot(a, b))
+
+
+def cross(a: Any, b: Any) -> tuple[Scalar, Scalar, Scalar]:
+    """Vector product, component by component (see `dot`)."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def value_and_slope(function: Callable[[Scalar], Scalar], x: Scalar) -> tuple[Scalar, Scalar]:

@@ -15,6 +15,11 @@ Flag: TypeAlias = Bool[Array, ""]
 Index: TypeAlias = Int[Array, ""]
 StatusCode: TypeAlias = Int8[Array, ""]
 
+# One item or a whole crowd, for functions that work element by element.
+Numbers: TypeAlias = Float[Array, "..."]
+Flags: TypeAlias = Bool[Array, "..."]
+Indices: TypeAlias = Int[Array, "..."]
+
 # Fields of records: one item, or a batch of them for `vmap`; plain numbers are promoted at the public doors. A static
 # checker cannot follow that promotion (it sees a union with `complex` to the end), so to it they are `Any`.
 if TYPE_CHECKING:
@@ -27,6 +32,8 @@ if TYPE_CHECKING:
     VoidField: TypeAlias = Any
     ExtentField: TypeAlias = Any
     StatusField: TypeAlias = Any
+    FlagField: TypeAlias = Any
+    IndexField: TypeAlias = Any
 else:
     ScalarLike: TypeAlias = Num[ArrayLike, ""]
     ScalarField: TypeAlias = Num[ArrayLike, "..."]
@@ -37,3 +44,5 @@ else:
     VoidField: TypeAlias = Bool[ArrayLike, "... rows cols"]
     ExtentField: TypeAlias = Int[ArrayLike, "... 2"]
     StatusField: TypeAlias = Int8[ArrayLike, "..."]
+    FlagField: TypeAlias = Bool[ArrayLike, "..."]
+    IndexField: TypeAlias = Int[ArrayLike, "..."]

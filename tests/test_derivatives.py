@@ -127,7 +127,7 @@ def test_gradients_reach_exactly_the_four_posts_under_the_hit(forward):
     assert len(touched) == 4
     assert np.ptp(touched, axis=0).tolist() == [1, 1]
     rebuilt = np.asarray(jax.jit(jax.jacrev(lambda posts: hit(x, dem.with_posts(posts))))(dem.posts))
-    np.testing.assert_allclose(rebuilt, J, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rebuilt, J, rtol=0, atol=1e-9)  # other bounds, so the hit may differ by its rounding
     moved = jax.jit(with_posts)
     for row, col in touched:
         step = 0.01 / np.linalg.norm(J[:, row, col])

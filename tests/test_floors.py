@@ -44,7 +44,6 @@ NUMPY_FILES = {
     "status.py": "counts concrete statuses for reports",
     "terrain/dem.py": "builds the record from a file's posts, outside any trace",
     "terrain/pyramid.py": "builds the bounds once, outside any trace",
-    "terrain/track.py": "constants of the interpolation",
 }
 
 

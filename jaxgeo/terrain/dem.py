@@ -13,14 +13,14 @@ from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._numerics import all_finite, finite_or, safe_angle
-from jaxgeo._typing import ExtentField, Flag, Index, PostsField, Scalar, ScalarField, Vector3, VoidField
+from jaxgeo._typing import ExtentField, Flag, FlagField, PostsField, Scalar, ScalarField, Vector3, VoidField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
-from jaxgeo.terrain.patch import bilinear
+from jaxgeo.terrain.patch import Patch
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
 from jaxgeo.terrain.search.base import AbstractSearch
 
@@ -44,6 +44,7 @@ class Dem(AbstractTerrain):
     lowest: ScalarField
     highest: ScalarField
     void_ceiling: ScalarField
+    has_void: FlagField
     pyramid: Pyramid
 
     @classmethod
@@ -78,25 +79,31 @@ class Dem(AbstractTerrain):
         rows, cols = posts.shape if extent is None else xp.asarray(extent)
         inside = (np.arange(posts.shape[0]) < rows)[:, None] & (np.arange(posts.shape[1]) < cols)[None, :]
         known = inside & ~unknown
+        lowest, highest = _extremes(posts, known, xp)
         if is_known_now:
-            _check_posts(posts, known)
-        highest = xp.max(xp.where(known, posts, -np.inf))
-        lowest = xp.min(xp.where(known, posts, np.inf))
+            _check_posts(known, lowest, highest)
         ceiling = highest if void_ceiling is None else xp.asarray(void_ceiling, np.float64)
         ceiling = ceiling if is_known_now else jax.lax.stop_gradient(ceiling)
         if is_known_now and not np.isfinite(ceiling):
             raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {float(ceiling)!r}.")
-        posts = xp.where(known, posts, lowest.astype(posts.dtype))
+        has_void = xp.any(unknown & inside)
+        del inside
+        posts = posts if is_known_now and known.all() else xp.where(known, posts, lowest.astype(posts.dtype))
         frozen = posts if is_known_now else jax.lax.stop_gradient(posts)
+        top = xp.where(has_void, ceiling, highest)
+        pyramid = build_pyramid(frozen, unknown, ceiling=top, lowest=lowest, highest=highest, xp=xp)
+        del unknown
+        void = np.logical_not(known, out=known) if is_known_now else ~known
         return cls(
-            posts=jnp.asarray(posts),
-            void=jnp.asarray(unknown | ~inside),
+            posts=jax.device_put(posts),  # jnp.asarray would copy twice
+            void=jax.device_put(void),
             grid=grid,
             extent=jnp.stack([jnp.asarray(rows, jnp.int32), jnp.asarray(cols, jnp.int32)]),
             lowest=jax.lax.stop_gradient(jnp.asarray(lowest, jnp.float64)),
             highest=jax.lax.stop_gradient(jnp.asarray(highest, jnp.float64)),
             void_ceiling=jax.lax.stop_gradient(jnp.asarray(ceiling, jnp.float64)),
-            pyramid=build_pyramid(_cell_tops(frozen, unknown, ceiling, xp), xp),
+            has_void=jnp.asarray(has_void),
+            pyramid=pyramid,
         )
 
     def with_posts(self, posts: ArrayLike) -> Dem:
@@ -111,14 +118,13 @@ class Dem(AbstractTerrain):
     @property
     def ceiling(self) -> Scalar:
         """Height in m above which there is nothing, known or unknown."""
-        has_void = jnp.any(self.void)
-        return jnp.where(has_void, jnp.maximum(self.highest, self.void_ceiling), jnp.asarray(self.highest))
+        return jnp.where(self.has_void, jnp.maximum(self.highest, self.void_ceiling), jnp.asarray(self.highest))
 
     @property
     def floor(self) -> Scalar:
         """Height in m below which no answer can lie: of the lowest post, or of a lower void ceiling."""
         lowest = jnp.asarray(self.lowest)
-        return jnp.where(jnp.any(self.void), jnp.minimum(lowest, self.void_ceiling), lowest)
+        return jnp.where(self.has_void, jnp.minimum(lowest, self.void_ceiling), lowest)
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
         return search.bracket(*jax.lax.stop_gradient((ray, self)))
@@ -160,23 +166,27 @@ class Dem(AbstractTerrain):
         normal, height = WGS84.normal_and_height(p_ecef)
         return self.grid.rowcol(normal), height
 
-    def patch(self, cell: Int[Array, "2"]) -> tuple[Float[Array, "2 2"], Flag]:
-        """The four posts of a cell in m, [row, col], and whether it is void: it then is flat at the void ceiling."""
-        cell = jnp.clip(cell, 0, jnp.asarray(jnp.shape(self.posts), jnp.int32) - 2)
-        rows = cell[0] + jnp.array([[0, 0], [1, 1]])
-        cols = cell[1] + jnp.array([[0, 1], [0, 1]])
-        posts = jnp.asarray(self.posts)[rows, cols].astype(jnp.float64)
-        is_void = jnp.any(jnp.asarray(self.void)[rows, cols]) | ~jnp.all(jnp.isfinite(posts))
-        return jnp.where(is_void, self.void_ceiling, posts), is_void
+    def patch(self, cell: Int[Array, "2"]) -> tuple[Patch, Flag]:
+        """The surface of a cell, given by its first post, and whether it is void: it then is flat at its ceiling."""
+        rows, cols = jnp.shape(self.posts)
+        first = jnp.clip(cell[0], 0, rows - 2) * cols + jnp.clip(cell[1], 0, cols - 2)
+        corners = [first, first + 1, first + cols, first + cols + 1]
+        posts = jnp.asarray(self.posts).reshape(-1)
+        heights = [posts.at[post].get(mode="promise_in_bounds").astype(jnp.float64) for post in corners]
+
+        def touches_void() -> Flag:
+            void = jnp.asarray(self.void).reshape(-1)
+            a, b, c, d = (void.at[post].get(mode="promise_in_bounds") for post in corners)
+            return a | b | c | d
+
+        is_void = jax.lax.cond(self.has_void, touches_void, lambda: jnp.zeros_like(first, dtype=bool))
+        is_void = is_void | ~jnp.isfinite(heights[0] + heights[1] + heights[2] + heights[3])
+        return Patch(*(jnp.where(is_void, self.void_ceiling, height) for height in heights)), is_void
 
     def surface(self, rowcol: Float[Array, "2"], cell: Int[Array, "2"]) -> Scalar:
         """Height in m at (row, col) of the bilinear patch of a frozen cell, continued beyond it."""
-        posts, _ = self.patch(cell)
-        return bilinear(posts, rowcol - cell)
-
-    def bound(self, level: Index, corner: Int[Array, "2"]) -> Scalar:
-        """Upper bound in m of the surface over the texels at `corner` and beside it (see `Pyramid`)."""
-        return self.pyramid.bound(level, corner)
+        patch, _ = self.patch(cell)
+        return patch.at(rowcol[0] - cell[0], rowcol[1] - cell[1])
 
     def contains(self, rowcol: Float[Array, "2"]) -> Flag:
         """Whether (row, col) lies within the posts."""
@@ -250,14 +260,16 @@ def _check_kind(posts: Any, void: Any, extent: Any) -> None:
         raise ValueError(f"extent must be (rows, cols) of 2 x 2 up to the array's {posts.shape}; got {size.tolist()}.")
 
 
-def _check_posts(posts: np.ndarray, known: np.ndarray) -> None:
+def _check_posts(known: np.ndarray, lowest: np.floating, highest: np.floating) -> None:
     if not known.any():
-        raise ValueError(f"all {posts.size} posts are void: there is no terrain here.")
-    if not np.all(np.isfinite(posts[known])):
+        raise ValueError(f"all {known.size} posts are void: there is no terrain here.")
+    if not np.isfinite(lowest) or not np.isfinite(highest):
         raise ValueError("posts must be finite or NaN (void); found an infinite height. Mark such posts in `void`.")
 
 
-def _cell_tops(posts: Any, unknown: Any, ceiling: Any, xp: Any) -> Any:
-    tops = xp.where(unknown, ceiling, posts.astype(np.float64))
-    tops = xp.maximum(tops[:-1], tops[1:])
-    return xp.maximum(tops[:, :-1], tops[:, 1:])
+def _extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:
+    """Lowest and highest known post; no array of the posts' size is made of those known now."""
+    kind = None if posts.dtype.kind == "f" else np.iinfo(posts.dtype)
+    least, most = (-np.inf, np.inf) if kind is None else (kind.min, kind.max)
+    lowest = xp.min(posts, where=known, initial=most)
+    return lowest.astype(np.float64), xp.max(posts, where=known, initial=least).astype(np.float64)

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
-from jaxgeo._numerics import safe_norm
-from jaxgeo._typing import ScalarField, Vector3
+from jaxgeo._numerics import safe_sqrt, times
+from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.earth.projection import TransverseMercator
 
@@ -40,12 +40,22 @@ class AbstractGrid(eqx.Module):
     """(row, col) of the reference point, the centre of the grid."""
 
     @abc.abstractmethod
+    def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
+        """Row and column of the place whose ellipsoid normal is (x, y, z); outside the grid too."""
+
     def rowcol(self, normal: Vector3) -> RowCol:
         """(row, col) of the place whose ellipsoid normal is `normal`; outside the grid too."""
+        return jnp.stack(self.row_and_col(*normal))
 
     @abc.abstractmethod
     def normal(self, rowcol: RowCol) -> Vector3:
         """Outward unit normal of WGS 84 (ECEF axes) at (row, col); the inverse of `rowcol`."""
+
+    def _from_reference(self, a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
+        """Row and column of a place so far from the reference point, in the units of the steps."""
+        row, col = times(_inverse(self.step), (a, b))  # pyright: ignore[reportAttributeAccessIssue]
+        row0, col0 = self.rowcol0
+        return row0 + row, col0 + col
 
     def cell_size(self) -> Float[Array, "2"]:
         """Length in m of one step in row and one in col, on the ellipsoid at the grid's centre."""
@@ -76,16 +86,17 @@ class GeographicGrid(AbstractGrid):
         """From (a, b, c, d, e, f) at post centres, lon_deg = a col + b row + c, lat_deg = d col + e row + f."""
         return cls(*_centred(affine, shape, math.pi / 180.0))
 
-    def rowcol(self, normal: Vector3) -> RowCol:
+    def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
         lon0, lat0 = self.lonlat0
-        x, y, z = _turned(normal, -lon0)
+        c, s = jnp.cos(lon0), jnp.sin(lon0)
+        x, y = c * x + s * y, c * y - s * x
         at_pole = (x == 0.0) & (y == 0.0)
         lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
-        lat = jnp.arctan2(z, safe_norm(jnp.stack([x, y])))
-        return self.rowcol0 + _inverse(self.step) @ jnp.stack([lon, lat - lat0])
+        lat = jnp.arctan2(z, safe_sqrt(x * x + y * y))
+        return self._from_reference(lon, lat - lat0)
 
     def normal(self, rowcol: RowCol) -> Vector3:
-        lon, lat = self.lonlat0 + self.step @ (rowcol - self.rowcol0)
+        lon, lat = self.lonlat0 + jnp.stack(times(self.step, rowcol - self.rowcol0))
         cos_lat = jnp.cos(lat)
         return jnp.stack([cos_lat * jnp.cos(lon), cos_lat * jnp.sin(lon), jnp.sin(lat)])
 
@@ -109,12 +120,13 @@ class TransverseMercatorGrid(AbstractGrid):
         """From (a, b, c, d, e, f) at post centres, easting = a col + b row + c, northing = d col + e row + f in m."""
         return cls(*_centred(affine, shape, 1.0), as_float64(projection, "projection"))
 
-    def rowcol(self, normal: Vector3) -> RowCol:
-        position = jnp.stack(self.projection.forward_from_normal(normal))
-        return self.rowcol0 + _inverse(self.step) @ (position - self.easting_northing0)
+    def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
+        easting, northing = self.projection.forward_from_normal(jnp.stack([x, y, z]))
+        easting0, northing0 = self.easting_northing0
+        return self._from_reference(easting - easting0, northing - northing0)
 
     def normal(self, rowcol: RowCol) -> Vector3:
-        easting, northing = self.easting_northing0 + self.step @ (rowcol - self.rowcol0)
+        easting, northing = self.easting_northing0 + jnp.stack(times(self.step, rowcol - self.rowcol0))
         return self.projection.inverse_normal(easting, northing)
 
 
@@ -148,11 +160,13 @@ class TangentGrid(AbstractGrid):
         rowcol0 = (jnp.asarray(shape, jnp.float64) - 1.0) / 2.0
         return cls(rowcol0, jnp.zeros(2), step, R_ecef_from_enu(centre).T)
 
-    def rowcol(self, normal: Vector3) -> RowCol:
-        return self.rowcol0 + _inverse(self.step) @ (_plane(self.R_enu_from_ecef, normal) - self.plane0)
+    def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
+        east, north = _plane(self.R_enu_from_ecef, x, y, z)
+        east0, north0 = self.plane0
+        return self._from_reference(east - east0, north - north0)
 
     def normal(self, rowcol: RowCol) -> Vector3:
-        return _normal_of_plane(self.R_enu_from_ecef, self.plane0 + self.step @ (rowcol - self.rowcol0))
+        return _normal_of_plane(self.R_enu_from_ecef, self.plane0 + jnp.stack(times(self.step, rowcol - self.rowcol0)))
 
 
 class FittedGrid(AbstractGrid):
@@ -170,13 +184,14 @@ class FittedGrid(AbstractGrid):
     coefficients: Num[Array, "... n n 2"]
     inverse: Num[Array, "... n n 2"]
 
-    def rowcol(self, normal: Vector3) -> RowCol:
-        return self._rowcol_of_plane(_plane(self.R_enu_from_ecef, normal) / self.plane_half)
+    def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
+        row, col = self._rowcol_of_plane(jnp.stack(_plane(self.R_enu_from_ecef, x, y, z)) / self.plane_half)
+        return row, col
 
     def normal(self, rowcol: RowCol) -> Vector3:
         plane = chebyshev_map(self.inverse, (rowcol - self.rowcol0) / self.rowcol_half)
         slope = jax.jacfwd(self._rowcol_of_plane)(plane)
-        plane = plane - _inverse(slope) @ (self._rowcol_of_plane(plane) - rowcol)
+        plane = plane - jnp.stack(times(_inverse(slope), self._rowcol_of_plane(plane) - rowcol))
         return _normal_of_plane(self.R_enu_from_ecef, plane * self.plane_half)
 
     def _rowcol_of_plane(self, plane: Float[Array, "2"]) -> RowCol:
@@ -188,7 +203,7 @@ def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> F
     near = jnp.clip(xy, -_EDGE, _EDGE)
     x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
     linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
-    return jnp.einsum("i,j,ijk->k", x, y, coefficients) + linear @ (xy - near)
+    return jnp.einsum("i,j,ijk->k", x, y, coefficients) + jnp.stack(times(linear, xy - near))
 
 
 def surface_point(normal: Vector3) -> Vector3:
@@ -204,9 +219,10 @@ def _chebyshev(x: Float[Array, ""], count: int) -> Float[Array, " n"]:
     return jnp.stack(terms[:count])
 
 
-def _plane(R_enu_from_ecef: Num[Array, "3 3"], normal: Vector3) -> Float[Array, "2"]:
-    enu = R_enu_from_ecef @ normal
-    return enu[:2] / jnp.maximum(enu[2], _HORIZON)
+def _plane(R_enu_from_ecef: Num[Array, "3 3"], x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
+    east, north, up = times(R_enu_from_ecef, (x, y, z))
+    nearer = 1.0 / jnp.maximum(up, _HORIZON)
+    return east * nearer, north * nearer
 
 
 def _normal_of_plane(R_enu_from_ecef: Num[Array, "3 3"], plane: Float[Array, "2"]) -> Vector3:
@@ -214,15 +230,10 @@ def _normal_of_plane(R_enu_from_ecef: Num[Array, "3 3"], plane: Float[Array, "2"
     return R_enu_from_ecef.T @ (enu / jnp.sqrt(jnp.sum(enu**2)))
 
 
-def _turned(normal: Vector3, angle: Float[Array, ""]) -> Vector3:
-    x, y, z = normal
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * x - s * y, s * x + c * y, z])
-
-
-def _inverse(m: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+def _inverse(m: Float[Array, "2 2"]) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
     (a, b), (c, d) = m
-    return jnp.stack([jnp.stack([d, -b]), jnp.stack([-c, a])]) / (a * d - b * c)
+    shrinking = 1.0 / (a * d - b * c)
+    return (d * shrinking, -b * shrinking), (-c * shrinking, a * shrinking)
 
 
 def _centred(affine: Sequence[float | int], shape: tuple[int, int], unit: float) -> tuple[Array, Array, Array]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 from jaxtyping import Array, Int
 
-from jaxgeo._typing import Flag, Scalar, StatusCode, Vector3
+from jaxgeo._typing import Flag, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.earth.ray import Ray
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ class Bracket(eqx.Module):
     Where there is no crossing the ranges are zero and the cell is (0, 0).
     """
 
-    lower: Scalar
-    upper: Scalar
-    cell: Int[Array, "2"]
-    status: StatusCode
+    lower: ScalarField
+    upper: ScalarField
+    cell: Int[Array, "... 2"]
+    status: StatusField
 
 
 class AbstractTerrain(eqx.Module):

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from jaxtyping import Array, Float
+import equinox as eqx
 
-from jaxgeo._typing import Scalar
+from jaxgeo._typing import Scalar, ScalarField
 
 
-def bilinear(posts: Float[Array, "2 2"], offset: Float[Array, "2"]) -> Scalar:
-    """The bilinear patch through four posts [row, col] at an `offset` in cells from the first."""
-    row, col = offset
-    first = posts[0, 0] + (posts[0, 1] - posts[0, 0]) * col
-    second = posts[1, 0] + (posts[1, 1] - posts[1, 0]) * col
-    return first + (second - first) * row
+class Patch(eqx.Module):
+    """The bilinear surface through a cell's four posts, heights in m; `first`, then the next in col, in row, in both.
+
+    Offsets are in cells from the first post, and may lie beyond the cell.
+    """
+
+    first: ScalarField
+    next_col: ScalarField
+    next_row: ScalarField
+    last: ScalarField
+
+    def at(self, row: Scalar, col: Scalar) -> Scalar:
+        """Height in m at an offset."""
+        near = self.first + (self.next_col - self.first) * col
+        far = self.next_row + (self.last - self.next_row) * col
+        return near + (far - near) * row
+
+    def gradient(self, row: Scalar, col: Scalar) -> tuple[Scalar, Scalar]:
+        """Rise in m per cell along the rows and along the columns, at an offset."""
+        twist = self.last - self.next_row - self.next_col + self.first
+        return self.next_row - self.first + twist * col, self.next_col - self.first + twist * row

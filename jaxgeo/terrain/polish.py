@@ -2,47 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 
-from jaxgeo._numerics import value_and_slope, with_implicit_derivative
+from jaxgeo._numerics import value_and_slope
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 
 SLACK = 1e-6  # m: the bracket comes from a track that is true to less
+CLOSE_ENOUGH = 1e-6  # m of the last step: what is left after it is its square over the radius of a hill
+ROUNDING = 2e-9  # m of clearance: what an ECEF position cannot tell from zero
 STEPS = 60
 
 
 def polish(ray: Ray, terrain: AbstractTerrain, bracket: Bracket) -> Scalar:
-    """Range in m to the crossing within `bracket`, on its frozen cell, exact in value and in its first two derivatives.
+    """Range in m to the crossing within `bracket`, on its frozen cell, exact in value and in all its derivatives.
 
     Newton on the exact map, kept inside the bracket by bisection; it never picks another cell. The derivatives are
     those of the implicit function: they reach the ray, the grid and the four posts of the cell.
     """
-
-    def clearance(distance: Scalar) -> Scalar:
-        return terrain.clearance(ray.at(distance), bracket.cell)
-
     frozen_ray, frozen_terrain = jax.lax.stop_gradient((ray, terrain))
 
-    def frozen_clearance(distance: Scalar) -> Scalar:
+    def clearance(distance: Scalar) -> Scalar:
         return frozen_terrain.clearance(frozen_ray.at(distance), bracket.cell)
 
-    root = _newton_in_bracket(frozen_clearance, bracket.lower - SLACK, bracket.upper + SLACK)
-    return with_implicit_derivative(clearance, root)
+    root = _newton_in_bracket(clearance, bracket.lower - SLACK, bracket.upper + SLACK)
+    return _implicit_root(jax.lax.stop_gradient(root), ray, terrain, bracket.cell)
 
 
-def _newton_in_bracket(clearance, lower: Scalar, upper: Scalar) -> Scalar:
+@jax.custom_jvp
+def _implicit_root(root: Scalar, ray: Ray, terrain: AbstractTerrain, cell: jax.Array) -> Scalar:
+    """`root` itself, with the derivatives that make the clearance there stay zero."""
+    return root
+
+
+@_implicit_root.defjvp
+def _(primals, tangents):
+    """d root = -d clearance / slope, at a root that moves along when this is differentiated again."""
+    root, ray, terrain, cell = primals
+    _, d_ray, d_terrain, _ = tangents
+    root = _implicit_root(root, ray, terrain, cell)
+    _, change = jax.jvp(lambda ray, terrain: terrain.clearance(ray.at(root), cell), (ray, terrain), (d_ray, d_terrain))
+    _, slope = value_and_slope(lambda distance: terrain.clearance(ray.at(distance), cell), root)
+    return root, -change / jnp.where(slope == 0.0, 1.0, slope)
+
+
+def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upper: Scalar) -> Scalar:
     """The root of a decreasing crossing: positive clearance at `lower`, negative at `upper`."""
 
-    def unfinished(state: tuple[Scalar, Scalar, Scalar, Scalar, jax.Array]) -> Flag:
-        _, _, root, step, count = state
-        return (step > 1e-10 + 2e-16 * jnp.abs(root)) & (count < STEPS)
+    def unfinished(state: tuple[Scalar, Scalar, Scalar, Flag, jax.Array]) -> Flag:
+        _, _, _, is_exact, count = state
+        return ~is_exact & (count < STEPS)
 
     def refine(
-        state: tuple[Scalar, Scalar, Scalar, Scalar, jax.Array],
-    ) -> tuple[Scalar, Scalar, Scalar, Scalar, jax.Array]:
+        state: tuple[Scalar, Scalar, Scalar, Flag, jax.Array],
+    ) -> tuple[Scalar, Scalar, Scalar, Flag, jax.Array]:
         low, high, root, _, count = state
         value, slope = value_and_slope(clearance, root)
         low = jnp.where(value > 0.0, root, low)
@@ -50,8 +67,9 @@ def _newton_in_bracket(clearance, lower: Scalar, upper: Scalar) -> Scalar:
         newton = root - value / jnp.where(slope < 0.0, slope, -1.0)
         stays = (slope < 0.0) & (newton >= low) & (newton <= high)
         following = jnp.where(stays, newton, 0.5 * (low + high))
-        return low, high, following, jnp.abs(following - root), count + 1
+        is_exact = (jnp.abs(following - root) <= CLOSE_ENOUGH) | (jnp.abs(value) <= ROUNDING)
+        return low, high, following, is_exact, count + 1
 
     start = 0.5 * (lower + upper)
-    state = (lower, upper, start, jnp.full_like(start, jnp.inf), jnp.asarray(0))
+    state = (lower, upper, start, jnp.asarray(False), jnp.asarray(0))
     return jax.lax.while_loop(unfinished, refine, state)[2]

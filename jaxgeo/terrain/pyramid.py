@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import types
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float32, Int
+from jaxtyping import Array, UInt16
 
-from jaxgeo._typing import Index, Scalar
+from jaxgeo._typing import Index, Scalar, ScalarField
+
+STEPS = 65_534  # of height between the lowest and the highest ground
+FINEST_STEP = 1e-7  # m, for level ground
+ROWS_AT_ONCE = 256  # so that building takes little memory beside the posts
 
 
 class Pyramid(eqx.Module):
-    """Maxima over 2 x 2 neighbouring texels of 2^level x 2^level cells, all levels in one flat float32 array.
+    """Maxima over 2 x 2 neighbouring texels of 2^level x 2^level cells, all levels in one flat array.
 
     A box no wider than 2^level cells on either axis touches at most the texel of its lower corner and the next one
-    on each axis, so one look-up at that corner bounds the surface over the whole box. Values are rounded up.
+    on each axis, so one look-up at that corner bounds the surface over the whole box. Heights are `base` + `step` times
+    the stored integer, in m, and rounded up: two bytes a texel are exact to a few centimetres.
     """
 
-    bounds: Float32[Array, " texels"]
+    bounds: UInt16[Array, "... texels"]
+    base: ScalarField
+    step: ScalarField
     shape: tuple[int, int] = eqx.field(static=True)
 
     @property
@@ -28,31 +37,84 @@ class Pyramid(eqx.Module):
         """The highest level: one texel holds every cell."""
         return len(_level_shapes(self.shape)) - 1
 
-    def bound(self, level: Index, corner: Int[Array, "2"]) -> Scalar:
-        """Upper bound in m over the texels `corner` and the next ones at `level` (clipped to the pyramid)."""
-        shapes = _level_shapes(self.shape)
-        widths = np.array([width for _, width in shapes], np.int32)
-        offsets = np.cumsum([0] + [rows * width for rows, width in shapes[:-1]]).astype(np.int32)
-        heights = np.array([rows for rows, _ in shapes], np.int32)
-        level = jnp.clip(level, 0, len(shapes) - 1)
-        row = jnp.clip(corner[0], 0, jnp.asarray(heights)[level] - 1)
-        col = jnp.clip(corner[1], 0, jnp.asarray(widths)[level] - 1)
-        return self.bounds[jnp.asarray(offsets)[level] + row * jnp.asarray(widths)[level] + col].astype(jnp.float64)
+    def bound(self, level: Index, row: Index, col: Index) -> Scalar:
+        """Upper bound in m over the texel (row, col) and the next ones at `level` (clipped to the pyramid)."""
+        rows, cols = self.shape
+        offsets = np.cumsum([0] + [rows * cols for rows, cols in _level_shapes(self.shape)[:-1]]).astype(np.int32)
+        level = jnp.clip(level, 0, self.top)
+        last_row, last_col = jnp.right_shift(rows - 1, level), jnp.right_shift(cols - 1, level)
+        row, col = jnp.clip(row, 0, last_row), jnp.clip(col, 0, last_col)
+        texel = jnp.asarray(offsets)[level] + row * (last_col + 1) + col
+        stored = jnp.asarray(self.bounds).at[texel].get(mode="promise_in_bounds")
+        return self.base + self.step * stored.astype(jnp.float64)
 
 
-def build_pyramid(cell_tops: Any, xp: types.ModuleType) -> Pyramid:
-    """Pyramid over the highest surface height of every cell, an array (rows - 1, cols - 1) in NumPy or JAX (`xp`)."""
-    texels = xp.nextafter(cell_tops.astype(np.float32), np.float32(np.inf))
-    shape = (int(cell_tops.shape[0]), int(cell_tops.shape[1]))
-    flat = []
-    for rows, cols in _level_shapes(shape):
-        assert texels.shape == (rows, cols)
-        pair = xp.maximum(texels, xp.concatenate([texels[1:], texels[-1:]], axis=0))
-        flat.append(xp.maximum(pair, xp.concatenate([pair[:, 1:], pair[:, -1:]], axis=1)).reshape(-1))
-        texels = xp.pad(texels, ((0, rows % 2), (0, cols % 2)), mode="edge")
-        texels = xp.maximum(texels[0::2], texels[1::2]) if rows > 1 else texels[:1]
-        texels = xp.maximum(texels[:, 0::2], texels[:, 1::2]) if cols > 1 else texels[:, :1]
-    return Pyramid(jnp.asarray(xp.concatenate(flat)), shape)
+def build_pyramid(
+    posts: Any, unknown: Any, *, ceiling: Any, lowest: Any, highest: Any, xp: types.ModuleType
+) -> Pyramid:
+    """Pyramid over posts (rows, cols) in m, in NumPy or JAX (`xp`); unknown ones may be as high as `ceiling`.
+
+    Every known post lies between `lowest` and `highest`. With NumPy the posts are read in strips, so that hardly more
+    memory is taken than the pyramid's own.
+    """
+    base = xp.minimum(xp.asarray(lowest, np.float64), ceiling)
+    step = xp.maximum((xp.maximum(xp.asarray(highest, np.float64), ceiling) - base) / STEPS, FINEST_STEP)
+    shape = (posts.shape[0] - 1, posts.shape[1] - 1)
+
+    def tops(first: int, last: int) -> Any:
+        """The highest of the four posts of cells in rows [first, last), in steps above the base, rounded up."""
+        part = np.s_[first : last + 1]
+        heights = xp.where(unknown[part], ceiling, posts[part].astype(np.float64))
+        stored = (xp.floor((heights - base) / step) + 1.0).astype(np.uint16)
+        stored = xp.maximum(stored[:-1], stored[1:])
+        return xp.maximum(stored[:, :-1], stored[:, 1:])
+
+    bounds = _in_place(tops, shape) if xp is np else _all_at_once(tops(0, shape[0]), shape)
+    return Pyramid(jax.device_put(bounds), jnp.asarray(base), jnp.asarray(step), shape)  # jnp.asarray copies twice
+
+
+def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:
+    """All levels, dilated and flat, in JAX."""
+    levels = []
+    for _ in _level_shapes(shape):
+        levels.append(_dilated(finest, finest[-1:], jnp).reshape(-1))
+        finest = _halved(finest, jnp)
+    return jnp.concatenate(levels)
+
+
+def _in_place(tops: Callable[[int, int], np.ndarray], shape: tuple[int, int]) -> np.ndarray:
+    """The same in NumPy, strip by strip, in one array."""
+    shapes = _level_shapes(shape)
+    bounds = np.empty(sum(rows * cols for rows, cols in shapes), np.uint16)
+    (rows, cols), first = shape, 0
+    finest, coarser = bounds[: rows * cols].reshape(shape), np.empty(((rows + 1) // 2, (cols + 1) // 2), np.uint16)
+    for start in range(0, rows, ROWS_AT_ONCE):
+        stop = min(start + ROWS_AT_ONCE, rows)
+        strip = tops(start, min(stop + 1, rows))
+        finest[start:stop] = _dilated(
+            strip[: stop - start], strip[stop - start :][:1] if stop < rows else strip[-1:], np
+        )
+        coarser[start // 2 : (stop + 1) // 2] = _halved(strip[: stop - start], np)
+    for rows, cols in shapes[1:]:
+        first += finest.size
+        finest = bounds[first : first + rows * cols].reshape(rows, cols)
+        finest[:] = _dilated(coarser, coarser[-1:], np)
+        coarser = _halved(coarser, np)
+    return bounds
+
+
+def _dilated(texels: Any, below: Any, xp: types.ModuleType) -> Any:
+    """Each texel's maximum with the next ones in row, col and both; `below` is the row after the last."""
+    pair = xp.maximum(texels, xp.concatenate([texels[1:], below], axis=0))
+    return xp.maximum(pair, xp.concatenate([pair[:, 1:], pair[:, -1:]], axis=1))
+
+
+def _halved(texels: Any, xp: types.ModuleType) -> Any:
+    """The next level: maxima over 2 x 2 texels; a last odd row or column stands for itself."""
+    height, width = texels.shape
+    texels = xp.pad(texels, ((0, height % 2), (0, width % 2)), mode="edge")
+    texels = xp.maximum(texels[0::2], texels[1::2])
+    return xp.maximum(texels[:, 0::2], texels[:, 1::2])
 
 
 def _level_shapes(shape: tuple[int, int]) -> list[tuple[int, int]]:

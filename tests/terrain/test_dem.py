@@ -85,8 +85,13 @@ def test_a_cell_with_one_void_post_has_no_height_and_no_slope():
 def test_every_bound_holds_over_all_cells_that_a_box_can_touch(shape, kind):
     xp = {"numpy": np, "jax": jnp}[kind]
     rng = np.random.default_rng(0)
-    tops = rng.uniform(0.0, 3000.0, shape)
-    pyramid = build_pyramid(xp.asarray(tops), xp)
+    posts = rng.uniform(0.0, 3000.0, (shape[0] + 1, shape[1] + 1))
+    unknown = rng.uniform(size=posts.shape) < 0.1
+    high = np.where(unknown, 3500.0, posts)
+    tops = np.maximum(np.maximum(high[1:, 1:], high[1:, :-1]), np.maximum(high[:-1, 1:], high[:-1, :-1]))
+    pyramid = build_pyramid(
+        xp.asarray(posts), xp.asarray(unknown), ceiling=3500.0, lowest=posts.min(), highest=posts.max(), xp=xp
+    )
     levels, corners, largest = [], [], []
     for _ in range(200):
         level = int(rng.integers(0, pyramid.top + 1))
@@ -97,15 +102,17 @@ def test_every_bound_holds_over_all_cells_that_a_box_can_touch(shape, kind):
         levels.append(level)
         corners.append(low // 2**level)
         largest.append(tops[low[0] : high[0] + 1, low[1] : high[1] + 1].max())
-    bound = jax.jit(jax.vmap(Pyramid.bound, in_axes=(None, 0, 0)))
-    assert np.all(np.asarray(bound(pyramid, jnp.asarray(levels), jnp.asarray(np.array(corners)))) >= np.array(largest))
-    whole = pyramid.bound(jnp.asarray(pyramid.top), jnp.array([0, 0]))
-    assert float(whole) == pytest.approx(tops.max(), rel=2e-7)
+    bound = jax.jit(jax.vmap(Pyramid.bound, in_axes=(None, 0, 0, 0)))
+    rows, cols = jnp.asarray(np.array(corners)).T
+    above = np.asarray(bound(pyramid, jnp.asarray(levels), rows, cols)) - np.array(largest)
+    assert np.all(above >= 0.0)
+    zero = jnp.asarray(0)
+    assert 0.0 <= float(pyramid.bound(jnp.asarray(pyramid.top), zero, zero)) - tops.max() < 0.06  # 3500 m / 65534
 
 
-@pytest.mark.parametrize("length", [3e3, 2e4, 6e4])
+@pytest.mark.parametrize("length", [3e3, 2e4, 4e4])
 def test_a_track_is_true_to_the_exact_map(length):
-    """To a tenth of a micrometre over 60 km, of which the map's own rounding is the larger part."""
+    """To a tenth of a micrometre over 40 km, of which the map's own rounding is the larger part."""
     dem = small_dem(flat(0.0))
     origin = WGS84.to_ecef(Geodetic.from_degrees(lat=47.1, lon=10.9, height=9000.0))
     target = WGS84.to_ecef(Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0))
@@ -113,7 +120,7 @@ def test_a_track_is_true_to_the_exact_map(length):
     track = make_track(ray, dem, jnp.asarray(0.0), jnp.asarray(length))
     tau = jnp.linspace(-1.0, 1.0, 101)
     rowcol, height = jax.vmap(lambda t: dem.over(ray.at(track.range_at(t))))(tau)
-    values = jax.vmap(track.at)(tau)
+    values = np.stack(jax.vmap(track.at)(tau), axis=1)
     np.testing.assert_allclose(values[:, :2] * 30.0, rowcol * 30.0, rtol=0, atol=1e-7)
     np.testing.assert_allclose(values[:, 2], height, rtol=0, atol=1e-7)
     assert float(track.error) < 1e-7

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxgeo._typing import Flag, Scalar
+from jaxgeo._numerics import dot, safe_sqrt
+from jaxgeo._typing import Flag, FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 
@@ -36,28 +37,45 @@ class Reach(eqx.Module):
     from the grid that the grid's map means nothing (`is_near` is false); `sinks` tells which kind of end it is.
     """
 
-    start: Scalar
-    end: Scalar
-    exists: Flag
-    is_near: Flag
-    sinks: Flag
+    start: ScalarField
+    end: ScalarField
+    exists: FlagField
+    is_near: FlagField
+    sinks: FlagField
 
 
 def reach_of(ray: Ray, dem: Dem) -> Reach:
-    """The part of `ray` that lies between the highest and the lowest ground of `dem`."""
-    top, bottom = dem.ceiling + CEILING_MARGIN, dem.floor - FLOOR_MARGIN
-    ranges, meets = WGS84.crossings(
-        ray.origin, ray.direction, jnp.stack([top, top, bottom]), jnp.array([-1.0, 1.0, -1.0])
-    )
-    entry, exit_, floor = ranges
-    sinks = meets[2] & (floor >= 0.0)
-    start = jnp.maximum(entry, 0.0)
-    end = jnp.where(sinks, floor, exit_)
-    origin_up, _ = WGS84.normal_and_height(ray.origin)
-    start_up, _ = WGS84.normal_and_height(ray.at(start))
+    """The part of `ray` that lies between the highest and the lowest ground of `dem`, both taken a margin too far.
+
+    From inflated ellipsoids (a + h, b + h), which lie within 6 mm of the surfaces of constant height: far less than
+    the margins.
+    """
+    middle, to_top, meets = _inflated_chord(ray, dem.ceiling + CEILING_MARGIN)
+    bottom, to_bottom, sinks = _inflated_chord(ray, dem.floor - FLOOR_MARGIN)
+    start, exit_, floor = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
+    sinks = sinks & (floor >= 0.0)
     centre_up, farthest = dem.grid_reach()
-    is_near = (jnp.dot(origin_up, centre_up) > farthest) & (jnp.dot(start_up, centre_up) > farthest)
-    return Reach(start, end, meets[0] & (exit_ > 0.0), is_near, sinks)
+    is_near = is_towards(ray.origin, centre_up, farthest) & is_towards(ray.at(start), centre_up, farthest)
+    return Reach(start, jnp.where(sinks, floor, exit_), meets & (exit_ > 0.0), is_near, sinks)
+
+
+def _inflated_chord(ray: Ray, height: Scalar) -> tuple[Scalar, Scalar, Flag]:
+    """Range in m of a line's middle inside the ellipsoid (a + h, b + h), half its length in it, and if it meets it."""
+    equatorial, polar = 1.0 / (WGS84.a + height), 1.0 / (WGS84.b + height)
+    axes = (equatorial, equatorial, polar)
+    origin = [x * axis for x, axis in zip(ray.origin, axes, strict=True)]
+    direction = [x * axis for x, axis in zip(ray.direction, axes, strict=True)]
+    squared = dot(direction, direction)
+    middle = -dot(origin, direction) / squared
+    nearest = [o + middle * d for o, d in zip(origin, direction, strict=True)]
+    room = (1.0 - dot(nearest, nearest)) / squared
+    return middle, safe_sqrt(room), room > 0.0
+
+
+def is_towards(p_ecef: Vector3, up: Vector3, cosine: Scalar) -> Flag:
+    """Whether a point, seen from the Earth's centre, lies within an angle of a direction."""
+    along = dot(p_ecef, up)
+    return along > cosine * jnp.sqrt(dot(p_ecef, p_ecef))
 
 
 def is_buried(ray: Ray, dem: Dem) -> Flag:

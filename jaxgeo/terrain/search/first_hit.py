@@ -4,28 +4,37 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax.custom_batching import custom_vmap
+from jaxtyping import Array, Int
 
-from jaxgeo._numerics import tree_where
-from jaxgeo._typing import Flag, Index, Scalar
+from jaxgeo._numerics import safe_sqrt
+from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
-from jaxgeo.terrain.search.leaf import Event, first_event
-from jaxgeo.terrain.track import Track, make_track
+from jaxgeo.terrain.search.crowd import STRIDE, Walker, walk_all
+from jaxgeo.terrain.search.march import (
+    cell_between,
+    cell_exit,
+    clearance,
+    happened,
+    has_entered,
+    lowest_clearance,
+    status_of,
+)
+from jaxgeo.terrain.search.walk import Stretch
+from jaxgeo.terrain.track import Track
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-LONGEST_TRACK = 60_000.0  # m
-SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
-TRACK_TOLERANCE = 2e-7  # m
-MOST_TRACKS = 4096
-FINEST = 30  # dyadic levels of one track
+AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
+ROOM = 1e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
+ROOT_STEPS = 4
+TINY = 1e-300
 
 
 class FirstHit(AbstractSearch):
@@ -35,148 +44,144 @@ class FirstHit(AbstractSearch):
     lowest point clears the bound over all cells it can touch is skipped and the next one tried is twice as long where
     aligned; otherwise it is halved; an interval of the finest level is settled exactly (`leaf.first_event`). So no cell
     is passed unseen, and the crossing found is the first.
+
+    Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out.
     """
 
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
-        reach = reach_of(ray, dem)
-        start = _walk_start(ray, dem, reach)
-        walk = jax.lax.while_loop(
-            lambda walk: ~walk.is_over,
-            lambda walk: _next_track(walk, ray, dem, reach.end),
-            start,
+        return _first_hit(ray, dem)
+
+
+@custom_vmap
+def _first_hit(ray: Ray, dem: Dem) -> Bracket:
+    brackets = _first_hits(jax.tree.map(lambda x: x[None], ray), dem)
+    return jax.tree.map(lambda x: x[0], brackets)
+
+
+@_first_hit.def_vmap
+def _(axis_size, in_batched, ray: Ray, dem: Dem):
+    ray_batched, dem_batched = in_batched
+    ray = _broadcast(ray, ray_batched, axis_size)
+    if any(jax.tree.leaves(dem_batched)):
+        brackets = _one_terrain_each(_first_hit, axis_size, ray, dem, dem_batched)
+    else:
+        brackets = _first_hits(ray, dem)
+    return brackets, jax.tree.map(lambda _: True, brackets)
+
+
+@custom_vmap
+def _first_hits(rays: Ray, dem: Dem) -> Bracket:
+    """Brackets of many rays (leading axis); more than `AT_ONCE` go in parts."""
+    count = rays.origin.shape[0]
+    parts = -(-count // AT_ONCE)
+    size = -(-count // parts) if count else 0
+    if parts <= 1:
+        return _search(rays, dem) if count else jax.vmap(lambda _: _nothing())(rays.origin)
+
+    def part(start: Int[Array, ""], found: Bracket) -> Bracket:
+        first = jnp.minimum(start * size, count - size)
+        some = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, size), rays)
+        return jax.tree.map(
+            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), found, _search(some, dem)
         )
-        return _as_bracket(walk, ray, dem, reach)
+
+    empty = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), _nothing())
+    return jax.lax.fori_loop(0, parts, part, empty)
 
 
-class _Walk(eqx.Module):
-    """State of the walk along the ray: the range passed so far, the length to try next, and what was met."""
-
-    passed: Scalar
-    length: Scalar
-    tracks: Index
-    event: Event
-    is_over: Flag
-
-
-def _walk_start(ray: Ray, dem: Dem, reach: Reach) -> _Walk:
-    """Begin where the ray sinks below the ceiling if that is over the grid; else at its origin, to see it come in."""
-    begins_inside = dem.contains(dem.over(ray.at(reach.start))[0])
-    passed = jnp.where(begins_inside, reach.start, 0.0)
-    entered = begins_inside | dem.contains(dem.over(ray.origin)[0])
-    length = jnp.minimum(reach.end - passed, LONGEST_TRACK)
-    possible = reach.exists & reach.is_near
-    return _Walk(passed, length, jnp.asarray(0), Event.none(entered), ~possible)
+@_first_hits.def_vmap
+def _(axis_size, in_batched, rays: Ray, dem: Dem):
+    """A batch of batches is one larger batch."""
+    ray_batched, dem_batched = in_batched
+    rays = _broadcast(rays, ray_batched, axis_size)
+    if any(jax.tree.leaves(dem_batched)):
+        brackets = _one_terrain_each(_first_hits, axis_size, rays, dem, dem_batched)
+    else:
+        count = rays.origin.shape[1]
+        together = _first_hits(jax.tree.map(lambda x: x.reshape(axis_size * count, *x.shape[2:]), rays), dem)
+        brackets = jax.tree.map(lambda x: x.reshape(axis_size, count, *x.shape[1:]), together)
+    return brackets, jax.tree.map(lambda _: True, brackets)
 
 
-def _next_track(walk: _Walk, ray: Ray, dem: Dem, end: Scalar) -> _Walk:
-    """Make a track of the length to try; walk it if it is true to the exact map, else try half the length."""
-    track = make_track(ray, dem, walk.passed, walk.passed + walk.length)
-    is_true = (track.error < TRACK_TOLERANCE) | (walk.length <= SHORTEST_TRACK)
-    event = _walk_track(track, dem, walk.event, ~is_true)
-    passed = jnp.where(is_true, walk.passed + walk.length, walk.passed)
-    length = jnp.where(is_true, jnp.minimum(2.0 * walk.length, LONGEST_TRACK), 0.5 * walk.length)
-    remaining = end - passed
-    tracks = walk.tracks + 1
-    is_over = event.happened | (remaining <= 1e-9 * end) | (tracks >= MOST_TRACKS)
-    return _Walk(passed, jnp.minimum(length, remaining), tracks, event, is_over)
+def _broadcast(tree, batched, axis_size: int):
+    return jax.tree.map(
+        lambda x, is_batched: x if is_batched else jnp.broadcast_to(x, (axis_size, *jnp.shape(x))), tree, batched
+    )
 
 
-class _Step(eqx.Module):
-    """An interval [position, position + 2^level) of the 2^finest along one track; whether it must be settled."""
+def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem, dem_batched):
+    """A batch in which every item has a terrain of its own: one after the other."""
+    leaves, structure = jax.tree.flatten(dem)
+    flags = jax.tree.leaves(dem_batched)
 
-    position: Index
-    level: Index
-    must_settle: Flag
+    def one(number):
+        own = [x[number] if is_batched else x for x, is_batched in zip(leaves, flags, strict=True)]
+        return search(jax.tree.map(lambda x: x[number], rays), jax.tree.unflatten(structure, own))
 
-
-class _Stretch(eqx.Module):
-    """A track cut into 2^finest intervals of `unit` tau, none longer than a cell; `sag` bounds its bending."""
-
-    track: Track
-    finest: Index
-    count: Index
-    unit: Scalar
-    sag: Float[Array, "3"]
-
-    @classmethod
-    def of(cls, track: Track) -> _Stretch:
-        finest = jnp.ceil(jnp.log2(jnp.maximum(2.0 * track.speed(), 1.0)))
-        finest = jnp.clip(finest, 0, FINEST).astype(jnp.int32)
-        count = jnp.left_shift(jnp.asarray(1, jnp.int32), finest)
-        return cls(track, finest, count, 2.0 / count, track.sag())
-
-    def interval(self, step: _Step) -> tuple[Scalar, Scalar]:
-        """The ends of an interval in tau."""
-        width = jnp.left_shift(jnp.asarray(1, jnp.int32), step.level)
-        return -1.0 + self.unit * step.position, -1.0 + self.unit * (step.position + width)
-
-    def after(self, step: _Step) -> _Step:
-        """The interval after this one, twice as long where that is aligned."""
-        position = step.position + jnp.left_shift(jnp.asarray(1, jnp.int32), step.level)
-        is_aligned = (jnp.right_shift(position, step.level) & 1) == 0
-        return _Step(position, step.level + (is_aligned & (step.level < self.finest)), jnp.asarray(False))
+    return jax.lax.map(one, jnp.arange(axis_size))
 
 
-def _walk_track(track: Track, dem: Dem, event: Event, skip: Flag) -> Event:
-    """Walk one track to its end or to the first event.
+def _search(rays: Ray, dem: Dem) -> Bracket:
+    reach = jax.vmap(reach_of, (0, None))(rays, dem)
+    walker, track = walk_all(rays, reach, dem)
+    brackets = jax.vmap(_as_bracket, (0, 0, 0, None))(walker, track, reach, dem)
+    begins_low = reach.exists & reach.is_near & (reach.start == 0.0)
 
-    In rounds: all rays of a batch go on to the next interval that they cannot pass, then all settle it together.
-    """
-    stretch = _Stretch.of(track)
+    def with_buried() -> Bracket:
+        buried = begins_low & jax.vmap(is_buried, (0, None))(rays, dem)
+        status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
+        return Bracket(brackets.lower, brackets.upper, brackets.cell, status)
 
-    def is_going_on(state: tuple[_Step, Event]) -> Flag:
-        step, event = state
-        return (step.position < stretch.count) & ~event.happened & ~skip
-
-    def round_(state: tuple[_Step, Event]) -> tuple[_Step, Event]:
-        step, event = state
-        step = _next_to_settle(stretch, dem, step, event.entered)
-        begin, end = stretch.interval(step)
-        event = jax.lax.cond(step.must_settle, lambda: first_event(track, dem, begin, end, event), lambda: event)
-        return tree_where(step.must_settle, stretch.after(step), step), event
-
-    first = _Step(jnp.asarray(0, jnp.int32), stretch.finest, jnp.asarray(False))
-    return jax.lax.while_loop(is_going_on, round_, (first, event))[1]
+    return jax.lax.cond(jnp.any(begins_low), with_buried, lambda: brackets)
 
 
-def _next_to_settle(stretch: _Stretch, dem: Dem, step: _Step, entered: Flag) -> _Step:
-    """The next interval of the finest level that cannot be passed unseen, or the end of the track."""
-
-    def is_passing(step: _Step) -> Flag:
-        return (step.position < stretch.count) & ~step.must_settle
-
-    def advance(step: _Step) -> _Step:
-        clear = _is_clear(stretch, dem, step, entered)
-        finer = _Step(step.position, jnp.maximum(step.level - 1, 0), step.level == 0)
-        return tree_where(clear, stretch.after(step), finer)
-
-    return jax.lax.while_loop(is_passing, advance, step)
-
-
-def _is_clear(stretch: _Stretch, dem: Dem, step: _Step, entered: Flag) -> Flag:
-    """Whether the interval surely holds no event: above all ground it can touch, or (before entry) beside the grid."""
-    begin, end = stretch.interval(step)
-    first, last = stretch.track.at(begin), stretch.track.at(end)
-    bend = stretch.sag * (end - begin) ** 2
-    low = jnp.minimum(first, last) - bend
-    high = jnp.maximum(first, last) + bend
-    edge = (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
-    is_inside = jnp.all((low[:2] >= 0.0) & (high[:2] <= edge))
-    is_beside = jnp.any((high[:2] < -1e-6) | (low[:2] > edge + 1e-6))
-    low_texel = jnp.right_shift(jnp.floor(low[:2]).astype(jnp.int32), step.level)
-    high_texel = jnp.right_shift(jnp.floor(high[:2]).astype(jnp.int32), step.level)
-    fits = jnp.all(high_texel <= low_texel + 1)
-    is_above = is_inside & fits & (low[2] > dem.bound(step.level, low_texel))
-    return jnp.where(entered, is_above, is_beside)
-
-
-def _as_bracket(walk: _Walk, ray: Ray, dem: Dem, reach: Reach) -> Bracket:
-    """The walk's result with the status of rays that met nothing."""
-    event = walk.event
+def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket:
+    """The walk's result: where on its track the ray meets the surface, or the status of one that met nothing."""
+    met = happened(walker.news)
+    unit = Stretch.of(track).unit
+    begin = walker.tau
+    end = cell_exit(begin, track, jnp.minimum(begin + STRIDE * unit, 1.0))
+    cell = jnp.stack(cell_between(track, begin, end))
+    root, below = _root(track, dem, cell, begin, end)
+    lower = jnp.maximum(track.range_at(root) - ROOM, track.range_at(begin))
+    upper = jnp.minimum(track.range_at(root) + ROOM, track.range_at(below))
     without = jnp.where(reach.sinks, Status.not_converged.code, Status.rises_away.code)
-    without = status_where(~event.entered, Status.ray_misses_terrain, without)
+    without = status_where(~has_entered(walker.news), Status.ray_misses_terrain, without)
     without = status_where(~reach.exists, Status.rises_away, without)
     without = status_where(~reach.is_near, Status.ray_misses_terrain, without)
-    status = jnp.where(event.happened, event.status, without)
-    status = status_where(reach.is_near & is_buried(ray, dem), Status.camera_below_terrain, status)
-    return Bracket(event.lower, event.upper, event.cell, status)
+    return Bracket(
+        lower=jnp.where(met, lower, 0.0),
+        upper=jnp.where(met, jnp.maximum(lower, upper), 0.0),
+        cell=jnp.where(met, cell, 0),
+        status=jnp.where(met, status_of(walker.news), without),
+    )
+
+
+def _root(track: Track, dem: Dem, cell: Int[Array, "2"], begin: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
+    """Where in tau the track first sinks below the patch of a cell, and a place behind at which it is below.
+
+    The parabola through three values gives the start; then Newton on the polynomials, kept in its bracket by halving.
+    """
+    row, col = cell
+    patch, _ = dem.patch(cell)
+    (first, half, last), lowest, lowest_at = lowest_clearance(track, patch, row, col, begin, end)
+    below = jnp.where(first <= 0.0, begin, jnp.where(lowest <= 0.0, lowest_at, end))
+    bend = 2.0 * (first + last - 2.0 * half)
+    fall = first - last + bend
+    share = 2.0 * first / jnp.maximum(fall + safe_sqrt(fall * fall - 4.0 * bend * first), TINY)
+    low, high = begin, below
+    tau = jnp.clip(begin + (end - begin) * share, low, high)
+    for _ in range(ROOT_STEPS):
+        value = clearance(track, patch, row, col, tau)
+        by_row, by_col = patch.gradient(track.row.at(tau) - row, track.col.at(tau) - col)
+        slope = track.height.slope(tau) - by_row * track.row.slope(tau) - by_col * track.col.slope(tau)
+        low, high = jnp.where(value > 0.0, tau, low), jnp.where(value > 0.0, high, tau)
+        newton = tau - value / jnp.where(slope < 0.0, slope, -1.0)
+        stays: Flag = (slope < 0.0) & (newton >= low) & (newton <= high)
+        tau = jnp.where(stays, newton, 0.5 * (low + high))
+    return tau, below
+
+
+def _nothing() -> Bracket:
+    zero = jnp.asarray(0.0)
+    return Bracket(zero, zero, jnp.zeros(2, jnp.int32), Status.not_converged.code)

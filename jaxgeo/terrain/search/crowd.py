@@ -1,0 +1,244 @@
+"""First hits of many rays at once: they walk in rounds, and those that are done drop out of the work.
+
+All rays go through a first pass in large blocks that lie together in memory. The few that are not done then (their
+first interval to settle held nothing, or they go on to another track) are listed, and go on in small blocks that are
+gathered and scattered, until the list is empty. When fewer rays are left than a small block has lanes, each settles
+many intervals at a time, so that one ray that grazes a whole plain costs the others nothing.
+
+What a ray does never depends on its neighbours, only how soon it is done.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Int32
+
+from jaxgeo._numerics import tree_where
+from jaxgeo._typing import Flag, Index
+from jaxgeo.earth.ray import Ray
+from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.march import happened, has_entered, march_all
+from jaxgeo.terrain.search.walk import Stretch, advance, is_passing, must_settle, place, position_of
+from jaxgeo.terrain.search.walker import Store, Walker, after_track, first_place, new_track, no_tracks, take_down
+from jaxgeo.terrain.track import Quartic, Track
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+
+LARGE_BLOCK = 4096  # rays of the first pass at a time: their tracks stay in a core's cache
+SMALL_BLOCK = 2048
+BUNDLE = 32  # neighbours that look for a common start
+STRIDE = 8  # finest intervals that a march settles before the ray may skip again
+NO_SPREAD = (0.0, 0.0, 0.0)
+SCATTERED = 1e9  # cells or m: more than any terrain
+
+Rays = Float[Array, " rays"]
+Codes = Int32[Array, " rays"]
+
+
+def walk_all(ray: Ray, reach: Reach, dem: Dem) -> tuple[Walker, Track]:
+    """Walk every ray (leading axis) to its first event or to its end; the track is the one of the event."""
+    count = reach.start.shape[0]
+    if count > SMALL_BLOCK:
+        store, waiting, left = _first_pass(ray, reach, dem)
+    else:
+        walker = jax.vmap(Walker.at_start)(reach)
+        store = Store.of(walker, no_tracks(count))
+        waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
+    store = _rounds(store, waiting, left, ray, reach, dem)
+    return store.unpacked()
+
+
+def _first_pass(ray: Ray, reach: Reach, dem: Dem) -> tuple[Store, Int[Array, " list"], Index]:
+    """Every ray once, in blocks that lie together; and who is not done. The last block is filled up."""
+    count = reach.start.shape[0]
+    blocks = -(-count // LARGE_BLOCK)
+    size = BUNDLE * -(-count // (BUNDLE * blocks))
+    whole = blocks * size
+    ray, reach = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], whole - count, axis=0)]), (ray, reach))
+    reach = eqx.tree_at(lambda r: r.exists, reach, reach.exists & (jnp.arange(whole) < count))
+
+    def block(number, state):
+        store, waiting, left = state
+        first = number * size
+        part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
+        here_ray, here_reach = jax.tree.map(part, (ray, reach))
+        walker = jax.vmap(Walker.at_start)(here_reach)
+        walker, track = _with_new_tracks(walker, no_tracks(size), here_ray, dem, here_reach.end)
+        walker = start_together(walker, jax.vmap(Stretch.of)(track), dem)
+        walker = _one_round(walker, track, dem, here_reach.end, few=size // 8)
+        done = Store.of(walker, track)
+        store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
+        index = first + jnp.arange(size, dtype=jnp.int32)
+        newcomers, more = _listed(index, ~walker.is_over)
+        return store, jax.lax.dynamic_update_slice(waiting, newcomers, (left,)), left + more
+
+    empty = Store(jnp.zeros((3, whole)), jnp.zeros((3, whole), jnp.int32), jnp.zeros((15, whole)))
+    nobody = jnp.zeros(whole + size, jnp.int32)
+    store, waiting, left = jax.lax.fori_loop(0, blocks, block, (empty, nobody, jnp.asarray(0, jnp.int32)))
+    return jax.tree.map(lambda x: x[:, :count], store), waiting[:count], left
+
+
+def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, dem: Dem) -> Store:
+    """Go through the list again and again until nobody is left."""
+    count = reach.start.shape[0]
+    size = min(SMALL_BLOCK, max(64, 1 << (count - 1).bit_length()))
+    waiting = jnp.pad(waiting, (0, size))
+
+    def block(number, state):
+        store, waiting, following, left, more = state
+        index = jax.lax.dynamic_slice_in_dim(waiting, number * size, size)
+        index = jnp.where(number * size + jnp.arange(size) < left, index, count)
+        walker, track = jax.tree.map(lambda x: _columns(x, index), store).unpacked()
+        walker = eqx.tree_at(lambda w: w.is_over, walker, walker.is_over | (index == count))
+        here_ray, end = jax.tree.map(lambda x: x.at[index].get(mode="clip"), (ray, reach.end))
+        walker, track = _with_new_tracks(walker, track, here_ray, dem, end)
+        walker = _one_round(walker, track, dem, end, few=jnp.where(left > size, size // 8, 0), left=left)
+        done = Store.of(walker, track)
+        store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
+        newcomers, some = _listed(index, ~walker.is_over)
+        return store, waiting, jax.lax.dynamic_update_slice(following, newcomers, (more,)), left, more + some
+
+    def one_round(state):
+        store, waiting, following, left = state
+        blocks = (left + size - 1) // size
+        nobody = jnp.asarray(0, jnp.int32)
+        store, waiting, following, _, more = jax.lax.fori_loop(
+            0, blocks, block, (store, waiting, following, left, nobody)
+        )
+        return store, following, waiting, more
+
+    state = (store, waiting, jnp.zeros_like(waiting), left)
+    return jax.lax.while_loop(lambda state: state[3] > 0, one_round, state)[0]
+
+
+def _one_round(
+    walker: Walker, track: Track, dem: Dem, end: Rays, *, few: Index | int, left: Index | None = None
+) -> Walker:
+    """Skip ahead, march over ground that is too near (with few rays left, in many lanes each), close finished tracks."""
+    stretch = jax.vmap(Stretch.of)(track)
+    walker = skip_ahead(walker, stretch, dem, few)
+    found = (
+        _march(walker, stretch, dem, few // 2)
+        if left is None
+        else _march_in_lanes(walker, stretch, dem, few // 2, left)
+    )
+    return jax.vmap(after_track)(jax.vmap(take_down)(walker, stretch, *found), stretch, end)
+
+
+def _march(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> tuple[Rays, Codes, Codes]:
+    """March over the next intervals of every ray that cannot skip them: where the marches end, what they met, and how
+    many intervals they have settled."""
+    first = position_of(walker.here)
+    marches = ~walker.fresh & ~walker.is_over & must_settle(walker.here)
+    last = jnp.minimum(first + jnp.where(marches, STRIDE, 0), stretch.count)
+    begin, end = stretch.tau(first), stretch.tau(last)
+    march = march_all(stretch.track, dem, begin, end, walker.news, few)
+    settled = jnp.where((march.tau >= end) & ~happened(march.news), last - first, 0)
+    return march.tau, jnp.where((settled > 0) | happened(march.news), march.news, walker.news), settled
+
+
+def _march_in_lanes(
+    walker: Walker, stretch: Stretch, dem: Dem, few: Index | int, left: Index
+) -> tuple[Rays, Codes, Codes]:
+    """As `_march`, with as many lanes for each ray as there are: each lane takes the intervals behind the one before.
+
+    The rays are the block's first; ray i gets the lanes from i * each on. Before a ray has come over the grid, what it
+    meets depends on what came before, so it gets one.
+    """
+    size = walker.here.shape[0]
+    each = jnp.maximum(size // jnp.maximum(left, 1), 1)
+    lane = jnp.arange(size, dtype=jnp.int32)
+    owner, ahead = lane // each, lane % each
+    theirs, mine = jax.tree.map(lambda x: x.at[owner].get(mode="clip"), (stretch, walker))
+    first = position_of(mine.here) + STRIDE * ahead
+    is_used = (owner < left) & (first < theirs.count) & (has_entered(mine.news) | (ahead == 0))
+    there = eqx.tree_at(
+        lambda w: (w.here, w.is_over),
+        mine,
+        (jnp.where(must_settle(mine.here), place(first, jnp.full_like(first, -1)), mine.here), mine.is_over | ~is_used),
+    )
+    tau, news, settled = _march(there, theirs, dem, few)
+    met = jax.lax.cummin(jnp.where(happened(news) & is_used, lane, size), reverse=True)
+    start = lane * each
+    nearest = met.at[start].get(mode="clip")
+    has_met = (nearest < start + each) & (start < size)
+    source = jnp.where(has_met, nearest, start)
+    lanes = jnp.where(has_entered(walker.news), each, 1)
+    tau, news, first = (x.at[source].get(mode="clip") for x in (tau, news, settled))
+    return tau, news, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
+
+
+def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, end: Rays) -> tuple[Walker, Track]:
+    """New tracks for those rays of a block that ask for one.
+
+    The condition also keeps the tracks from being made anew in every kernel that looks at them.
+    """
+
+    def made():
+        after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, end)
+        return after, jax.vmap(tree_where)(walker.fresh, fresh, track)
+
+    return jax.lax.cond(jnp.any(walker.fresh & ~walker.is_over), made, lambda: (walker, track))
+
+
+def _listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:
+    """The chosen indices, in order, in front; and how many there are."""
+    size = index.shape[0]
+    where = jnp.nonzero(chosen, size=size, fill_value=size - 1)[0]
+    return index[where], jnp.sum(chosen, dtype=jnp.int32)
+
+
+def _columns(x: Array, index: Int[Array, " block"]) -> Array:
+    return x.at[:, index].get(mode="clip")
+
+
+def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
+    """Let bundles of neighbouring rays start where all of them come near the ground.
+
+    The first ray of a bundle walks for all, as wide as the bundle spreads around it. Samples of one line of sight, or
+    the pixels of an image, so share most of their way; neighbours that have nothing in common start where they are.
+    """
+    bundles = lambda x: x.reshape(-1, BUNDLE)  # noqa: E731
+    ready = jnp.all(bundles(~walker.fresh & ~walker.is_over & has_entered(walker.news)), axis=1)
+    leader = jax.tree.map(lambda x: bundles(x)[:, 0], stretch)
+
+    def spread(quartic: Quartic, leading: Quartic) -> Float[Array, " bundles"]:
+        pairs = zip(jax.tree.leaves(quartic), jax.tree.leaves(leading), strict=True)
+        apart = sum(jnp.abs(bundles(each) - first[:, None]) for each, first in pairs)
+        return jnp.where(ready, jnp.max(jnp.asarray(apart), axis=1), SCATTERED)
+
+    quartics = lambda s: (s.track.row, s.track.col, s.track.height)  # noqa: E731
+    spreads = tuple(spread(all_, first) for all_, first in zip(quartics(stretch), quartics(leader), strict=True))
+
+    def move(here: Int[Array, " bundles"]) -> Int[Array, " bundles"]:
+        return jax.vmap(lambda here, stretch, spread: advance(here, stretch, dem, jnp.asarray(True), spread))(
+            here, leader, spreads
+        )
+
+    here = jax.lax.while_loop(lambda here: jnp.any(is_passing(here, leader)), move, jax.vmap(first_place)(leader))
+    clear_to = jnp.repeat(leader.tau(position_of(here)), BUNDLE, total_repeat_length=walker.here.shape[0])
+    position = jnp.floor((clear_to + 1.0) / stretch.unit).astype(jnp.int32)
+    level = jnp.clip(31 - jax.lax.clz(position & -position), 0, 2)
+    return eqx.tree_at(lambda w: w.here, walker, jnp.where(position > 0, place(position, level), walker.here))
+
+
+def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> Walker:
+    """Move a crowd on to the next intervals to settle, until no more than `few` rays are still on the way."""
+    is_walking = ~walker.fresh & ~walker.is_over
+    entered = has_entered(walker.news)
+
+    def move(_: Index, here: Int[Array, " rays"]) -> Int[Array, " rays"]:
+        return jax.vmap(lambda here, stretch, entered: advance(here, stretch, dem, entered, NO_SPREAD))(
+            here, stretch, entered
+        )
+
+    def many_are_passing(here: Int[Array, " rays"]) -> Flag:
+        return jnp.sum(is_walking & is_passing(here, stretch), dtype=jnp.int32) > few
+
+    moved = jax.lax.while_loop(many_are_passing, lambda here: jax.lax.fori_loop(0, 4, move, here), walker.here)
+    return eqx.tree_at(lambda w: w.here, walker, jnp.where(is_walking, moved, walker.here))

@@ -1,0 +1,157 @@
+"""A ray goes from cell to cell over ground that is too near to be skipped, each settled exactly on its patch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int32
+
+from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, Scalar, ScalarField, StatusCode
+from jaxgeo.status import Status, status_where
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+    from jaxgeo.terrain.patch import Patch
+    from jaxgeo.terrain.track import Quartic, Track
+
+Rays = Float[Array, " rays"]
+
+WALL = 1e-6  # m: a surface without voids is continuous to far less
+NEWTON_STEPS = 2  # within a cell a track is all but straight
+ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
+SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
+
+
+class March(eqx.Module):
+    """Where in `tau` a ray is on its way from cell to cell, and what it has met so far (see `news_of`)."""
+
+    tau: ScalarField
+    news: IndexField
+
+    def is_done(self, end: Numbers) -> Flags:
+        """Whether the march has met an event or has come to its end."""
+        return (self.tau >= end) | happened(self.news)
+
+
+# What a march has met is one int32: bit 0 says that it has come over the grid, bit 1 that it did so below the ceiling,
+# and the bits above are the status it ends with, counted from 1, or 0 while nothing has ended it.
+
+
+def news_of(entered: Flags, from_side: Flags) -> Indices:
+    """The news of a march that has met nothing yet."""
+    return entered.astype(jnp.int32) + 2 * from_side.astype(jnp.int32)
+
+
+def happened(news: Indices) -> Flags:
+    """Whether an event has ended the march."""
+    return news >= 4
+
+
+def has_entered(news: Indices) -> Flags:
+    """Whether the ray has come over the grid."""
+    return (news & 1) == 1
+
+
+def came_from_side(news: Indices) -> Flags:
+    """Whether it came over the grid's edge below the ceiling."""
+    return (news & 2) == 2
+
+
+def status_of(news: Index) -> StatusCode:
+    """The status of the event."""
+    return (jnp.right_shift(news, 2) - 1).astype(jnp.int8)
+
+
+def step(march: March, track: Track, dem: Dem, end: Scalar) -> March:
+    """Settle the cell ahead and go on to the next one; a march that has met an event stays before its cell."""
+    exit_ = jax.lax.optimization_barrier(cell_exit(march.tau, track, end))
+    news = jnp.where(march.is_done(end), march.news, _settle(march, track, dem, exit_))
+    return March(jnp.where(happened(news), march.tau, exit_), news)
+
+
+def cell_exit(tau: Scalar, track: Track, end: Scalar) -> Scalar:
+    """Where the ray crosses the next line of posts, or turns on an axis, or `end`."""
+    return jnp.minimum(_exit(track.row, tau, end), _exit(track.col, tau, end))
+
+
+def cell_between(track: Track, begin: Scalar, end: Scalar) -> tuple[Index, Index]:
+    """(row, col) of the cell that a piece of track lies in."""
+    middle = 0.5 * (begin + end)
+    return jnp.floor(track.row.at(middle)).astype(jnp.int32), jnp.floor(track.col.at(middle)).astype(jnp.int32)
+
+
+def _settle(march: March, track: Track, dem: Dem, exit_: Scalar) -> Index:
+    """The news after the cell."""
+    row, col = cell_between(track, march.tau, exit_)
+    patch, is_void = dem.patch(jnp.stack([row, col]))
+    (first, _, last), lowest, _ = lowest_clearance(track, patch, row, col, march.tau, exit_)
+    begins_below = first < -WALL
+    rows, cols = jnp.asarray(dem.extent)
+    within = (row >= 0) & (col >= 0) & (row <= rows - 2) & (col <= cols - 2)
+    entered, from_side = has_entered(march.news), came_from_side(march.news)
+    inside = (exit_ > march.tau) & within
+    enters = inside & ~entered
+    leaves = (exit_ > march.tau) & entered & ~within
+    from_side |= enters & (track.height.at(march.tau) < dem.ceiling)
+    status = jnp.where(from_side, Status.enters_from_side.code, Status.hit.code)
+    out_of_void = begins_below & ~enters  # into the wall of its neighbour
+    status = status_where(is_void | out_of_void, Status.hits_void, status)
+    status = status_where(enters & begins_below & ~is_void, Status.enters_below_terrain, status)
+    status = status_where(leaves, Status.leaves_terrain, status)
+    ends = leaves | (inside & (jnp.minimum(jnp.minimum(first, last), lowest) <= 0.0))
+    return news_of(entered | inside, from_side) + 4 * jnp.where(ends, status.astype(jnp.int32) + 1, 0)
+
+
+def lowest_clearance(
+    track: Track, patch: Patch, row: Index, col: Index, begin: Scalar, end: Scalar
+) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar, Scalar]:
+    """Clearance in m over a cell's patch at `begin`, halfway and `end`; the lowest between them, and its place in tau.
+
+    Over a bilinear patch the clearance is a parabola of range but for terms of the track's curvature within one cell;
+    the parabola only says where to look for its lowest, the values are exact.
+    """
+    first, half, last = (clearance(track, patch, row, col, tau) for tau in (begin, 0.5 * (begin + end), end))
+    bend = 2.0 * (first + last - 2.0 * half)
+    at = jnp.clip((first - last + bend) / jnp.where(bend > 0.0, 2.0 * bend, 1.0), 0.0, 1.0)
+    lowest_at = jnp.where(bend > 0.0, begin + (end - begin) * at, end)
+    return (first, half, last), clearance(track, patch, row, col, lowest_at), lowest_at
+
+
+def clearance(track: Track, patch: Patch, row: Index, col: Index, tau: Scalar) -> Scalar:
+    """Height in m of the track above the patch of the cell (row, col)."""
+    return track.height.at(tau) - patch.at(track.row.at(tau) - row, track.col.at(tau) - col)
+
+
+def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
+    """Where row or column crosses the next line, or first turns back, or `end`.
+
+    Up to the turning point the track goes one way, so the side is known from where it gets to, not from a slope.
+    """
+    slope, last_slope = axis.slope(tau), axis.slope(end)
+    turn = tau + (end - tau) * slope / jnp.where(slope == last_slope, 1.0, slope - last_slope)
+    turns = (slope * last_slope < 0.0) & (turn > tau + SAME_PLACE * (end - tau))
+    stop = jnp.where(turns, turn, end)
+    now, then = axis.at(tau), axis.at(stop)
+    above, below = jnp.floor(now + ON_A_LINE) + 1.0, jnp.ceil(now - ON_A_LINE) - 1.0
+    line = jnp.where(then > now, above, below)
+    crosses = (then > above) | (then < below)
+    crossing = tau + (stop - tau) * (line - now) / jnp.where(crosses, then - now, 1.0)
+    for _ in range(NEWTON_STEPS):
+        crossing = jnp.clip(crossing, tau, stop)
+        crossing = crossing - (axis.at(crossing) - line) / jnp.where(crosses, axis.slope(crossing), 1.0)
+    return jnp.where(crosses, jnp.clip(crossing, tau, stop), stop)
+
+
+def march_all(track: Track, dem: Dem, begin: Rays, end: Rays, news: Int32[Array, " rays"], few: Index | int) -> March:
+    """March a crowd (leading axis) from `begin` to `end`, until no more than `few` are still on the way."""
+
+    def move(march: March) -> March:
+        return jax.vmap(lambda march, track, end: step(march, track, dem, end))(march, track, end)
+
+    def many_are_on_the_way(march: March) -> Flag:
+        return jnp.sum(~march.is_done(end), dtype=jnp.int32) > few
+
+    return jax.lax.while_loop(many_are_on_the_way, move, March(begin, news))

@@ -1,0 +1,113 @@
+"""One ray's walk along one track: intervals that surely hold nothing are skipped, the others settled exactly."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, ScalarField, ScalarLike
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+    from jaxgeo.terrain.track import Track
+
+FINEST = 25  # dyadic levels of one track
+BESIDE = 1e-6  # cells; a track farther than this from the grid is beside it
+_LEVELS = 32  # a place is position * 32 + level + 1 in one int32
+
+
+class Stretch(eqx.Module):
+    """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell; `sag` bounds bending."""
+
+    track: Track
+    finest: IndexField
+    unit: ScalarField
+    sag: tuple[ScalarField, ScalarField, ScalarField]
+
+    @classmethod
+    def of(cls, track: Track) -> Stretch:
+        cells = jnp.ceil(jnp.clip(2.0 * track.speed(), 1.0, 2.0**FINEST)).astype(jnp.int32)
+        finest = 32 - jax.lax.clz(cells - 1)
+        unit = 2.0 / jnp.left_shift(jnp.ones_like(finest), finest)
+        return cls(track, finest, unit, (track.row.sag(), track.col.sag(), track.height.sag()))
+
+    @property
+    def count(self) -> Indices:
+        """How many intervals of the finest level there are."""
+        return jnp.left_shift(jnp.ones_like(self.finest), self.finest)
+
+    def tau(self, position: Indices) -> Numbers:
+        """Where the finest interval `position` begins."""
+        return self.unit * position - 1.0
+
+
+# A place on a stretch is one int32, so that one fused kernel moves a whole crowd of rays on: the interval
+# [position, position + 2^level) to look at next, or, with level -1, the finest one there, to be settled.
+
+
+def place(position: Indices, level: Indices) -> Indices:
+    """The place of an interval."""
+    return position * _LEVELS + level + 1
+
+
+def position_of(here: Indices) -> Indices:
+    """Where the interval begins, in finest intervals."""
+    return jnp.right_shift(here, 5)
+
+
+def must_settle(here: Indices) -> Flags:
+    """Whether the walk waits at a finest interval that cannot be skipped."""
+    return (here & (_LEVELS - 1)) == 0
+
+
+def is_passing(here: Indices, stretch: Stretch) -> Flags:
+    """Whether the walk may go on: it is not at the track's end, nor at an interval to settle."""
+    return ~must_settle(here) & (position_of(here) < stretch.count)
+
+
+def advance(
+    here: Index, stretch: Stretch, dem: Dem, entered: Flag, spread: tuple[ScalarLike, ScalarLike, ScalarLike]
+) -> Index:
+    """The next place: the following interval, twice as long where that is aligned, or the first half of this one.
+
+    `spread` in cells, cells and m widens the track on all sides (zero for one ray).
+    """
+    level = jnp.maximum((here & (_LEVELS - 1)) - 1, 0)
+    position = position_of(here)
+    end = position + jnp.left_shift(jnp.ones_like(level), level)
+    clear = _is_clear(stretch, dem, position, end, level, entered, spread)
+    is_aligned = (jnp.right_shift(end, level) & 1) == 0
+    after = place(end, level + (is_aligned & (level < stretch.finest)))
+    return jnp.where(is_passing(here, stretch), jnp.where(clear, after, here - 1), here)
+
+
+def _is_clear(
+    stretch: Stretch,
+    dem: Dem,
+    position: Index,
+    end: Index,
+    level: Index,
+    entered: Flag,
+    spread: tuple[ScalarLike, ScalarLike, ScalarLike],
+) -> Flag:
+    """Whether the interval surely holds no event: above all ground it can touch, or (before entry) beside the grid.
+
+    A position is within the grid only if the whole box is, so its (row, col) can be cut off to integers.
+    """
+    first, last = stretch.track.at(stretch.tau(position)), stretch.track.at(stretch.tau(end))
+    width = stretch.unit * (end - position)
+    bends = [sag * width * width + more for sag, more in zip(stretch.sag, spread, strict=True)]
+    low_row, low_col, low_height = (jnp.minimum(a, b) - bend for a, b, bend in zip(first, last, bends, strict=True))
+    high_row, high_col = (jnp.maximum(a, b) + bend for a, b, bend in zip(first[:2], last[:2], bends[:2], strict=True))
+    last_row, last_col = ((size - 1).astype(jnp.float64) for size in jnp.asarray(dem.extent))
+    is_inside = (low_row >= 0.0) & (low_col >= 0.0) & (high_row <= last_row) & (high_col <= last_col)
+    is_before = (high_row < -BESIDE) | (high_col < -BESIDE)
+    is_beside = is_before | (low_row > last_row + BESIDE) | (low_col > last_col + BESIDE)
+    row, col = (jnp.right_shift(x.astype(jnp.int32), level) for x in (low_row, low_col))
+    far_row, far_col = (jnp.right_shift(x.astype(jnp.int32), level) for x in (high_row, high_col))
+    fits = (far_row <= row + 1) & (far_col <= col + 1)
+    is_above = is_inside & fits & (low_height > dem.pyramid.bound(level, row, col))
+    return jnp.where(entered, is_above, is_beside)

@@ -1,0 +1,147 @@
+"""One ray's state on its way over the terrain, and how a crowd's states are packed to be gathered and scattered."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int32
+
+from jaxgeo._numerics import tree_where
+from jaxgeo._typing import FlagField, Index, IndexField, Scalar, ScalarField
+from jaxgeo.earth.ray import Ray
+from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.march import happened
+from jaxgeo.terrain.search.walk import FINEST, Stretch, must_settle, place, position_of
+from jaxgeo.terrain.track import Quartic, Track, make_track
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+
+LONGEST_TRACK = 40_000.0  # m: over more a quartic is not true enough
+SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
+TRACK_TOLERANCE = 2e-7  # m
+MOST_TRACKS = 4096
+
+
+class Walker(eqx.Module):
+    """Where one ray is on its way: the track it walks from range `passed` on, its place there, and what it has met.
+
+    `fresh` asks for a new track; `begun` is false until the first good one; `is_over` says that the walk has ended,
+    by an event in the `news` (see `march.news_of`) just behind `tau`, or without one.
+    """
+
+    passed: ScalarField
+    length: ScalarField
+    tau: ScalarField
+    tracks: IndexField
+    here: IndexField
+    news: IndexField
+    fresh: FlagField
+    begun: FlagField
+    is_over: FlagField
+
+    @classmethod
+    def at_start(cls, reach: Reach) -> Walker:
+        """A ray at the start of its reach, or over already if it has none."""
+        no, zero = jnp.zeros_like(reach.exists), jnp.zeros_like(reach.start, dtype=jnp.int32)
+        length = jnp.minimum(reach.end - reach.start, LONGEST_TRACK)
+        is_over = ~(reach.exists & reach.is_near)
+        return cls(reach.start, length, -jnp.ones_like(length), zero, zero, zero, ~no, no, is_over)
+
+
+def new_track(walker: Walker, ray: Ray, dem: Dem, end: Scalar) -> tuple[Walker, Track]:
+    """Give a ray that asks for it the next track, if that is true to the exact map, and begin to walk it.
+
+    The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from its
+    origin, to see it come in. A track that is not true enough is tried again with half the length.
+    """
+    track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
+    is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
+    is_true |= walker.length <= SHORTEST_TRACK
+    is_inside = dem.contains(jnp.stack([track.row.at(jnp.asarray(-1.0)), track.col.at(jnp.asarray(-1.0))]))
+    from_origin = ~walker.begun & ~is_inside & (walker.passed > 0.0)
+    good = is_true & ~from_origin
+    halved = jnp.where(is_true, jnp.minimum(end, LONGEST_TRACK), 0.5 * walker.length)
+    after = Walker(
+        passed=jnp.where(from_origin & is_true, 0.0, walker.passed),
+        length=jnp.where(good, walker.length, halved),
+        tau=walker.tau,
+        tracks=walker.tracks + 1,
+        here=jnp.where(good, first_place(Stretch.of(track)), walker.here),
+        news=walker.news | (good & ~walker.begun & is_inside),
+        fresh=~good,
+        begun=walker.begun | good,
+        is_over=walker.tracks >= MOST_TRACKS,
+    )
+    return tree_where(walker.fresh & ~walker.is_over, after, walker), track
+
+
+def first_place(stretch: Stretch) -> Index:
+    """A quarter of the track, for all of it is never clear: it begins just below the ceiling."""
+    return place(jnp.zeros_like(stretch.finest), jnp.maximum(stretch.finest - 2, 0))
+
+
+def after_track(walker: Walker, stretch: Stretch, end: Scalar) -> Walker:
+    """At the end of its track a ray that has met nothing asks for the next one, or is at its end."""
+    at_end = ~walker.fresh & ~walker.is_over & (position_of(walker.here) >= stretch.count)
+    passed = walker.passed + walker.length
+    remaining = end - passed
+    after = eqx.tree_at(
+        lambda w: (w.passed, w.length, w.fresh, w.is_over),
+        walker,
+        (
+            passed,
+            jnp.minimum(jnp.minimum(2.0 * walker.length, LONGEST_TRACK), remaining),
+            jnp.ones_like(walker.fresh),
+            remaining <= 1e-9 * end,
+        ),
+    )
+    return tree_where(at_end, after, walker)
+
+
+def take_down(walker: Walker, stretch: Stretch, tau: Scalar, news: Index, settled: Index) -> Walker:
+    """What a march has met, or that it has `settled` so many intervals without an event (0 if it is not finished)."""
+    beyond = jnp.minimum(position_of(walker.here) + settled, stretch.count)
+    onwards = jnp.where(settled > 0, place(beyond, (beyond & 1) ^ 1), walker.here)  # not with a long step, so near
+    after = eqx.tree_at(lambda w: (w.here, w.tau, w.news, w.is_over), walker, (onwards, tau, news, happened(news)))
+    return tree_where(~walker.fresh & ~walker.is_over & must_settle(walker.here), after, walker)
+
+
+# What is gathered and scattered goes in three arrays with one column per ray.
+
+
+class Store(eqx.Module):
+    """Walkers and their tracks, one column per ray."""
+
+    numbers: Float[Array, "3 rays"]
+    codes: Int32[Array, "3 rays"]
+    polynomials: Float[Array, "15 rays"]
+
+    @classmethod
+    def of(cls, walker: Walker, track: Track) -> Store:
+        """Pack a block."""
+        flags = walker.fresh + 2 * walker.begun + 4 * walker.is_over
+        codes = [walker.tracks, walker.here, walker.news * 8 + flags]
+        polynomials = jax.tree.leaves((track.row, track.col, track.height))
+        return cls(*(jnp.stack(rows) for rows in ([walker.passed, walker.length, walker.tau], codes, polynomials)))
+
+    def unpacked(self) -> tuple[Walker, Track]:
+        """The walkers and tracks of a block."""
+        passed, length, tau = self.numbers
+        tracks, here, packed = self.codes
+        fresh, begun, is_over = ((packed & bit) > 0 for bit in (1, 2, 4))
+        walker = Walker(passed, length, tau, tracks, here, jnp.right_shift(packed, 3), fresh, begun, is_over)
+        row, col, height = (Quartic(*self.polynomials[k : k + 5]) for k in (0, 5, 10))
+        end = passed + length
+        middle, half = 0.5 * (passed + end), 0.5 * (end - passed)
+        return walker, Track(row, col, height, middle, half, jnp.zeros_like(passed))
+
+
+def no_tracks(count: int) -> Track:
+    """Tracks to be replaced."""
+    nowhere = jnp.zeros(count)
+    flat = Quartic(*[nowhere] * 5)
+    return Track(flat, flat, flat, nowhere, nowhere, nowhere)
