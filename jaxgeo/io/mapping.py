@@ -46,7 +46,8 @@ class FileMap:
             with np.errstate(invalid="ignore"):
                 x = x - turn * np.round((x - centre) / turn)
         x, y, det = x - c, y - f, a * e - b * d
-        return (a * y - d * x) / det, (e * x - b * y) / det
+        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+            return (a * y - d * x) / det, (e * x - b * y) / det
 
     def window(self, row: int, col: int, shape: tuple[int, int]) -> FileMap:
         """The map of a part that starts at (row, col)."""

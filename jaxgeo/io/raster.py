@@ -1,66 +1,25 @@
-"""Raster files as rasterio reads them: one array of values and voids, from one file or several tiles on one grid."""
+"""One array of values and voids from one raster file or from any number of tiles on one grid."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import os
-import pathlib
-import warnings
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Iterator
 
 import numpy as np
-import pyproj
-import rasterio
-from pyproj.exceptions import CRSError
-from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
-from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo.io.errors import DemError
+from jaxgeo.io.paths import Paths, are_all_named, expanded
+from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header, read_tile
 from jaxgeo.io.vertical import horizontal_part, vertical_part, vertical_unit
 
-MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
 MOST_POSTS = 2_000_000_000
-_NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
 _UNITS = {
     "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0,
     "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
     "us-ft": 1200 / 3937, "ftus": 1200 / 3937, "us survey foot": 1200 / 3937, "us survey feet": 1200 / 3937,
 }  # fmt: skip
-
-Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Tile:
-    """One file's header. `affine` maps (col, row) of post centres, not of corners, to map coordinates."""
-
-    path: str
-    band: int
-    driver: str
-    shape: tuple[int, int]
-    affine: Affine
-    crs: pyproj.CRS
-    dtype: np.dtype
-    scale: float
-    offset: float
-    unit: str | None
-
-    @property
-    def is_geographic(self) -> bool:
-        """Whether the map coordinates are longitude and latitude."""
-        return horizontal_part(self.crs).is_geographic
-
-    @property
-    def cols_per_turn(self) -> int | None:
-        """Columns in 360 degrees of longitude, where that is a whole number of them."""
-        if not self.is_geographic or self.affine.a == 0.0 or self.affine.b or self.affine.d:
-            return None
-        turn = 2.0 * np.pi / horizontal_part(self.crs).axis_info[0].unit_conversion_factor
-        cols = abs(turn / self.affine.a)
-        return round(cols) if abs(cols - round(cols)) < MISALIGNED else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,44 +40,68 @@ class Mosaic:
         rest = f" and {len(self.tiles) - 1} more" if len(self.tiles) > 1 else ""
         return f"{self.first.path}{rest}"
 
+    @functools.cached_property
+    def corners(self) -> np.ndarray:
+        """(first row, first col, last row + 1, last col + 1) of each tile, (tiles, 4)."""
+        placed = zip(self.tiles, self.offsets, strict=True)
+        return np.array([(r, c, r + tile.shape[0], c + tile.shape[1]) for tile, (r, c) in placed])
+
+    @functools.cached_property
+    def dtype(self) -> np.dtype:
+        """One that holds the values of every tile."""
+        kinds = {np.dtype(np.float64) if (t.scale, t.offset) != (1.0, 0.0) else t.dtype for t in self.tiles}
+        return np.result_type(*kinds)
+
     def bounds(self) -> tuple[int, int, int, int]:
         """(first row, first col, last row + 1, last col + 1) of all tiles."""
-        corners = [(r, c, r + t.shape[0], c + t.shape[1]) for t, (r, c) in zip(self.tiles, self.offsets, strict=True)]
-        r0, c0, r1, c1 = zip(*corners, strict=True)
-        return min(r0), min(c0), max(r1), max(c1)
+        r0, c0, r1, c1 = self.corners.T
+        return int(r0.min()), int(c0.min()), int(r1.max()), int(c1.max())
+
+    def under(self, window: tuple[int, int, int, int]) -> Iterator[tuple[Tile, int, int]]:
+        """The tiles that reach into a window, in their order, with the row and column of their first post there."""
+        r0, c0, r1, c1 = window
+        turn = self.first.cols_per_turn
+        shifts = (0,) if turn is None else (0, -turn, turn)
+        top, left, bottom, right = self.corners.T
+        near = np.array([(top < r1) & (bottom > r0) & (left + s < c1) & (right + s > c0) for s in shifts])
+        for index in np.flatnonzero(near.any(axis=0)):
+            for which in np.flatnonzero(near[:, index]):
+                yield self.tiles[index], int(top[index]), int(left[index]) + shifts[which]
 
 
 def open_mosaic(paths: Paths, band: int) -> Mosaic:
     """Headers of one file or of several tiles on one grid. Raises `FileNotFoundError` or `DemError`."""
-    names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-    if not names:
-        raise DemError("no file was named: paths is empty.")
-    tiles = tuple(_header(os.fspath(name), band) for name in names)
-    return Mosaic(tiles, tuple(_offset(tiles[0], tile) for tile in tiles))
+    tiles = tuple(read_header(name, band) for name in expanded(paths))
+    mosaic = Mosaic(tiles, tuple(_offset(tiles[0], tile) for tile in tiles))
+    if not are_all_named(paths):
+        _check_no_two_are_alike(mosaic)
+    return mosaic
 
 
-def read_window(mosaic: Mosaic, window: tuple[int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+def read_window(
+    mosaic: Mosaic, window: tuple[int, int, int, int], files: OpenFiles | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Values as stored, and voids, of (first row, first col, last row + 1, last col + 1) on the mosaic's grid.
 
-    Where several tiles hold a post, the first that knows it is taken; what none holds is void.
+    Where several tiles hold a post, the first that knows it is taken; what none holds is void. `files` are kept open
+    for the next window.
     """
+    if files is None:
+        with OpenFiles() as files:
+            return read_window(mosaic, window, files)
     r0, c0, r1, c1 = window
     if (r1 - r0) * (c1 - c0) > MOST_POSTS:
         raise DemError(f"{mosaic.name}: {r1 - r0} x {c1 - c0} posts are too many at once; name a part with bounds=.")
-    dtype = np.result_type(*(_stored_dtype(tile) for tile in mosaic.tiles))
-    values, void = np.zeros((r1 - r0, c1 - c0), dtype), np.ones((r1 - r0, c1 - c0), bool)
-    turn = mosaic.first.cols_per_turn
-    for tile, (row, col) in zip(mosaic.tiles, mosaic.offsets, strict=True):
-        for shift in (0,) if turn is None else (0, -turn, turn):
-            top, left = max(row, r0), max(col + shift, c0)
-            bottom, right = min(row + tile.shape[0], r1), min(col + shift + tile.shape[1], c1)
-            if top >= bottom or left >= right:
-                continue
-            part, unknown = _read(tile, Window(left - col - shift, top - row, right - left, bottom - top))  # pyright: ignore
-            here = np.s_[top - r0 : bottom - r0, left - c0 : right - c0]
-            take = void[here] & ~unknown
-            values[here] = np.where(take, part, values[here])
-            void[here] &= ~take
+    values, void = np.zeros((r1 - r0, c1 - c0), mosaic.dtype), np.ones((r1 - r0, c1 - c0), bool)
+    for tile, row, col in mosaic.under(window):
+        top, left = max(row, r0), max(col, c0)
+        bottom, right = min(row + tile.shape[0], r1), min(col + tile.shape[1], c1)
+        inner = Window(left - col, top - row, right - left, bottom - top)  # pyright: ignore[reportCallIssue]
+        part, unknown = read_tile(tile, inner, files)
+        here = np.s_[top - r0 : bottom - r0, left - c0 : right - c0]
+        take = void[here] & ~unknown
+        np.copyto(values[here], part, where=take)
+        void[here] &= ~take
     return values, void
 
 
@@ -151,89 +134,23 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
     return 1.0
 
 
-@contextlib.contextmanager
-def _opened(path: str) -> Iterator[rasterio.DatasetReader]:
-    """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
-    is_plain = "://" not in path and not path.startswith("/vsi") and ":" not in path[2:]
-    if is_plain and not pathlib.Path(path).exists():
-        raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
-        try:
-            dataset = rasterio.open(path)
-        except RasterioError as error:
-            raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
-        with dataset:
-            yield dataset
-
-
-def _header(path: str, band: int) -> Tile:
-    with _opened(path) as data:
-        if not 1 <= band <= data.count:
-            raise DemError(f"{path}: there is no band {band}; the file has {data.count}.")
-        _check_holds_heights(path, data, band)
-        _check_georeferenced(path, data)
-        if data.crs is None:
+def _check_no_two_are_alike(mosaic: Mosaic) -> None:
+    """Refuse two files over the same posts where nobody named them: one may hold something else than heights."""
+    seen: dict[tuple[int, ...], Tile] = {}
+    for tile, corners in zip(mosaic.tiles, map(tuple, mosaic.corners), strict=True):
+        if corners in seen:
             raise DemError(
-                f"{path}: the file names no coordinate reference system, so nobody knows where it lies. "
-                f"Write one into it, e.g. gdal_edit -a_srs EPSG:4326 {path}."
+                f"{tile.path}: it covers the same posts as {seen[corners].path}. If both hold heights, name them one "
+                f'by one in order of preference; else leave one out, e.g. by a pattern such as "*_dem.tif".'
             )
-        return Tile(
-            path=path,
-            band=band,
-            driver=data.driver,
-            shape=data.shape,
-            affine=_centred(data.transform),
-            crs=_crs(path, data),
-            dtype=np.dtype(data.dtypes[band - 1]),
-            scale=data.scales[band - 1],
-            offset=data.offsets[band - 1],
-            unit=data.units[band - 1] or None,
-        )
-
-
-def _centred(corner: Affine) -> Affine:
-    """The transform of post centres from that of corners, which is what GDAL gives for area and for point files."""
-    a, b, c, d, e, f = corner[:6]
-    return Affine(a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
-
-
-def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
-    try:
-        crs = pyproj.CRS.from_wkt(data.crs.to_wkt())
-    except (CRSError, RasterioError) as error:
-        raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
-    flat = horizontal_part(crs)
-    if not (flat.is_geographic or flat.is_projected):
-        raise DemError(f"{path}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")
-    return crs
-
-
-def _check_holds_heights(path: str, data: rasterio.DatasetReader, band: int) -> None:
-    dtype, colour = data.dtypes[band - 1], data.colorinterp[band - 1]
-    if "complex" in dtype:
-        raise DemError(f"{path}: band {band} holds complex numbers ({dtype}), not heights.")
-    if colour in _NOT_HEIGHTS:
-        raise DemError(f"{path}: band {band} is the {colour.name} channel of a picture, not heights.")
-    if min(data.shape) < 2:
-        raise DemError(f"{path}: {data.height} x {data.width} posts make no surface; at least 2 x 2 are needed.")
-
-
-def _check_georeferenced(path: str, data: rasterio.DatasetReader) -> None:
-    t = data.transform
-    if t.is_identity:
-        how = "ground control points" if data.gcps[0] else "rational polynomials" if data.rpcs else None
-        reason = f"it is placed by {how} only" if how else "it has no geotransform"
-        raise DemError(f"{path}: the file's rows and columns are on no map: {reason}. Warp it first (gdalwarp).")
-    if not np.isfinite(t.determinant) or t.is_degenerate:
-        raise DemError(f"{path}: the geotransform {tuple(t)[:6]} squeezes the raster into a line.")
+        seen[corners] = tile
 
 
 def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
     """(row, col) of a tile's first post on the grid of the first tile. Raises `DemError` if it is not on that grid."""
     if tile is first:
         return 0, 0
-    if not tile.crs.equals(first.crs, ignore_axis_order=True):
+    if tile.crs is not first.crs and not tile.crs.equals(first.crs, ignore_axis_order=True):
         raise DemError(
             f"{tile.path}: its CRS is {tile.crs.name!r}, that of {first.path} is {first.crs.name!r}; tiles must share "
             f"one grid (they are not resampled). Read them apart, or warp them to one grid first."
@@ -256,30 +173,6 @@ def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
             f"must share one grid (they are not resampled). Read them apart, or warp them to one grid first."
         )
     return round(row), round(col)
-
-
-def _read(tile: Tile, window: Window) -> tuple[np.ndarray, np.ndarray]:
-    with _opened(tile.path) as data:
-        try:
-            values = data.read(tile.band, window=window)
-            unknown = data.read_masks(tile.band, window=window) == 0
-            if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
-                unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
-        except RasterioIOError as error:
-            raise DemError(
-                f"{tile.path}: rows {window.row_off} to {window.row_off + window.height} cannot be read; the file is "
-                f"damaged or cut short: {error.__cause__ or error}"
-            ) from error
-    if values.dtype.kind == "f":
-        unknown |= ~np.isfinite(values)
-        values = np.where(unknown, 0.0, values)
-    if (tile.scale, tile.offset) != (1.0, 0.0):
-        values = values.astype(np.float64) * tile.scale + tile.offset
-    return values, unknown
-
-
-def _stored_dtype(tile: Tile) -> np.dtype:
-    return np.dtype(np.float64) if (tile.scale, tile.offset) != (1.0, 0.0) else tile.dtype
 
 
 def _unit(name: str, whose: str) -> float:

@@ -14,7 +14,8 @@ Bounds = tuple[float | int, float | int, float | int, float | int]
 
 _ALONG_EDGE = 721
 _INSIDE = 33
-_SMALLEST = 64
+_SMALLEST = 256
+_LARGEST_SQUARE = 1024
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,12 +66,22 @@ def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn:
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """The next of the sizes 64, 96, 128, 192, 256, ... in rows and columns."""
+    """The size of the arrays that hold a window: few sizes, since each is one that programs are compiled for.
+
+    Windows of up to 1024 posts a side get a square of 256, 512 or 1024; a longer side is one of 1024, 1536, 2048,
+    3072, 4096, ... of its own.
+    """
+    longest = max(shape)
+    if longest <= _LARGEST_SQUARE:
+        side = _SMALLEST
+        while side < longest:
+            side *= 2
+        return side, side
     return _padded(shape[0]), _padded(shape[1])
 
 
 def _padded(n: int) -> int:
-    size = _SMALLEST
+    size = _LARGEST_SQUARE
     while size < n:
         if size * 3 // 2 >= n:
             return size * 3 // 2

@@ -1,0 +1,168 @@
+"""How high and how low the ground can be, block by block, over files that are too large to be held at once."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pathlib
+import zipfile
+
+import numpy as np
+
+from jaxgeo.io.errors import DemError
+from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source
+from jaxgeo.io.tiles import OpenFiles, stamp_of
+from jaxgeo.io.windows import Window
+
+BLOCK = 256  # cells on a side
+MOST_AT_ONCE = 16  # blocks read in one go: a million posts
+LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
+
+
+class Blocks:
+    """Bounds of the ground over blocks of 256 x 256 cells of some files, read when first asked for and remembered.
+
+    Block (i, j) holds the cells from row 256 i and column 256 j on, so its posts are one more each way, shared with its
+    neighbours. `low` and `high` are bounds of the known posts in m above the ellipsoid (infinite, the wrong way round,
+    where none is known), `has_void` tells unknown posts, `is_read` which blocks have been looked at. The bounds are
+    exact but for a datum that varies from place to place: then they are wider by as much as its undulation, looked up
+    on a lattice, changes between neighbours of it, and 0.1 m.
+    """
+
+    def __init__(self, source: Source, height_range: tuple[float, float] | None, cache: pathlib.Path | None) -> None:
+        self.source = source
+        self.size = BLOCK
+        self.height_range = height_range
+        self.cache = cache
+        rows, cols = source.window.shape
+        turn = source.mosaic.first.cols_per_turn
+        self.turn = turn if turn is not None and cols >= turn else None
+        """Columns of a mosaic that goes round the Earth, so that its last column is followed by its first."""
+        self.cells = rows - 1, (cols - 1 if self.turn is None else self.turn)
+        self.shape = -(-self.cells[0] // self.size), -(-self.cells[1] // self.size)
+        self.low, self.high = np.full(self.shape, np.inf), np.full(self.shape, -np.inf)
+        self.has_void, self.is_read = np.zeros(self.shape, bool), np.zeros(self.shape, bool)
+        self.posts_read = 0
+        self._saved = 0
+        if cache is not None and cache.exists():
+            self._load(cache)
+
+    def read(self, wanted: np.ndarray | None = None) -> None:
+        """Look at the blocks of a mask (all by default) that have not been looked at, a million posts at a time."""
+        missing = ~self.is_read if wanted is None else wanted & ~self.is_read
+        if not missing.any():
+            return
+        with OpenFiles() as files:
+            for i in np.flatnonzero(missing.any(axis=1)):
+                columns = np.flatnonzero(missing[i])
+                for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
+                    for start in range(0, run.size, MOST_AT_ONCE):
+                        self._read_run(int(i), run[start : start + MOST_AT_ONCE], files)
+        self.save(at_least=0.25)
+
+    def bounds(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[float, float, bool]:
+        """(lowest, highest, whether there are voids) over blocks of rows i0..i1 and columns j0..j1, ends included.
+
+        The columns may go on round the Earth.
+        """
+        here = self._index(rows, cols)
+        return float(self.low[here].min()), float(self.high[here].max()), bool(self.has_void[here].any())
+
+    def column_of(self, col: int) -> int:
+        """The column of blocks that a column of cells lies in, counted on beyond the seam of a mosaic that is round."""
+        if self.turn is None or col < self.turn:
+            return col // self.size
+        return self.shape[1] + (col - self.turn) // self.size
+
+    def mark(self, wanted: np.ndarray, rows: tuple[int, int], cols: tuple[int, int]) -> None:
+        """Add blocks to a mask of those wanted."""
+        wanted[self._index(rows, cols)] = True
+
+    def save(self, at_least: float = 0.0) -> None:
+        """Write the file of bounds, if one was named, once the share of new blocks is more than `at_least`."""
+        count = int(self.is_read.sum())
+        is_enough = count == self.is_read.size or count - self._saved > at_least * self.is_read.size
+        if self.cache is None or count == self._saved or not is_enough:
+            return
+        beside = self.cache.with_name(f"{self.cache.name}.{os.getpid()}.part")
+        try:
+            with beside.open("wb") as stream:
+                fields = {name: getattr(self, name) for name in ("low", "high", "has_void", "is_read")}
+                np.savez_compressed(stream, identity=np.array(self._identity()), **fields)
+            beside.replace(self.cache)
+        except OSError as error:
+            raise DemError(f"{self.cache}: the bounds of {self.source.name} cannot be written here: {error}") from error
+        self._saved = count
+
+    def _load(self, cache: pathlib.Path) -> None:
+        """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
+        try:
+            with np.load(cache) as held:
+                if str(held["identity"]) != self._identity():
+                    return
+                for name in ("low", "high", "has_void", "is_read"):
+                    getattr(self, name)[...] = held[name]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise DemError(
+                f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
+            ) from error
+        self._saved = int(self.is_read.sum())
+
+    def _identity(self) -> str:
+        """Says which files, of which time and size, and how they were understood."""
+        source = self.source
+        files = [(t.path, t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources]) for t in source.mosaic.tiles]
+        rest = (source.mosaic.offsets, source.shift.name, source.unit, repr(source.nodata), self.size)
+        return hashlib.sha256(repr((files, rest)).encode()).hexdigest()
+
+    def _index(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        return np.arange(rows[0], rows[1] + 1)[:, None], np.arange(cols[0], cols[1] + 1)[None, :] % self.shape[1]
+
+    def _read_run(self, i: int, run: np.ndarray, files: OpenFiles) -> None:
+        """Read neighbouring blocks of one row of blocks together."""
+        row, stop_row = i * self.size, min((i + 1) * self.size, self.cells[0]) + 1
+        col, stop_col = int(run[0]) * self.size, min((int(run[-1]) + 1) * self.size, self.cells[1]) + 1
+        window = Window(row, col, stop_row, stop_col)
+        values, void = self.source.stored(window, files)
+        self.posts_read += values.size
+        for j in run:
+            part = Window(row, int(j) * self.size, stop_row, min((int(j) + 1) * self.size, self.cells[1]) + 1)
+            here = np.s_[:, part.col - col : part.stop_col - col]
+            self._take(i, int(j), part, values[here], void[here])
+
+    def _take(self, i: int, j: int, part: Window, values: np.ndarray, void: np.ndarray) -> None:
+        has_void = bool(void.any())
+        known = values[~void] if has_void else values
+        if known.size:
+            low, high = float(known.min()) * self.source.unit, float(known.max()) * self.source.unit
+            lowest, highest = self._undulation(part)
+            low, high = low + lowest, high + highest
+            allowed = POSSIBLE_HEIGHTS if self.height_range is None else self.height_range
+            if not allowed[0] <= low <= high <= allowed[1]:  # NaN too
+                heights = self.source.ellipsoidal(part, values, void, np.dtype(np.float64))  # may refuse them, in words
+                low, high = float(heights[~void].min()), float(heights[~void].max())
+                self._check_range(part, low, high)
+            self.low[i, j], self.high[i, j] = low, high
+        self.has_void[i, j], self.is_read[i, j] = has_void, True
+
+    def _undulation(self, part: Window) -> tuple[float, float]:
+        """Bounds in m of what is added to the stored heights of a block; NaN where the datum's grid does not reach."""
+        shift = self.source.shift
+        if shift.transformer is None:
+            return shift.undulation, shift.undulation
+        rows = np.linspace(part.row, part.stop_row - 1, LATTICE)
+        cols = np.linspace(part.col, part.stop_col - 1, LATTICE)
+        row, col = np.meshgrid(rows, cols, indexing="ij")
+        lon, lat = self.source.mapping.lonlat(row.ravel(), col.ravel())
+        added = shift.to_ellipsoid(lon, lat, np.zeros(lon.shape)).reshape(row.shape)
+        change = max(np.abs(np.diff(added, axis=axis)).max() for axis in (0, 1)) + 0.1
+        return float(added.min() - change), float(added.max() + change)
+
+    def _check_range(self, part: Window, low: float, high: float) -> None:
+        if self.height_range is None or (low >= self.height_range[0] and high <= self.height_range[1]):
+            return
+        raise DemError(
+            f"{self.source.name}: rows {part.row} to {part.stop_row - 1}, columns {part.col} to {part.stop_col - 1} "
+            f"hold heights of {low:.6g} to {high:.6g} m above the ellipsoid, beyond the height_range="
+            f"({self.height_range[0]:g}, {self.height_range[1]:g}) that was stated. Widen it, or leave it out."
+        )

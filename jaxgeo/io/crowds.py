@@ -1,0 +1,180 @@
+"""Crowds of rays over terrain that stays on disk: rays that lie close together share a window."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64
+from jaxgeo._doors import UNIT_TOLERANCE, as_array, check_is, observation
+from jaxgeo.earth import Geodetic
+from jaxgeo.earth.ray import Ray
+from jaxgeo.fix import Fix
+from jaxgeo.io.files import MAX_POSTS, DemFiles
+from jaxgeo.io.sightlines import Sightlines, comes_in, in_parts, padded_rays
+from jaxgeo.io.windows import Window
+from jaxgeo.locate import intersect
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.status import Status
+from jaxgeo.terrain.search.base import CEILING_MARGIN
+
+WORTH_SPLITTING = 1_000_000  # posts: below, one window is as good as two
+SAVING = 0.6  # share of a window's posts that its two halves may hold, if it is to be split
+
+Batch = tuple[np.ndarray, Window, bool]
+"""Which rays, their window, and whether it needs the whole mosaic's ceiling."""
+
+
+def intersect_files(rays: Ray, files: DemFiles, *, max_posts: int = MAX_POSTS) -> Fix:
+    """Where rays first meet terrain that stays on disk: what `intersect` says over the whole mosaic, ray by ray.
+
+    `rays` is one `Ray` or a batch of any shape, ECEF, with unit directions; the `Fix` has that shape, each ray its
+    status. Rays that lie close together are answered together, over windows of at most `max_posts`, one after another,
+    their arrays padded to at most 2.25 times that (or 1024 x 1024): memory is bounded by that and the rays. An answer
+    does not depend on which rays share its window, but for rounding.
+
+    Not for use inside `jit` or for derivatives: for these take `files.corridor(rays)` and `intersect`.
+    Raises `DemError` if a single ray needs more than `max_posts`, or a file cannot be read; `ValueError` for shapes;
+    `TypeError` on float32.
+    """
+    check_is(rays, Ray, "rays")
+    check_is(files, DemFiles, "files")
+    rays = as_float64(Ray(as_array(rays.origin, "rays.origin"), as_array(rays.direction, "rays.direction")), "rays")
+    shape = np.shape(rays.origin)[:-1]
+    if np.shape(rays.origin)[-1:] != (3,) or np.shape(rays.direction) != np.shape(rays.origin):
+        raise ValueError(
+            f"rays must hold origins and directions of one shape (..., 3), ECEF; got {np.shape(rays.origin)} and "
+            f"{np.shape(rays.direction)}."
+        )
+    flat = Ray(np.asarray(rays.origin).reshape(-1, 3), np.asarray(rays.direction).reshape(-1, 3))
+    answers = _no_answers(len(flat.origin))
+    first = 0
+    for part in in_parts(flat):
+        _answer(part, files, max_posts, first, answers)
+        first += len(part.origin)
+    files.blocks.save()
+    return jax.tree.map(lambda x: jnp.asarray(x.reshape(shape + x.shape[1:])), answers)
+
+
+def locate_files(sensor: Sensor, shot: Shot, uv: ArrayLike, files: DemFiles, *, max_posts: int = MAX_POSTS) -> Fix:
+    """The ground points that pixels `uv` (..., 2) = (column, row) of one shot see, over terrain that stays on disk.
+
+    As `locate` for each pixel, with the limits and errors of `intersect_files`.
+    """
+    sensor, shot = observation(sensor, shot)
+    pixels = as_float64(as_array(uv, "uv"), "uv")
+    if pixels.shape[-1:] != (2,):
+        raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
+    flat = np.asarray(pixels).reshape(-1, 2)
+    origin, direction, status = _lines_of_sight(sensor, shot, jnp.asarray(flat))
+    seen = np.asarray(status) == Status.hit
+    away = np.array([1.0, 0.0, 0.0])
+    rays = Ray(np.where(seen[:, None], origin, 3e7 * away), np.where(seen[:, None], direction, away))
+    fix = intersect_files(Ray(jnp.asarray(rays.origin), jnp.asarray(rays.direction)), files, max_posts=max_posts)
+    fix = Fix(*(getattr(fix, name) for name in _NUMBERS), status=jnp.where(seen, fix.status, status))
+    return jax.tree.map(lambda x: x.reshape(pixels.shape[:-1] + x.shape[1:]), fix)
+
+
+_NUMBERS = ("position", "ecef", "slant_range", "incidence_ellipsoid", "incidence_surface", "slope")
+_hits = jax.jit(jax.vmap(intersect, in_axes=(0, None)))
+
+
+@jax.jit
+def _lines_of_sight(sensor: Sensor, shot: Shot, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    return jax.vmap(sensor.ray_ecef, in_axes=(None, 0))(shot, uv)
+
+
+def _no_answers(count: int) -> Any:
+    """A fix of NumPy arrays to be filled in."""
+    nan = lambda *shape: np.full((count, *shape), np.nan)  # noqa: E731
+    position = Geodetic(lat=nan(), lon=nan(), height=nan())
+    status = np.full(count, Status.invalid_input.value, np.int8)
+    return Fix(position, nan(3), nan(), nan(), nan(), nan(), status)
+
+
+def _answer(rays: Ray, files: DemFiles, max_posts: int, first: int, answers: Fix) -> None:
+    """Fill in the answers of a part of the rays, which begins at `first`."""
+    count = len(rays.origin)
+    length = np.linalg.norm(rays.direction, axis=1)
+    with np.errstate(invalid="ignore"):
+        valid = np.isfinite(rays.origin).all(axis=1) & (np.abs(length - 1.0) <= UNIT_TOLERANCE)
+    away = np.array([3e7, 0.0, 0.0])
+    rays = Ray(np.where(valid[:, None], rays.origin, away), np.where(valid[:, None], rays.direction, away / 3e7))
+    path = files.follow(rays)
+    status = np.full(count, Status.rises_away.value, np.int8)
+    is_open = path.exists & ~path.is_simple
+    if is_open.any():
+        leaves, misses = _beside(rays, files, is_open)
+        status[misses], status[leaves] = Status.ray_misses_terrain.value, Status.leaves_terrain.value
+        is_open &= ~leaves
+    np.asarray(answers.status)[first : first + count] = np.where(valid, status, Status.invalid_input.value)
+    for which in (np.flatnonzero(path.exists & path.is_simple), np.flatnonzero(is_open)):
+        for index, window, whole in _batches(which, path, files, max_posts, first):
+            dem = files.load(window, whole_ceiling=whole, max_posts=max_posts)
+            ready = padded_rays(Ray(rays.origin[index], rays.direction[index]))
+            fix = _hits(ready, dem)
+            del dem
+            _put(answers, first + index, fix)
+
+
+def _put(answers: Fix, where: np.ndarray, fix: Fix) -> None:
+    for all_, some in zip(jax.tree.leaves(answers), jax.tree.leaves(fix), strict=True):
+        all_[where] = np.asarray(some)[: len(where)]
+
+
+def _beside(rays: Ray, files: DemFiles, is_open: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of rays that cross the mosaic's own edge: which leave it above its ceiling, and which then may miss it."""
+    index = np.flatnonzero(is_open)
+    some = Ray(rays.origin[index], rays.direction[index])
+    exists, is_over, was_over = comes_in(
+        some, files.source.mapping, files.grid, files.blocks, files.ceiling + CEILING_MARGIN
+    )
+    leaves, misses = np.zeros(len(is_open), bool), np.zeros(len(is_open), bool)
+    leaves[index], misses[index] = exists & ~is_over & was_over, exists
+    return leaves, misses
+
+
+def _batches(which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: int, first: int) -> Iterator[Batch]:
+    """Rays in groups, each with a window that is not too large; rays that need none are left out."""
+    middles = _middles(path)
+    waiting = [which] if which.size else []
+    while waiting:
+        index = waiting.pop()
+        window, whole = files.window_under(path.take(index))
+        if window is None:
+            continue
+        is_too_large = files.too_large(window, max_posts)
+        if is_too_large and index.size == 1:
+            raise files.refuse(window, max_posts, f"ray {first + int(index[0])} alone")
+        if is_too_large or _is_worth_splitting(window, index, middles, path, files):
+            waiting += _halves(index, middles)
+        else:
+            yield index, window, whole
+
+
+def _middles(path: Sightlines) -> np.ndarray:
+    """(row, col) of the middle of where each ray may meet the ground, (n, 2)."""
+    weight = path.touches[..., None] + 1e-9 * path.exists[:, None, None]
+    return (weight * 0.5 * (path.low + path.high)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
+
+
+def _halves(index: np.ndarray, middles: np.ndarray) -> list[np.ndarray]:
+    """Rays cut in two groups of one size across the direction in which they spread farther."""
+    axis = int(np.argmax(np.ptp(middles[index], axis=0)))
+    order = index[np.argsort(middles[index, axis], kind="stable")]
+    return [np.sort(half) for half in np.array_split(order, 2)]
+
+
+def _is_worth_splitting(
+    window: Window, index: np.ndarray, middles: np.ndarray, path: Sightlines, files: DemFiles
+) -> bool:
+    posts = int(np.prod(window.shape))
+    if index.size < 2 or posts < WORTH_SPLITTING:
+        return False
+    halves = [files.window_under(path.take(half))[0] for half in _halves(index, middles)]
+    return sum(int(np.prod(half.shape)) for half in halves if half is not None) < SAVING * posts

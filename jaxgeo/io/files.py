@@ -1,0 +1,292 @@
+"""Terrain that stays on disk: what lies under rays is found block by block, and only that is loaded."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import require_x64
+from jaxgeo.earth.ray import Ray
+from jaxgeo.io.blocks import Blocks
+from jaxgeo.io.dem import build_dem
+from jaxgeo.io.errors import DemError
+from jaxgeo.io.gridding import make_grid
+from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, open_source
+from jaxgeo.io.paths import Paths
+from jaxgeo.io.sightlines import BESIDE, Sightlines, sightlines
+from jaxgeo.io.tiles import OpenFiles
+from jaxgeo.io.vertical import VerticalDatum
+from jaxgeo.io.windows import Window, padded_shape
+from jaxgeo.terrain.dem import Dem
+from jaxgeo.terrain.grid import AbstractGrid, GeographicGrid
+
+MAX_POSTS = 16_777_216  # 4096 x 4096: a quarter of a GB of heights and bounds
+PADDING = 2.25  # times a window's posts: what its arrays hold at most, beyond 1024 posts a side
+REUSE = 4  # times the posts needed: a size that programs are compiled for is taken up to here
+
+
+def open_dem(
+    path_or_paths: Paths,
+    *,
+    vertical_datum: VerticalDatum = None,
+    height_range: tuple[float, float] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+    band: int = 1,
+    nodata: float | int | None = None,
+    height_unit: str | None = None,
+    void_ceiling: float | int | None = None,
+    dtype: Any = np.float64,
+    assume_wgs84: bool = False,
+) -> DemFiles:
+    """Files of heights too many or too large to be held at once: only their headers are read here.
+
+    `path_or_paths`, `vertical_datum`, `band`, `nodata`, `height_unit`, `dtype` and `assume_wgs84` are as in `read_dem`.
+
+    - `height_range`: (lowest, highest) in m above the ellipsoid, where you know that no post lies beyond; a post read
+      that does is refused. It spares the pass over all files that `DemFiles.highest` may need.
+    - `cache`: a file that keeps the bounds of the ground, block by block, for the next run; it is made anew when a
+      file's time or size, or how it is understood, has changed.
+    - `void_ceiling`: height in m up to which the ground over voids may rise, and over ground that no tile holds: that
+      of the highest post of all files unless you know better (0 beside a coast).
+
+    GDAL keeps a cache of its own beside what is held here, of 5 % of the machine's memory unless the environment's
+    GDAL_CACHEMAX says otherwise. Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file
+    and the reason; `RuntimeError` with 64-bit floats off.
+    """
+    require_x64()
+    source = open_source(
+        path_or_paths,
+        band=band,
+        vertical_datum=vertical_datum,
+        nodata=nodata,
+        height_unit=height_unit,
+        assume_wgs84=assume_wgs84,
+    )
+    if height_range is not None:
+        low, high = (float(height) for height in height_range)
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise DemError(f"{source.name}: height_range must be (lowest, highest) in m; got {height_range!r}.")
+        height_range = low, high
+    if void_ceiling is not None and not np.isfinite(void_ceiling):
+        raise DemError(f"{source.name}: void_ceiling must be a finite height in m; got {void_ceiling!r}.")
+    blocks = Blocks(source, height_range, None if cache is None else pathlib.Path(cache))
+    return DemFiles(source, blocks, None if void_ceiling is None else float(void_ceiling), np.dtype(dtype))
+
+
+class DemFiles:
+    """A mosaic of files on one grid, of any size; made by `open_dem`. Rows and columns count from its first post.
+
+    It answers first hits through `corridor`, or for crowds of rays through `intersect_files` and `locate_files`: as the
+    whole mosaic in one `Dem` would, but only what the rays can touch is ever in memory. What it keeps is the lowest and
+    highest post of every block of 256 x 256 cells that was asked for, and the sizes of the windows it has made.
+    """
+
+    def __init__(self, source: Source, blocks: Blocks, void_ceiling: float | None, dtype: np.dtype) -> None:
+        self.source = source
+        self.blocks = blocks
+        self.dtype = dtype
+        self.posts_loaded = 0
+        """Posts read for windows so far; `blocks.posts_read` counts those read for bounds."""
+        self._void_ceiling = void_ceiling
+        self._sizes: list[tuple[int, int]] = []
+        self.grid: AbstractGrid | None = None
+        with contextlib.suppress(DemError):  # too large for one fitted map: every window gets its own
+            self.grid = make_grid(source.name, source.mapping)[0]
+
+    def __repr__(self) -> str:
+        rows, cols = self.shape
+        known = 100.0 * float(self.blocks.is_read.mean())
+        return (
+            f"DemFiles({self.source.name}: {rows} x {cols} posts, {self.source.mosaic.first.crs.name}, heights from "
+            f"{self.source.shift.name}; bounds known of {known:.0f} % of it)"
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of the whole mosaic, with the gaps between its tiles."""
+        return self.source.window.shape
+
+    @property
+    def highest(self) -> float:
+        """Height in m that no post exceeds: as stated, else by a pass over all files, once, block by block.
+
+        That of the highest post, exactly, where the vertical datum is a constant; else at most some decimetres more.
+        """
+        return self._range()[1]
+
+    @property
+    def lowest(self) -> float:
+        """Height in m that no post lies below; as `highest`."""
+        return self._range()[0]
+
+    @property
+    def void_ceiling(self) -> float:
+        """Height in m up to which unknown ground may rise: the same for every window."""
+        return self.highest if self._void_ceiling is None else self._void_ceiling
+
+    @property
+    def ceiling(self) -> float:
+        """Height in m above which there is nothing, known or unknown."""
+        return max(self.highest, self.void_ceiling)
+
+    @property
+    def floor(self) -> float:
+        """Height in m below which no answer can lie."""
+        return min(self.lowest, self.void_ceiling)
+
+    def corridor(self, rays: Ray, *, margin: int = 0, max_posts: int = MAX_POSTS) -> Dem:
+        """The part of the terrain that rays can touch: `intersect` answers as over the whole mosaic.
+
+        `rays` is one `Ray` or a batch, ECEF. The window holds every cell under each ray between its own ceiling and the
+        place where the ray must have met the ground, rises above all of it, or leaves the mosaic; so the edge of what
+        was loaded is never met on the way to the first hit. That holds for these rays and the first hit: other rays,
+        and searches that look elsewhere, see an edge there. Where a ray comes in over the mosaic's own edge or leaves
+        over it, the window has the whole mosaic's ceiling, and needs `highest`; so do voids, without a `void_ceiling`.
+
+        `margin` posts more on every side serve rays between these, such as those of an image of which the corners and
+        edges were given. Left over is one case: a ray that passes out of the mosaic above its ceiling leaves no window
+        to be in, and is told `ray_misses_terrain` (`intersect_files` says `leaves_terrain`). On maps that no one
+        formula serves (fitted ones too large for one fit), windows differ from each other by up to 1 mm.
+
+        Raises `DemError` for rays too far apart for one window of `max_posts`; `intersect_files` makes several.
+        """
+        path = self.follow(rays)
+        window, ceiling = self.window_under(path)
+        if window is None:
+            raise DemError(
+                f"{self.source.name}: none of the {len(path.exists)} rays can touch the ground of these files: they "
+                f"pass beside it or above it. Are they in ECEF and in m?"
+            )
+        if self.too_large(window, max_posts):
+            whose = "the ray" if len(path.exists) == 1 else f"these {len(path.exists)} rays together"
+            raise self.refuse(window, max_posts, whose)
+        return self.load(self._wider(window, margin), whole_ceiling=ceiling, max_posts=max_posts)
+
+    def follow(self, rays: Ray) -> Sightlines:
+        """Where rays pass over the mosaic and may meet its ground, by the bounds of its blocks."""
+        origin, direction = (np.asarray(part, np.float64) for part in (rays.origin, rays.direction))
+        if origin.shape != direction.shape or origin.shape[-1:] != (3,):
+            raise ValueError(
+                f"rays must hold origins and directions of one shape (..., 3); got {origin.shape}, {direction.shape}."
+            )
+        flat = Ray(origin.reshape(-1, 3), direction.reshape(-1, 3))
+        top = self.ceiling + 1.0 if self._knows_range() else POSSIBLE_HEIGHTS[1]
+        return sightlines(flat, self.source.mapping, self.grid, self.blocks, top, lambda: self.void_ceiling)
+
+    def window_under(self, path: Sightlines) -> tuple[Window | None, bool]:
+        """The smallest window that serves all rays of `path`, and whether it needs the whole mosaic's ceiling.
+
+        None where no ray passes over the mosaic. A window whose own highest ground serves as its ceiling must hold the
+        rays from that height down, and may meet higher ground by growing; hence the rounds.
+        """
+        if not path.is_simple[path.exists].all():
+            return self._around(path, self.ceiling), True
+        window = self._around(path, -np.inf)
+        while window is not None:
+            larger = self._around(path, self._ceiling_of(window))
+            if larger == window:
+                break
+            window = larger
+        return window, False
+
+    def load(self, window: Window, *, whole_ceiling: bool, max_posts: int = MAX_POSTS) -> Dem:
+        """One window as a `Dem`, its arrays padded to one of a few sizes."""
+        with OpenFiles() as files:
+            heights, void = self.source.heights(window, self.dtype, files)
+        self.posts_loaded += heights.size
+        ceiling = self.void_ceiling if void.any() else None
+        if void.all():  # nothing known here: one post alone makes no cell known
+            void[0, 0], heights[0, 0] = False, np.floor(self.void_ceiling)
+        dem = build_dem(
+            self.source.name, heights, void, self._grid_of(window), ceiling, self.size_for(window, max_posts)
+        )
+        if not whole_ceiling:
+            return dem
+        limits = jnp.asarray(self.floor), jnp.asarray(self.ceiling)
+        return eqx.tree_at(lambda d: (d.lowest, d.highest), dem, limits)
+
+    def size_for(self, window: Window, max_posts: int = MAX_POSTS) -> tuple[int, int]:
+        """(rows, cols) of the arrays for a window: one used before if it is not far too large, else a new one."""
+        size = padded_shape(window.shape)
+        posts = size[0] * size[1]
+        most = min(REUSE * posts, max(PADDING * max_posts, posts))
+        fits = [s for s in self._sizes if s[0] >= window.shape[0] and s[1] >= window.shape[1] and s[0] * s[1] <= most]
+        if fits:
+            return min(fits, key=lambda s: s[0] * s[1])
+        self._sizes.append(size)
+        return size
+
+    def too_large(self, window: Window | None, max_posts: int) -> bool:
+        """Whether a window holds more than `max_posts`."""
+        return window is not None and window.shape[0] * window.shape[1] > max_posts
+
+    def refuse(self, window: Window, max_posts: int, whose: str) -> DemError:
+        """What to tell of a window that is too large."""
+        return DemError(
+            f"{self.source.name}: {whose} can touch {window.shape[0]} x {window.shape[1]} posts, more than "
+            f"max_posts={max_posts}. Allow more posts, or give rays that are closer together or steeper."
+        )
+
+    def _knows_range(self) -> bool:
+        return self.blocks.height_range is not None or bool(self.blocks.is_read.all())
+
+    def _range(self) -> tuple[float, float]:
+        if self.blocks.height_range is not None:
+            return self.blocks.height_range
+        self.blocks.read()
+        low, high = float(self.blocks.low.min()), float(self.blocks.high.max())
+        if not np.isfinite(low):
+            raise DemError(f"{self.source.name}: all posts are void: there is no terrain here.")
+        return low, high
+
+    def _ceiling_of(self, window: Window) -> float:
+        """Upper bound of the ceiling that a window will have."""
+        rows = window.row // self.blocks.size, (window.stop_row - 2) // self.blocks.size
+        cols = window.col // self.blocks.size, self.blocks.column_of(window.stop_col - 2)
+        wanted = np.zeros(self.blocks.shape, bool)
+        self.blocks.mark(wanted, rows, cols)
+        self.blocks.read(wanted)
+        _, high, has_void = self.blocks.bounds(rows, cols)
+        return max(high, self.void_ceiling) if has_void else high
+
+    def _around(self, path: Sightlines, ceiling: float) -> Window | None:
+        """The window that holds the stretches needed for a search from `ceiling`; None where there are none."""
+        needed = path.needed(ceiling)
+        rows, cols = self.shape
+        low, high = path.low[needed] - BESIDE, path.high[needed] + BESIDE
+        over = (low[:, 0] <= rows - 1) & (high[:, 0] >= 0.0)
+        if self.blocks.turn is None:
+            over &= (low[:, 1] <= cols - 1) & (high[:, 1] >= 0.0)
+        if not over.any():
+            return None
+        r0, c0 = (int(edge) for edge in np.floor(low[over].min(axis=0)))
+        r1, c1 = (int(edge) + 2 for edge in np.floor(high[over].max(axis=0)))
+        r0, r1 = max(r0, 0), min(r1, rows)
+        if self.blocks.turn is None or c1 - c0 >= cols:
+            c0, c1 = max(c0, 0), min(c1, cols)
+        else:
+            start = c0 % self.blocks.turn
+            c0, c1 = start, c1 - c0 + start
+        return Window(min(r0, rows - 2), c0 if self.blocks.turn else min(c0, cols - 2), max(r1, 2), max(c1, 2))
+
+    def _wider(self, window: Window, margin: int) -> Window:
+        """A window with `margin` posts more on every side, as far as there are any."""
+        (rows, cols), turn = self.shape, self.blocks.turn
+        col, stop_col = window.col - margin, window.stop_col + margin
+        if turn is None or stop_col - col >= cols:
+            col, stop_col = max(col, 0), min(stop_col, cols)
+        return Window(max(window.row - margin, 0), col, min(window.stop_row + margin, rows), stop_col)
+
+    def _grid_of(self, window: Window) -> AbstractGrid:
+        mapping = self.source.mapping.window(window.row, window.col, window.shape)
+        if self.blocks.turn is not None and isinstance(self.grid, GeographicGrid):  # its own seam may be in the window
+            return GeographicGrid.from_affine(mapping.affine, window.shape)
+        if self.grid is not None:
+            return self.grid.window(jnp.asarray(float(window.row)), jnp.asarray(float(window.col)))
+        return make_grid(self.source.name, mapping)[0]

@@ -1,0 +1,195 @@
+"""From what a file stores to heights above the WGS 84 ellipsoid, post by post, and what is refused on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from jaxgeo.io.errors import DemError, VerticalDatumError
+from jaxgeo.io.mapping import FileMap, file_map
+from jaxgeo.io.paths import Paths
+from jaxgeo.io.raster import Mosaic, metres_per_unit, open_mosaic, read_window
+from jaxgeo.io.tiles import OpenFiles
+from jaxgeo.io.vertical import (
+    LARGEST_UNDULATION,
+    HeightShift,
+    VerticalDatum,
+    height_shift,
+    horizontal_part,
+    vertical_part,
+)
+from jaxgeo.io.windows import Bounds, Window, window_of_bounds
+
+CHUNK = 1_000_000  # posts transformed at once
+UNTAGGED = -9999.0
+POSSIBLE_HEIGHTS = (-12_500.0, 9_500.0)  # m; from the deepest trench to above the highest peak
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Files, and all that turns what they store into ellipsoidal heights; rows and columns count from `window`'s first.
+
+    `window` is the part of the mosaic meant, counted from its first tile's first post; `mapping` is the map of that
+    part.
+    """
+
+    mosaic: Mosaic
+    window: Window
+    mapping: FileMap
+    shift: HeightShift
+    unit: float
+    nodata: float | int | None
+
+    @property
+    def name(self) -> str:
+        """The file or files, for messages."""
+        return self.mosaic.name
+
+    def stored(self, part: Window, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """What the files hold at a part of this source, and which posts are void."""
+        place = part.moved(self.window.row, self.window.col)
+        values, void = read_window(self.mosaic, dataclasses.astuple(place), files)
+        if self.nodata is not None:
+            void |= np.isnan(values) if np.isnan(self.nodata) else values == self.nodata
+        else:
+            _check_untagged_voids(self.name, values, void)
+        return values, void
+
+    def heights(self, part: Window, dtype: np.dtype, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Heights above the ellipsoid in m of a part of this source, zero over voids, and the voids."""
+        values, void = self.stored(part, files)
+        return self.ellipsoidal(part, values, void, dtype), void
+
+    def ellipsoidal(self, part: Window, values: np.ndarray, void: np.ndarray, dtype: np.dtype) -> np.ndarray:
+        """Heights above the ellipsoid in m of stored `values`; zero over voids."""
+        mapping = self.mapping.window(part.row, part.col, part.shape)
+        metres = values * self.unit if self.unit != 1.0 else values
+        return _ellipsoidal(self.name, metres, void, mapping, self.shift, dtype)
+
+
+def open_source(
+    paths: Paths,
+    *,
+    band: int,
+    vertical_datum: VerticalDatum,
+    nodata: float | int | None,
+    height_unit: str | None,
+    assume_wgs84: bool,
+    bounds: Bounds | None = None,
+) -> Source:
+    """The headers of files, the map and the vertical datum of the part within `bounds`; no post is read."""
+    mosaic = open_mosaic(paths, band)
+    mapping, window = _part(mosaic, bounds, assume_wgs84)
+    shift = _shift(mosaic, mapping, vertical_datum)
+    unit = metres_per_unit(mosaic.first, height_unit, shift.unit if shift.transformer is not None else None)
+    return Source(mosaic, window, mapping, shift, unit, nodata)
+
+
+def _part(mosaic: Mosaic, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
+    """The map and the window, counted from the first tile's first post, of what is to be read."""
+    first, name, whole = mosaic.first, mosaic.name, Window(*mosaic.bounds())
+    mapping = file_map(name, horizontal_part(first.crs), first.affine[:6], first.shape, assume_wgs84=assume_wgs84)
+    mapping = mapping.window(whole.row, whole.col, whole.shape)
+    _check_latitudes(name, mapping)
+    if bounds is None:
+        return mapping, whole
+    part = window_of_bounds(name, mapping, bounds, first.cols_per_turn)
+    return mapping.window(part.row, part.col, part.shape), part.moved(whole.row, whole.col)
+
+
+def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShift:
+    rows, cols = (np.linspace(0.0, n - 1.0, 5) for n in mapping.shape)
+    lon, lat = mapping.lonlat(*(u.ravel() for u in np.meshgrid(rows, cols)))
+    known = np.isfinite(lon) & np.isfinite(lat)
+    area = None
+    if known.any() and np.ptp(lon[known]) < 180.0:
+        west, east = ((edge + 180.0) % 360.0 - 180.0 for edge in (lon[known].min(), lon[known].max()))
+        area = (float(west), float(lat[known].min()), float(east), float(lat[known].max()))
+    try:
+        return height_shift(asked, vertical_part(mosaic.first.crs), area)
+    except VerticalDatumError as error:
+        raise VerticalDatumError(f"{mosaic.name}: {error}") from error
+
+
+def _ellipsoidal(
+    name: str, values: np.ndarray, void: np.ndarray, mapping: FileMap, shift: HeightShift, dtype: np.dtype
+) -> np.ndarray:
+    """Heights above the ellipsoid, post by post; zero over voids."""
+    if dtype.kind not in "fiu" or dtype == np.float16:
+        raise DemError(f"{name}: dtype={dtype} cannot hold heights; use float64, float32 or an integer type.")
+    heights = np.zeros(values.shape, dtype)
+    cols = values.shape[1]
+    step = max(1, CHUNK // cols)
+    for top in range(0, values.shape[0], step):
+        rows = slice(top, min(top + step, values.shape[0]))
+        row, col = np.nonzero(~void[rows])
+        if not row.size:
+            continue
+        height = values[rows][row, col].astype(np.float64)
+        if not shift.is_identity:
+            lon, lat = mapping.lonlat(row + float(top), col.astype(np.float64))
+            height = _shifted(name, height, shift.to_ellipsoid(lon, lat, height), shift)
+        _check_heights(name, height, row + top, col, shift)
+        heights[row + top, col] = height
+        if dtype.kind != "f" and np.any(heights[row + top, col] != height):
+            raise DemError(f"{name}: dtype={dtype} would round the heights; use float64 or float32.")
+    return heights
+
+
+def _shifted(name: str, height: np.ndarray, shifted: np.ndarray, shift: HeightShift) -> np.ndarray:
+    """The shifted heights, unless the shift is larger than any geoid's."""
+    with np.errstate(invalid="ignore"):
+        too_far = np.abs(shifted - height) > LARGEST_UNDULATION
+    if too_far.any():
+        largest = float(np.abs(shifted - height)[too_far].max())
+        raise VerticalDatumError(
+            f"{name}: {shift.name} would move heights by up to {largest:.6g} m, but the geoid stays within "
+            f"{LARGEST_UNDULATION:g} m of the ellipsoid. Is the grid a geoid's, in m?"
+        )
+    return shifted
+
+
+def _check_untagged_voids(name: str, values: np.ndarray, void: np.ndarray) -> None:
+    """Refuse posts of exactly -9999 far below all others: the most usual mark of a void, here without its tag."""
+    marked = (values == UNTAGGED) & ~void
+    if not marked.any():
+        return
+    others = values[~void & ~marked]
+    if not others.size or others.min() > UNTAGGED + 1000.0:
+        row, col = np.argwhere(marked)[0]
+        raise DemError(
+            f"{name}: {int(marked.sum())} posts, the first at row {row}, column {col}, are exactly {UNTAGGED:g}, far "
+            f"below all others, and the file has no nodata tag for that. Pass nodata={UNTAGGED:g}."
+        )
+
+
+def _check_heights(name: str, height: np.ndarray, row: np.ndarray, col: np.ndarray, shift: HeightShift) -> None:
+    low, high = POSSIBLE_HEIGHTS
+    wrong = ~((height >= low) & (height <= high))
+    if not wrong.any():
+        return
+    first = int(np.argmax(wrong))
+    where = f"{name}: at row {row[first]}, column {col[first]}"
+    if np.isnan(height[first]):
+        raise VerticalDatumError(
+            f"{where} the vertical datum gives no height ({shift.name}): its grid does not reach there."
+        )
+    raise DemError(
+        f"{where} (and {int(wrong.sum()) - 1} more) the height is {height[first]:.6g} m, which no place on the Earth "
+        f"has. If that marks a void, pass nodata=...; if the unit is not the metre, pass height_unit=..."
+    )
+
+
+def _check_latitudes(name: str, mapping: FileMap) -> None:
+    if not mapping.crs.is_geographic:
+        return
+    _, _, _, d, e, f = mapping.affine
+    to_degrees = np.degrees(mapping.crs.axis_info[0].unit_conversion_factor)
+    rows, cols = mapping.shape[0] - 1, mapping.shape[1] - 1
+    corners = np.array([f, f + d * cols, f + e * rows, f + d * cols + e * rows]) * to_degrees
+    if np.abs(corners).max() > 90.0 + 1e-9:
+        raise DemError(
+            f"{name}: the transform puts posts at latitude {corners[np.abs(corners).argmax()]:.6g} deg, past a pole. "
+            f"Either it is wrong (rows and columns swapped?), or the CRS {mapping.crs.name!r} is."
+        )

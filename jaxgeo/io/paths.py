@@ -1,0 +1,65 @@
+"""Which files a caller means: one, several, a folder of tiles, or a pattern."""
+
+from __future__ import annotations
+
+import glob
+import os
+import pathlib
+from collections.abc import Sequence
+
+from jaxgeo.io.errors import DemError
+
+Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+
+RASTERS = (
+    ".tif", ".tiff", ".hgt", ".hgt.zip", ".hgt.gz", ".dt0", ".dt1", ".dt2", ".asc", ".img", ".bil", ".flt", ".bt",
+    ".dem", ".ter", ".nc", ".grd", ".gtx", ".jp2",
+)  # fmt: skip
+
+
+def expanded(paths: Paths) -> list[str]:
+    """The files meant, those of a folder and of a pattern in the order of their names.
+
+    A folder stands for every raster right inside it (told by its ending; a VRT only if nothing else is there), a
+    pattern such as "tiles/**/*.tif" for what it matches. Raises `FileNotFoundError` or `DemError`.
+    """
+    names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not names:
+        raise DemError("no file was named: paths is empty.")
+    files = [file for name in names for file in _expanded(os.fspath(name))]
+    if len(set(files)) < len(files):
+        twice = next(file for file in files if files.count(file) > 1)
+        raise DemError(f"{twice}: the file is named twice.")
+    return files
+
+
+def are_all_named(paths: Paths) -> bool:
+    """Whether the caller named each file, in place of a folder or a pattern."""
+    names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    return len(expanded(names)) == len(names)
+
+
+def _expanded(name: str) -> list[str]:
+    if "://" in name or name.startswith("/vsi"):
+        return [name]
+    if os.path.isdir(name):
+        return [name] if os.path.exists(os.path.join(name, "hdr.adf")) else _in_folder(name)  # one ESRI grid
+    if any(mark in name for mark in "*?[") and not os.path.exists(name):
+        found = sorted(file for file in glob.glob(name, recursive=True) if os.path.isfile(file))
+        if not found:
+            raise FileNotFoundError(f"{name}: no file matches this pattern.")
+        return found
+    return [name]
+
+
+def _in_folder(name: str) -> list[str]:
+    files = sorted(path for path in pathlib.Path(name).iterdir() if path.is_file() and not path.name.startswith("."))
+    rasters = [path for path in files if path.name.lower().endswith(RASTERS)]
+    rasters = rasters or [path for path in files if path.suffix.lower() == ".vrt"]
+    if not rasters:
+        held = f"{len(files)} other files, the first {files[0].name}" if files else "no files"
+        raise DemError(
+            f"{name}: the folder holds no raster by its ending ({', '.join(RASTERS[:5])}, ...), but {held}. Name the "
+            f'files themselves, or a pattern such as "{name}/**/*.tif" for tiles in folders below it.'
+        )
+    return [str(path) for path in rasters]

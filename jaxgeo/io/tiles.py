@@ -1,0 +1,199 @@
+"""Raster files as rasterio opens them: their headers, read once, and windows of their values."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import functools
+import os
+import pathlib
+import warnings
+
+import numpy as np
+import pyproj
+import rasterio
+from pyproj.exceptions import CRSError
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from jaxgeo.io.errors import DemError
+from jaxgeo.io.vertical import horizontal_part
+from jaxgeo.io.vrt import checked_sources
+
+MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
+MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
+_NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
+
+
+@dataclasses.dataclass(frozen=True)
+class Tile:
+    """One file's header. `affine` maps (col, row) of post centres, not of corners, to map coordinates."""
+
+    path: str
+    band: int
+    driver: str
+    shape: tuple[int, int]
+    affine: Affine
+    crs: pyproj.CRS
+    dtype: np.dtype
+    scale: float
+    offset: float
+    unit: str | None
+    sources: tuple[str, ...] = ()
+    """The files that a VRT is put together from."""
+
+    @functools.cached_property
+    def is_geographic(self) -> bool:
+        """Whether the map coordinates are longitude and latitude."""
+        return horizontal_part(self.crs).is_geographic
+
+    @functools.cached_property
+    def cols_per_turn(self) -> int | None:
+        """Columns in 360 degrees of longitude, where that is a whole number of them."""
+        if not self.is_geographic or self.affine.a == 0.0 or self.affine.b or self.affine.d:
+            return None
+        turn = 2.0 * np.pi / horizontal_part(self.crs).axis_info[0].unit_conversion_factor
+        cols = abs(turn / self.affine.a)
+        return round(cols) if abs(cols - round(cols)) < MISALIGNED else None
+
+
+class OpenFiles:
+    """Datasets kept open between reads, the last few used; close it, or use it as a context manager."""
+
+    def __init__(self) -> None:
+        self._open: collections.OrderedDict[str, rasterio.DatasetReader] = collections.OrderedDict()
+
+    def __enter__(self) -> OpenFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._open:
+            self._open.popitem()[1].close()
+
+    def __getitem__(self, path: str) -> rasterio.DatasetReader:
+        if path not in self._open:
+            if len(self._open) >= MOST_OPEN:
+                self._open.popitem(last=False)[1].close()
+            self._open[path] = _opened(path)
+        self._open.move_to_end(path)
+        return self._open[path]
+
+
+def read_header(path: str, band: int) -> Tile:
+    """The header of a raster file, remembered while the file's time and size stay. Raises as `read_dem` does."""
+    return _header(path, band, stamp_of(path))
+
+
+def stamp_of(path: str) -> tuple[int, int] | None:
+    """Time of change in ns and size of a plain file; None for anything else that GDAL opens."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
+    """Values with scale and offset applied, and voids, of a window of one file. Raises `DemError` if it is damaged."""
+    data = files[tile.path]
+    try:
+        values = data.read(tile.band, window=window)
+        unknown = data.read_masks(tile.band, window=window) == 0
+        if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
+            unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
+    except RasterioIOError as error:
+        raise DemError(
+            f"{tile.path}: rows {window.row_off} to {window.row_off + window.height} cannot be read; the file is "
+            f"damaged or cut short: {error.__cause__ or error}"
+        ) from error
+    if values.dtype.kind == "f":
+        unknown |= ~np.isfinite(values)
+        values = np.where(unknown, 0.0, values).astype(values.dtype)
+    if (tile.scale, tile.offset) != (1.0, 0.0):
+        values = values.astype(np.float64) * tile.scale + tile.offset
+    return values, unknown
+
+
+def _opened(path: str) -> rasterio.DatasetReader:
+    """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
+    is_plain = "://" not in path and not path.startswith("/vsi") and ":" not in path[2:]
+    if is_plain and not pathlib.Path(path).exists():
+        raise FileNotFoundError(f"{path}: no such file.")
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
+        try:
+            return rasterio.open(path)
+        except RasterioError as error:
+            raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
+
+
+@functools.lru_cache(maxsize=65_536)
+def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
+    del stamp  # part of the key only: another time or size is another file
+    with _opened(path) as data:
+        if not 1 <= band <= data.count:
+            raise DemError(f"{path}: there is no band {band}; the file has {data.count}.")
+        _check_holds_heights(path, data, band)
+        _check_georeferenced(path, data)
+        if data.crs is None:
+            raise DemError(
+                f"{path}: the file names no coordinate reference system, so nobody knows where it lies. "
+                f"Write one into it, e.g. gdal_edit -a_srs EPSG:4326 {path}."
+            )
+        return Tile(
+            path=path,
+            band=band,
+            driver=data.driver,
+            shape=data.shape,
+            affine=_centred(data.transform),
+            crs=_crs(path, data),
+            dtype=np.dtype(data.dtypes[band - 1]),
+            scale=data.scales[band - 1],
+            offset=data.offsets[band - 1],
+            unit=data.units[band - 1] or None,
+            sources=checked_sources(path, band) if data.driver == "VRT" else (),
+        )
+
+
+def _centred(corner: Affine) -> Affine:
+    """The transform of post centres from that of corners, which is what GDAL gives for area and for point files."""
+    a, b, c, d, e, f = corner[:6]
+    return Affine(a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
+
+
+def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
+    try:
+        crs = _crs_of(data.crs.to_wkt())
+    except (CRSError, RasterioError) as error:
+        raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
+    flat = horizontal_part(crs)
+    if not (flat.is_geographic or flat.is_projected):
+        raise DemError(f"{path}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")
+    return crs
+
+
+@functools.lru_cache(maxsize=256)
+def _crs_of(wkt: str) -> pyproj.CRS:
+    return pyproj.CRS.from_wkt(wkt)
+
+
+def _check_holds_heights(path: str, data: rasterio.DatasetReader, band: int) -> None:
+    dtype, colour = data.dtypes[band - 1], data.colorinterp[band - 1]
+    if "complex" in dtype:
+        raise DemError(f"{path}: band {band} holds complex numbers ({dtype}), not heights.")
+    if colour in _NOT_HEIGHTS:
+        raise DemError(f"{path}: band {band} is the {colour.name} channel of a picture, not heights.")
+    if min(data.shape) < 2:
+        raise DemError(f"{path}: {data.height} x {data.width} posts make no surface; at least 2 x 2 are needed.")
+
+
+def _check_georeferenced(path: str, data: rasterio.DatasetReader) -> None:
+    t = data.transform
+    if t.is_identity:
+        how = "ground control points" if data.gcps[0] else "rational polynomials" if data.rpcs else None
+        reason = f"it is placed by {how} only" if how else "it has no geotransform"
+        raise DemError(f"{path}: the file's rows and columns are on no map: {reason}. Warp it first (gdalwarp).")
+    if not np.isfinite(t.determinant) or t.is_degenerate:
+        raise DemError(f"{path}: the geotransform {tuple(t)[:6]} squeezes the raster into a line.")
