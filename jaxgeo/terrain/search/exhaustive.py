@@ -1,0 +1,87 @@
+"""Exhaustive search over height (Qiao 2019).
+
+C. Qiao, "Research on ground target geo-location technology based on digital elevation model for high-altitude
+long-range aerial camera", Changchun, 2019, named in Li et al. (2023), section 3, which says no more than that all
+heights near the target are tried. Two readings, and they differ:
+
+    first:   for Z = Zmax, Zmax - step, ... Zmin: if Z - h(Z) <= eps return Z
+    nearest: return the Z of all Zmax, Zmax - step, ... Zmin with the least |Z - h(Z)|
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._numerics import tree_where
+from jaxgeo._typing import Flag, Index, Scalar, ScalarField
+from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.run import Ending, ending_code
+from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.window import AbstractWindow, WholeTerrain
+
+
+class ExhaustiveFirst(AbstractStudiedSearch):
+    """Goes down in steps and returns the first height with D <= eps.
+
+    `step` in m is the height between tries, `eps` in m the tolerance, both 0.2 m as in the experiments of Li et al.
+    (2023); `window` says between which heights to look: the whole terrain, so that nothing in the way is left out.
+    A ridge between two tries is not seen, and the point may be below the ground by what D falls in one step.
+    """
+
+    eps: ScalarField = EPS
+    step: ScalarField = EPS
+    window: AbstractWindow = WholeTerrain()
+
+    def search(self, descent: Descent) -> Search:
+        lowest, highest = self.window.heights(descent)
+        eps, step = jnp.asarray(self.eps), jnp.asarray(self.step)
+        count = tries(lowest, highest, step)
+
+        def is_going_on(state: tuple[Look, Index]) -> Flag:
+            look, tried = state
+            return (look.clearance > eps) & (tried < count)
+
+        def advance(state: tuple[Look, Index]) -> tuple[Look, Index]:
+            _, tried = state
+            return descent.look(highest - step * tried), tried + 1
+
+        look, tried = jax.lax.while_loop(is_going_on, advance, (descent.look(highest), jnp.asarray(1, jnp.int32)))
+        ending = ending_where(look.clearance <= eps, Ending.converged, ending_code(Ending.failed))
+        return Search(look, tried, tried, ending)
+
+
+class ExhaustiveNearest(AbstractStudiedSearch):
+    """Tries every height and returns the one with the least |D|, wherever on the ray it is.
+
+    `step` in m is the height between tries: 0.2 m, the tolerance of Li et al. (2023). There is none of its own: of all
+    crossings it takes the one that a try happens to come nearest, and fails where none comes within `farthest` m, which
+    happens only where there is no crossing in the window.
+    """
+
+    step: ScalarField = EPS
+    farthest: ScalarField = 10.0
+    window: AbstractWindow = WholeTerrain()
+
+    def search(self, descent: Descent) -> Search:
+        lowest, highest = self.window.heights(descent)
+        step = jnp.asarray(self.step)
+        count = tries(lowest, highest, step)
+        best = nearest_of(descent, highest, step, count)
+        is_met = jnp.abs(best.clearance) <= jnp.asarray(self.farthest)
+        return Search(best, count, count, ending_where(is_met, Ending.converged, ending_code(Ending.failed)))
+
+
+def tries(lowest: Scalar, highest: Scalar, step: Scalar) -> Index:
+    """How many heights from the highest down to the lowest, the last one at it or below it."""
+    return jnp.ceil((highest - lowest) / step).astype(jnp.int32) + 1
+
+
+def nearest_of(descent: Descent, highest: Scalar, step: Scalar, count: Index) -> Look:
+    """Of `count` heights from `highest` down, the look with the least |D|; the highest of equals."""
+
+    def try_next(k: Index, best: Look) -> Look:
+        look = descent.look(highest - step * k)
+        return tree_where(jnp.abs(look.clearance) < jnp.abs(best.clearance), look, best)
+
+    return jax.lax.fori_loop(1, count, try_next, descent.look(highest))

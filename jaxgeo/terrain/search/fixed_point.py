@@ -1,0 +1,65 @@
+"""The loop that photogrammetric and improved iteration share: from one height to the next until the ray is met."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._typing import Flag, Index, Scalar, ScalarField
+from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.run import Ending, ending_code
+from jaxgeo.terrain.search.studied import Search, ending_where
+
+Step = Callable[[Descent, Look], tuple[Scalar, Index]]
+"""From a look at Z to the next height, and the evaluations that finding it took."""
+
+
+class _State(eqx.Module):
+    look: Look
+    evaluations: Index
+    iterations: Index
+    has_left: Flag
+    has_been_inside: Flag
+
+
+def middle_height(descent: Descent, height: ScalarField | None) -> Scalar:
+    """The approximate height to start from in m: the one given, or the middle between lowest and highest post."""
+    middle = 0.5 * (jnp.asarray(descent.dem.lowest) + descent.dem.highest)
+    return middle if height is None else jnp.asarray(height, jnp.float64)
+
+
+def iterate(descent: Descent, start: Scalar, step: Step, eps: Scalar, limit: Index) -> Search:
+    """Iterate `step` from the height `start` until |D| <= eps (m): converged.
+
+    Diverged: the next height is beyond the ray (behind its origin, or lower than it ever is), or over ground beside
+    the grid after the search was over it. Cycled: `limit` steps were taken and neither happened.
+    """
+    bottom = descent.dem.floor - (descent.dem.ceiling - descent.dem.floor) - 1000.0
+
+    def is_going_on(state: _State) -> Flag:
+        return ~state.has_left & (jnp.abs(state.look.clearance) > eps) & (state.iterations < limit)
+
+    def advance(state: _State) -> _State:
+        height, evaluations = step(descent, state.look)
+        is_finite = jnp.isfinite(height) & (height > bottom)
+        look = descent.look(jnp.where(is_finite, height, state.look.height))
+        left = ~is_finite | (look.distance < 0.0) | (state.has_been_inside & ~look.is_inside)
+        return _State(
+            look,
+            state.evaluations + evaluations + 1,
+            state.iterations + 1,
+            left,
+            state.has_been_inside | look.is_inside,
+        )
+
+    look = descent.look(start)
+    none = jnp.asarray(0, jnp.int32)
+    first = _State(look, none + 1, none, jnp.asarray(False), look.is_inside)
+    last = jax.lax.while_loop(is_going_on, advance, first)
+    is_met = jnp.abs(last.look.clearance) <= eps
+    ending = ending_where(is_met, Ending.converged, ending_code(Ending.cycled))
+    ending = ending_where(last.has_left, Ending.diverged, ending)
+    return Search(last.look, last.evaluations, last.iterations, ending)

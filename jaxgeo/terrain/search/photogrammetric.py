@@ -1,0 +1,42 @@
+"""Photogrammetric iteration (Sheng 2004).
+
+Y. Sheng, "Comparative evaluation of iterative and non-iterative methods to ground coordinate determination from single
+aerial images", Computers & Geosciences 30(3), 2004, as described by Li et al. (2023), section 3:
+
+    Z = Z0
+    repeat: Z = h(Z)
+    until |Z - h(Z)| <= eps
+
+On a plane the error is multiplied by -k in each step, k = tan(slope along the look) / tan(depression): it goes round
+for k = 1 and runs away for |k| > 1.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jaxgeo._typing import Index, Scalar, ScalarField
+from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
+
+
+class Photogrammetric(AbstractStudiedSearch):
+    """Takes the ground's height under the last point for the height of the next.
+
+    `eps` in m ends it; `start` is the approximate height to begin with in m (the middle between lowest and highest post
+    if None). `limit` is the most steps: with |k| = 0.9 a start 500 m off takes 75, so 100 cut off hardly any ray that
+    would still converge.
+    """
+
+    eps: ScalarField = EPS
+    start: ScalarField | None = None
+    limit: ScalarField = 100
+
+    def search(self, descent: Descent) -> Search:
+        start = middle_height(descent, self.start)
+        return iterate(descent, start, _to_ground, jnp.asarray(self.eps), jnp.asarray(self.limit))
+
+
+def _to_ground(descent: Descent, look: Look) -> tuple[Scalar, Index]:
+    return look.ground, jnp.asarray(0, jnp.int32)

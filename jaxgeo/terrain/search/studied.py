@@ -1,0 +1,102 @@
+"""The searches of the papers: heights asked of the DEM one by one, counted, and ended with a reason."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Int8
+
+from jaxgeo._numerics import tree_where
+from jaxgeo._typing import Flag, Index, Scalar, StatusCode
+from jaxgeo.earth.ray import Ray
+from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.terrain.interface import Bracket
+from jaxgeo.terrain.search.base import AbstractSearch, is_buried, reach_of
+from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.run import Ending, Run, ending_code
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+
+EPS = 0.2  # m: the tolerance of the experiments of Li et al. (2023), section 5.2
+
+
+class Search(eqx.Module):
+    """Where a studied search ended: its last look, what it cost, and the int8 `Ending`."""
+
+    look: Look
+    evaluations: Index
+    iterations: Index
+    ending: Int8[Array, ""]
+
+
+class Approach(eqx.Module):
+    """A ray ready to be searched: the ray (or a stand-in), the range in m where it begins to sink towards the ground,
+    and the int8 `Status` that keeps it from being searched, `hit` if nothing does."""
+
+    ray: Ray
+    start: Scalar
+    obstacle: StatusCode
+
+
+def approach(ray: Ray, dem: Dem) -> Approach:
+    """What every studied search needs to know of one `ray` (ECEF) first; the same for all of them."""
+    reach = reach_of(ray, dem)
+    obstacle = status_where(reach.sinks, Status.hit, Status.not_converged.code)
+    obstacle = status_where(~reach.exists, Status.rises_away, obstacle)
+    obstacle = status_where(is_buried(ray, dem), Status.camera_below_terrain, obstacle)
+    obstacle = status_where(~reach.is_near, Status.ray_misses_terrain, obstacle)
+    is_free = obstacle == Status.hit
+    stand_in = dem.safe_ray()
+    return Approach(tree_where(is_free, ray, stand_in), jnp.where(is_free, reach.start, 0.0), obstacle)
+
+
+class AbstractStudiedSearch(AbstractSearch):
+    """A search of the literature over heights Z, kept as it was published, its faults included.
+
+    `run` reports what it cost and how it ended; `bracket` gives its own point, within its own tolerance of the surface,
+    so that `intersect` and `locate` return the answer of the method and not a polished one. It may not be the first
+    crossing: `FirstHit` finds that. Rays that never sink below the lowest ground have nothing to search.
+    """
+
+    @abstractmethod
+    def search(self, descent: Descent) -> Search:
+        """The method itself, for a ray that sinks from above the highest to below the lowest ground."""
+
+    def run(self, ray: Ray, dem: Dem) -> Run:
+        """Search along one `ray` (ECEF) over `dem`. Under `jax.vmap` a batch takes as long as its slowest ray."""
+        return self.run_from(approach(ray, dem), dem)
+
+    def run_from(self, approach: Approach, dem: Dem) -> Run:
+        """`run` for a ray whose `approach` over `dem` is known, so that several searches can share it."""
+        done = self.search(Descent.of(approach.ray, dem, approach.start))
+        look = done.look
+        cell = dem.cell_of(look.rowcol)
+        status = first_failure(approach.obstacle, _status(done, dem))
+        has_point = (status == Status.hit) | (status == Status.hits_void)
+        is_lost = (approach.obstacle != Status.hit) | ((done.ending == Ending.converged) & ~has_point)
+        ending = ending_where(is_lost, Ending.failed, done.ending)
+        return Run(look.distance, look.height, look.clearance, cell, done.evaluations, done.iterations, ending, status)
+
+    def bracket(self, ray: Ray, dem: Dem) -> Bracket:
+        run = self.run(ray, dem)
+        has_point = (run.status == Status.hit) | (run.status == Status.hits_void)
+        distance = jnp.where(has_point, run.distance, 0.0)
+        return Bracket(distance, distance, jnp.where(has_point, run.cell, 0), run.status)
+
+
+def _status(done: Search, dem: Dem) -> StatusCode:
+    """What the point of a search is, or why there is none."""
+    _, is_void = dem.patch(dem.cell_of(done.look.rowcol))
+    status = status_where(is_void, Status.hits_void, Status.hit.code)
+    status = status_where(~done.look.is_inside, Status.leaves_terrain, status)
+    has_none = (done.ending != Ending.converged) | (done.look.distance < 0.0)
+    return status_where(has_none, Status.not_converged, status)
+
+
+def ending_where(condition: Flag, ending: Ending, otherwise: Int8[Array, ""]) -> Int8[Array, ""]:
+    """`ending` where `condition` holds, `otherwise` elsewhere."""
+    return jnp.where(condition, ending_code(ending), otherwise)
