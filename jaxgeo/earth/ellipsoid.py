@@ -72,7 +72,7 @@ class Ellipsoid(eqx.Module):
         return jnp.stack(normal), height
 
     def normal_and_height_of(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        """The components of `normal_and_height`: for a crowd, vectors of three are slow to put together and take apart."""
+        """The components of `normal_and_height`; for a crowd, vectors of three are slow to make and to take apart."""
         return _normal_and_height(self, x, y, z)
 
     def prime_vertical_radius(self, lat: Scalar) -> Scalar:

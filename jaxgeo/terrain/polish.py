@@ -13,7 +13,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 
 SLACK = 1e-6  # m: the bracket comes from a track that is true to less
-CLOSE_ENOUGH = 1e-6  # m of the last step: what is left after it is its square over the radius of a hill
+CLOSE_ENOUGH = 1e-4  # m of the last step: what is left after it is its square over the radius of a hill
 ROUNDING = 2e-9  # m of clearance: what an ECEF position cannot tell from zero
 STEPS = 60
 

@@ -31,7 +31,7 @@ def mountains() -> Mountains:
     terrain = TangentTerrain(posts, np.deg2rad(40.0), np.deg2rad(10.0), SPACING)
     centre = Geodetic.from_degrees(lat=40.0, lon=10.0, height=0.0)
     dem = Dem.from_array(posts, TangentGrid.centred(centre, spacing=(SPACING, SPACING), shape=posts.shape))
-    parts = [random_sights(terrain, 1600, seed=2), grazing_sights(terrain, 400, seed=3)]
+    parts = [random_sights(terrain, 1700, seed=2), grazing_sights(terrain, 400, seed=3)]
     origin, direction, start, target = (
         np.concatenate([getattr(part, name) for part in parts]) for name in Sight.__dataclass_fields__
     )

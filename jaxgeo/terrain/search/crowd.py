@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Int32
+from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index
@@ -119,7 +119,7 @@ def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, r
 def _one_round(
     walker: Walker, track: Track, dem: Dem, end: Rays, *, few: Index | int, left: Index | None = None
 ) -> Walker:
-    """Skip ahead, march over ground that is too near (with few rays left, in many lanes each), close finished tracks."""
+    """Skip ahead, march over ground that is too near (few rays in many lanes each), and close finished tracks."""
     stretch = jax.vmap(Stretch.of)(track)
     walker = skip_ahead(walker, stretch, dem, few)
     found = (
@@ -207,10 +207,10 @@ def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
     ready = jnp.all(bundles(~walker.fresh & ~walker.is_over & has_entered(walker.news)), axis=1)
     leader = jax.tree.map(lambda x: bundles(x)[:, 0], stretch)
 
-    def spread(quartic: Quartic, leading: Quartic) -> Float[Array, " bundles"]:
+    def spread(quartic: Quartic, leading: Quartic) -> Float32[Array, " bundles"]:
         pairs = zip(jax.tree.leaves(quartic), jax.tree.leaves(leading), strict=True)
         apart = sum(jnp.abs(bundles(each) - first[:, None]) for each, first in pairs)
-        return jnp.where(ready, jnp.max(jnp.asarray(apart), axis=1), SCATTERED)
+        return 1.001 * jnp.where(ready, jnp.max(jnp.asarray(apart), axis=1), SCATTERED).astype(jnp.float32)
 
     quartics = lambda s: (s.track.row, s.track.col, s.track.height)  # noqa: E731
     spreads = tuple(spread(all_, first) for all_, first in zip(quartics(stretch), quartics(leader), strict=True))

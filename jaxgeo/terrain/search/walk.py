@@ -12,27 +12,30 @@ from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, Sca
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
-    from jaxgeo.terrain.track import Track
+    from jaxgeo.terrain.track import Quartic, Track
 
 FINEST = 25  # dyadic levels of one track
-BESIDE = 1e-6  # cells; a track farther than this from the grid is beside it
 _LEVELS = 32  # a place is position * 32 + level + 1 in one int32
 
 
 class Stretch(eqx.Module):
-    """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell; `sag` bounds bending."""
+    """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell.
+
+    `rough` are its row, col and height again, in 32 bits and with what bounds the error of that: intervals are skipped
+    on them, which takes half the time, and settled on the track itself.
+    """
 
     track: Track
     finest: IndexField
     unit: ScalarField
-    sag: tuple[ScalarField, ScalarField, ScalarField]
+    rough: tuple[Rough, Rough, Rough]
 
     @classmethod
     def of(cls, track: Track) -> Stretch:
         cells = jnp.ceil(jnp.clip(2.0 * track.speed(), 1.0, 2.0**FINEST)).astype(jnp.int32)
         finest = 32 - jax.lax.clz(cells - 1)
         unit = 2.0 / jnp.left_shift(jnp.ones_like(finest), finest)
-        return cls(track, finest, unit, (track.row.sag(), track.col.sag(), track.height.sag()))
+        return cls(track, finest, unit, (Rough.of(track.row), Rough.of(track.col), Rough.of(track.height)))
 
     @property
     def count(self) -> Indices:
@@ -42,6 +45,31 @@ class Stretch(eqx.Module):
     def tau(self, position: Indices) -> Numbers:
         """Where the finest interval `position` begins."""
         return self.unit * position - 1.0
+
+
+class Rough(eqx.Module):
+    """A quartic in 32 bits: within `error` of it for tau in [-1, 1]; `sag` bounds its bending as `Quartic.sag` does."""
+
+    quartic: Quartic
+    sag: ScalarField
+    error: ScalarField
+
+    @classmethod
+    def of(cls, quartic: Quartic) -> Rough:
+        """Round to 32 bits.
+
+        Five products and sums, the coefficients and tau, each rounded to 2^-24, err by less than 2^-20 of the sum of
+        the coefficients' sizes and of the largest slope.
+        """
+        size = sum(abs(coefficient) for coefficient in jax.tree.leaves(quartic))
+        error = 2.0**-20 * (size + quartic.speed())
+        return jax.tree.map(lambda x: x.astype(jnp.float32), cls(quartic, 1.001 * quartic.sag(), 1.001 * error))
+
+    def box(self, begin: ScalarLike, end: ScalarLike, spread: ScalarLike) -> tuple[ScalarLike, ScalarLike]:
+        """Lower and upper bound between two places, in 32 bits, widened by `spread`."""
+        first, last, width = self.quartic.at(begin), self.quartic.at(end), end - begin
+        bend = self.sag * width * width + self.error + spread
+        return jnp.minimum(first, last) - bend, jnp.maximum(first, last) + bend
 
 
 # A place on a stretch is one int32, so that one fused kernel moves a whole crowd of rays on: the interval
@@ -95,17 +123,16 @@ def _is_clear(
 ) -> Flag:
     """Whether the interval surely holds no event: above all ground it can touch, or (before entry) beside the grid.
 
-    A position is within the grid only if the whole box is, so its (row, col) can be cut off to integers.
+    A position is within the grid only if the whole box is, so its (row, col) can be cut off to integers. All is done in
+    32 bits, with boxes widened by more than that errs.
     """
-    first, last = stretch.track.at(stretch.tau(position)), stretch.track.at(stretch.tau(end))
-    width = stretch.unit * (end - position)
-    bends = [sag * width * width + more for sag, more in zip(stretch.sag, spread, strict=True)]
-    low_row, low_col, low_height = (jnp.minimum(a, b) - bend for a, b, bend in zip(first, last, bends, strict=True))
-    high_row, high_col = (jnp.maximum(a, b) + bend for a, b, bend in zip(first[:2], last[:2], bends[:2], strict=True))
-    last_row, last_col = ((size - 1).astype(jnp.float64) for size in jnp.asarray(dem.extent))
+    unit = stretch.unit.astype(jnp.float32)
+    begin, stop = unit * position.astype(jnp.float32) - 1.0, unit * end.astype(jnp.float32) - 1.0
+    boxes = [rough.box(begin, stop, more) for rough, more in zip(stretch.rough, spread, strict=True)]
+    (low_row, high_row), (low_col, high_col), (low_height, _) = boxes
+    last_row, last_col = ((size - 1).astype(jnp.float32) for size in jnp.asarray(dem.extent))
     is_inside = (low_row >= 0.0) & (low_col >= 0.0) & (high_row <= last_row) & (high_col <= last_col)
-    is_before = (high_row < -BESIDE) | (high_col < -BESIDE)
-    is_beside = is_before | (low_row > last_row + BESIDE) | (low_col > last_col + BESIDE)
+    is_beside = (high_row < 0.0) | (high_col < 0.0) | (low_row > last_row) | (low_col > last_col)
     row, col = (jnp.right_shift(x.astype(jnp.int32), level) for x in (low_row, low_col))
     far_row, far_col = (jnp.right_shift(x.astype(jnp.int32), level) for x in (high_row, high_col))
     fits = (far_row <= row + 1) & (far_col <= col + 1)
