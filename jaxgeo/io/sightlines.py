@@ -28,6 +28,7 @@ RAYS_AT_ONCE = 16_384
 BATCHES = (256, 2048, RAYS_AT_ONCE)  # numbers of rays that programs are compiled for
 CLEARLY = 0.01  # m by which a ray must be below the lowest ground to have met it
 BESIDE = 1.0  # cells added around each box
+ON_THE_EDGE = 1e-6  # cells: on the outer line of posts in spite of rounding
 FAR_AWAY = 1e15  # where the map does not reach
 
 
@@ -182,8 +183,8 @@ def _passes_over(rowcol: np.ndarray, blocks: Blocks) -> np.ndarray:
     """Whether any of the straight pieces between places (n, places, 2) has a part over the mosaic."""
     a, run = rowcol[:, :-1], np.diff(rowcol, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = np.stack([-a / run, (np.array(blocks.cells) - a) / run])
-    inside = (a >= 0.0) & (a <= np.array(blocks.cells))
+        ends = np.stack([(-ON_THE_EDGE - a) / run, (np.array(blocks.cells) + ON_THE_EDGE - a) / run])
+    inside = (a >= -ON_THE_EDGE) & (a <= np.array(blocks.cells) + ON_THE_EDGE)
     still = run == 0.0
     first = np.where(still, np.where(inside, -np.inf, np.inf), ends.min(axis=0))
     last = np.where(still, np.where(inside, np.inf, -np.inf), ends.max(axis=0))

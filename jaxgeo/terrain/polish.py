@@ -71,5 +71,5 @@ def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upp
         return low, high, following, is_exact, count + 1
 
     start = 0.5 * (lower + upper)
-    state = (lower, upper, start, jnp.asarray(False), jnp.asarray(0))
+    state = (lower, upper, start, jnp.isnan(start), jnp.asarray(0))
     return jax.lax.while_loop(unfinished, refine, state)[2]

@@ -13,7 +13,7 @@ from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.search import crowd
 
-SAME = 1e-8  # m: rays that share a batch with others may differ by the rounding of an ECEF position
+SAME = 5e-9  # m of clearance: what the rounding of an ECEF position leaves open, and other batches round otherwise
 
 
 def hit_all(rays: Ray, dem: Dem):
@@ -27,7 +27,9 @@ def hit_all(rays: Ray, dem: Dem):
 
 def assert_same(one, other) -> None:
     np.testing.assert_array_equal(one.status, other.status)
-    np.testing.assert_allclose(one.slant_range, other.slant_range, rtol=0, atol=SAME)
+    apart = np.abs(np.asarray(one.slant_range) - np.asarray(other.slant_range))
+    steepness = np.abs(np.cos(np.asarray(one.incidence_surface)))
+    np.testing.assert_array_less(apart * steepness, SAME)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +109,7 @@ def sharded(dem):
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:1]), ("rays",))
     rays, everywhere = jax.sharding.PartitionSpec("rays"), jax.sharding.PartitionSpec()
     all_ = jax.vmap(intersect, in_axes=(0, None))
-    return jax.shard_map(all_, mesh=mesh, in_specs=(rays, everywhere), out_specs=rays, check_vma=False)(RAYS, dem)
+    return jax.shard_map(all_, mesh=mesh, in_specs=(rays, everywhere), out_specs=rays)(RAYS, dem)
 
 
 WAYS = {

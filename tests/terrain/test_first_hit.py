@@ -108,6 +108,16 @@ def test_status(name):
     assert fix.ok[0] == (expected is Status.hit)
 
 
+@pytest.mark.parametrize("elevation", [80.0, 20.0, 12.0])
+def test_a_camera_in_a_geostationary_orbit_sees_the_ground(elevation):
+    """The origin lies far beyond where the grid's map means anything; the ground it sees does not."""
+    down = local_ray(0.0, 0.0, 100.0, azimuth=130.0, elevation=elevation)
+    ray = Ray(down.origin + 3.95e7 * down.direction, -down.direction)
+    fix = hit([ray], small_dem(flat()))
+    assert Status(int(fix.status[0])) is Status.hit
+    assert fix.slant_range[0] == pytest.approx(3.95e7, abs=1e-6, rel=0)
+
+
 def test_a_ray_along_the_surface_is_near_tangent():
     posts = flat(100.0) + 30.0 * np.arange(SIZE)[:, None] * np.tan(np.deg2rad(20.0))
     rays = [

@@ -34,13 +34,15 @@ class Reach(eqx.Module):
 
     From `start` (where it sinks below the ceiling, or its origin) to `end` (where it is below the lowest ground, or has
     risen above the ceiling again), ranges in m. `exists` is false for a ray that is never below the ceiling, or so far
-    from the grid that the grid's map means nothing (`is_near` is false); `sinks` tells which kind of end it is.
+    from the grid there that the grid's map means nothing (`is_near` is false; `from_near` says the same of its origin);
+    `sinks` tells which kind of end it is.
     """
 
     start: ScalarField
     end: ScalarField
     exists: FlagField
     is_near: FlagField
+    from_near: FlagField
     sinks: FlagField
 
 
@@ -55,8 +57,8 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     start, exit_, floor = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
     sinks = sinks & (floor >= 0.0)
     centre_up, farthest = dem.grid_reach()
-    is_near = is_towards(ray.origin, centre_up, farthest) & is_towards(ray.at(start), centre_up, farthest)
-    return Reach(start, jnp.where(sinks, floor, exit_), meets & (exit_ > 0.0), is_near, sinks)
+    is_near, from_near = (is_towards(p, centre_up, farthest) for p in (ray.at(start), ray.origin))
+    return Reach(start, jnp.where(sinks, floor, exit_), meets & (exit_ > 0.0), is_near, from_near, sinks)
 
 
 def _inflated_chord(ray: Ray, height: Scalar) -> tuple[Scalar, Scalar, Flag]:

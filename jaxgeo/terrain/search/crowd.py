@@ -5,7 +5,8 @@ first interval to settle held nothing, or they go on to another track) are liste
 gathered and scattered, until the list is empty. When fewer rays are left than a small block has lanes, each settles
 many intervals at a time, so that one ray that grazes a whole plain costs the others nothing.
 
-What a ray does never depends on its neighbours, only how soon it is done.
+What a ray does never depends on its neighbours, only how soon it is done; where it starts to look may, and with that
+the last digits of what it finds.
 """
 
 from __future__ import annotations
@@ -23,7 +24,16 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
 from jaxgeo.terrain.search.march import happened, has_entered, march_all
 from jaxgeo.terrain.search.walk import Stretch, advance, is_passing, must_settle, place, position_of
-from jaxgeo.terrain.search.walker import Store, Walker, after_track, first_place, new_track, no_tracks, take_down
+from jaxgeo.terrain.search.walker import (
+    Store,
+    Walker,
+    after_track,
+    first_place,
+    new_track,
+    no_tracks,
+    nothing_like,
+    take_down,
+)
 from jaxgeo.terrain.track import Quartic, Track
 
 if TYPE_CHECKING:
@@ -47,7 +57,7 @@ def walk_all(ray: Ray, reach: Reach, dem: Dem) -> tuple[Walker, Track]:
         store, waiting, left = _first_pass(ray, reach, dem)
     else:
         walker = jax.vmap(Walker.at_start)(reach)
-        store = Store.of(walker, no_tracks(count))
+        store = Store.of(walker, no_tracks(reach.start))
         waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
     store = _rounds(store, waiting, left, ray, reach, dem)
     return store.unpacked()
@@ -68,7 +78,7 @@ def _first_pass(ray: Ray, reach: Reach, dem: Dem) -> tuple[Store, Int[Array, " l
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         here_ray, here_reach = jax.tree.map(part, (ray, reach))
         walker = jax.vmap(Walker.at_start)(here_reach)
-        walker, track = _with_new_tracks(walker, no_tracks(size), here_ray, dem, here_reach.end)
+        walker, track = _with_new_tracks(walker, no_tracks(here_reach.start), here_ray, dem, here_reach)
         walker = start_together(walker, jax.vmap(Stretch.of)(track), dem)
         walker = _one_round(walker, track, dem, here_reach.end, few=size // 8)
         done = Store.of(walker, track)
@@ -77,9 +87,10 @@ def _first_pass(ray: Ray, reach: Reach, dem: Dem) -> tuple[Store, Int[Array, " l
         newcomers, more = _listed(index, ~walker.is_over)
         return store, jax.lax.dynamic_update_slice(waiting, newcomers, (left,)), left + more
 
-    empty = Store(jnp.zeros((3, whole)), jnp.zeros((3, whole), jnp.int32), jnp.zeros((15, whole)))
-    nobody = jnp.zeros(whole + size, jnp.int32)
-    store, waiting, left = jax.lax.fori_loop(0, blocks, block, (empty, nobody, jnp.asarray(0, jnp.int32)))
+    zero = nothing_like(reach.start[0])
+    none = zero.astype(jnp.int32)
+    empty = Store(*(jnp.full((rows, whole), value) for rows, value in ((3, zero), (3, none), (15, zero))))
+    store, waiting, left = jax.lax.fori_loop(0, blocks, block, (empty, jnp.full(whole + size, none), none))
     return jax.tree.map(lambda x: x[:, :count], store), waiting[:count], left
 
 
@@ -95,9 +106,9 @@ def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, r
         index = jnp.where(number * size + jnp.arange(size) < left, index, count)
         walker, track = jax.tree.map(lambda x: _columns(x, index), store).unpacked()
         walker = eqx.tree_at(lambda w: w.is_over, walker, walker.is_over | (index == count))
-        here_ray, end = jax.tree.map(lambda x: x.at[index].get(mode="clip"), (ray, reach.end))
-        walker, track = _with_new_tracks(walker, track, here_ray, dem, end)
-        walker = _one_round(walker, track, dem, end, few=jnp.where(left > size, size // 8, 0), left=left)
+        here_ray, here_reach = jax.tree.map(lambda x: x.at[index].get(mode="clip"), (ray, reach))
+        walker, track = _with_new_tracks(walker, track, here_ray, dem, here_reach)
+        walker = _one_round(walker, track, dem, here_reach.end, few=jnp.where(left > size, size // 8, 0), left=left)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
         newcomers, some = _listed(index, ~walker.is_over)
@@ -106,13 +117,12 @@ def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, r
     def one_round(state):
         store, waiting, following, left = state
         blocks = (left + size - 1) // size
-        nobody = jnp.asarray(0, jnp.int32)
         store, waiting, following, _, more = jax.lax.fori_loop(
-            0, blocks, block, (store, waiting, following, left, nobody)
+            0, blocks, block, (store, waiting, following, left, nothing_like(left))
         )
         return store, following, waiting, more
 
-    state = (store, waiting, jnp.zeros_like(waiting), left)
+    state = (store, waiting, nothing_like(waiting), left)
     return jax.lax.while_loop(lambda state: state[3] > 0, one_round, state)[0]
 
 
@@ -173,14 +183,14 @@ def _march_in_lanes(
     return tau, news, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
 
 
-def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, end: Rays) -> tuple[Walker, Track]:
+def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker, Track]:
     """New tracks for those rays of a block that ask for one.
 
     The condition also keeps the tracks from being made anew in every kernel that looks at them.
     """
 
     def made():
-        after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, end)
+        after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, reach)
         return after, jax.vmap(tree_where)(walker.fresh, fresh, track)
 
     return jax.lax.cond(jnp.any(walker.fresh & ~walker.is_over), made, lambda: (walker, track))

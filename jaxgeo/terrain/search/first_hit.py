@@ -26,6 +26,7 @@ from jaxgeo.terrain.search.march import (
     status_of,
 )
 from jaxgeo.terrain.search.walk import Stretch
+from jaxgeo.terrain.search.walker import nothing_like
 from jaxgeo.terrain.track import Track
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ def _first_hits(rays: Ray, dem: Dem) -> Bracket:
             lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), found, _search(some, dem)
         )
 
-    empty = jax.tree.map(lambda x: jnp.zeros((count, *x.shape), x.dtype), _nothing())
+    nothing = nothing_like(jnp.where(jnp.isfinite(rays.origin[0, 0]), rays.origin[0, 0], 0.0))
+    empty = jax.tree.map(lambda x: jnp.full((count, *x.shape), nothing.astype(x.dtype)), _nothing())
     return jax.lax.fori_loop(0, parts, part, empty)
 
 

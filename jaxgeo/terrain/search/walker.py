@@ -52,11 +52,11 @@ class Walker(eqx.Module):
         return cls(reach.start, length, -jnp.ones_like(length), zero, zero, zero, ~no, no, is_over)
 
 
-def new_track(walker: Walker, ray: Ray, dem: Dem, end: Scalar) -> tuple[Walker, Track]:
+def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker, Track]:
     """Give a ray that asks for it the next track, if that is true to the exact map, and begin to walk it.
 
     The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from its
-    origin, to see it come in. A track that is not true enough is tried again with half the length.
+    origin, to see it come in (from too far away it misses the terrain). A track that is not true enough is tried again with half the length.
     """
     track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
     is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
@@ -64,7 +64,7 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, end: Scalar) -> tuple[Walker, 
     is_inside = dem.contains(jnp.stack([track.row.at(jnp.asarray(-1.0)), track.col.at(jnp.asarray(-1.0))]))
     from_origin = ~walker.begun & ~is_inside & (walker.passed > 0.0)
     good = is_true & ~from_origin
-    halved = jnp.where(is_true, jnp.minimum(end, LONGEST_TRACK), 0.5 * walker.length)
+    halved = jnp.where(is_true, jnp.minimum(reach.end, LONGEST_TRACK), 0.5 * walker.length)
     after = Walker(
         passed=jnp.where(from_origin & is_true, 0.0, walker.passed),
         length=jnp.where(good, walker.length, halved),
@@ -74,7 +74,7 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, end: Scalar) -> tuple[Walker, 
         news=walker.news | (good & ~walker.begun & is_inside),
         fresh=~good,
         begun=walker.begun | good,
-        is_over=walker.tracks >= MOST_TRACKS,
+        is_over=(walker.tracks >= MOST_TRACKS) | (from_origin & ~reach.from_near),
     )
     return tree_where(walker.fresh & ~walker.is_over, after, walker), track
 
@@ -140,8 +140,13 @@ class Store(eqx.Module):
         return walker, Track(row, col, height, middle, half, jnp.zeros_like(passed))
 
 
-def no_tracks(count: int) -> Track:
-    """Tracks to be replaced."""
-    nowhere = jnp.zeros(count)
+def nothing_like(x: Array) -> Array:
+    """Zeros that are spread over devices as `x` is; `zeros_like` would have them the same on all."""
+    return x - x
+
+
+def no_tracks(like: Float[Array, " rays"]) -> Track:
+    """Tracks to be replaced, of as many rays."""
+    nowhere = nothing_like(like)
     flat = Quartic(*[nowhere] * 5)
     return Track(flat, flat, flat, nowhere, nowhere, nowhere)
