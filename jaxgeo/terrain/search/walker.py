@@ -56,7 +56,8 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker,
     """Give a ray that asks for it the next track, if that is true to the exact map, and begin to walk it.
 
     The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from its
-    origin, to see it come in (from too far away it misses the terrain). A track that is not true enough is tried again with half the length.
+    origin, to see it come in; from too far away it misses the terrain. A track that is not true enough is tried again
+    with half the length.
     """
     track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
     is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
