@@ -42,6 +42,7 @@ NUMPY_FILES = {
     "sensor/gimbal.py": "the same",
     "sensor/platform.py": "the same",
     "status.py": "counts concrete statuses for reports",
+    "terrain/_memory.py": "hands arrays over to JAX",
     "terrain/dem.py": "builds the record from a file's posts, outside any trace",
     "terrain/pyramid.py": "builds the bounds once, outside any trace",
 }

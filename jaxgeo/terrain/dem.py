@@ -18,6 +18,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
+from jaxgeo.terrain._memory import aligned_empty, copied, handed_over
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.patch import Patch
@@ -77,8 +78,9 @@ class Dem(AbstractTerrain):
         if void is not None:
             unknown = unknown | void
         rows, cols = posts.shape if extent is None else xp.asarray(extent)
-        inside = (np.arange(posts.shape[0]) < rows)[:, None] & (np.arange(posts.shape[1]) < cols)[None, :]
-        known = inside & ~unknown
+        known, has_void = _known(unknown, rows, cols, xp)
+        if is_known_now and not has_void:
+            unknown = np.broadcast_to(False, posts.shape)  # of no size in memory
         lowest, highest = _extremes(posts, known, xp)
         if is_known_now:
             _check_posts(known, lowest, highest)
@@ -86,17 +88,15 @@ class Dem(AbstractTerrain):
         ceiling = ceiling if is_known_now else jax.lax.stop_gradient(ceiling)
         if is_known_now and not np.isfinite(ceiling):
             raise ValueError(f"void_ceiling must be a finite height in m above the ellipsoid; got {float(ceiling)!r}.")
-        has_void = xp.any(unknown & inside)
-        del inside
         posts = posts if is_known_now and known.all() else xp.where(known, posts, lowest.astype(posts.dtype))
         frozen = posts if is_known_now else jax.lax.stop_gradient(posts)
         top = xp.where(has_void, ceiling, highest)
         pyramid = build_pyramid(frozen, unknown, ceiling=top, lowest=lowest, highest=highest, xp=xp)
         del unknown
-        void = np.logical_not(known, out=known) if is_known_now else ~known
+        void = handed_over(np.logical_not(known, out=known)) if is_known_now else ~known
         return cls(
-            posts=jax.device_put(posts),  # jnp.asarray would copy twice
-            void=jax.device_put(void),
+            posts=copied(posts),
+            void=void,
             grid=grid,
             extent=jnp.stack([jnp.asarray(rows, jnp.int32), jnp.asarray(cols, jnp.int32)]),
             lowest=jax.lax.stop_gradient(jnp.asarray(lowest, jnp.float64)),
@@ -265,6 +265,17 @@ def _check_posts(known: np.ndarray, lowest: np.floating, highest: np.floating) -
         raise ValueError(f"all {known.size} posts are void: there is no terrain here.")
     if not np.isfinite(lowest) or not np.isfinite(highest):
         raise ValueError("posts must be finite or NaN (void); found an infinite height. Mark such posts in `void`.")
+
+
+def _known(unknown: Any, rows: Any, cols: Any, xp: Any) -> tuple[Any, Any]:
+    """Which posts are known and within the true extent, and whether any within it is not; in NumPy with one array."""
+    if xp is np:
+        known = np.logical_not(unknown, out=aligned_empty(unknown.shape, bool))
+        has_void = not known[:rows, :cols].all()
+        known[rows:], known[:, cols:] = False, False
+        return known, np.asarray(has_void)
+    inside = (xp.arange(unknown.shape[0]) < rows)[:, None] & (xp.arange(unknown.shape[1]) < cols)[None, :]
+    return inside & ~unknown, xp.any(inside & unknown)
 
 
 def _extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt16
 
 from jaxgeo._typing import Index, Scalar, ScalarField
+from jaxgeo.terrain._memory import aligned_empty, handed_over
 
 STEPS = 65_534  # of height between the lowest and the highest ground
 FINEST_STEP = 1e-7  # m, for level ground
-ROWS_AT_ONCE = 256  # so that building takes little memory beside the posts
+ROWS_AT_ONCE = 64  # so that building takes little memory beside the posts
 
 
 class Pyramid(eqx.Module):
@@ -70,7 +70,8 @@ def build_pyramid(
         return xp.maximum(stored[:, :-1], stored[:, 1:])
 
     bounds = _in_place(tops, shape) if xp is np else _all_at_once(tops(0, shape[0]), shape)
-    return Pyramid(jax.device_put(bounds), jnp.asarray(base), jnp.asarray(step), shape)  # jnp.asarray copies twice
+    stored = handed_over(bounds) if xp is np else bounds
+    return Pyramid(stored, jnp.asarray(base), jnp.asarray(step), shape)
 
 
 def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:
@@ -85,7 +86,7 @@ def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:
 def _in_place(tops: Callable[[int, int], np.ndarray], shape: tuple[int, int]) -> np.ndarray:
     """The same in NumPy, strip by strip, in one array."""
     shapes = _level_shapes(shape)
-    bounds = np.empty(sum(rows * cols for rows, cols in shapes), np.uint16)
+    bounds = aligned_empty((sum(rows * cols for rows, cols in shapes),), np.uint16)
     (rows, cols), first = shape, 0
     finest, coarser = bounds[: rows * cols].reshape(shape), np.empty(((rows + 1) // 2, (cols + 1) // 2), np.uint16)
     for start in range(0, rows, ROWS_AT_ONCE):

@@ -80,6 +80,17 @@ def test_a_cell_with_one_void_post_has_no_height_and_no_slope():
     assert np.all(np.isfinite(np.asarray(dem.posts)))
 
 
+@pytest.mark.parametrize("offset", range(8))
+def test_a_caller_may_go_on_writing_to_the_array(offset):
+    """Whatever its alignment in memory, which decides whether JAX would share it."""
+    memory = np.zeros(SIZE * SIZE + 8)
+    posts = memory[offset : offset + SIZE * SIZE].reshape(SIZE, SIZE)
+    posts[:] = rough(1)
+    dem = small_dem(posts)
+    posts[:] = -1.0
+    np.testing.assert_array_equal(dem.posts, rough(1))
+
+
 @pytest.mark.parametrize("shape", [(2, 2), (3, 17), (17, 3), (64, 64), (33, 50)])
 @pytest.mark.parametrize("kind", ["numpy", "jax"])
 def test_every_bound_holds_over_all_cells_that_a_box_can_touch(shape, kind):
