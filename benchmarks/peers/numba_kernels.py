@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-import numba
+import numba  # pyright: ignore[reportMissingImports]
 import numpy as np
 
 A, F = 6378137.0, 1.0 / 298.257223563
