@@ -69,8 +69,7 @@ def build_pyramid(
         stored = xp.maximum(stored[:-1], stored[1:])
         return xp.maximum(stored[:, :-1], stored[:, 1:])
 
-    bounds = _in_place(tops, shape) if xp is np else _all_at_once(tops(0, shape[0]), shape)
-    stored = handed_over(bounds) if xp is np else bounds
+    stored = handed_over(_in_place(tops, shape)) if xp is np else _all_at_once(tops(0, shape[0]), shape)
     return Pyramid(stored, jnp.asarray(base), jnp.asarray(step), shape)
 
 
