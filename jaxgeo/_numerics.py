@@ -58,6 +58,21 @@ def value_and_slope(function: Callable[[Scalar], Scalar], x: Scalar) -> tuple[Sc
     return jax.jvp(function, (x,), (jnp.ones_like(x),))
 
 
+def newton_or_half(
+    low: Scalar, high: Scalar, x: Scalar, value: Scalar, slope: Scalar, slack: Scalar | float
+) -> tuple[Scalar, Scalar, Scalar]:
+    """The bracket and the next place on the way to a falling root, from the value and slope at `x`.
+
+    The function is positive at `low` and negative at `high`; the next place is Newton's, or half way between them where
+    that would leave them by more than `slack`. At the root itself the sign is a matter of rounding, and two kernels of
+    one program need not round alike: without slack such a root would be thrown away for the middle of the bracket.
+    """
+    low, high = jnp.where(value > 0.0, x, low), jnp.where(value > 0.0, high, x)
+    newton = x - value / jnp.where(slope < 0.0, slope, -1.0)
+    stays = (slope < 0.0) & (newton >= low - slack) & (newton <= high + slack)
+    return low, high, jnp.where(stays, newton, 0.5 * (low + high))
+
+
 def with_implicit_derivative(residual: Callable[[Scalar], Scalar], root: Scalar) -> Scalar:
     """`root` unchanged in value, with its first and second derivatives by what `residual` closes over.
 

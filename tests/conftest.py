@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pathlib
+import subprocess
+import sys
 
 import jax
 import pytest
@@ -16,10 +18,22 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+# What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
+# comes to hang on how one compiler does. The slow tests run what users run.
+QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--slow", action="store_true", help="run the tests marked slow too")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--slow") or "XLA_FLAGS" in os.environ:
+        return
+    os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE
+    probe = subprocess.run([sys.executable, "-c", "import jax; jax.devices()"], capture_output=True, check=False)
+    if probe.returncode != 0:  # a version of XLA that does not know them would end the whole process
+        del os.environ["XLA_FLAGS"]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -88,7 +88,7 @@ def steps_for(J: np.ndarray, move: float) -> tuple[np.ndarray, np.ndarray]:
 def test_the_jacobian_equals_central_differences_and_forward_equals_reverse(forward):
     hit, x, dem, J = forward
     reverse = np.asarray(jax.jit(jax.jacrev(hit))(x, dem))
-    np.testing.assert_allclose(reverse, J, rtol=1e-12, atol=1e-12 * np.abs(J).max())
+    np.testing.assert_allclose(reverse, J, rtol=1e-12, atol=1e-11 * np.abs(J).max())
     moving, step = steps_for(J, 0.02)
     assert (
         moving.size >= 35

@@ -10,6 +10,7 @@ import pytest
 from jaxgeo._numerics import (
     all_finite,
     finite_or,
+    newton_or_half,
     safe_angle,
     safe_norm,
     safe_sqrt,
@@ -86,3 +87,16 @@ def test_tree_where_chooses_leaf_by_leaf():
     found = jax.vmap(lambda c: tree_where(c, a, b))(jnp.array([True, False]))
     np.testing.assert_array_equal(found["x"], [[1, 1], [0, 0]])
     np.testing.assert_array_equal(found["y"], [1, 0])
+
+
+@pytest.mark.parametrize("value", [1e-15, 0.0, -1e-15])
+@pytest.mark.parametrize("low, high", [(1.0, 9.0), (3.0, 9.0), (1.0, 3.0), (3.0, 3.0)])
+def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, high):
+    """Even if it was an end of the bracket under the other sign: the middle of the bracket is far away."""
+    _, _, following = newton_or_half(*(jnp.asarray(x) for x in (low, high, 3.0, value, -2.0)), slack=1e-9)
+    assert float(following) == pytest.approx(3.0, rel=0, abs=1e-14)
+
+
+@pytest.mark.parametrize("value, slope, expected", [(4.0, -2.0, 5.0), (4.0, -0.5, 6.0), (4.0, 2.0, 6.0), (-4.0, 0.0, 2.0)])
+def test_a_step_out_of_the_bracket_is_replaced_by_halving(value, slope, expected):
+    assert float(newton_or_half(*(jnp.asarray(x) for x in (1.0, 9.0, 3.0, value, slope)), slack=1e-9)[2]) == expected

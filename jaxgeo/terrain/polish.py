@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxgeo._numerics import value_and_slope
+from jaxgeo._numerics import newton_or_half, value_and_slope
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
@@ -62,13 +62,10 @@ def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upp
     ) -> tuple[Scalar, Scalar, Scalar, Flag, jax.Array]:
         low, high, root, _, count = state
         value, slope = value_and_slope(clearance, root)
-        low = jnp.where(value > 0.0, root, low)
-        high = jnp.where(value > 0.0, high, root)
-        newton = root - value / jnp.where(slope < 0.0, slope, -1.0)
-        stays = (slope < 0.0) & (newton >= low) & (newton <= high)
-        following = jnp.where(stays, newton, 0.5 * (low + high))
-        is_exact = (jnp.abs(following - root) <= CLOSE_ENOUGH) | (jnp.abs(value) <= ROUNDING)
-        return low, high, following, is_exact, count + 1
+        low, high, following = newton_or_half(low, high, root, value, slope, SLACK)
+        is_there = jnp.abs(value) <= ROUNDING
+        is_near = jnp.abs(following - root) <= CLOSE_ENOUGH
+        return low, high, jnp.where(is_there & ~is_near, root, following), is_there | is_near, count + 1
 
     start = 0.5 * (lower + upper)
     state = (lower, upper, start, jnp.isnan(start), jnp.asarray(0))

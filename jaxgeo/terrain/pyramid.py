@@ -83,24 +83,23 @@ def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:
 
 
 def _in_place(tops: Callable[[int, int], np.ndarray], shape: tuple[int, int]) -> np.ndarray:
-    """The same in NumPy, strip by strip, in one array."""
-    shapes = _level_shapes(shape)
-    bounds = aligned_empty((sum(rows * cols for rows, cols in shapes),), np.uint16)
-    (rows, cols), first = shape, 0
-    finest, coarser = bounds[: rows * cols].reshape(shape), np.empty(((rows + 1) // 2, (cols + 1) // 2), np.uint16)
-    for start in range(0, rows, ROWS_AT_ONCE):
-        stop = min(start + ROWS_AT_ONCE, rows)
-        strip = tops(start, min(stop + 1, rows))
-        finest[start:stop] = _dilated(
-            strip[: stop - start], strip[stop - start :][:1] if stop < rows else strip[-1:], np
-        )
-        coarser[start // 2 : (stop + 1) // 2] = _halved(strip[: stop - start], np)
-    for rows, cols in shapes[1:]:
-        first += finest.size
-        finest = bounds[first : first + rows * cols].reshape(rows, cols)
-        finest[:] = _dilated(coarser, coarser[-1:], np)
-        coarser = _halved(coarser, np)
+    """The same in NumPy, strip by strip, with no more memory than the result's."""
+    sizes = [rows * cols for rows, cols in _level_shapes(shape)]
+    bounds = aligned_empty((sum(sizes),), np.uint16)
+    parts = np.split(bounds, np.cumsum(sizes)[:-1])
+    levels = [part.reshape(shape) for part, shape in zip(parts, _level_shapes(shape), strict=True)]
+    for first, last in _strips(shape[0]):
+        levels[0][first:last] = tops(first, last)
+    for number, level in enumerate(levels):
+        for first, last in _strips(len(level)) if number + 1 < len(levels) else ():
+            levels[number + 1][first // 2 : (last + 1) // 2] = _halved(level[first:last], np)
+        for first, last in _strips(len(level)):  # in place: a strip's dilation needs only what comes after it
+            level[first:last] = _dilated(level[first:last], level[min(last, len(level) - 1)][None], np)
     return bounds
+
+
+def _strips(rows: int) -> list[tuple[int, int]]:
+    return [(first, min(first + ROWS_AT_ONCE, rows)) for first in range(0, rows, ROWS_AT_ONCE)]
 
 
 def _dilated(texels: Any, below: Any, xp: types.ModuleType) -> Any:

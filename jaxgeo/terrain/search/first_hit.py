@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Int
 
-from jaxgeo._numerics import safe_sqrt
-from jaxgeo._typing import Flag, Scalar
+from jaxgeo._numerics import newton_or_half, safe_sqrt
+from jaxgeo._typing import Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
 ROOM = 1e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
 ROOT_STEPS = 4
+SLACK = 1e-7  # of the piece of track: far more than rounding moves a root, far less than is left to the polish
 TINY = 1e-300
 
 
@@ -177,10 +178,7 @@ def _root(track: Track, dem: Dem, cell: Int[Array, "2"], begin: Scalar, end: Sca
         value = clearance(track, patch, row, col, tau)
         by_row, by_col = patch.gradient(track.row.at(tau) - row, track.col.at(tau) - col)
         slope = track.height.slope(tau) - by_row * track.row.slope(tau) - by_col * track.col.slope(tau)
-        low, high = jnp.where(value > 0.0, tau, low), jnp.where(value > 0.0, high, tau)
-        newton = tau - value / jnp.where(slope < 0.0, slope, -1.0)
-        stays: Flag = (slope < 0.0) & (newton >= low) & (newton <= high)
-        tau = jnp.where(stays, newton, 0.5 * (low + high))
+        low, high, tau = newton_or_half(low, high, tau, value, slope, SLACK * (end - begin))
     return tau, below
 
 
