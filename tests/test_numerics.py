@@ -97,6 +97,8 @@ def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, hi
     assert float(following) == pytest.approx(3.0, rel=0, abs=1e-14)
 
 
-@pytest.mark.parametrize("value, slope, expected", [(4.0, -2.0, 5.0), (4.0, -0.5, 6.0), (4.0, 2.0, 6.0), (-4.0, 0.0, 2.0)])
+@pytest.mark.parametrize(
+    "value, slope, expected", [(4.0, -2.0, 5.0), (4.0, -0.5, 6.0), (4.0, 2.0, 6.0), (-4.0, 0.0, 2.0)]
+)
 def test_a_step_out_of_the_bracket_is_replaced_by_halving(value, slope, expected):
     assert float(newton_or_half(*(jnp.asarray(x) for x in (1.0, 9.0, 3.0, value, slope)), slack=1e-9)[2]) == expected
