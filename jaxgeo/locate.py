@@ -46,6 +46,8 @@ def intersect(ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FI
     coordinates. Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a
     known direction that is not of unit length, and, with `throw=True`, for a fix that is not `ok`.
     Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
+    Rays may be spread over devices; on a mesh with explicit axes let the compiler place what lies within:
+    `jax.sharding.auto_axes(jax.vmap(intersect, in_axes=(0, None)), out_sharding=jax.P("rays"))`.
     """
     check_throw(throw, (ray, terrain))
     check_is(ray, Ray, "ray")

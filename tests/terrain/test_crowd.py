@@ -112,10 +112,29 @@ def sharded(dem):
     return jax.shard_map(all_, mesh=mesh, in_specs=(rays, everywhere), out_specs=rays)(RAYS, dem)
 
 
-WAYS = {
-    f.__name__: f for f in (nested, nested_the_other_way, one_origin_shared, in_parts, scanned, checkpointed, sharded)
-}
+def on_an_explicit_mesh(dem):
+    mesh = jax.make_mesh((1,), ("rays",), axis_types=(jax.sharding.AxisType.Explicit,))
+    spec = jax.sharding.PartitionSpec("rays")
+    with jax.set_mesh(mesh):
+        rays = jax.device_put(RAYS, jax.sharding.NamedSharding(mesh, spec))
+        all_ = jax.sharding.auto_axes(jax.vmap(intersect, in_axes=(0, None)), out_sharding=spec)
+        return jax.tree.map(np.asarray, jax.jit(all_)(rays, dem))
 
+
+WAYS = {
+    f.__name__: f
+    for f in (
+        nested,
+        nested_the_other_way,
+        one_origin_shared,
+        in_parts,
+        scanned,
+        checkpointed,
+        sharded,
+        on_an_explicit_mesh,
+    )
+}
+WITHOUT_JIT = {"on_an_explicit_mesh"}
 
 SLOW = set(WAYS) - {"nested", "sharded"}  # each compiles for seconds
 
@@ -124,7 +143,8 @@ SLOW = set(WAYS) - {"nested", "sharded"}  # each compiles for seconds
 def test_every_way_to_batch_gives_the_answers_of_single_rays(name, alone):
     dem, fixes = alone
     assert np.all(np.asarray(fixes.ok))
-    assert_same(jax.jit(WAYS[name])(dem), fixes)
+    way = WAYS[name] if name in WITHOUT_JIT else jax.jit(WAYS[name])
+    assert_same(way(dem), fixes)
 
 
 @pytest.mark.parametrize(
