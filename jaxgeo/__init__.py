@@ -6,7 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from jaxgeo._checks import enable_x64
-from jaxgeo.earth import WGS84, Ellipsoid, Geodetic
+from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.locate import at_range, intersect, locate, project
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "WGS84",
+    "Atmosphere",
     "Bisection",
     "BrownConrady",
     "ConstantHeight",

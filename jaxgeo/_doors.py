@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, concrete, require_x64
 from jaxgeo._typing import Pixel
+from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
@@ -67,6 +68,18 @@ def check_terrain(terrain: Any, search: Any) -> None:
             "or make one with jaxgeo.Dem.from_array(posts, grid) or jaxgeo.ConstantHeight(height)."
         )
     check_is(search, AbstractSearch, "search")
+
+
+def checked_air(atmosphere: Any) -> Atmosphere | None:
+    """The atmosphere in float64, or None for no air; raises `TypeError` for anything else."""
+    if atmosphere is None:
+        return None
+    if not isinstance(atmosphere, Atmosphere):
+        raise TypeError(
+            f"atmosphere must be a jaxgeo.Atmosphere; got {type(atmosphere).__name__}. jaxgeo.Atmosphere() is the "
+            "standard one, jaxgeo.Atmosphere.measured(...) follows a measurement; leave it out for no refraction."
+        )
+    return as_float64(atmosphere, "atmosphere")
 
 
 def check_latitude(position: Geodetic, name: str) -> None:

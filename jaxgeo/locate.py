@@ -18,15 +18,18 @@ from jaxgeo._doors import (
     check_ray,
     check_terrain,
     check_throw,
+    checked_air,
     observation,
     pixel_of_shot,
     thrown,
 )
 from jaxgeo._numerics import all_finite, finite_or, safe_angle, safe_norm, tree_where
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
+from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import Status, first_failure, status_where
@@ -37,24 +40,33 @@ NEAR_TANGENT = 1e-3  # rad between the ray and the surface: beyond, a derivative
 FIRST_HIT = FirstHit()
 
 
-def intersect(ray: Ray, terrain: AbstractTerrain, *, search: AbstractSearch = FIRST_HIT, throw: bool = False) -> Fix:
+def intersect(
+    ray: Ray,
+    terrain: AbstractTerrain,
+    *,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    throw: bool = False,
+) -> Fix:
     """Where a ray (ECEF, m, unit direction) meets a terrain: the first point, unless `search` looks for another.
 
     `ray` is one ray, with `origin` (3,) in ECEF m and `direction` (3,) a unit vector; `terrain` a `Dem` or a
     `ConstantHeight`. For many rays: `jax.vmap(intersect, in_axes=(0, None))`. The result is a `Fix`, differentiable to
     second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a status and NaN
-    coordinates. Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a
-    known direction that is not of unit length, and, with `throw=True`, for a fix that is not `ok`.
+    coordinates. With an `atmosphere` the direction is the apparent one at the origin, and the ray is bent from there.
+    Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a known direction that is not
+    of unit length, and, with `throw=True`, for a fix that is not `ok`.
     Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
     Rays may be spread over devices; on a mesh with explicit axes let the compiler place what lies within:
     `jax.sharding.auto_axes(jax.vmap(intersect, in_axes=(0, None)), out_sharding=jax.P("rays"))`.
     """
-    check_throw(throw, (ray, terrain))
+    check_throw(throw, (ray, terrain, atmosphere))
     check_is(ray, Ray, "ray")
     check_terrain(terrain, search)
+    air = checked_air(atmosphere if ray.bending is None else ray.bending.air)
     ray = as_float64(Ray(as_array(ray.origin, "ray.origin"), as_array(ray.direction, "ray.direction")), "ray")
     check_ray(ray)
-    fix = _intersect(ray, Status.hit.code, terrain, search)
+    fix = _intersect(ray, Status.hit.code, terrain, search, air)
     return thrown(fix) if throw else fix
 
 
@@ -65,6 +77,7 @@ def locate(
     terrain: AbstractTerrain,
     *,
     search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
     throw: bool = False,
 ) -> Fix:
     """The ground point that pixel `uv` = (column, row) of a shot sees; pixel centres lie at integers.
@@ -73,30 +86,39 @@ def locate(
     `terrain` a `Dem` or a `ConstantHeight`, `search` how the terrain is searched (`FirstHit()` or `Bisection()`). For
     many pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. The result is a `Fix`: position in rad and m above
     the ellipsoid, ECEF m, slant range, angles, and a status. Differentiable to second order in everything: pose,
-    gimbal, mount, camera, pixel and posts.
+    gimbal, mount, camera, pixel and posts, and in the `atmosphere`, which bends the line of sight if it is given
+    (`jaxgeo.Atmosphere()` is the standard one; from 15 km over 60 km of slant range that moves the fix by 89 m).
 
     A pixel outside the image or the lens's field, and input that is not finite, set the status and leave NaN. Raises
     `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong kind; `ValueError` for
     a wrong shape, a known latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
     """
-    check_throw(throw, (sensor, shot, uv, terrain))
+    check_throw(throw, (sensor, shot, uv, terrain, atmosphere))
     check_terrain(terrain, search)
     sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
-    fix = _locate(sensor, shot, pixel, terrain, search)
+    fix = _locate(sensor, shot, pixel, terrain, search, checked_air(atmosphere))
     return thrown(fix) if throw else fix
 
 
-def at_range(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike], slant_range: ArrayLike) -> Fix:
+def at_range(
+    sensor: Sensor,
+    shot: Shot,
+    uv: ArrayLike | Sequence[ArrayLike],
+    slant_range: ArrayLike,
+    *,
+    atmosphere: Atmosphere | None = None,
+) -> Fix:
     """The point at a measured slant range (a laser's, m from the perspective centre) along a pixel's line of sight.
 
-    No terrain is asked: `incidence_surface` and `slope` are NaN. Raises as `intersect`; a range that is not positive
-    and finite has the status `invalid_input`.
+    No terrain is asked: `incidence_surface` and `slope` are NaN. An `atmosphere` bends the line of sight; that light is
+    slower in air (some 0.3 m per km at sea level) is for the laser's own calibration. Raises as `intersect`; a range
+    that is not positive and finite has the status `invalid_input`.
     """
     sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
     distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
     if distance.shape != ():
         raise ValueError(f"slant_range must be one number in m; got shape {distance.shape}. For many use jax.vmap.")
-    return _at_range(sensor, shot, pixel, distance)
+    return _at_range(sensor, shot, pixel, distance, checked_air(atmosphere))
 
 
 def project(
@@ -105,12 +127,14 @@ def project(
     point: Geodetic,
     *,
     terrain: AbstractTerrain | None = None,
+    atmosphere: Atmosphere | None = None,
     hidden_tolerance: float = 0.01,
 ) -> Projection:
     """The pixel that sees a ground point; the inverse of `locate`.
 
     `point` is one position (rad, m above the ellipsoid), on the ground or not. The result is a `Projection`: `uv` =
-    (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`.
+    (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`. An
+    `atmosphere` bends the line of sight, by the same model as in `locate`.
 
     With a `terrain`, a point whose line of sight meets ground more than `hidden_tolerance` m before it is
     `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or
@@ -123,71 +147,93 @@ def project(
         check_terrain(terrain, FIRST_HIT)
     point = as_float64(point, "point")
     check_latitude(point, "point")
-    return _project(sensor, shot, point, terrain, as_float64(hidden_tolerance, "hidden_tolerance"))
+    tolerance = as_float64(hidden_tolerance, "hidden_tolerance")
+    return _project(sensor, shot, point, terrain, tolerance, checked_air(atmosphere))
 
 
 @jax.jit
-def _locate(sensor: Sensor, shot: Shot, pixel: Pixel, terrain: AbstractTerrain, search: AbstractSearch) -> Fix:
-    return _intersect(*_line_of_sight(sensor, shot, pixel), terrain, search)
+def _locate(
+    sensor: Sensor,
+    shot: Shot,
+    pixel: Pixel,
+    terrain: AbstractTerrain,
+    search: AbstractSearch,
+    air: Atmosphere | None,
+) -> Fix:
+    return _intersect(*_line_of_sight(sensor, shot, pixel), terrain, search, air)
 
 
 @jax.jit
-def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar) -> Fix:
+def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar, air: Atmosphere | None) -> Fix:
     ray, status = _line_of_sight(sensor, shot, pixel)
-    usable = jnp.isfinite(distance) & (distance > 0.0)
+    air, is_sound = _sound(air)
+    usable = jnp.isfinite(distance) & (distance > 0.0) & is_sound
     status = first_failure(status, status_where(usable, Status.hit, Status.invalid_input.code))
     seen = status == Status.hit
     distance = jnp.where(seen, distance, 1.0)
-    ray = tree_where(seen, ray, ConstantHeight(0.0).safe_ray())
-    position, incidence = _seen_from(ray, ray.at(distance))
+    ray = tree_where(seen, ray, ConstantHeight(0.0).safe_ray()).through(air)
+    along = distance
+    for _ in range(0 if air is None else 2):  # the chord of a bent ray is longer than its range by some 1e-7
+        along = along * distance / _straight_distance(ray, along)
+    position, incidence = _seen_from(ray, along)
     unknown = jnp.full_like(distance, jnp.nan)
-    return _mask(Fix(position, ray.at(distance), distance, incidence, unknown, unknown, status), seen)
+    return _mask(Fix(position, ray.at(along), distance, incidence, unknown, unknown, status), seen)
 
 
 @jax.jit
 def _project(
-    sensor: Sensor, shot: Shot, point: Geodetic, terrain: AbstractTerrain | None, tolerance: Scalar
+    sensor: Sensor,
+    shot: Shot,
+    point: Geodetic,
+    terrain: AbstractTerrain | None,
+    tolerance: Scalar,
+    air: Atmosphere | None,
 ) -> Projection:
-    is_valid = all_finite(point)
+    air, is_sound = _sound(air)
+    is_valid = all_finite(point) & is_sound
     p_ecef = WGS84.to_ecef(finite_or(point, 0.0))
-    uv, status = sensor.project_ecef(shot, p_ecef)
+    uv, status = sensor.project_ecef(shot, p_ecef, air)
     status = status_where(~is_valid, Status.invalid_input, status)
     has_image = (status == Status.hit) | (status == Status.outside_image)
     if terrain is not None:
-        origin, target = sensor.perspective_centre(shot), p_ecef
-        status = first_failure(status, _visibility(origin, target, terrain, tolerance))
+        origin = sensor.perspective_centre(shot)
+        status = first_failure(status, _visibility(origin, p_ecef, terrain, tolerance, air))
     return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
 
 @jax.jit
-def _intersect(ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch) -> Fix:
-    return _intersect_and_bracket(ray, status, terrain, search)[0]
+def _intersect(
+    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
+) -> Fix:
+    return _intersect_and_bracket(ray, status, terrain, search, air)[0]
 
 
 def _intersect_and_bracket(
-    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch
+    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> tuple[Fix, Bracket]:
-    """Search, polish and describe; `status` is what is already known to be wrong with the ray."""
+    """Search, polish and describe; `status` is what is already known to be wrong with the straight ray."""
     terrain, is_sound = terrain.made_safe()
+    air, air_is_sound = _sound(air)
     length = safe_norm(jnp.where(jnp.isfinite(ray.direction), ray.direction, 0.0))
-    is_valid = is_sound & all_finite(ray) & (jnp.abs(length - 1.0) <= UNIT_TOLERANCE)
+    is_valid = is_sound & air_is_sound & all_finite(ray) & (jnp.abs(length - 1.0) <= UNIT_TOLERANCE)
     status = first_failure(status, status_where(is_valid, Status.hit, Status.invalid_input.code))
     stand_in = terrain.safe_ray()
     usable = status == Status.hit
-    ray = tree_where(usable, Ray(ray.origin, ray.direction / jnp.where(is_valid, length, 1.0)), stand_in)
+    ray = tree_where(usable, Ray(ray.origin, ray.direction / jnp.where(is_valid, length, 1.0)), stand_in).through(air)
 
     searched = terrain.bracket(ray, search)
     status = first_failure(status, searched.status)
     found = _has_point(status)
     bracket = tree_where(found, searched, jax.tree.map(jnp.zeros_like, searched))
-    ray = tree_where(found, ray, stand_in)
+    ray = tree_where(found, ray, stand_in.through(air))
     distance = polish(ray, terrain, bracket)
     p_ecef = ray.at(distance)
-    position, incidence = _seen_from(ray, p_ecef)
-    slope, incidence_surface = _surface_angles(ray, terrain, p_ecef, bracket)
+    position, incidence = _seen_from(ray, distance)
+    slope, incidence_surface = _surface_angles(ray, terrain, distance, bracket)
     grazing = found & (jnp.abs(jnp.cos(incidence_surface)) < NEAR_TANGENT)
     status = status_where(grazing & (status == Status.hit), Status.near_tangent, status)
-    fix = Fix(position, p_ecef, distance, incidence, incidence_surface, slope, status)
+    slant_range = _straight_distance(ray, distance)
+    fix = Fix(position, p_ecef, slant_range, incidence, incidence_surface, slope, status)
     return _mask(fix, found), searched
 
 
@@ -196,16 +242,28 @@ def _line_of_sight(sensor: Sensor, shot: Shot, uv: Pixel) -> tuple[Ray, StatusCo
     return Ray(origin, direction), status
 
 
-def _seen_from(ray: Ray, p_ecef: Vector3) -> tuple[Geodetic, Scalar]:
+def _sound(air: Atmosphere | None) -> tuple[Atmosphere | None, Flag]:
+    """The air with finite numbers throughout, and whether it had them."""
+    return finite_or(air, 1.0), all_finite(air)
+
+
+def _straight_distance(ray: Ray, distance: Scalar) -> Scalar:
+    """From the origin to the point at a range of the ray, m."""
+    return distance if ray.bending is None else safe_norm(ray.at(distance) - ray.origin)
+
+
+def _seen_from(ray: Ray, distance: Scalar) -> tuple[Geodetic, Scalar]:
+    p_ecef = ray.at(distance)
     normal, _ = WGS84.normal_and_height(p_ecef)
-    return WGS84.to_geodetic(p_ecef), safe_angle(-ray.direction, normal)
+    return WGS84.to_geodetic(p_ecef), safe_angle(-ray.heading_at(distance), normal)
 
 
-def _surface_angles(ray: Ray, terrain: AbstractTerrain, p_ecef: Vector3, bracket: Any) -> tuple[Scalar, Scalar]:
+def _surface_angles(ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracket: Any) -> tuple[Scalar, Scalar]:
     """Slope of the surface and incidence on it: its normal is the gradient of the clearance."""
+    p_ecef = ray.at(distance)
     gradient = jax.grad(terrain.clearance)(p_ecef, bracket.cell)
     up, _ = WGS84.normal_and_height(p_ecef)
-    return safe_angle(gradient, up), safe_angle(-ray.direction, gradient)
+    return safe_angle(gradient, up), safe_angle(-ray.heading_at(distance), gradient)
 
 
 def _has_point(status: StatusCode) -> Flag:
@@ -226,15 +284,17 @@ def _mask(fix: Fix, found: Flag) -> Fix:
     return Fix(*numbers, status=fix.status)
 
 
-def _visibility(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> StatusCode:
+def _visibility(
+    origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar, air: Atmosphere | None
+) -> StatusCode:
     """Whether the terrain leaves a point in sight: `hit`, `hidden_by_terrain`, or why it cannot tell."""
-    line = p_ecef - origin
-    distance = safe_norm(line)
+    line = (p_ecef if air is None else apparent_point(origin, p_ecef, air)) - origin
+    distance, straight = safe_norm(line), safe_norm(p_ecef - origin)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
-    fix, bracket = _intersect_and_bracket(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT)
+    fix, bracket = _intersect_and_bracket(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT, air)
     met = fix.status
-    happened_at = jnp.where(fix.found, fix.slant_range, bracket.lower)
-    is_nearer = happened_at < distance - tolerance
+    ahead = jnp.where(fix.found, straight - fix.slant_range, distance - bracket.lower)
+    is_nearer = ahead > tolerance
     is_ground = fix.found & (met != Status.hits_void) | (met == Status.enters_below_terrain)
     sees_past = (met == Status.rises_away) | (met == Status.hit) | (met == Status.near_tangent)
     sees_past |= ~is_nearer & ((met == Status.hits_void) | (met == Status.leaves_terrain))

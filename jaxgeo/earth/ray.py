@@ -3,16 +3,43 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from jaxgeo._typing import Scalar, Vector3, Vector3Field
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.refraction import Bending
 
 
 class Ray(eqx.Module):
-    """A half-line in ECEF: `origin` in m, `direction` a unit vector."""
+    """A half-line in ECEF: `origin` in m, `direction` a unit vector; bent by the air if `bending` is given.
+
+    Ranges along a bent ray are counted on its first direction: the point at a range lies below the straight one.
+    """
 
     origin: Vector3Field
     direction: Vector3Field
+    bending: Bending | None = None
+
+    def through(self, air: Atmosphere | None) -> Ray:
+        """The same line of sight through the air; straight without."""
+        bending = None if air is None else Bending.of(self.origin, self.direction, air)
+        return Ray(self.origin, self.direction, bending)
 
     def at(self, distance: Scalar) -> Vector3:
         """The ECEF point `distance` m along the ray."""
-        return self.origin + distance * self.direction
+        return jnp.stack(self.components_at(distance))
+
+    def components_at(self, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """`at` by components; for a crowd, vectors of three are slow to make and to take apart."""
+        x, y, z = (o + distance * d for o, d in zip(self.origin, self.direction, strict=True))
+        if self.bending is None:
+            return x, y, z
+        dx, dy, dz = self.bending.shift(distance)
+        return x + dx, y + dy, z + dz
+
+    def heading_at(self, distance: Scalar) -> Vector3:
+        """Direction in ECEF in which the ray goes on at `distance` m; its length is 1 but for the bending."""
+        if self.bending is None:
+            return self.direction
+        return jax.jvp(self.at, (distance,), (jnp.ones_like(distance),))[1]

@@ -9,7 +9,8 @@ from jax.typing import ArrayLike
 from jaxgeo._checks import as_float64
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._typing import Matrix3, Pixel, StatusCode, Vector3
-from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
+from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor.camera import AbstractCamera, PixelLike, Vector3Like
 from jaxgeo.sensor.gimbal import Gimbal, ReadingsLike
 from jaxgeo.sensor.platform import Mount, Pose, Shot
@@ -66,9 +67,14 @@ class Sensor(eqx.Module):
         p_ecef = as_float64(p_ecef, "p_ecef")
         return self.R_ecef_from_camera(shot).T @ (p_ecef - self.perspective_centre(shot))
 
-    def project_ecef(self, shot: Shot, p_ecef: Vector3Like) -> tuple[Pixel, StatusCode]:
-        """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite."""
+    def project_ecef(self, shot: Shot, p_ecef: Vector3Like, air: Atmosphere | None = None) -> tuple[Pixel, StatusCode]:
+        """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite.
+
+        Through the `air`, if given, by which the point seems to lie higher than it is.
+        """
         valid, sensor, shot, p_ecef = _made_safe(self, shot, p_ecef)
+        if air is not None:
+            p_ecef = apparent_point(sensor.perspective_centre(shot), p_ecef, air)
         uv, status = sensor.camera.project(sensor.to_camera(shot, p_ecef))
         return jnp.where(valid, uv, jnp.nan), status_where(~valid, Status.invalid_input, status)
 

@@ -8,13 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import finite_or
-from jaxgeo._typing import Flag, Scalar, ScalarField, Vector3
+from jaxgeo._numerics import finite_or, value_and_slope
+from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search.base import AbstractSearch
+
+CLOSE_ENOUGH = 1e-6  # m of height
+NEWTON_STEPS = 40  # a ray close to the horizon halves its way with each at first
 
 
 class ConstantHeight(AbstractTerrain):
@@ -34,6 +37,9 @@ class ConstantHeight(AbstractTerrain):
         near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
         below = self.ellipsoid.normal_and_height(ray.origin)[1] < height
         ahead = meets & (near >= 0.0) & ~below
+        if ray.bending is not None:
+            near, meets = _bent_range(self.ellipsoid, ray, height)
+            ahead = meets & ~below
         status = status_where(ahead, Status.hit, Status.rises_away.code)
         status = status_where(below, Status.camera_below_terrain, status)
         distance = jnp.where(ahead, near, 0.0)
@@ -52,3 +58,25 @@ class ConstantHeight(AbstractTerrain):
 
     def _height(self) -> Scalar:
         return as_float64(self.height, "terrain.height")
+
+
+def _bent_range(ellipsoid: Ellipsoid, ray: Ray, height: Scalar) -> tuple[Scalar, Flag]:
+    """Range in m at which a bent ray comes down to a height, and whether it does.
+
+    Newton from the origin: height along a ray is convex, also a bent one's (the air bends it less than the Earth
+    curves), so that no step goes too far, and one that looks up says that there is nothing ahead.
+    """
+
+    def excess(distance: Scalar) -> Scalar:
+        return ellipsoid.normal_and_height(ray.at(distance))[1] - height
+
+    def refine(_: Index, state: tuple[Scalar, Flag]) -> tuple[Scalar, Flag]:
+        distance, sinks = state
+        value, slope = value_and_slope(excess, distance)
+        sinks = sinks & ((slope < 0.0) | (value <= CLOSE_ENOUGH))
+        step = jnp.where(sinks & (slope < 0.0), value / jnp.where(slope < 0.0, slope, -1.0), 0.0)
+        return distance - step, sinks
+
+    start = (jnp.zeros_like(height), jnp.ones_like(height, bool))
+    distance, sinks = jax.lax.fori_loop(0, NEWTON_STEPS, refine, start)
+    return distance, sinks & (jnp.abs(excess(distance)) <= CLOSE_ENOUGH)

@@ -89,8 +89,7 @@ def _exact(ray: Ray, dem: Dem, distance: Scalar) -> tuple[tuple[Scalar, ...], tu
     """Row, col and height at a range in m, and their derivatives by range."""
 
     def place(distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        x, y, z = (o + distance * d for o, d in zip(ray.origin, ray.direction, strict=True))
-        *normal, height = WGS84.normal_and_height_of(x, y, z)
+        *normal, height = WGS84.normal_and_height_of(*ray.components_at(distance))
         return *dem.grid.row_and_col(*normal), height
 
     return jax.jvp(place, (distance,), (jnp.ones_like(distance),))

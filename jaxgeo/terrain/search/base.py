@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 CEILING_MARGIN = 1.0  # m above the highest ground, so that a search starts clearly above the surface
 FLOOR_MARGIN = 1.0  # m below the lowest ground, so that it ends clearly below
+BEYOND = 200_000.0  # m behind the lowest point of a bent ray that does not sink to the floor when straight
 
 
 class AbstractSearch(eqx.Module):
@@ -50,10 +51,16 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     """The part of `ray` that lies between the highest and the lowest ground of `dem`, both taken a margin too far.
 
     From inflated ellipsoids (a + h, b + h), which lie within 6 mm of the surfaces of constant height: far less than
-    the margins.
+    the margins. A bent ray lies below the straight one, by the more the farther: the ceiling is raised by as much as at
+    the end.
     """
-    middle, to_top, meets = _inflated_chord(ray, dem.ceiling + CEILING_MARGIN)
     bottom, to_bottom, sinks = _inflated_chord(ray, dem.floor - FLOOR_MARGIN)
+    fall = 0.0
+    if ray.bending is not None:
+        farthest = jnp.where(sinks & (bottom >= to_bottom), bottom - to_bottom, jnp.maximum(bottom, 0.0) + BEYOND)
+        shift = ray.bending.shift(farthest)
+        fall = jnp.sqrt(dot(shift, shift))
+    middle, to_top, meets = _inflated_chord(ray, dem.ceiling + CEILING_MARGIN + fall)
     start, exit_, floor = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
     sinks = sinks & (floor >= 0.0)
     centre_up, farthest = dem.grid_reach()

@@ -54,7 +54,7 @@ class Descent(eqx.Module):
     def of(cls, ray: Ray, dem: Dem, anchor: Scalar) -> Descent:
         """Of a ray that sinks at the range `anchor` in m; ranges before it may be asked for too."""
         up, height = WGS84.normal_and_height(ray.at(anchor))
-        return cls(ray, dem, anchor, height, jnp.dot(up, ray.direction))
+        return cls(ray, dem, anchor, height, jnp.dot(up, ray.heading_at(anchor)))
 
     def range_at(self, height: Scalar) -> Scalar:
         """Range in m at which the sinking ray is at `height`; where it never is so low, about its lowest point."""
@@ -64,7 +64,7 @@ class Descent(eqx.Module):
 
         def newton(_: Index, distance: Scalar) -> Scalar:
             up, at = WGS84.normal_and_height(self.ray.at(distance))
-            slope = jnp.dot(up, self.ray.direction)
+            slope = jnp.dot(up, self.ray.heading_at(distance))
             sinks = slope < -LEAST_SINKING
             return distance - jnp.where(sinks, (at - height) / jnp.where(sinks, slope, -1.0), 0.0)
 
@@ -92,7 +92,7 @@ class Descent(eqx.Module):
     def sinking(self, distance: Scalar) -> Scalar:
         """Metres of height the ray loses per metre of range, at a range."""
         up, _ = WGS84.normal_and_height(self.ray.at(distance))
-        return -jnp.dot(up, self.ray.direction)
+        return -jnp.dot(up, self.ray.heading_at(distance))
 
     def post_step(self) -> Scalar:
         """The range in m in which the ray passes over one post spacing, the shorter of row and col."""

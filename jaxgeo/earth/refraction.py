@@ -1,0 +1,116 @@
+"""How the air bends a line of sight: a closed form for every ray, and a trace through shells to hold it against."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._checks import as_float64
+from jaxgeo._numerics import dot, safe_sqrt, value_and_slope
+from jaxgeo._typing import Scalar, ScalarField, ScalarLike, Vector3, Vector3Field
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.ellipsoid import WGS84
+
+LEVEL = 10.0  # m between sensor and point: within, a difference of pressures would lose digits, and two terms are exact
+LOWERINGS = 2  # the height at which the air is taken is that of the bent ray, found from the straight one
+CORRECTIONS = 6  # each leaves a thousandth of the error before
+SHELLS = 4000
+
+
+class Bending(eqx.Module):
+    """How far a ray falls below its first direction, by range.
+
+    The closed form angle = K (tan z_s + tan z_g) / 2 with K = beta [(P_g - P_s) / (g (H - h)) - rho_s], from pressure
+    and density at both ends alone (z_s, z_g: angles off the vertical at sensor and ground), written with
+    (H - h) tan z = S sin z, so that a level or rising ray is as good as a steep one.
+    `down` is perpendicular to the ray, towards nadir, of length sin z_s; `climb` the ray's share upwards; `height` and
+    `radius` in m those of the sensor above the ellipsoid and of the Earth there, `thinning` and `thinning_rate` the
+    first and second derivative of density by height at the sensor.
+    """
+
+    air: Atmosphere
+    down: Vector3Field
+    climb: ScalarField
+    height: ScalarField
+    radius: ScalarField
+    pressure: ScalarField
+    density: ScalarField
+    thinning: ScalarField
+    thinning_rate: ScalarField
+
+    @classmethod
+    def of(cls, origin: Vector3, direction: Vector3, air: Atmosphere) -> Bending:
+        """The bending of a ray that leaves an ECEF point in m in a unit direction."""
+        normal, height = WGS84.normal_and_height(origin)
+        climb = dot(normal, direction)
+        squared = 1.0 - WGS84.e2 * normal[2] ** 2
+        radius = WGS84.b / squared  # Gaussian
+        pressure, density = air.pressure_and_density(height)
+        thinning, rate = value_and_slope(lambda h: value_and_slope(air.density, h)[1], height)
+        return cls(air, climb * direction - normal, climb, height, radius, pressure, density, thinning, rate)
+
+    def shift(self, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """Displacement in m (ECEF) of the point at `distance` m."""
+        amount = self._amount(distance)
+        x, y, z = self.down
+        return amount * x, amount * y, amount * z
+
+    def _amount(self, distance: Scalar) -> Scalar:
+        """Displacement in m, over the sine of the angle off the vertical at the sensor."""
+        r = self.radius + self.height
+        gain = distance * (2.0 * r * self.climb + distance)
+        height = self.height + gain / (jnp.sqrt(r * r + gain) + r)
+        fall = dot(self.down, self.down)
+        amount = jnp.zeros_like(distance)
+        for _ in range(LOWERINGS):
+            lowered = height - amount * fall
+            mean_sine = 1.0 + 0.5 * (self.height - lowered) / self.radius
+            amount = distance * distance * self.air.refractivity * self._excess(lowered) * mean_sine
+        return amount
+
+    def _excess(self, height: Scalar) -> Scalar:
+        """How much denser the air is between `height` and the sensor, on average, than there; kg/m3 per m."""
+        above = self.height - height
+        is_level = jnp.abs(above) < LEVEL
+        apart = jnp.where(is_level, LEVEL, above)
+        lower, _ = self.air.pressure_and_density(self.height - apart)
+        mean = (lower - self.pressure) / self.air.between(self.height - apart, self.height)
+        level = above * self.thinning_rate / 6.0 - 0.5 * self.thinning
+        return jnp.where(is_level, level, (mean - self.density) / apart)
+
+
+def apparent_point(origin: Vector3, p_ecef: Vector3, air: Atmosphere) -> Vector3:
+    """Where a point in ECEF m seems to lie from `origin`: on the ray's first direction, at the range of that ray."""
+
+    seeming = p_ecef
+    for _ in range(CORRECTIONS):
+        line = seeming - origin
+        distance = safe_sqrt(dot(line, line))
+        direction = line / jnp.where(distance > 0.0, distance, 1.0)
+        seeming = p_ecef - jnp.stack(Bending.of(origin, direction, air).shift(distance))
+    return seeming
+
+
+def traced_arc(
+    air: Atmosphere, *, height: ScalarLike, ground: ScalarLike, zenith: ScalarLike, radius: float = 6_371_008.8
+) -> Scalar:
+    """Arc in m along the ground, under a spherical Earth's air, from below a sensor to where its ray comes down.
+
+    `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (it must come down), `radius`
+    of the sphere in m. By Gaussian quadrature through `SHELLS` shells in each of which n r sin z is constant (Snell),
+    for comparison with `Bending`.
+    """
+    height, ground, zenith = as_float64((height, ground, zenith), "traced_arc")
+    edges = ground + (height - ground) * jnp.arange(SHELLS + 1) / SHELLS
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * (height - ground) / SHELLS
+    constant = air.refractive_index(height) * (radius + height) * jnp.sin(zenith)
+
+    def turn(h: jax.Array) -> jax.Array:
+        r = radius + h
+        sine = constant / (air.refractive_index(h) * r)
+        return sine / jnp.sqrt(1.0 - sine * sine) / r
+
+    aside = half * 0.6**0.5
+    parts = 5.0 * turn(middle - aside) + 8.0 * turn(middle) + 5.0 * turn(middle + aside)
+    return (radius + ground) * half * jnp.sum(parts) / 9.0
