@@ -13,7 +13,8 @@ from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 
 LEVEL = 10.0  # m between sensor and point: within, a difference of pressures would lose digits, and two terms are exact
-LOWERINGS = 2  # the height at which the air is taken is that of the bent ray, found from the straight one
+AIR_LAYERS = 3  # of the standard atmosphere: up to 32 km, above which a hundredth of the air is left
+GUESSES = (0.0, 4000.0)  # m: between these heights the bending is guessed, to find the height of the bent ray
 CORRECTIONS = 6  # each leaves a thousandth of the error before
 SHELLS = 4000
 
@@ -26,7 +27,8 @@ class Bending(eqx.Module):
     (H - h) tan z = S sin z, so that a level or rising ray is as good as a steep one.
     `down` is perpendicular to the ray, towards nadir, of length sin z_s; `climb` the ray's share upwards; `height` and
     `radius` in m those of the sensor above the ellipsoid and of the Earth there, `thinning` and `thinning_rate` the
-    first and second derivative of density by height at the sensor.
+    first and second derivative of density by height at the sensor, `guess` and `guess_rate` a line by height through
+    the bending of two points.
     """
 
     air: Atmosphere
@@ -38,6 +40,8 @@ class Bending(eqx.Module):
     density: ScalarField
     thinning: ScalarField
     thinning_rate: ScalarField
+    guess: ScalarField
+    guess_rate: ScalarField
 
     @classmethod
     def of(cls, origin: Vector3, direction: Vector3, air: Atmosphere) -> Bending:
@@ -46,9 +50,13 @@ class Bending(eqx.Module):
         climb = dot(normal, direction)
         squared = 1.0 - WGS84.e2 * normal[2] ** 2
         radius = WGS84.b / squared  # Gaussian
-        pressure, density = air.pressure_and_density(height)
-        thinning, rate = value_and_slope(lambda h: value_and_slope(air.density, h)[1], height)
-        return cls(air, climb * direction - normal, climb, height, radius, pressure, density, thinning, rate)
+        pressure, density = air.pressure_and_density(height, AIR_LAYERS)
+        density_at = lambda h: air.pressure_and_density(h, AIR_LAYERS)[1]  # noqa: E731
+        thinning, rate = value_and_slope(lambda h: value_and_slope(density_at, h)[1], height)
+        down, zero = climb * direction - normal, jnp.zeros_like(height)
+        bending = cls(air, down, climb, height, radius, pressure, density, thinning, rate, zero, zero)
+        low, high = (bending._excess(zero + guess) for guess in GUESSES)
+        return eqx.tree_at(lambda b: (b.guess, b.guess_rate), bending, (low, (high - low) / (GUESSES[1] - GUESSES[0])))
 
     def shift(self, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Displacement in m (ECEF) of the point at `distance` m."""
@@ -62,19 +70,17 @@ class Bending(eqx.Module):
         gain = distance * (2.0 * r * self.climb + distance)
         height = self.height + gain / (jnp.sqrt(r * r + gain) + r)
         fall = dot(self.down, self.down)
-        amount = jnp.zeros_like(distance)
-        for _ in range(LOWERINGS):
-            lowered = height - amount * fall
-            mean_sine = 1.0 + 0.5 * (self.height - lowered) / self.radius
-            amount = distance * distance * self.air.refractivity * self._excess(lowered) * mean_sine
-        return amount
+        strength = distance * distance * self.air.refractivity
+        lowered = height - strength * (self.guess + self.guess_rate * height) * fall
+        mean_sine = 1.0 + 0.5 * (self.height - lowered) / self.radius
+        return strength * self._excess(lowered) * mean_sine
 
     def _excess(self, height: Scalar) -> Scalar:
         """How much denser the air is between `height` and the sensor, on average, than there; kg/m3 per m."""
         above = self.height - height
         is_level = jnp.abs(above) < LEVEL
         apart = jnp.where(is_level, LEVEL, above)
-        lower, _ = self.air.pressure_and_density(self.height - apart)
+        lower, _ = self.air.pressure_and_density(self.height - apart, AIR_LAYERS)
         mean = (lower - self.pressure) / self.air.between(self.height - apart, self.height)
         level = above * self.thinning_rate / 6.0 - 0.5 * self.thinning
         return jnp.where(is_level, level, (mean - self.density) / apart)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
-ROOM = 1e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
+ROOM = 2e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
 ROOT_STEPS = 4
 SLACK = 1e-7  # of the piece of track: far more than rounding moves a root, far less than is left to the polish
 TINY = 1e-300

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LONGEST_TRACK = 40_000.0  # m: over more a quartic is not true enough
 SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
-TRACK_TOLERANCE = 2e-7  # m
+TRACK_TOLERANCE = 1e-6  # m; one of a bent ray errs by some 5e-7
 MOST_TRACKS = 4096
 
 
