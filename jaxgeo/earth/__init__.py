@@ -4,6 +4,7 @@ from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import GRS80, WGS84, Ellipsoid
 from jaxgeo.earth.frames import R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.earth.geodetic import Geodetic
+from jaxgeo.earth.horizon import Horizon, horizon, sight_range
 from jaxgeo.earth.projection import TransverseMercator
 
 __all__ = [
@@ -12,7 +13,10 @@ __all__ = [
     "Atmosphere",
     "Ellipsoid",
     "Geodetic",
+    "Horizon",
     "R_ecef_from_enu",
     "R_ecef_from_ned",
     "TransverseMercator",
+    "horizon",
+    "sight_range",
 ]

@@ -17,6 +17,7 @@ AIR_LAYERS = 3  # of the standard atmosphere: up to 32 km, above which a hundred
 GUESSES = (0.0, 4000.0)  # m: between these heights the bending is guessed, to find the height of the bent ray
 CORRECTIONS = 6  # each leaves a thousandth of the error before
 SHELLS = 4000
+MEAN_RADIUS = 6_371_008.8  # m
 
 
 class Bending(eqx.Module):
@@ -99,24 +100,38 @@ def apparent_point(origin: Vector3, p_ecef: Vector3, air: Atmosphere) -> Vector3
 
 
 def traced_arc(
-    air: Atmosphere, *, height: ScalarLike, ground: ScalarLike, zenith: ScalarLike, radius: float = 6_371_008.8
+    air: Atmosphere, *, height: ScalarLike, ground: ScalarLike, zenith: ScalarLike, radius: float = MEAN_RADIUS
 ) -> Scalar:
     """Arc in m along the ground, under a spherical Earth's air, from below a sensor to where its ray comes down.
 
     `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (it must come down), `radius`
-    of the sphere in m. By Gaussian quadrature through `SHELLS` shells in each of which n r sin z is constant (Snell),
-    for comparison with `Bending`.
+    of the sphere in m. A trace through `SHELLS` shells, in which n r sin z is constant (Snell), for comparison with
+    `Bending`.
     """
     height, ground, zenith = as_float64((height, ground, zenith), "traced_arc")
-    edges = ground + (height - ground) * jnp.arange(SHELLS + 1) / SHELLS
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * (height - ground) / SHELLS
     constant = air.refractive_index(height) * (radius + height) * jnp.sin(zenith)
+    spare = air.refractive_index(ground) * (radius + ground) - constant
+    return arc_between(air, spare, low=ground, high=height, radius=radius)
 
-    def turn(h: jax.Array) -> jax.Array:
-        r = radius + h
-        sine = constant / (air.refractive_index(h) * r)
-        return sine / jnp.sqrt(1.0 - sine * sine) / r
 
-    aside = half * 0.6**0.5
+def arc_between(air: Atmosphere, spare: Scalar, *, low: Scalar, high: Scalar, radius: float) -> Scalar:
+    """Arc in m at the lower height that a ray passes between two heights in m.
+
+    n r sin z, the same all along it, is less than n r at `low` by `spare` (0 for a ray that is level there). The shells
+    thin out quadratically towards `low`.
+    """
+    density = air.density(low)
+    constant = air.refractive_index(low) * (radius + low) - spare
+    edges = jnp.arange(SHELLS + 1) / SHELLS
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 / SHELLS
+    aside = half * 0.6**0.5  # three nodes of Gauss in each
+
+    def turn(t: jax.Array) -> jax.Array:
+        above = (high - low) * t * t
+        n_less_one = air.refractivity * air.density(low + above)
+        thinner = air.refractivity * (air.density(low + above) - density)
+        more = spare + (1.0 + n_less_one) * above + thinner * (radius + low)  # n r, less that of the ray
+        return constant / jnp.sqrt(more * (2.0 * constant + more)) / (radius + low + above) * t
+
     parts = 5.0 * turn(middle - aside) + 8.0 * turn(middle) + 5.0 * turn(middle + aside)
-    return (radius + ground) * half * jnp.sum(parts) / 9.0
+    return (radius + low) * 2.0 * (high - low) * half * jnp.sum(parts) / 9.0

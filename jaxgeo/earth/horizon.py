@@ -1,0 +1,67 @@
+"""How far one sees, and how far below the level the horizon lies, with the air and without."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._numerics import safe_sqrt
+from jaxgeo._typing import Scalar, ScalarField, ScalarLike
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.refraction import MEAN_RADIUS, arc_between
+
+VACUUM = Atmosphere(refractivity=0.0)
+
+
+class Horizon(eqx.Module):
+    """`distance` in m along the ground to the horizon, and its `dip` in rad below the level of the observer."""
+
+    distance: ScalarField
+    dip: ScalarField
+
+
+def horizon(
+    height: ScalarLike, *, ground: ScalarLike = 0.0, atmosphere: Atmosphere | None = None, radius: float = MEAN_RADIUS
+) -> Horizon:
+    """The horizon of smooth ground at the height `ground`, seen from `height` (m above the ellipsoid, not below it).
+
+    On a sphere of `radius` m (for one azimuth: `WGS84.radius_in_azimuth`); with an `atmosphere` along the ray that
+    grazes the ground, n r sin z = n r there (Snell on spherical shells). Differentiable in heights and air where
+    `height` is above `ground`. Raises `ValueError` for known heights that are not finite or lie below the ground.
+    """
+    check_finite(height, "height", "m above the ellipsoid")
+    check_finite(ground, "ground", "m above the ellipsoid")
+    high, low = as_float64((height, ground), "horizon")
+    _check_above(high, low)
+    air = as_float64(VACUUM if atmosphere is None else atmosphere, "atmosphere")
+    constant = air.refractive_index(low) * (radius + low)
+    thinner = air.refractivity * (air.density(high) - air.density(low))
+    more = air.refractive_index(high) * (high - low) + thinner * (radius + low)  # of n r, without cancellation
+    dip = jnp.arctan2(safe_sqrt(more * (2.0 * constant + more)), constant)
+    above = high > low
+    level = jnp.zeros_like(constant)
+    distance = arc_between(air, level, low=low, high=jnp.where(above, high, low + 1.0), radius=radius)
+    return Horizon(jnp.where(above, distance, 0.0), dip)
+
+
+def sight_range(
+    height: ScalarLike,
+    target_height: ScalarLike,
+    *,
+    ground: ScalarLike = 0.0,
+    atmosphere: Atmosphere | None = None,
+    radius: float = MEAN_RADIUS,
+) -> Scalar:
+    """Distance in m along smooth ground at which a target at `target_height` comes up over the horizon of `height`.
+
+    All heights in m above the ellipsoid; the sum of both horizons' distances. Raises as `horizon`.
+    """
+    here, there = (horizon(h, ground=ground, atmosphere=atmosphere, radius=radius) for h in (height, target_height))
+    return here.distance + there.distance
+
+
+def _check_above(high: Scalar, low: Scalar) -> None:
+    known_high, known_low = concrete(high), concrete(low)
+    if known_high is not None and known_low is not None and (known_high < known_low).any():
+        raise ValueError(f"no height may lie below the ground at {float(known_low):g} m; got {float(known_high):g} m.")
