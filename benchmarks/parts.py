@@ -74,6 +74,37 @@ def _bundle(terrain: jobs.TangentTerrain, count: int, repeats: int) -> Table:
     return table
 
 
+def air(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
+    """The same rays straight and bent by the standard atmosphere."""
+    import jax
+    from peers.ours import dem_of, rays_of
+
+    import jaxgeo
+
+    job = jobs.mountain_job(rays, cache, with_reference=False)
+    batch, dem = rays_of(job.sight), jax.block_until_ready(dem_of(job.terrain))
+
+    def through(air: Any) -> Callable[[], Any]:
+        run = jax.jit(jax.vmap(lambda ray, dem, air: jaxgeo.intersect(ray, dem, atmosphere=air), (0, None, None)))
+        return lambda: run(batch, dem, air)
+
+    timings, fixes, others = _raced({"straight": through(None), "bent": through(jaxgeo.Atmosphere())}, repeats)
+    columns = [
+        Column("rays"),
+        Column("rate", "M rays/s", "higher"),
+        Column("of the straight ones' rate", "%", "higher"),
+        Column("spread", "% of the median", "lower"),
+        Column("hits", "% of the rays"),
+    ]
+    table = Table(f"{job.sight.start.size} rays through the air", columns)
+    for name, timing in timings.items():
+        share = 100.0 * timings["straight"].median / timing.median
+        hits = 100.0 * float(np.mean(np.asarray(fixes[name].ok)))
+        table.rows.append([name, 1e-6 * job.sight.start.size / timing.median, share, 100.0 * timing.spread, hits])
+    table.notes.append(others)
+    return [table]
+
+
 def _raced(runs: dict[str, Callable[[], Any]], repeats: int) -> tuple[dict[str, measuring.Timing], dict[str, Any], str]:
     """Interleaved timings of warm runs, what each returned first, and a note on what else the machine did."""
     import jax

@@ -25,6 +25,7 @@ def dem_of(terrain: TangentTerrain, dtype: Any = np.float64) -> jaxgeo.Dem:
 
 def rays_of(sight: Sight) -> jaxgeo.Ray:
     """The rays as a batch."""
+    jaxgeo.enable_x64()
     return jaxgeo.Ray(jnp.asarray(sight.origin), jnp.asarray(sight.direction))
 
 
