@@ -134,7 +134,7 @@ def _locate(
         else _work_of_shots(scene, scene_path, shots_path)
     )
     terrain = read_dem([str(path) for path in dem_paths], vertical_datum=_datum(vertical_datum))
-    _write_rows(_located_rows(scene.sensor, *work, terrain), scene.sensor.gimbal.names, output_format, stream)
+    _write_rows(_located_rows(scene, *work, terrain), scene.sensor.gimbal.names, output_format, stream)
 
 
 def _write_rows(rows: Iterator[dict[str, Any]], readings: tuple[str, ...], output_format: Format, stream: Any) -> None:
@@ -189,7 +189,7 @@ def _work_of_shots(scene: Any, path: pathlib.Path, shots_path: pathlib.Path) -> 
 
 
 def _located_rows(
-    sensor: Any, shots: Any, uv: Any, carried: list[dict[str, Any]], terrain: Any
+    scene: Any, shots: Any, uv: Any, carried: list[dict[str, Any]], terrain: Any
 ) -> Iterator[dict[str, Any]]:
     """A row for each pixel, in chunks of one size; a progress bar and the count of statuses go to stderr."""
     import numpy as np
@@ -205,7 +205,7 @@ def _located_rows(
         task = progress.add_task("locating", total=total)
         for start in range(0, total, size):
             here = np.minimum(np.arange(start, start + size), total - 1)
-            fix = located(sensor, _taken(shots, here), uv[here], terrain)
+            fix = located(scene.sensor, _taken(shots, here), uv[here], terrain, scene.atmosphere)
             fix = _taken(fix, np.arange(min(size, total - start)))
             for i, row in enumerate(fix_rows(fix, height_msl(fix)), start):
                 counts[row["status"]] = counts.get(row["status"], 0) + 1
@@ -220,7 +220,10 @@ def _batched_locate() -> Any:
 
     from jaxgeo.locate import locate
 
-    return jax.jit(jax.vmap(locate, in_axes=(None, 0, 0, None)))
+    def through_the_air(sensor: Any, shot: Any, uv: Any, terrain: Any, atmosphere: Any) -> Any:
+        return locate(sensor, shot, uv, terrain, atmosphere=atmosphere)
+
+    return jax.jit(jax.vmap(through_the_air, in_axes=(None, 0, 0, None, None)))
 
 
 def _taken(tree: Any, index: Any) -> Any:

@@ -83,6 +83,19 @@ def test_a_pixel_on_the_command_line_is_the_same_fix(shots_file) -> None:
     assert {name: alone[name] for name in FIX_COLUMNS} == {name: in_table[name] for name in FIX_COLUMNS}
 
 
+def test_air_in_the_scene_moves_the_fix(tmp_path: pathlib.Path) -> None:
+    """By some metres here, towards the camera: 5 km up, 72 degrees off nadir."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(scene_file().read_text(encoding="utf-8") + "\n[air]\n", encoding="utf-8")
+    ranges = []
+    for path in (scene_file(), scene):
+        result = run("locate", "--scene", path, "--dem", DEM, "--pixel", "1199.5,2399.5", "--format", "csv")
+        assert result.exit_code == 0, result.stderr
+        (row,) = csv.DictReader(io.StringIO(result.stdout))
+        ranges.append(float(row["slant_range_m"]))
+    assert 0.3 < ranges[0] - ranges[1] < 30.0
+
+
 def test_geojson_keeps_what_has_no_place(shots_file, tmp_path: pathlib.Path) -> None:
     output = tmp_path / "fixes.geojson"
     assert locate_shots(shots_file(all_rows()), "--output", output).exit_code == 0

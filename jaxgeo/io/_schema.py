@@ -24,6 +24,10 @@ Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
 Count = Annotated[int, Field(strict=True, gt=0), Unit("whole pixels")]
 Seconds = Annotated[float, _strict, Unit("s")]
 Height = Annotated[float, Field(strict=True, ge=-2000.0, le=2_000_000.0), Unit("m")]
+Hectopascals = Annotated[float, Field(strict=True, ge=100.0, le=1200.0), Unit("hPa")]
+Celsius = Annotated[float, Field(strict=True, ge=-100.0, le=70.0), Unit("degrees Celsius")]
+HeightInAir = Annotated[float, Field(strict=True, ge=-500.0, le=15_000.0), Unit("m above mean sea level")]
+Undulation = Annotated[float, Field(strict=True, ge=-120.0, le=120.0), Unit("m")]
 _Number = Annotated[float, _strict]
 Triple = Annotated[list[_Number], Field(min_length=3, max_length=3), Unit("a list of 3 numbers in m")]
 PairMillimetres = Annotated[list[_Number], Field(min_length=2, max_length=2), Unit("a list of 2 numbers in mm")]
@@ -162,6 +166,25 @@ class ShotsTable(_Table):
     height_datum: Datum
 
 
+class AirTable(_Table):
+    """The air that bends lines of sight: the standard atmosphere, or what was measured at a height in it."""
+
+    pressure_hpa: Hectopascals | None = None
+    temperature_c: Celsius | None = None
+    height_msl_m: HeightInAir | None = None
+    sea_level_m: Undulation | None = None
+
+    @model_validator(mode="after")
+    def _a_whole_measurement(self) -> AirTable:
+        measured = [self.pressure_hpa, self.temperature_c, self.height_msl_m]
+        if None in measured and measured != [None] * 3:
+            raise ValueError(
+                "a measurement is pressure_hpa (hPa), temperature_c (degrees Celsius) and height_msl_m (m), all three; "
+                "leave all out for the standard atmosphere"
+            )
+        return self
+
+
 class SceneTable(_Table):
     """A whole scene file: `pose` for one shot, `shots` where poses and readings come from a table of shots."""
 
@@ -171,3 +194,4 @@ class SceneTable(_Table):
     mount: MountTable = MountTable()
     pose: PoseTable | None = None
     shots: ShotsTable | None = None
+    air: AirTable | None = None

@@ -20,10 +20,11 @@ from pydantic import ValidationError
 from pyproj.exceptions import CRSError
 
 from jaxgeo._checks import require_x64
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._schema import CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
+from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.geoid import undulation
 from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
@@ -38,13 +39,15 @@ class SceneError(ValueError):
 class Scene(eqx.Module):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
-    `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from.
+    `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
+    `atmosphere` the air that bends lines of sight, if the file has one.
     """
 
     sensor: Sensor
     shot: Shot | None
     height_datum: str | float | None = eqx.field(static=True)
     title: str = eqx.field(static=True, default="")
+    atmosphere: Atmosphere | None = None
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
@@ -61,10 +64,11 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
                 _check_datum(name, part.height_datum, content[name]["height_datum"])
         sensor = Sensor(_camera(table.camera), _gimbal(table.gimbal), _mount(table.mount, table.gimbal.kind))
         shot = None if table.pose is None else _shot(table.pose, table.gimbal, sensor.gimbal)
+        air = None if table.air is None else _air(table.air, table.pose)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from error
     stated = table.shots or table.pose
-    return Scene(sensor, shot, stated.height_datum if stated else None, table.title)
+    return Scene(sensor, shot, stated.height_datum if stated else None, table.title, air)
 
 
 def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
@@ -160,6 +164,25 @@ def _shot(table: PoseTable, readings: GimbalTable, gimbal: Gimbal) -> Shot:
         names = ", ".join(f"{name}_deg" for name in gimbal.names)
         raise ValueError(f"[gimbal] of kind {readings.kind!r} needs its readings for the pose: {names} (deg).")
     return Shot(_pose(table), gimbal.readings_from_degrees(**readings.readings), table.time_s)
+
+
+def _air(table: AirTable, pose: PoseTable | None) -> Atmosphere:
+    sea_level = table.sea_level_m
+    if sea_level is None:
+        if pose is None:
+            raise ValueError(
+                "[air] sea_level_m is missing: without a [pose] it must say how far mean sea level lies above the "
+                "ellipsoid, in m (the undulation of the geoid)."
+            )
+        sea_level = float(undulation(pose.lat_deg, pose.lon_deg))
+    if table.pressure_hpa is None or table.temperature_c is None or table.height_msl_m is None:
+        return Atmosphere(sea_level=sea_level)
+    return Atmosphere.measured(
+        pressure=100.0 * table.pressure_hpa,
+        temperature=table.temperature_c + 273.15,
+        height=table.height_msl_m + sea_level,
+        sea_level=sea_level,
+    )
 
 
 def _pose(table: PoseTable) -> Pose:

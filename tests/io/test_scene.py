@@ -188,6 +188,40 @@ def test_every_mistake_is_told_at_once(scene_file) -> None:
     assert len(str(caught.value).splitlines()) == 2
 
 
+def test_air_is_asked_for_and_stands_on_the_sea(scene_file) -> None:
+    assert read_scene(scene_file(GOOD)).atmosphere is None
+    sea_level = float(undulation(44.2, 5.3))
+    standard = read_scene(scene_file(GOOD + "[air]\n")).atmosphere
+    assert float(standard.pressure(jnp.asarray(sea_level))) == pytest.approx(101_325.0, rel=0, abs=1e-6)
+    measurement = "[air]\npressure_hpa = 930.5\ntemperature_c = 12.5\nheight_msl_m = 600.0\n"
+    measured = read_scene(scene_file(GOOD + measurement)).atmosphere
+    at = jnp.asarray(600.0 + sea_level)
+    assert float(measured.pressure(at)) == pytest.approx(93_050.0, rel=0, abs=1e-6)
+    assert float(measured.temperature(at)) == pytest.approx(285.65, rel=0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "air, words",
+    [
+        ("pressure_hpa = 930.5", ["temperature_c", "all three"]),
+        ("pressure_hpa = 101325.0\ntemperature_c = 15.0\nheight_msl_m = 0.0", ["pressure_hpa", "hPa", "1200"]),
+        ("temperature_k = 288.15", ["temperature_k"]),
+    ],
+)
+def test_mistakes_about_the_air_are_named(scene_file, air: str, words: list[str]) -> None:
+    with pytest.raises(SceneError) as error:
+        read_scene(scene_file(f"{GOOD}[air]\n{air}\n"))
+    assert all(word in str(error.value) for word in [*words, "air"])
+
+
+def test_air_without_a_pose_needs_its_sea_level(scene_file) -> None:
+    without_pose = GOOD[: GOOD.index("[pose]")].replace("outer_deg = 60.0\ninner_deg = -1.0\n", "")
+    with pytest.raises(SceneError, match="sea_level_m is missing"):
+        read_scene(scene_file(without_pose + "[air]\n"))
+    scene = read_scene(scene_file(without_pose + "[air]\nsea_level_m = 50.0\n"))
+    assert float(scene.atmosphere.sea_level) == 50.0
+
+
 def test_a_scene_without_pose_is_for_tables(scene_file) -> None:
     text = GOOD[: GOOD.index("[pose]")] + '[shots]\nheight_datum = "EPSG:5773"\n'
     path = scene_file(text)
