@@ -17,12 +17,16 @@ GROUNDS: dict[str, Callable[[int], float]] = {
     "more ground": lambda side: 30.0,
 }
 
+COUNTED = 2000  # rays whose look-ups are counted
+
 SIDES = [
     Column("ground"),
     Column("side", "posts"),
     Column("spacing", "m"),
     Column("cost", "ns/ray", "lower"),
     Column("over that of the first side", "times", "lower"),
+    Column("look-ups", "bounds and cells per ray", "lower"),
+    Column("over those of the first side", "times", "lower"),
     Column("log2(side) over that of the first side", "times"),
     Column("peak of building, the caller's posts included", "times the posts' bytes", "lower"),
     Column("kept by the Dem", "times the posts' bytes", "lower"),
@@ -42,11 +46,13 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
     kinds = [(ground, side) for ground in GROUNDS for side in sides]
     memory: dict[tuple[str, int], dict[str, Any]] = {}
     runs: dict[str, Callable[[], Any]] = {}
+    asked: dict[str, float] = {}
     for ground, side in kinds:
         terrain = jobs.rough_terrain(side, GROUNDS[ground](side))
         memory[ground, side] = _built(terrain, cache)
         dem, batch = dem_of(terrain, np.float32), rays_of(jobs.random_job(terrain, rays))
         runs[f"{ground} {side}"] = lambda dem=dem, batch=batch: jax.block_until_ready(answers(batch, dem))
+        asked[f"{ground} {side}"] = _look_ups(batch, dem)
     answered = {name: 100.0 * float(np.mean(np.isfinite(np.asarray(run().slant_range)))) for name, run in runs.items()}
     watch = measuring.Watch()
     timings = measuring.interleaved(runs, repeats)
@@ -54,14 +60,29 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
     table.notes.append(f"interleaved in one process; others used {watch.others():.2f} cores; memory in fresh processes")
     for ground, spacing_of in GROUNDS.items():
         ns = np.array([1e9 * timings[f"{ground} {side}"].median / rays for side in sides])
-        for side, cost in zip(sides, ns, strict=True):
+        work = np.array([asked[f"{ground} {side}"] for side in sides])
+        for side, cost, look_ups in zip(sides, ns, work, strict=True):
             kept = memory[ground, side]
-            row = [ground, side, spacing_of(side), cost, cost / ns[0], np.log2(side) / np.log2(sides[0])]
+            row = [ground, side, spacing_of(side), cost, cost / ns[0], look_ups, look_ups / work[0]]
+            row.append(np.log2(side) / np.log2(sides[0]))
             table.rows.append([*row, kept.get("peak"), kept.get("kept"), answered[f"{ground} {side}"]])
             if "reason" in kept:
                 table.notes.append(f"{ground}, side {side}: {kept['reason']}")
         table.notes += _fitted(ground, np.array(sides), ns)
     return table
+
+
+def _look_ups(rays: Any, dem: Any) -> float:
+    """Bounds and cells that a first-hit walk asks for, mean of the first rays; see `jaxgeo.studies.look_ups`."""
+    import jax
+    from peers.ours import answers
+
+    from jaxgeo.studies.look_ups import first_hit_look_ups
+
+    some = jax.tree.map(lambda x: x[:COUNTED], rays)
+    found = answers(some, dem).slant_range
+    bounds, cells = jax.jit(jax.vmap(first_hit_look_ups, (0, None, 0)))(some, dem, found)
+    return float(np.mean(np.asarray(bounds) + np.asarray(cells)))
 
 
 def _built(terrain: jobs.TangentTerrain, cache: pathlib.Path) -> dict[str, Any]:
