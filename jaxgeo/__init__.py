@@ -10,7 +10,7 @@ from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.locate import at_range, intersect, locate, project
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
 
@@ -37,6 +37,7 @@ __all__ = [
     "Sensor",
     "Shot",
     "Status",
+    "Trajectory",
     "at_range",
     "enable_x64",
     "intersect",

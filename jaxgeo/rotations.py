@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from jaxgeo._numerics import safe_norm
+from jaxgeo._numerics import cross, safe_norm, safe_sqrt
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 
 
@@ -57,6 +57,35 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     sinc = jnp.where(small, 1.0 - squared / 6.0 + squared**2 / 120.0, jnp.sin(angle) / angle)
     half = jnp.where(small, 0.5 - squared / 24.0 + squared**2 / 720.0, 2.0 * (jnp.sin(0.5 * angle) / angle) ** 2)
     return jnp.eye(3) + sinc * K + half * (K @ K)
+
+
+def rotation_vector_from_R(R: Matrix3) -> Vector3:
+    """The rotation vector in rad of a turn by less than 180 degrees, smooth at none; the inverse of the above.
+
+    By the quaternion's real part, which must not vanish: for a turn close to 180 degrees the digits are lost.
+    """
+    real = 0.5 * safe_sqrt(1.0 + R[0, 0] + R[1, 1] + R[2, 2])
+    axis = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    axis = 0.25 * axis / jnp.where(real > 0.0, real, 1.0)
+    squared = jnp.sum(axis * axis)
+    small = squared < 1e-8
+    sine = jnp.sqrt(jnp.where(small, 1.0, squared))
+    exact = 2.0 * jnp.arctan2(sine, real) / sine
+    return axis * jnp.where(small, 2.0 + squared / 3.0 + 3.0 * squared**2 / 20.0, exact)
+
+
+def rotation_rate_from_body_rate(rotation: Vector3, rate: Vector3) -> Vector3:
+    """How a rotation vector (rad) changes while its body turns at a rate (rad/s, in the turned axes), rad/s.
+
+    The inverse right Jacobian of the rotation group, for rotations well below 360 degrees.
+    """
+    squared = jnp.sum(rotation * rotation)
+    small = squared < 1e-4
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    exact = 1.0 / angle**2 - (1.0 + jnp.cos(angle)) / (2.0 * angle * jnp.sin(angle))
+    weight = jnp.where(small, 1.0 / 12.0 + squared / 720.0 + squared**2 / 30240.0, exact)
+    turned = jnp.stack(cross(rotation, rate))
+    return rate + 0.5 * turned + weight * jnp.stack(cross(rotation, turned))
 
 
 def _parts(angle: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:

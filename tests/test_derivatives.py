@@ -210,7 +210,7 @@ def test_nested_maps_and_maps_over_terrains():
     grid = jax.jit(jax.vmap(jax.vmap(jaxgeo.intersect, in_axes=(0, None)), in_axes=(None, 0)))(rays, stacked)
     alone = jax.jit(jax.vmap(jaxgeo.intersect, in_axes=(0, None)))
     for k, dem in enumerate(dems):
-        np.testing.assert_allclose(grid.ecef[k], alone(rays, dem).ecef, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(grid.ecef[k], alone(rays, dem).ecef, rtol=0, atol=5e-9)
 
 
 def test_a_gimbal_in_local_level_moves_the_hit_by_its_own_angles():

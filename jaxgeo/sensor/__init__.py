@@ -30,6 +30,7 @@ from jaxgeo.sensor.distortion import AbstractDistortion, BrownConrady, NoDistort
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Mount, Pose, Shot, boresight_from_degrees
 from jaxgeo.sensor.sensor import Sensor
+from jaxgeo.sensor.trajectory import Trajectory
 
 __all__ = [
     "AbstractCamera",
@@ -42,6 +43,7 @@ __all__ = [
     "Pose",
     "Sensor",
     "Shot",
+    "Trajectory",
     "boresight_from_degrees",
     "conventions",
 ]
