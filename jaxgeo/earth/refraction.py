@@ -59,6 +59,11 @@ class Bending(eqx.Module):
         low, high = (bending._excess(zero + guess) for guess in GUESSES)
         return eqx.tree_at(lambda b: (b.guess, b.guess_rate), bending, (low, (high - low) / (GUESSES[1] - GUESSES[0])))
 
+    def aimed(self, up: Vector3, direction: Vector3) -> Bending:
+        """That of another ray from the same origin, whose local `up` is given; both unit vectors in ECEF."""
+        climb = dot(up, direction)
+        return eqx.tree_at(lambda b: (b.down, b.climb), self, (climb * direction - up, climb))
+
     def shift(self, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         """Displacement in m (ECEF) of the point at `distance` m."""
         amount = self._amount(distance)
@@ -90,12 +95,13 @@ class Bending(eqx.Module):
 def apparent_point(origin: Vector3, p_ecef: Vector3, air: Atmosphere) -> Vector3:
     """Where a point in ECEF m seems to lie from `origin`: on the ray's first direction, at the range of that ray."""
 
-    seeming = p_ecef
+    up, _ = WGS84.normal_and_height(origin)
+    bending, seeming = Bending.of(origin, -up, air), p_ecef
     for _ in range(CORRECTIONS):
         line = seeming - origin
         distance = safe_sqrt(dot(line, line))
         direction = line / jnp.where(distance > 0.0, distance, 1.0)
-        seeming = p_ecef - jnp.stack(Bending.of(origin, direction, air).shift(distance))
+        seeming = p_ecef - jnp.stack(bending.aimed(up, direction).shift(distance))
     return seeming
 
 

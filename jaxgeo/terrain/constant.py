@@ -34,12 +34,12 @@ class ConstantHeight(AbstractTerrain):
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
         del search
         ray, height = jax.lax.stop_gradient((ray, self._height()))
-        near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
+        if ray.bending is None:
+            near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
+        else:
+            near, meets = _bent_range(self.ellipsoid, ray, height)
         below = self.ellipsoid.normal_and_height(ray.origin)[1] < height
         ahead = meets & (near >= 0.0) & ~below
-        if ray.bending is not None:
-            near, meets = _bent_range(self.ellipsoid, ray, height)
-            ahead = meets & ~below
         status = status_where(ahead, Status.hit, Status.rises_away.code)
         status = status_where(below, Status.camera_below_terrain, status)
         distance = jnp.where(ahead, near, 0.0)

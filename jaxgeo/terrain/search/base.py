@@ -57,8 +57,8 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     bottom, to_bottom, sinks = _inflated_chord(ray, dem.floor - FLOOR_MARGIN)
     fall = 0.0
     if ray.bending is not None:
-        farthest = jnp.where(sinks & (bottom >= to_bottom), bottom - to_bottom, jnp.maximum(bottom, 0.0) + BEYOND)
-        shift = ray.bending.shift(farthest)
+        last = jnp.where(sinks & (bottom >= to_bottom), bottom - to_bottom, jnp.maximum(bottom, 0.0) + BEYOND)
+        shift = ray.bending.shift(last)
         fall = jnp.sqrt(dot(shift, shift))
     middle, to_top, meets = _inflated_chord(ray, dem.ceiling + CEILING_MARGIN + fall)
     start, exit_, floor = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
