@@ -10,7 +10,20 @@ from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.locate import at_range, intersect, locate, project
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot, Trajectory
+from jaxgeo.sensor import (
+    BrownConrady,
+    Deflection,
+    FrameCamera,
+    Gimbal,
+    Mount,
+    Pose,
+    PushbroomCamera,
+    RollingShutterCamera,
+    Sensor,
+    Shot,
+    SweepCamera,
+    Trajectory,
+)
 from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
 
@@ -23,6 +36,7 @@ __all__ = [
     "Bisection",
     "BrownConrady",
     "ConstantHeight",
+    "Deflection",
     "Dem",
     "Ellipsoid",
     "FirstHit",
@@ -33,10 +47,13 @@ __all__ = [
     "Mount",
     "Pose",
     "Projection",
+    "PushbroomCamera",
     "Ray",
+    "RollingShutterCamera",
     "Sensor",
     "Shot",
     "Status",
+    "SweepCamera",
     "Trajectory",
     "at_range",
     "enable_x64",

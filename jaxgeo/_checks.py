@@ -77,3 +77,10 @@ def _shown(value: np.ndarray) -> str:
         return f"{value.item()!r}"
     text = np.array2string(value, threshold=6, edgeitems=2)
     return f"{text} of shape {value.shape}"
+
+
+def as_array(value: Any, name: str) -> Any:
+    """A list or tuple of numbers, some perhaps traced, as one array; anything else as it is."""
+    if isinstance(value, list | tuple):
+        return jnp.stack([as_float64(number, f"{name}[{k}]") for k, number in enumerate(value)])
+    return value

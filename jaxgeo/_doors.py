@@ -11,46 +11,50 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, concrete, require_x64
-from jaxgeo._typing import Pixel
+from jaxgeo._checks import as_array, as_float64, concrete, require_x64
+from jaxgeo._typing import Pixel, Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
-from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 
 UNIT_TOLERANCE = 1e-6
 
 
-def pixel_of_shot(sensor: Sensor, shot: Shot, uv: ArrayLike | Sequence[ArrayLike]) -> tuple[Sensor, Shot, Pixel]:
-    """Sensor, shot and one pixel in float64, checked."""
-    sensor, shot = observation(sensor, shot)
+def pixel_of_shot(
+    sensor: Sensor, shot: Shot | Trajectory, time: Any, uv: ArrayLike | Sequence[ArrayLike]
+) -> tuple[Sensor, Shot | Trajectory, Scalar, Pixel]:
+    """Sensor, shot or trajectory, time of the image and one pixel in float64, checked."""
+    sensor, shot, time = observation(sensor, shot, time)
     pixel = as_float64(as_array(uv, "uv"), "uv")
     if pixel.shape != (2,):
         raise ValueError(
             f"uv must be one pixel (column, row) of shape (2,); got shape {pixel.shape}. "
             "For many pixels use jax.vmap(locate, in_axes=(None, None, 0, None))."
         )
-    return sensor, shot, pixel
+    return sensor, shot, time, pixel
 
 
-def observation(sensor: Sensor, shot: Shot) -> tuple[Sensor, Shot]:
-    """Sensor and shot in float64, checked."""
+def observation(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sensor, Shot | Trajectory, Scalar]:
+    """Sensor, shot or trajectory, and the time of the image in float64, checked."""
     require_x64()
     check_is(sensor, Sensor, "sensor")
-    check_is(shot, Shot, "shot")
+    if not isinstance(shot, Shot | Trajectory):
+        raise TypeError(
+            f"shot must be a jaxgeo Shot, or a Trajectory with the time of the image; got {type(shot).__name__}."
+        )
+    if isinstance(shot, Shot) and time is not None:
+        raise ValueError("time goes with a Trajectory; a Shot is a moment already. Leave one of them out.")
     sensor, shot = as_float64(sensor, "sensor"), as_float64(shot, "shot")
-    check_latitude(shot.pose.position, "shot.pose.position")
-    return sensor, shot
-
-
-def as_array(value: Any, name: str) -> Any:
-    """A list or tuple of numbers, some perhaps traced, as one array; anything else as it is."""
-    if isinstance(value, list | tuple):
-        return jnp.stack([as_float64(number, f"{name}[{k}]") for k, number in enumerate(value)])
-    return value
+    position = shot.pose.position if isinstance(shot, Shot) else shot.poses.position
+    check_latitude(position, "shot.pose.position")
+    moment = jnp.asarray(as_float64(0.0 if time is None else time, "time"))
+    if moment.shape != ():
+        raise ValueError(f"time must be one number in s; got shape {moment.shape}. For many images use jax.vmap.")
+    return sensor, shot, moment
 
 
 def check_is(value: Any, kind: type, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -73,18 +74,23 @@ def newton_or_half(
     return low, high, jnp.where(stays, newton, 0.5 * (low + high))
 
 
-def with_implicit_derivative(residual: Callable[[Scalar], Scalar], root: Scalar) -> Scalar:
-    """`root` unchanged in value, with its first and second derivatives by what `residual` closes over.
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def implicit_root(residual: Callable[[Scalar, Any], Scalar], root: Scalar, world: Any) -> Scalar:
+    """`root` itself, a zero of `residual(root, world)`, with the derivatives by `world` that keep it one.
 
-    Two Newton steps whose values are subtracted again: the first carries the first derivative of the implicit
-    function, the second makes the second derivative right (one step with a frozen slope would lose it).
+    Of every order, forward and reverse. `residual` must close over nothing that is traced.
     """
-    root = jax.lax.stop_gradient(root)
-    for _ in range(2):
-        value, slope = value_and_slope(residual, root)
-        step = -value / jnp.where(slope == 0.0, 1.0, slope)
-        root = root + (step - jax.lax.stop_gradient(step))
     return root
+
+
+@implicit_root.defjvp
+def _(residual, primals, tangents):
+    """d root = -d residual / slope, at a root that moves along when this is differentiated again."""
+    root, world = primals
+    root = implicit_root(residual, root, world)
+    _, change = jax.jvp(lambda world: residual(root, world), (world,), (tangents[1],))
+    _, slope = value_and_slope(lambda x: residual(x, world), root)
+    return root, -change / jnp.where(slope == 0.0, 1.0, slope)
 
 
 def all_finite(tree: object) -> Flag:

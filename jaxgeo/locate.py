@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64
+from jaxgeo._checks import as_array, as_float64
 from jaxgeo._doors import (
     UNIT_TOLERANCE,
-    as_array,
     check_is,
     check_latitude,
     check_ray,
@@ -31,7 +30,8 @@ from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.fix import Fix, Projection
-from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor.exposure import image_of_point, line_of_sight
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, ConstantHeight, FirstHit
 from jaxgeo.terrain.polish import polish
@@ -72,10 +72,11 @@ def intersect(
 
 def locate(
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
     uv: ArrayLike | Sequence[ArrayLike],
     terrain: AbstractTerrain,
     *,
+    time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
     throw: bool = False,
@@ -84,28 +85,30 @@ def locate(
 
     `sensor` (camera, gimbal, mount) and `shot` (pose, gimbal readings in rad) are single records, `uv` is (2,) in px,
     `terrain` a `Dem` or a `ConstantHeight`, `search` how the terrain is searched (`FirstHit()` or `Bisection()`). For
-    many pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. The result is a `Fix`: position in rad and m above
-    the ellipsoid, ECEF m, slant range, angles, and a status. Differentiable to second order in everything: pose,
-    gimbal, mount, camera, pixel and posts, and in the `atmosphere`, which bends the line of sight if it is given
+    many pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. In place of a shot, a `Trajectory` and the `time` of
+    the image in s (0 if left out): each pixel is then seen from where the sensor is `camera.time_of(uv)` after it.
+    The result is a `Fix`: position in rad and m above the ellipsoid, ECEF m, slant range, angles, and a status.
+    Differentiable to second order in everything: pose, trajectory and time, gimbal, mount, camera, pixel and posts,
+    and in the `atmosphere`, which bends the line of sight if it is given
     (`jaxgeo.Atmosphere()` is the standard one; from 15 km over 60 km of slant range that moves the fix by 89 m).
 
     A pixel outside the image or the lens's field, and input that is not finite, set the status and leave NaN. Raises
     `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong kind; `ValueError` for
     a wrong shape, a known latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
     """
-    check_throw(throw, (sensor, shot, uv, terrain, atmosphere))
+    check_throw(throw, (sensor, shot, uv, terrain, time, atmosphere))
     check_terrain(terrain, search)
-    sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
-    fix = _locate(sensor, shot, pixel, terrain, search, checked_air(atmosphere))
+    fix = _locate(*pixel_of_shot(sensor, shot, time, uv), terrain, search, checked_air(atmosphere))
     return thrown(fix) if throw else fix
 
 
 def at_range(
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
     uv: ArrayLike | Sequence[ArrayLike],
     slant_range: ArrayLike,
     *,
+    time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
 ) -> Fix:
     """The point at a measured slant range (a laser's, m from the perspective centre) along a pixel's line of sight.
@@ -114,18 +117,19 @@ def at_range(
     slower in air (some 0.3 m per km at sea level) is for the laser's own calibration. Raises as `intersect`; a range
     that is not positive and finite has the status `invalid_input`.
     """
-    sensor, shot, pixel = pixel_of_shot(sensor, shot, uv)
+    looked = pixel_of_shot(sensor, shot, time, uv)
     distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
     if distance.shape != ():
         raise ValueError(f"slant_range must be one number in m; got shape {distance.shape}. For many use jax.vmap.")
-    return _at_range(sensor, shot, pixel, distance, checked_air(atmosphere))
+    return _at_range(*looked, distance, checked_air(atmosphere))
 
 
 def project(
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
     point: Geodetic,
     *,
+    time: ArrayLike | None = None,
     terrain: AbstractTerrain | None = None,
     atmosphere: Atmosphere | None = None,
     hidden_tolerance: float = 0.01,
@@ -136,36 +140,49 @@ def project(
     (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`. An
     `atmosphere` bends the line of sight, by the same model as in `locate`.
 
+    On a `Trajectory`, with the `time` of the image in s (0 if left out), a camera that exposes row after row sees the
+    point at a time that is found with the pixel: if there are several, at the first within the image; if there is none
+    (a tenth of the exposure beyond both ends is looked through as well), it is `never_seen`, or `outside_trajectory`
+    where records are missing for a part of the exposure.
+
     With a `terrain`, a point whose line of sight meets ground more than `hidden_tolerance` m before it is
     `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or
     passes a void) the status says that. The point keeps its `uv` in every such case.
     Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a latitude beyond a pole.
     """
-    sensor, shot = observation(sensor, shot)
+    seen_from = observation(sensor, shot, time)
     check_is(point, Geodetic, "point")
     if terrain is not None:
         check_terrain(terrain, FIRST_HIT)
     point = as_float64(point, "point")
     check_latitude(point, "point")
     tolerance = as_float64(hidden_tolerance, "hidden_tolerance")
-    return _project(sensor, shot, point, terrain, tolerance, checked_air(atmosphere))
+    return _project(*seen_from, point, terrain, tolerance, checked_air(atmosphere))
 
 
 @jax.jit
 def _locate(
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
+    time: Scalar,
     pixel: Pixel,
     terrain: AbstractTerrain,
     search: AbstractSearch,
     air: Atmosphere | None,
 ) -> Fix:
-    return _intersect(*_line_of_sight(sensor, shot, pixel), terrain, search, air)
+    return _intersect(*_line_of_sight(sensor, shot, time, pixel), terrain, search, air)
 
 
 @jax.jit
-def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar, air: Atmosphere | None) -> Fix:
-    ray, status = _line_of_sight(sensor, shot, pixel)
+def _at_range(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    time: Scalar,
+    pixel: Pixel,
+    distance: Scalar,
+    air: Atmosphere | None,
+) -> Fix:
+    ray, status = _line_of_sight(sensor, shot, time, pixel)
     air, is_sound = _sound(air)
     usable = jnp.isfinite(distance) & (distance > 0.0) & is_sound
     status = first_failure(status, status_where(usable, Status.hit, Status.invalid_input.code))
@@ -183,7 +200,8 @@ def _at_range(sensor: Sensor, shot: Shot, pixel: Pixel, distance: Scalar, air: A
 @jax.jit
 def _project(
     sensor: Sensor,
-    shot: Shot,
+    shot: Shot | Trajectory,
+    time: Scalar,
     point: Geodetic,
     terrain: AbstractTerrain | None,
     tolerance: Scalar,
@@ -192,11 +210,10 @@ def _project(
     air, is_sound = _sound(air)
     is_valid = all_finite(point) & is_sound
     p_ecef = WGS84.to_ecef(finite_or(point, 0.0))
-    uv, status = sensor.project_ecef(shot, p_ecef, air)
+    uv, status, origin = image_of_point(sensor, shot, time, p_ecef, air)
     status = status_where(~is_valid, Status.invalid_input, status)
     has_image = (status == Status.hit) | (status == Status.outside_image)
     if terrain is not None:
-        origin = sensor.perspective_centre(shot)
         status = first_failure(status, _visibility(origin, p_ecef, terrain, tolerance, air))
     return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
@@ -237,8 +254,8 @@ def _intersect_and_bracket(
     return _mask(fix, found), searched
 
 
-def _line_of_sight(sensor: Sensor, shot: Shot, uv: Pixel) -> tuple[Ray, StatusCode]:
-    origin, direction, status = sensor.ray_ecef(shot, uv)
+def _line_of_sight(sensor: Sensor, shot: Shot | Trajectory, time: Scalar, uv: Pixel) -> tuple[Ray, StatusCode]:
+    origin, direction, status = line_of_sight(sensor, shot, time, uv)
     return Ray(origin, direction), status
 
 

@@ -33,6 +33,8 @@ class Status(enum.IntEnum):
     outside_image = 12
     outside_distortion_field = 13
     hidden_by_terrain = 14
+    never_seen = 15
+    outside_trajectory = 16
 
     @property
     def message(self) -> str:
@@ -61,6 +63,8 @@ _MESSAGES = {
     Status.outside_image: "The pixel, or the image of the point, lies outside the image.",
     Status.outside_distortion_field: "The pixel or point lies outside the field where lens distortion can be inverted.",
     Status.hidden_by_terrain: "Terrain hides the point from the camera.",
+    Status.never_seen: "The point never comes before the line that is being exposed, while the image is taken.",
+    Status.outside_trajectory: "The exposure lies before the first or after the last record of the trajectory.",
 }
 
 

@@ -41,6 +41,7 @@ NUMPY_FILES = {
     "sensor/camera.py": "constants and checks of records, outside any trace",
     "sensor/gimbal.py": "the same",
     "sensor/platform.py": "the same",
+    "sensor/scanning.py": "the same",
     "sensor/trajectory.py": "checks of knots, outside any trace",
     "status.py": "counts concrete statuses for reports",
     "terrain/_memory.py": "hands arrays over to JAX",

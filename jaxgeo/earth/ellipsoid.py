@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import dot, safe_norm, safe_sqrt, with_implicit_derivative
+from jaxgeo._numerics import dot, implicit_root, safe_norm, safe_sqrt
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
 from jaxgeo.earth.geodetic import Geodetic
 
@@ -108,10 +108,12 @@ class Ellipsoid(eqx.Module):
         heights = jnp.stack([height, height])
         ranges, meets = self.crossings(*jax.lax.stop_gradient((origin, direction, heights)), jnp.array([-1.0, 1.0]))
 
-        def excess(s: Scalar) -> Scalar:
+        def excess(s: Scalar, world: tuple[Vector3, Vector3, Scalar]) -> Scalar:
+            origin, direction, height = world
             return self.normal_and_height(origin + s * direction)[1] - height
 
-        near, far = (jnp.where(meets[0], with_implicit_derivative(excess, root), root) for root in ranges)
+        world = (origin, direction, height)
+        near, far = (jnp.where(meets[0], implicit_root(excess, root, world), root) for root in ranges)
         return near, far, meets[0]
 
     def crossings(

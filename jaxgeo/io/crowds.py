@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64
-from jaxgeo._doors import UNIT_TOLERANCE, as_array, check_is, observation
+from jaxgeo._checks import as_array, as_float64
+from jaxgeo._doors import UNIT_TOLERANCE, check_is, observation
 from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
@@ -19,7 +19,8 @@ from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.sightlines import Sightlines, comes_in, in_parts, padded_rays
 from jaxgeo.io.windows import Window
 from jaxgeo.locate import intersect
-from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
 from jaxgeo.terrain.search.base import CEILING_MARGIN
 
@@ -61,17 +62,26 @@ def intersect_files(rays: Ray, files: DemFiles, *, max_posts: int = MAX_POSTS) -
     return jax.tree.map(lambda x: jnp.asarray(x.reshape(shape + x.shape[1:])), answers)
 
 
-def locate_files(sensor: Sensor, shot: Shot, uv: ArrayLike, files: DemFiles, *, max_posts: int = MAX_POSTS) -> Fix:
-    """The ground points that pixels `uv` (..., 2) = (column, row) of one shot see, over terrain that stays on disk.
+def locate_files(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike,
+    files: DemFiles,
+    *,
+    time: ArrayLike | None = None,
+    max_posts: int = MAX_POSTS,
+) -> Fix:
+    """The ground points that pixels `uv` (..., 2) = (column, row) of one image see, over terrain that stays on disk.
 
-    As `locate` for each pixel, with the limits and errors of `intersect_files`.
+    As `locate` for each pixel, of a shot or of the image at `time` on a trajectory; with the limits and errors of
+    `intersect_files`.
     """
-    sensor, shot = observation(sensor, shot)
+    moving = observation(sensor, shot, time)
     pixels = as_float64(as_array(uv, "uv"), "uv")
     if pixels.shape[-1:] != (2,):
         raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
     flat = np.asarray(pixels).reshape(-1, 2)
-    origin, direction, status = _lines_of_sight(sensor, shot, jnp.asarray(flat))
+    origin, direction, status = _lines_of_sight(*moving, jnp.asarray(flat))
     seen = np.asarray(status) == Status.hit
     away = np.array([1.0, 0.0, 0.0])
     rays = Ray(np.where(seen[:, None], origin, 3e7 * away), np.where(seen[:, None], direction, away))
@@ -85,8 +95,10 @@ _hits = jax.jit(jax.vmap(intersect, in_axes=(0, None)))
 
 
 @jax.jit
-def _lines_of_sight(sensor: Sensor, shot: Shot, uv: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    return jax.vmap(sensor.ray_ecef, in_axes=(None, 0))(shot, uv)
+def _lines_of_sight(
+    sensor: Sensor, shot: Shot | Trajectory, time: jax.Array, uv: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    return jax.vmap(line_of_sight, in_axes=(None, None, None, 0))(sensor, shot, time, uv)
 
 
 def _no_answers(count: int) -> Any:

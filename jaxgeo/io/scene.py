@@ -192,7 +192,8 @@ def _pose(table: PoseTable) -> Pose:
         raise ValueError(f"[pose] {error}") from error
     position = Geodetic.from_degrees(lat=table.lat_deg, lon=table.lon_deg, height=height)
     if table.map_crs is None:
-        return Pose(position, *_radians(table.heading_deg, table.pitch_deg, table.roll_deg))
+        heading, pitch, roll = _radians(table.heading_deg, table.pitch_deg, table.roll_deg)
+        return Pose(position, heading, pitch, roll)
     angles = _radians(table.omega_deg, table.phi_deg, table.kappa_deg)
     convergence = grid_convergence(table.map_crs, table.lon_deg, table.lat_deg)
     return Pose.from_omega_phi_kappa(position, *angles, convergence=convergence)

@@ -67,7 +67,8 @@ class ShotTable:
         n = self.numbers
         height = ellipsoidal_heights(n["lon_deg"], n["lat_deg"], n["height_m"], height_datum)
         position = Geodetic(lat=np.deg2rad(n["lat_deg"]), lon=np.deg2rad(n["lon_deg"]), height=height)
-        pose = Pose(position, *(np.deg2rad(n[name]) for name in ("heading_deg", "pitch_deg", "roll_deg")))
+        heading, pitch, roll = (np.deg2rad(n[name]) for name in ("heading_deg", "pitch_deg", "roll_deg"))
+        pose = Pose(position, heading, pitch, roll)
         angles = np.reshape([np.deg2rad(n[f"gimbal_{name}_deg"]) for name in readings], (len(readings), len(self)))
         return Shot(pose, angles.T, np.zeros(len(self))), np.stack([n["u"], n["v"]], axis=-1)
 

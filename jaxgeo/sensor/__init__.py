@@ -28,7 +28,8 @@ from jaxgeo.sensor import conventions
 from jaxgeo.sensor.camera import AbstractCamera, FrameCamera
 from jaxgeo.sensor.distortion import AbstractDistortion, BrownConrady, NoDistortion
 from jaxgeo.sensor.gimbal import Gimbal
-from jaxgeo.sensor.platform import Mount, Pose, Shot, boresight_from_degrees
+from jaxgeo.sensor.platform import Deflection, Mount, Pose, Shot, boresight_from_degrees
+from jaxgeo.sensor.scanning import PushbroomCamera, RollingShutterCamera, SweepCamera
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
 
@@ -36,13 +37,17 @@ __all__ = [
     "AbstractCamera",
     "AbstractDistortion",
     "BrownConrady",
+    "Deflection",
     "FrameCamera",
     "Gimbal",
     "Mount",
     "NoDistortion",
     "Pose",
+    "PushbroomCamera",
+    "RollingShutterCamera",
     "Sensor",
     "Shot",
+    "SweepCamera",
     "Trajectory",
     "boresight_from_degrees",
     "conventions",

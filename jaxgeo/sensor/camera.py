@@ -14,7 +14,7 @@ from jaxtyping import Num
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import safe_angle, safe_norm
-from jaxgeo._typing import Flag, Pixel, PixelField, Scalar, StatusCode, Vector3
+from jaxgeo._typing import Flag, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
 from jaxgeo.status import Status, first_failure, status_where
 
@@ -31,7 +31,7 @@ else:
 
 
 class AbstractCamera(eqx.Module):
-    """Two functions that invert each other: pixel to ray, point to pixel.
+    """Two functions that invert each other: pixel to ray, point to pixel; and when a pixel is exposed.
 
     The camera frame is (right, down, forward); `uv` is (column, row), with pixel centres at integers.
     """
@@ -53,6 +53,23 @@ class AbstractCamera(eqx.Module):
     @abc.abstractmethod
     def time_of(self, uv: PixelLike) -> Scalar:
         """When a pixel is exposed, in s after the time of the shot."""
+
+    def exposure(self) -> tuple[Scalar, Scalar] | None:
+        """First and last `time_of` on the image, s; None for a camera that exposes the whole image at once."""
+        return None
+
+    def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
+        """(pixel, delay, status) of a point in the camera frame as that lies at `time`, in s after that of the shot.
+
+        `delay` in s is zero where the point is exposed at that very time, and about how much later, or earlier, it will
+        be; the pixel holds where it is zero.
+        """
+        uv, status = self.project(p_camera)
+        return uv, self.time_of(uv) - time, status
+
+    def axis(self) -> Vector3:
+        """The direction in the camera frame that is meant where no pixel is named: the optical axis."""
+        return jnp.array([0.0, 0.0, 1.0])
 
 
 class FrameCamera(AbstractCamera):
@@ -83,8 +100,8 @@ class FrameCamera(AbstractCamera):
         `principal_point` is the foot of the optical axis as an offset (right, down) from the centre of the image.
         Raises `ValueError` for lengths that are not positive and finite, or a size that is not a whole number.
         """
-        _check_positive(focal_length, "focal_length", "m", "a 50 mm lens is focal_length=0.050")
-        _check_positive(pixel_pitch, "pixel_pitch", "m", "pixels of 5 um are pixel_pitch=5e-6")
+        check_positive(focal_length, "focal_length", "m", "a 50 mm lens is focal_length=0.050")
+        check_positive(pixel_pitch, "pixel_pitch", "m", "pixels of 5 um are pixel_pitch=5e-6")
         _check_pair_or_number(pixel_pitch, "pixel_pitch")
         check_finite(principal_point, "principal_point", "m")
         focal_length, pitch, offset = as_float64(
@@ -95,7 +112,7 @@ class FrameCamera(AbstractCamera):
             focal_px=focal_px,
             width=width,
             height=height,
-            principal_px=_centre(_check_size(width, "width"), _check_size(height, "height")) + offset / pitch,
+            principal_px=_centre(check_size(width, "width"), check_size(height, "height")) + offset / pitch,
             distortion=distortion,
         )
 
@@ -114,9 +131,9 @@ class FrameCamera(AbstractCamera):
         `principal_px` is (column, row) with pixel centres at integers, by default the centre of the image,
         ((width - 1) / 2, (height - 1) / 2). Raises `ValueError` as `from_metric` does.
         """
-        _check_positive(focal_px, "focal_px", "pixels", "it is the focal length divided by the pixel pitch")
+        check_positive(focal_px, "focal_px", "pixels", "it is the focal length divided by the pixel pitch")
         _check_pair_or_number(focal_px, "focal_px")
-        width, height = _check_size(width, "width"), _check_size(height, "height")
+        width, height = check_size(width, "width"), check_size(height, "height")
         centre = _centre(width, height) if principal_px is None else _array(principal_px)
         check_finite(centre, "principal_px", "pixels")
         distortion = NoDistortion() if distortion is None else distortion
@@ -179,7 +196,7 @@ def _array(value: Numbers) -> ArrayLike:
     return np.asarray(value) if isinstance(value, list | tuple) else value  # pyright: ignore[reportReturnType]
 
 
-def _check_positive(value: Numbers, name: str, unit: str, hint: str) -> None:
+def check_positive(value: Numbers, name: str, unit: str, hint: str) -> None:
     check_finite(value, name, unit)
     known = concrete(value)
     if known is not None and not np.all(known > 0.0):
@@ -191,7 +208,7 @@ def _check_pair_or_number(value: Numbers, name: str) -> None:
         raise ValueError(f"{name} must be a number or a pair (along columns, along rows); got shape {np.shape(value)}.")
 
 
-def _check_size(value: int, name: str) -> int:
+def check_size(value: int, name: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value <= 0:
         raise ValueError(f"{name} must be a whole number of pixels greater than zero; got {value!r}.")
     return int(value)

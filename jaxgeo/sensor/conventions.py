@@ -17,6 +17,7 @@ from jaxgeo.sensor.camera import FrameCamera
 from jaxgeo.sensor.distortion import AbstractDistortion
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_LI_2020, R_HEAD_FROM_CAMERA_LI_2023, Mount
+from jaxgeo.sensor.scanning import SweepCamera
 from jaxgeo.sensor.sensor import Sensor
 
 Detector = Float[Array, "... 2"]
@@ -45,6 +46,43 @@ def li_2023_sensor(
     )
     nadir = Mount.nadir(R_body_from_base=R_body_from_base, lever_body=lever_body, lever_head=lever_head)
     return Sensor(camera, Gimbal.two_axis(), _with_camera(nadir, R_HEAD_FROM_CAMERA_LI_2023))
+
+
+def li_2023_sweep_sensor(
+    *,
+    focal_length: ArrayLike,
+    pixel_pitch: ArrayLike,
+    width: int,
+    height: int,
+    scan_start: ArrayLike,
+    scan_end: ArrayLike,
+    duration: ArrayLike,
+    distortion: AbstractDistortion | None = None,
+    R_body_from_base: Matrix3Field | None = None,
+    lever_body: Vector3Field | None = None,
+    lever_head: Vector3Field | None = None,
+) -> Sensor:
+    """The same sensor as it takes a whole strip: `width` pixels along the flight, `height` rows swept across it.
+
+    `scan_start` and `scan_end` in rad are printed against the horizontal, negative below it (-6.44 and -18.21 deg), and
+    so they are counted here, with the frame standing at readings (outer, inner) = (pi/2, inner): in between the line of
+    sight is pi/2 + scan off nadir. The strips of Li et al. (2020) from their near to their far end are the same, with
+    scan = |theta| - pi/2. `duration` in s is that of the sweep. The scan turns within the inner frame; where that is
+    not zero and the outer frame itself scans, give a `PushbroomCamera` and a `Trajectory` with swept readings.
+    """
+    camera = SweepCamera.from_metric(
+        focal_length=focal_length,
+        pixel_pitch=pixel_pitch,
+        width=width,
+        height=height,
+        scan_start=-jnp.asarray(as_float64(scan_start, "scan_start")),
+        scan_end=-jnp.asarray(as_float64(scan_end, "scan_end")),
+        duration=duration,
+        distortion=distortion,
+    )
+    nadir = Mount.nadir(R_body_from_base=R_body_from_base, lever_body=lever_body, lever_head=lever_head)
+    gimbal = Gimbal.two_axis(limits=jnp.pi * jnp.array([[-1.0, 1.0], [-0.5, 0.5]]))  # the frame stands about level
+    return Sensor(camera, gimbal, _with_camera(nadir, R_HEAD_FROM_CAMERA_LI_2023))
 
 
 def li_2023_uv(camera: FrameCamera, m: ArrayLike, n: ArrayLike) -> Detector:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._checks import as_array, as_float64, check_finite, check_range
 from jaxgeo._numerics import safe_norm
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
-from jaxgeo.rotations import R_from_heading_pitch_roll, Rx, Ry, Rz, heading_pitch_roll_from_R
+from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
 from jaxgeo.sensor.gimbal import ReadingsField
 
 # Columns: the camera's right, down and forward in head axes (x forward, y right, z down).
@@ -70,16 +73,47 @@ def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, 
     return R_from_heading_pitch_roll(jnp.deg2rad(heading), jnp.deg2rad(pitch), jnp.deg2rad(roll))
 
 
+class Deflection(eqx.Module):
+    """Deflection of the vertical: the plumb line's zenith lies `xi` rad north and `eta` rad east of the ellipsoid's.
+
+    xi is astronomic less geodetic latitude, eta that of the longitudes times the cosine of latitude. An inertial system
+    is levelled by the plumb line; in mountains the two differ by up to some 30 arc seconds, 9 m at 60 km.
+    """
+
+    xi: ScalarField
+    eta: ScalarField
+
+    @classmethod
+    def from_arcseconds(cls, *, xi: ArrayLike, eta: ArrayLike) -> Deflection:
+        """From arc seconds, as geoid models give it. Raises `ValueError` beyond +-200 arc seconds."""
+        for value, name in ((xi, "xi"), (eta, "eta")):
+            check_range(value, name, "arc seconds", -200.0, 200.0)
+        given: Any = as_float64((xi, eta), "Deflection.from_arcseconds")
+        return cls(*(jnp.deg2rad(angle / 3600.0) for angle in given))
+
+    @property
+    def R_ned_from_level(self) -> Matrix3:
+        """The least rotation from the frame levelled by the plumb line to north-east-down of the ellipsoid.
+
+        It leaves north in the meridian: an astronomic heading is first to be made a geodetic one (Laplace: less
+        eta tan(lat)).
+        """
+        xi, eta = as_float64((self.xi, self.eta), "deflection")
+        return R_from_rotation_vector(jnp.stack([eta, -xi, jnp.zeros_like(xi)]))
+
+
 class Pose(eqx.Module):
     """Position of the IMU and attitude of the body (forward, right, down); angles in rad, heading from true north.
 
-    R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): nose to the right, nose up, right wing down are positive.
+    R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): nose to the right, nose up, right wing down are positive. With a
+    `deflection` the attitude is against the level of the plumb line there, as inertial systems have it.
     """
 
     position: Geodetic
     heading: ScalarField = 0.0
     pitch: ScalarField = 0.0
     roll: ScalarField = 0.0
+    deflection: Deflection | None = None
 
     @classmethod
     def from_degrees(
@@ -91,6 +125,7 @@ class Pose(eqx.Module):
         heading: ArrayLike = 0.0,
         pitch: ArrayLike = 0.0,
         roll: ArrayLike = 0.0,
+        deflection: Deflection | None = None,
     ) -> Pose:
         """Pose from degrees and m above the ellipsoid; shapes may carry a batch axis.
 
@@ -102,7 +137,8 @@ class Pose(eqx.Module):
         check_range(pitch, "pitch", "deg", -90.0, 90.0)
         check_range(roll, "roll", "deg", -180.0, 180.0)
         angles = as_float64((heading, pitch, roll), "Pose.from_degrees(heading, pitch, roll)")
-        return cls(position, *(jnp.deg2rad(angle) for angle in angles))
+        heading, pitch, roll = (jnp.deg2rad(angle) for angle in angles)
+        return cls(position, heading, pitch, roll, deflection)
 
     @classmethod
     def from_omega_phi_kappa(
@@ -143,7 +179,11 @@ class Pose(eqx.Module):
     def R_ned_from_body(self) -> Matrix3:
         """Attitude as a rotation from body axes to north-east-down at the position."""
         heading, pitch, roll = as_float64((self.heading, self.pitch, self.roll), "pose")
-        return R_from_heading_pitch_roll(heading, pitch, roll)
+        return self.levelled(R_from_heading_pitch_roll(heading, pitch, roll))
+
+    def levelled(self, R_level_from_any: Matrix3) -> Matrix3:
+        """An orientation against the level of the navigation system as one in north-east-down of the ellipsoid."""
+        return R_level_from_any if self.deflection is None else self.deflection.R_ned_from_level @ R_level_from_any
 
     def to_omega_phi_kappa(self, *, convergence: ScalarField = 0.0) -> tuple[Scalar, Scalar, Scalar]:
         """(omega, phi, kappa) in rad that `from_omega_phi_kappa` takes, with phi in [-pi/2, pi/2]."""
@@ -155,11 +195,16 @@ class Pose(eqx.Module):
         return -omega, -phi, -kappa
 
 
+_READINGS = partial(as_array, name="gimbal_readings")
+
+
 class Shot(eqx.Module):
     """One exposure: where the platform was, what its gimbal read (rad, in the order of its axes), when (s)."""
 
     pose: Pose
-    gimbal_readings: ReadingsField = eqx.field(default_factory=lambda: np.zeros(0))
+    gimbal_readings: ReadingsField = eqx.field(
+        default_factory=lambda: np.zeros(0), converter=partial(as_array, name="gimbal_readings")
+    )
     time: ScalarField = 0.0
 
 

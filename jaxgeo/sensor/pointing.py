@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,21 +12,25 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._numerics import all_finite, safe_norm
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
-from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic
+from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._newton import solve_2d
 from jaxgeo.sensor.camera import PixelLike
 from jaxgeo.sensor.gimbal import Gimbal, Readings, ReadingsLike
 from jaxgeo.sensor.platform import Pose, Shot
 from jaxgeo.sensor.sensor import Sensor
+from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, status_where
 
 FreeAxes = Int[Array, " free"]
 FreeAngles = Float[Array, " free"]
 Seen = Callable[[Readings], Vector3]
-World = tuple[Sensor, Pose, Geodetic, Vector3]  # and the line of sight in the camera frame
+World = tuple[
+    Sensor, Pose, Geodetic, Vector3, Atmosphere | None
+]  # and, before the air, the line of sight in the camera
 
 STARTS = 19  # starting angles for each of the two axes that search: odd, so that zero is one; 20 deg apart at most
 MAX_STEPS = 60
@@ -38,30 +43,91 @@ def readings_towards(
     point: Geodetic,
     uv: PixelLike | None,
     readings: ReadingsLike | None,
+    air: Atmosphere | None,
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
-    if not sensor.gimbal.axes:
-        raise ValueError(
-            "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
-        )
-    sensor, pose, point, uv, start = as_float64((sensor, pose, point, uv, readings), "looking_at")
-    for leaf in jax.tree.leaves((pose, point, uv, start)):
-        check_finite(leaf, "What looking_at is given (pose, point, uv, readings)", "rad, m or pixels")
-    found, miss, inside, status = _search(sensor, pose, point, uv, start)
-    _raise_unless_reached(sensor.gimbal, found, miss, inside, status)
-    reached = (miss < TOLERANCE) & inside & (status == Status.hit)
-    return jnp.where(reached, found, jnp.nan)
+    _check_axes(sensor.gimbal)
+    uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
+    given: Any = as_float64((sensor, pose, point, uv, readings, air), "looking_at")
+    _check_given(given[1:])
+    found = _search(*given)
+    _raise_unless_reached(sensor.gimbal, found)
+    return _reached(found)
+
+
+def steered(
+    sensor: Sensor,
+    trajectory: Trajectory,
+    points: Geodetic,
+    uv: PixelLike | None,
+    readings: ReadingsLike | None,
+    air: Atmosphere | None,
+) -> Trajectory:
+    """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""
+    _check_axes(sensor.gimbal)
+    uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
+    given: Any = as_float64((sensor, trajectory, points, uv, readings, air), "steered")
+    sensor, trajectory, points, uv, start, air = given
+    _check_given((trajectory.poses, points, uv, start, air))
+    knots = trajectory.times.shape
+    wrong = [leaf.shape for leaf in jax.tree.leaves(points) if leaf.shape not in ((), knots)]
+    if wrong:
+        raise ValueError(f"points must be one position, or one for each of the {knots[0]} knots; got shape {wrong[0]}.")
+    points = jax.tree.map(lambda x: jnp.broadcast_to(x, knots), points)
+    found = _steer(sensor, trajectory.poses, points, uv, start, air)
+    for knot in range(knots[0]):
+        _raise_unless_reached(sensor.gimbal, jax.tree.map(lambda x, k=knot: x[k], found), f"At knot {knot}: ")
+    return trajectory.with_readings(jax.vmap(_reached)(found))
+
+
+@eqx.filter_jit
+def _steer(
+    sensor: Sensor,
+    poses: Pose,
+    points: Geodetic,
+    uv: Pixel | None,
+    given: Readings | None,
+    air: Atmosphere | None,
+) -> Aimed:
+    """`_search` for every knot, each from the one before."""
+    pose, point = jax.tree.map(lambda x: x[0], (poses, points))
+    first = _search(sensor, pose, point, uv, given, air)
+
+    def following(before: Readings, knot: tuple[Pose, Geodetic]) -> tuple[Readings, Aimed]:
+        aimed = _search(sensor, *knot, uv, jax.lax.stop_gradient(before), air)
+        usable = (aimed.miss < TOLERANCE) & all_finite(aimed.readings)
+        return jnp.where(usable, aimed.readings, before), aimed
+
+    return jax.lax.scan(following, first.readings, (poses, points))[1]
+
+
+class Aimed(NamedTuple):
+    """Readings, the angle in rad by which they miss, whether they are within limits, and the status of the pixel."""
+
+    readings: Readings
+    miss: Scalar
+    inside: Flag
+    status: StatusCode
+
+
+def _reached(found: Aimed) -> Readings:
+    reached = (found.miss < TOLERANCE) & found.inside & (found.status == Status.hit)
+    return jnp.where(reached, found.readings, jnp.nan)
 
 
 @eqx.filter_jit
 def _search(
-    sensor: Sensor, pose: Pose, point: Geodetic, uv: Pixel | None, given: Readings | None
-) -> tuple[Readings, Scalar, Flag, StatusCode]:
-    """(readings, angle in rad by which they miss, whether within limits, status of the pixel)."""
+    sensor: Sensor,
+    pose: Pose,
+    point: Geodetic,
+    uv: Pixel | None,
+    given: Readings | None,
+    air: Atmosphere | None,
+) -> Aimed:
     start = sensor.gimbal.neutral_readings() if given is None else given
     sensor.gimbal.angles(start)  # refuses a wrong number of readings
     sight, status = _line_of_sight(sensor, uv)
-    world = (sensor, pose, point, sight)
+    world = (sensor, pose, point, sight, air)
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
 
     def seen(readings: Readings) -> Vector3:
@@ -75,12 +141,12 @@ def _search(
     reached = (miss < TOLERANCE) & all_finite(best)
     root = jnp.where(reached, best, frozen_start)
     found = _with_derivative(world, start, free, jax.lax.stop_gradient(root))
-    return jnp.where(reached, found, best), miss, sensor.gimbal.inside_limits(best), status
+    return Aimed(jnp.where(reached, found, best), miss, sensor.gimbal.inside_limits(best), status)
 
 
 def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCode]:
     """Direction in the camera frame to bring onto the point; a pixel outside the image will do too."""
-    axis = jnp.array([0.0, 0.0, 1.0])
+    axis = sensor.camera.axis()
     if uv is None:
         return axis, Status.hit.code
     direction, status = sensor.camera.ray(uv)
@@ -90,11 +156,14 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
 
 def _point_seen(world: World, readings: Readings) -> Vector3:
     """Unit vector to the point: two components across the line of sight, then the one along it."""
-    sensor, pose, point, sight = world
-    p_camera = sensor.to_camera(Shot(pose, readings), WGS84.to_ecef(point))
-    right = jnp.cross(jnp.array([0.0, 1.0, 0.0]), sight)
-    right = right / safe_norm(right)
-    axes = jnp.stack([right, jnp.cross(sight, right), sight])
+    sensor, pose, point, sight, air = world
+    shot, p_ecef = Shot(pose, readings), WGS84.to_ecef(point)
+    if air is not None:
+        p_ecef = apparent_point(sensor.perspective_centre(shot), p_ecef, air)
+    p_camera = sensor.to_camera(shot, p_ecef)
+    down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
+    down = down / safe_norm(down)
+    axes = jnp.stack([jnp.cross(down, sight), down, sight])
     return axes @ (p_camera / safe_norm(p_camera))
 
 
@@ -177,17 +246,29 @@ def _least_squares(J: Float[Array, "2 free"], value: Float[Array, "2"], damping:
     return solve_2d(J.T @ J + damping * jnp.eye(2), J.T @ value)
 
 
-def _raise_unless_reached(gimbal: Gimbal, found: Readings, miss: Scalar, inside: Flag, status: StatusCode) -> None:
-    values = [concrete(x) for x in (found, miss, inside, status, gimbal.limits)]
+def _check_axes(gimbal: Gimbal) -> None:
+    if not gimbal.axes:
+        raise ValueError(
+            "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
+        )
+
+
+def _check_given(given: Any) -> None:
+    for leaf in jax.tree.leaves(given):
+        check_finite(leaf, "What looking_at is given (pose, point, uv, readings, atmosphere)", "rad, m, pixels or SI")
+
+
+def _raise_unless_reached(gimbal: Gimbal, found: Aimed, where: str = "") -> None:
+    values = [concrete(x) for x in (*found, gimbal.limits)]
     if any(value is None for value in values):
         return
     readings, missed, within, code, limits = (value.tolist() for value in values)  # pyright: ignore
     if code != Status.hit:
-        raise ValueError(f"Pixel uv cannot be put on the point. {Status(code).message}")
+        raise ValueError(f"{where}Pixel uv cannot be put on the point. {Status(code).message}")
     named = ", ".join(f"{n} {math.degrees(r):.4f}" for n, r in zip(gimbal.names, readings, strict=True))
     if not missed < TOLERANCE:
         raise ValueError(
-            f"The gimbal cannot look at the point: the best it finds, {named} deg, misses it by "
+            f"{where}The gimbal cannot look at the point: the best it finds, {named} deg, misses it by "
             f"{math.degrees(missed):.4g} deg. Check the limits and the pose, or give `readings` to start from."
         )
     if not within:
@@ -196,6 +277,7 @@ def _raise_unless_reached(gimbal: Gimbal, found: Readings, miss: Scalar, inside:
             for n, (low, high) in zip(gimbal.names, limits, strict=True)
         )
         raise ValueError(
-            f"The gimbal would have to go to {named} deg to look at the point, outside its limits, {bounds} deg. "
+            f"{where}The gimbal would have to go to {named} deg to look at the point, outside its limits, "
+            f"{bounds} deg. "
             f"Turn the platform, choose another point, or give `readings` to start from."
         )

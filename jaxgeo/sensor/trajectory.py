@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._numerics import tree_where
-from jaxgeo._typing import Index, Matrix3, Scalar, ScalarField, Vector3, Vector3Field
-from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo._typing import Flag, Index, Matrix3, Scalar, ScalarLike, Vector3, Vector3Field
+from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.rotations import (
     R_from_rotation_vector,
     heading_pitch_roll_from_R,
@@ -22,8 +21,8 @@ from jaxgeo.rotations import (
     rotation_vector_from_R,
 )
 from jaxgeo.sensor.camera import Numbers
-from jaxgeo.sensor.gimbal import ReadingsField
-from jaxgeo.sensor.platform import Pose, Shot
+from jaxgeo.sensor.gimbal import Readings, ReadingsField
+from jaxgeo.sensor.platform import Deflection, Pose, Shot
 
 GAP = 10.0  # times the median interval: a longer one is a gap, unless the caller says what is
 LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond, nobody can tell which way the body turned
@@ -79,6 +78,57 @@ class Trajectory(eqx.Module):
         _check_turns(trajectory)
         return trajectory
 
+    @classmethod
+    def steady(
+        cls,
+        shot: Shot,
+        *,
+        velocity_ned: Vector3Field,
+        body_rates: Vector3Field | None = None,
+        gimbal_rates: ReadingsField | None = None,
+        before: ScalarLike = 1.0,
+        after: ScalarLike = 1.0,
+    ) -> Trajectory:
+        """A shot in steady motion, from `before` to `after` s around its time: straight on, turning at constant rates.
+
+        `velocity_ned` (3,) in m/s over the ground, `body_rates` (3,) in rad/s about forward, right and down, against
+        the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`.
+        """
+        turning: Any = np.zeros(3) if body_rates is None else body_rates
+        moving: Any = np.zeros(np.shape(shot.gimbal_readings)) if gimbal_rates is None else gimbal_rates
+        vectors = [as_array(v, "velocity or rates") for v in (velocity_ned, turning, moving)]
+        given: Any = as_float64((shot, *vectors, before, after), "Trajectory.steady")
+        shot, velocity_ned, turning, moving, before, after = given
+        for vector, name in ((velocity_ned, "velocity_ned"), (turning, "body_rates")):
+            if vector.shape != (3,):
+                raise ValueError(f"{name} must be one vector of shape (3,); got {vector.shape}.")
+        R_ecef_from_level = R_ecef_from_ned(shot.pose.position)
+        start, velocity = WGS84.to_ecef(shot.pose.position), R_ecef_from_level @ velocity_ned
+        R_ecef_from_body = R_ecef_from_level @ shot.pose.R_ned_from_body
+
+        def knot(later: Scalar) -> tuple[Pose, Readings, Vector3]:
+            position = WGS84.to_geodetic(start + later * velocity)
+            R_ned_from_ecef = R_ecef_from_ned(position).T
+            R = R_ned_from_ecef @ R_ecef_from_body @ R_from_rotation_vector(later * turning)
+            level = shot.pose.deflection
+            R = R if level is None else level.R_ned_from_level.T @ R
+            pose = Pose(position, *heading_pitch_roll_from_R(R), level)
+            return pose, shot.gimbal_readings + later * moving, R_ned_from_ecef @ velocity
+
+        offsets = jnp.stack([-before, after])
+        poses, readings, velocities = jax.vmap(knot)(offsets)
+        rates = jnp.stack([turning, turning])
+        return cls.from_knots(shot.time + offsets, poses, readings, velocity_ned=velocities, body_rates=rates)
+
+    def with_readings(self, gimbal_readings: ReadingsField) -> Trajectory:
+        """The same flight with other gimbal readings, in rad: (knots, axes), or (axes,) held throughout."""
+        readings: Any = as_float64(as_array(gimbal_readings, "gimbal_readings"), "gimbal_readings")
+        if readings.ndim == 1:
+            readings = jnp.broadcast_to(readings, (*self.times.shape, *readings.shape))
+        _check_lengths(self.times, self.poses, readings)
+        check_finite(readings, "gimbal_readings", "rad")
+        return Trajectory(self.times, self.poses, readings, self.velocity_ned, self.body_rates)
+
     @property
     def start(self) -> Scalar:
         """Time of the first knot, s."""
@@ -89,94 +139,130 @@ class Trajectory(eqx.Module):
         """Time of the last knot, s."""
         return self.times[-1]
 
-    def at(self, time: ScalarField) -> Shot:
-        """The shot at a time in s; before the first knot and after the last all of it is NaN but the time."""
-        time = as_float64(time, "time")
-        within = (time >= self.start) & (time <= self.end)
-        safe = jnp.clip(jnp.where(jnp.isfinite(time), time, self.start), self.start, self.end)
-        p_ecef, R_ecef_from_body = self._motion(safe)
-        position = WGS84.to_geodetic(p_ecef)
-        pose = Pose(position, *heading_pitch_roll_from_R(R_ecef_from_ned(position).T @ R_ecef_from_body))
-        readings = self._readings(safe)
-        unknown = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), (pose, readings))
-        return Shot(*tree_where(within, (pose, readings), unknown), time)
+    def at(self, time: ScalarLike, later: ScalarLike = 0.0) -> Shot:
+        """The shot at a time in s; before the first knot and after the last all of it is NaN but the time.
 
-    def velocity_ned_at(self, time: ScalarField) -> Vector3:
+        `later` is added to the time without the loss of its digits (a second of the week leaves 6e-11 s).
+        """
+        time, later = as_float64((time, later), "time")
+        inside = self.covers(time, later)
+        pose, readings = self.state(*tree_where(inside, (time, later), (self.start, jnp.zeros_like(later))))
+        unknown = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), (pose, readings))
+        return Shot(*tree_where(inside, (pose, readings), unknown), time + later)
+
+    def covers(self, time: Scalar, later: Scalar) -> Flag:
+        """Whether a time, and a little later, lies between the first knot and the last."""
+        return (later >= self.start - time) & (later <= self.end - time)
+
+    def state(self, time: Scalar, later: Scalar) -> tuple[Pose, Readings]:
+        """Pose and gimbal readings at a time; beyond the first knot and the last the motion goes on as a cubic."""
+        near = self._near(time, later)
+        p_ecef, R_ecef_from_body = near.motion(time, later)
+        position, deflection = WGS84.to_geodetic(p_ecef), near.deflection(time, later)
+        R_ned_from_body = R_ecef_from_ned(position).T @ R_ecef_from_body
+        R_level_from_body = R_ned_from_body if deflection is None else deflection.R_ned_from_level.T @ R_ned_from_body
+        pose = Pose(position, *heading_pitch_roll_from_R(R_level_from_body), deflection)
+        return pose, near.readings(time, later)
+
+    def velocity_ned_at(self, time: ScalarLike) -> Vector3:
         """Velocity over the ground at a time between the knots, m/s in north-east-down."""
-        time = as_float64(time, "time")
-        p_ecef, velocity = jax.jvp(lambda t: self._motion(t)[0], (time,), (jnp.ones_like(time),))
+        p_ecef, velocity = self._motion_and_change(time, 0)
         return R_ecef_from_ned(WGS84.to_geodetic(p_ecef)).T @ velocity
 
-    def body_rates_at(self, time: ScalarField) -> Vector3:
+    def body_rates_at(self, time: ScalarLike) -> Vector3:
         """Rates of the body against the Earth at a time between the knots, rad/s about forward, right and down."""
-        time = as_float64(time, "time")
-        R, turn = jax.jvp(lambda t: self._motion(t)[1], (time,), (jnp.ones_like(time),))
+        R, turn = self._motion_and_change(time, 1)
         spin = R.T @ turn
         return jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
 
-    def _motion(self, time: Scalar) -> tuple[Vector3, Matrix3]:
+    def _motion_and_change(self, time: ScalarLike, part: int) -> tuple[Array, Array]:
+        moment: Any = as_float64(time, "time")
+        later, one = jnp.zeros_like(moment), jnp.ones_like(moment)
+        return jax.jvp(lambda t: self._near(t, later).motion(t, later)[part], (moment,), (one,))
+
+    def _near(self, time: Scalar, later: Scalar) -> _Neighbours:
+        """The knots on which the motion at a time depends: two on each side, where there are as many."""
+        times, moment = jax.lax.stop_gradient((self.times, time + later))
+        knots = times.shape[0]
+        before = jnp.clip(jnp.searchsorted(times, moment, side="right") - 1, 0, knots - 2)
+        first = jnp.clip(before - 1, 0, max(knots - 4, 0))
+        which = first + jnp.arange(min(knots, 4))
+        return _Neighbours(jax.tree.map(lambda x: jnp.asarray(x)[which], self), before - first)
+
+
+class _Neighbours(NamedTuple):
+    """A trajectory of up to four knots, and which of them is the one before the time."""
+
+    knots: Trajectory
+    before: Index
+
+    def motion(self, time: Scalar, later: Scalar) -> tuple[Vector3, Matrix3]:
         """Position in ECEF m, and R_ecef_from_body."""
-        first, share, duration = self._place(time)
-        begin, end = self._p_ecef(first), self._p_ecef(first + 1)
+        times, velocity_ned, rates = self.knots.times, self.knots.velocity_ned, self.knots.body_rates
+        p_ecef, R_ecef_from_ned_, R_ecef_from_body = _orientations(self.knots.poses)
+        steps, turns = p_ecef[1:] - p_ecef[:-1], _turns(R_ecef_from_body)
+        if velocity_ned is None:
+            velocities = _slopes(times, steps)
+        else:
+            velocities = jnp.einsum("kij,kj->ki", R_ecef_from_ned_, velocity_ned)
+        rates = _slopes(times, turns) if rates is None else rates
         # from the earlier knot on, for the last digits of an ECEF coordinate
-        p_ecef = begin + _hermite(
-            share, end - begin, duration * self._velocity(first), duration * self._velocity(first + 1)
-        )
-        turn = self._turn(first)
-        last_rate = rotation_rate_from_body_rate(turn, self._rates(first + 1))
-        rotation = _hermite(share, turn, duration * self._rates(first), duration * last_rate)
-        return p_ecef, self._R_ecef_from_body(first) @ R_from_rotation_vector(rotation)
+        position = p_ecef[self.before] + self._between(time, later, steps, velocities)
+        turn = turns[self.before]
+        at_end = rotation_rate_from_body_rate(turn, rates[self.before + 1])
+        rotation = self._between(time, later, turns, rates.at[self.before + 1].set(at_end))
+        return position, R_ecef_from_body[self.before] @ R_from_rotation_vector(rotation)
 
-    def _readings(self, time: Scalar) -> Float[Array, " axes"]:
-        first, share, duration = self._place(time)
-        readings = jnp.asarray(self.gimbal_readings)
-        step = lambda k: readings[k + 1] - readings[k]  # noqa: E731
-        begin, end = self._slope(first, step), self._slope(first + 1, step)
-        return readings[first] + _hermite(share, step(first), duration * begin, duration * end)
+    def readings(self, time: Scalar, later: Scalar) -> Readings:
+        """Gimbal readings, rad."""
+        readings = self.knots.gimbal_readings
+        steps = readings[1:] - readings[:-1]
+        return readings[self.before] + self._between(time, later, steps, _slopes(self.knots.times, steps))
 
-    def _place(self, time: Scalar) -> tuple[Index, Scalar, Scalar]:
-        """The knot before a time, the share of the interval behind it that has passed, and its duration in s."""
-        first = self._interval(time)
-        duration = self.times[first + 1] - self.times[first]
-        return first, (time - self.times[first]) / duration, duration
+    def deflection(self, time: Scalar, later: Scalar) -> Deflection | None:
+        """Deflection of the vertical, by straight lines between the knots."""
+        share, _ = self._share(time, later)
+        k = self.before
+        return jax.tree.map(lambda x: x[k] + share * (x[k + 1] - x[k]), self.knots.poses.deflection)
 
-    def _interval(self, time: Scalar) -> Index:
-        after = jnp.searchsorted(jax.lax.stop_gradient(self.times), jax.lax.stop_gradient(time), side="right")
-        return jnp.clip(after - 1, 0, self.times.shape[0] - 2)
+    def _share(self, time: Scalar, later: Scalar) -> tuple[Scalar, Scalar]:
+        """The share of the interval behind the earlier knot that has passed, and its duration in s."""
+        start, end = self.knots.times[self.before], self.knots.times[self.before + 1]
+        return ((time - start) + later) / (end - start), end - start
 
-    def _p_ecef(self, knot: Index) -> Vector3:
-        return WGS84.to_ecef(self._position(knot))
+    def _between(self, time: Scalar, later: Scalar, steps: Array, slopes: Array) -> Array:
+        """How far a cubic has gone from the earlier knot: `steps` (between knots) and `slopes` (at them) are given."""
+        share, duration = self._share(time, later)
+        k = self.before
+        return _hermite(share, steps[k], duration * slopes[k], duration * slopes[k + 1])
 
-    def _position(self, knot: Index) -> Geodetic:
-        return jax.tree.map(lambda x: x[knot], self.poses.position)
 
-    def _R_ecef_from_body(self, knot: Index) -> Matrix3:
-        pose = jax.tree.map(lambda x: x[knot], self.poses)
-        return R_ecef_from_ned(pose.position) @ pose.R_ned_from_body
+def _orientations(poses: Pose) -> tuple[Array, Array, Array]:
+    """ECEF positions (n, 3), R_ecef_from_ned and R_ecef_from_body (n, 3, 3) of poses."""
 
-    def _turn(self, knot: Index) -> Vector3:
-        """Rotation vector from a knot to the next, the same in the body axes of both."""
-        return rotation_vector_from_R(self._R_ecef_from_body(knot).T @ self._R_ecef_from_body(knot + 1))
+    def one(pose: Pose) -> tuple[Vector3, Matrix3, Matrix3]:
+        R = R_ecef_from_ned(pose.position)
+        return WGS84.to_ecef(pose.position), R, R @ pose.R_ned_from_body
 
-    def _velocity(self, knot: Index) -> Vector3:
-        if self.velocity_ned is not None:
-            return R_ecef_from_ned(self._position(knot)) @ jnp.asarray(self.velocity_ned)[knot]
-        return self._slope(knot, lambda k: self._p_ecef(k + 1) - self._p_ecef(k))
+    return jax.vmap(one)(poses)
 
-    def _rates(self, knot: Index) -> Vector3:
-        if self.body_rates is not None:
-            return jnp.asarray(self.body_rates)[knot]
-        return self._slope(knot, self._turn)
 
-    def _slope(self, knot: Index, step: Callable[[Index], Array]) -> Array:
-        """Derivative at a knot of the parabola through it and its neighbours; `step(k)` leads from knot k to k + 1."""
-        knots = self.times.shape[0]
-        if knots == 2:
-            return step(jnp.zeros_like(knot)) / (self.times[1] - self.times[0])
-        first = jnp.clip(knot - 1, 0, knots - 3)
-        a, b, c = (self.times[first + k] for k in range(3))
-        before, after = step(first) / (b - a), step(first + 1) / (c - b)
-        return before + (after - before) / (c - a) * (2.0 * self.times[knot] - a - b)
+def _turns(R_ecef_from_body: Array) -> Array:
+    """Rotation vectors (n - 1, 3) from each orientation to the next, the same in the body axes of both."""
+    return jax.vmap(lambda a, b: rotation_vector_from_R(a.T @ b))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
+
+
+def _slopes(times: Array, steps: Array) -> Array:
+    """Derivatives (n, ...) at knots of the parabolas through them and their neighbours, from the steps between them."""
+    knots = times.shape[0]
+    durations = times[1:] - times[:-1]
+    speeds = steps / durations[:, None]
+    if knots == 2:
+        return jnp.concatenate([speeds, speeds])
+    first = np.clip(np.arange(knots) - 1, 0, knots - 3)
+    a, b, c = (times[first + k] for k in range(3))
+    weight = (2.0 * times - a - b) / (c - a)
+    return speeds[first] + weight[:, None] * (speeds[first + 1] - speeds[first])
 
 
 def _hermite(share: Scalar, change: Array, begin: Array, end: Array) -> Array:
@@ -194,7 +280,7 @@ def _check_lengths(times: Array, poses: Pose, readings: Array, *vectors: Array |
         raise ValueError(f"poses must hold {knots} entries each, one for each of the times; got shape {wrong[0]}.")
     if readings.ndim != 2 or readings.shape[0] != knots:
         raise ValueError(f"gimbal_readings must have the shape ({knots}, axes), in rad; got {readings.shape}.")
-    for vector, name in zip(vectors, ("velocity_ned", "body_rates"), strict=True):
+    for vector, name in zip(vectors, ("velocity_ned", "body_rates"), strict=False):
         if vector is not None and vector.shape != (knots, 3):
             raise ValueError(f"{name} must have the shape ({knots}, 3); got {vector.shape}.")
 
@@ -220,8 +306,8 @@ def _check_times(times: Array, longest_gap: float | None) -> None:
 
 
 def _check_turns(trajectory: Trajectory) -> None:
-    knots = jnp.arange(trajectory.times.shape[0] - 1)
-    turns = concrete(jnp.linalg.norm(jax.vmap(trajectory._turn)(knots), axis=1))
+    _, _, R_ecef_from_body = _orientations(trajectory.poses)
+    turns = concrete(jnp.linalg.norm(_turns(R_ecef_from_body), axis=1))
     if turns is not None and np.any(turns > LARGEST_TURN):
         knot = int(np.argmax(turns > LARGEST_TURN)) + 1
         raise ValueError(

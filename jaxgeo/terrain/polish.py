@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from jaxgeo._numerics import newton_or_half, value_and_slope
+from jaxgeo._numerics import implicit_root, newton_or_half, value_and_slope
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
@@ -24,30 +24,15 @@ def polish(ray: Ray, terrain: AbstractTerrain, bracket: Bracket) -> Scalar:
     Newton on the exact map, kept inside the bracket by bisection; it never picks another cell. The derivatives are
     those of the implicit function: they reach the ray, the grid and the four posts of the cell.
     """
-    frozen_ray, frozen_terrain = jax.lax.stop_gradient((ray, terrain))
-
-    def clearance(distance: Scalar) -> Scalar:
-        return frozen_terrain.clearance(frozen_ray.at(distance), bracket.cell)
-
-    root = _newton_in_bracket(clearance, bracket.lower - SLACK, bracket.upper + SLACK)
-    return _implicit_root(jax.lax.stop_gradient(root), ray, terrain, bracket.cell)
+    world = (ray, terrain, bracket.cell)
+    frozen = jax.lax.stop_gradient(world)
+    root = _newton_in_bracket(lambda s: _clearance(s, frozen), bracket.lower - SLACK, bracket.upper + SLACK)
+    return implicit_root(_clearance, jax.lax.stop_gradient(root), world)
 
 
-@jax.custom_jvp
-def _implicit_root(root: Scalar, ray: Ray, terrain: AbstractTerrain, cell: jax.Array) -> Scalar:
-    """`root` itself, with the derivatives that make the clearance there stay zero."""
-    return root
-
-
-@_implicit_root.defjvp
-def _(primals, tangents):
-    """d root = -d clearance / slope, at a root that moves along when this is differentiated again."""
-    root, ray, terrain, cell = primals
-    _, d_ray, d_terrain, _ = tangents
-    root = _implicit_root(root, ray, terrain, cell)
-    _, change = jax.jvp(lambda ray, terrain: terrain.clearance(ray.at(root), cell), (ray, terrain), (d_ray, d_terrain))
-    _, slope = value_and_slope(lambda distance: terrain.clearance(ray.at(distance), cell), root)
-    return root, -change / jnp.where(slope == 0.0, 1.0, slope)
+def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, jax.Array]) -> Scalar:
+    ray, terrain, cell = world
+    return terrain.clearance(ray.at(distance), cell)
 
 
 def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upper: Scalar) -> Scalar:

@@ -125,7 +125,7 @@ def test_pixels_of_a_shot_see_the_same_ground(ridge: pathlib.Path) -> None:
     assert Status(int(fix.status[1, 2])) is Status.outside_image
     assert np.isnan(float(fix.slant_range[1, 2]))
     assert np.all(np.asarray(fix.ok).reshape(-1)[:5])
-    origin, direction, _ = crowds._lines_of_sight(sensor, shot, jnp.asarray(uv.reshape(-1, 2)))
+    origin, direction, _ = crowds._lines_of_sight(sensor, shot, jnp.zeros(()), jnp.asarray(uv.reshape(-1, 2)))
     expected = answers(Ray(np.asarray(origin)[:5], np.asarray(direction)[:5]), whole(ridge / "whole.tif"))
     np.testing.assert_allclose(np.asarray(fix.ecef).reshape(-1, 3)[:5], expected.ecef, rtol=0, atol=1e-7)
 

@@ -134,7 +134,7 @@ MISTAKES = {
     ),
     "pose not finite": (
         lambda: NARROW.looking_at(Pose(POSE.position, np.nan, 0.0, 0.0), POINT),
-        r"looking_at is given \(pose, point, uv, readings\) must be finite",
+        r"looking_at is given \(pose, point, uv, readings, atmosphere\) must be finite",
     ),
     "readings of another gimbal": (
         lambda: NARROW.looking_at(POSE, POINT, readings=np.zeros(3)),

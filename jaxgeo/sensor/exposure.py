@@ -1,0 +1,209 @@
+"""When a pixel is exposed, and when a point is: sensors that move while they take an image."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._numerics import all_finite, implicit_root, newton_or_half, times, tree_where, value_and_slope
+from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, StatusCode, Vector3
+from jaxgeo.earth import Atmosphere
+from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.sensor.platform import Shot
+from jaxgeo.sensor.sensor import Sensor, made_safe
+from jaxgeo.sensor.trajectory import Trajectory
+from jaxgeo.status import Status, first_failure, status_where
+
+NODES = 33  # times at which an exposure is looked through for those that see a point
+MARGIN = 0.1  # of the exposure, by which it is looked beyond both its ends: points beside the image have a pixel
+STEPS = 40
+CLOSE_ENOUGH = (
+    1e-8  # of the exposure: the last Newton step; what is left after it is its square over a turn of the line
+)
+SEEN = 1e-7  # of the exposure, by which a time may miss its point, or the trajectory's end
+
+Nodes = Float[Array, " nodes"]
+Exposure = tuple[Scalar, Scalar]
+
+
+class Sight(NamedTuple):
+    """Perspective centre in ECEF m, and R_ecef_from_camera."""
+
+    centre: Vector3
+    R_ecef_from_camera: Matrix3
+
+
+class Scene(NamedTuple):
+    """All that the delay of a point depends on; `time` in s is that of the image, `p_ecef` the point in m."""
+
+    sensor: Sensor
+    trajectory: Trajectory
+    time: Scalar
+    p_ecef: Vector3
+    air: Atmosphere | None
+
+
+class Crossing(NamedTuple):
+    """Times in s after that of the image between which a point is exposed, where to begin, and the delay's sign."""
+
+    low: Scalar
+    high: Scalar
+    start: Scalar
+    sign: Scalar
+    exists: Flag
+
+
+def shot_of_pixel(sensor: Sensor, motion: Shot | Trajectory, time: Scalar, uv: Pixel) -> tuple[Shot, StatusCode]:
+    """The shot that exposes a pixel: on a trajectory, the one `camera.time_of(uv)` after `time` in s.
+
+    With any other status than `hit` that is the trajectory's first.
+    """
+    if isinstance(motion, Shot):
+        return motion, Status.hit.code
+    later = sensor.camera.time_of(uv)
+    known = jnp.isfinite(time) & jnp.isfinite(later) & all_finite(motion)
+    covered = motion.covers(time, later)
+    status = status_where(covered, Status.hit, Status.outside_trajectory.code)
+    first = (motion.start, jnp.zeros_like(later))
+    shot = motion.at(*tree_where(known & covered, (time, later), first))
+    return shot, jnp.where(known, status, Status.invalid_input.code)
+
+
+def line_of_sight(
+    sensor: Sensor, motion: Shot | Trajectory, time: Scalar, uv: Pixel
+) -> tuple[Vector3, Vector3, StatusCode]:
+    """`Sensor.ray_ecef` of a pixel, from where it is exposed."""
+    shot, timing = shot_of_pixel(sensor, motion, time, uv)
+    origin, direction, status = sensor.ray_ecef(shot, uv)
+    return origin, direction, first_failure(timing, status)
+
+
+def image_of_point(
+    sensor: Sensor, motion: Shot | Trajectory, time: Scalar, p_ecef: Vector3, air: Atmosphere | None
+) -> tuple[Pixel, StatusCode, Vector3]:
+    """(pixel, status, perspective centre in ECEF m) of a point in ECEF m, as it is exposed.
+
+    From a moving camera that is exposed line by line, the time has to be found: there is none (`never_seen`), or there
+    are several, where the motion turns the line back over what it has seen; the first on the image is the answer.
+    """
+    exposure = sensor.camera.exposure()
+    if isinstance(motion, Trajectory) and exposure is not None:
+        return _image_in_motion(sensor, motion, time, exposure, p_ecef, air)
+    shot, status = shot_of_pixel(sensor, motion, time, jnp.zeros(2))
+    uv, seen = sensor.project_ecef(shot, p_ecef, air)
+    covered = status == Status.hit
+    return jnp.where(covered, uv, jnp.nan), first_failure(status, seen), sensor.perspective_centre(shot)
+
+
+def _image_in_motion(
+    sensor: Sensor, motion: Trajectory, time: Scalar, exposure: Exposure, p_ecef: Vector3, air: Atmosphere | None
+) -> tuple[Pixel, StatusCode, Vector3]:
+    valid, sensor, (motion, time, exposure), p_ecef = made_safe(sensor, (motion, time, exposure), p_ecef)
+    scene = Scene(sensor, motion, time, p_ecef, air)
+    moment, unseen = _moment(scene, exposure)
+    sight = _sight(scene, moment)
+    uv, delay, status = _image(scene, sight, moment)
+    is_there = (unseen == Status.hit) & (jnp.abs(delay) <= SEEN * (exposure[1] - exposure[0]))
+    unseen = status_where((unseen == Status.hit) & ~is_there, Status.never_seen, unseen)
+    status = status_where(~valid, Status.invalid_input, first_failure(unseen, status))
+    has_image = (status == Status.hit) | (status == Status.outside_image)
+    return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
+
+
+def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
+    """When the point is exposed, in s after the time of the image; some time, and why, where no crossing is found."""
+    frozen, (begin, end) = jax.lax.stop_gradient((scene, exposure))
+    duration, before, after = end - begin, frozen.trajectory.start - frozen.time, frozen.trajectory.end - frozen.time
+    low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
+    high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
+    overlaps = low < high
+    low, high = tree_where(overlaps, (low, high), (before, after))
+    crossing, seen = _crossing(frozen, low + (high - low) * jnp.linspace(0.0, 1.0, NODES), (begin, end))
+    moment = implicit_root(_delay, jax.lax.stop_gradient(_newton(frozen, crossing, duration)), scene)
+    reason = status_where(seen == Status.hit, Status.never_seen, seen)
+    reason = status_where((before > begin) | (after < end), Status.outside_trajectory, reason)
+    return moment, status_where(overlaps & crossing.exists, Status.hit, reason)
+
+
+def _crossing(scene: Scene, nodes: Nodes, exposure: Exposure) -> tuple[Crossing, StatusCode]:
+    """The first interval of the nodes in which the delay changes its sign, and what was the matter if there is none.
+
+    An interval of the image comes before one beside it. The delay is taken as a cubic between the nodes, so that one
+    that just dips through zero and back within an interval is not overlooked.
+    """
+    sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
+    # the air's shift hardly changes while the sensor moves: the nodes do with that of the middle
+    middle = scene._replace(p_ecef=_seeming(scene, sights.centre[NODES // 2]), air=None)
+
+    def delay(time: Scalar, sight: Sight, rate: Sight) -> tuple[Scalar, Scalar, StatusCode]:
+        def at(sight: Sight, time: Scalar) -> tuple[Scalar, StatusCode]:
+            return _image(middle, sight, time)[1:]
+
+        value, slope, status = jax.jvp(at, (sight, time), (rate, jnp.ones_like(time)), has_aux=True)
+        return value, slope, status
+
+    values, slopes, statuses = jax.vmap(delay)(nodes, sights, rates)
+    sees = jnp.isfinite(values) & jnp.isfinite(slopes)
+    values, slopes = jnp.where(sees, values, 0.0), jnp.where(sees, slopes, 0.0)
+    step = nodes[1] - nodes[0]
+    place, crosses = jax.vmap(_first_change)(values[:-1], values[1:], step * slopes[:-1], step * slopes[1:])
+    crosses &= sees[:-1] & sees[1:]
+    on_image = (nodes[1:] > exposure[0]) & (nodes[:-1] < exposure[1])
+    k = jnp.argmax(2 * crosses + (crosses & on_image))
+    share, reach = place[k]
+    sign = jnp.sign(jnp.where(values[k] == 0.0, -values[k + 1], values[k]))
+    crossing = Crossing(nodes[k], nodes[k] + reach * step, nodes[k] + share * step, sign, crosses[k])
+    return crossing, jnp.where(jnp.any(sees), Status.hit.code, statuses[NODES // 2])
+
+
+def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar) -> tuple[Float[Array, "2"], Flag]:
+    """((where, by when) as shares of an interval, whether): where a cubic first changes its sign within it."""
+    changes = begin * end <= 0.0
+    dips = (begin * slope < 0.0) & (begin * last_slope > 0.0)
+    turn = slope / jnp.where(dips, slope - last_slope, 1.0)
+    rest = 1.0 - turn
+    lowest = begin + turn * turn * (3.0 - 2.0 * turn) * (end - begin)
+    lowest = lowest + turn * rest * (rest * slope - turn * last_slope)
+    dips &= begin * lowest < 0.0
+    reach, value = jnp.where(changes, 1.0, turn), jnp.where(changes, end, lowest)
+    where = reach * begin / jnp.where(begin == value, 1.0, begin - value)
+    return jnp.stack([where, reach]), changes | dips
+
+
+def _newton(scene: Scene, crossing: Crossing, duration: Scalar) -> Scalar:
+    """The root of the delay in a crossing."""
+    slack = SEEN * duration
+
+    def unfinished(state: tuple[Scalar, Scalar, Scalar, Flag, Scalar]) -> Flag:
+        return ~state[3] & (state[4] < STEPS)
+
+    def refine(state: tuple[Scalar, Scalar, Scalar, Flag, Scalar]) -> tuple[Scalar, Scalar, Scalar, Flag, Scalar]:
+        low, high, moment, _, count = state
+        value, slope = value_and_slope(lambda s: crossing.sign * _delay(s, scene), moment)
+        low, high, following = newton_or_half(low, high, moment, value, slope, slack)
+        return low, high, following, jnp.abs(following - moment) <= CLOSE_ENOUGH * duration, count + 1.0
+
+    state = (crossing.low, crossing.high, crossing.start, ~crossing.exists, jnp.zeros_like(duration))
+    return jax.lax.while_loop(unfinished, refine, state)[2]
+
+
+def _delay(moment: Scalar, scene: Scene) -> Scalar:
+    return _image(scene, _sight(scene, moment), moment)[1]
+
+
+def _sight(scene: Scene, moment: Scalar) -> Sight:
+    shot = Shot(*scene.trajectory.state(scene.time, moment))
+    return Sight(scene.sensor.perspective_centre(shot), scene.sensor.R_ecef_from_camera(shot))
+
+
+def _image(scene: Scene, sight: Sight, moment: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
+    away = _seeming(scene, sight.centre) - sight.centre
+    return scene.sensor.camera.image_at(jnp.stack(times(sight.R_ecef_from_camera.T, away)), moment)
+
+
+def _seeming(scene: Scene, centre: Vector3) -> Vector3:
+    """The point, or where it seems to be through the air."""
+    return scene.p_ecef if scene.air is None else apparent_point(centre, scene.p_ecef, scene.air)

@@ -1,0 +1,286 @@
+"""Cameras that expose their rows one after another: rolling shutters, pushbrooms, and sweeps (whiskbroom, panoramic).
+
+Row 0 is exposed at the time of the shot, row `v` at `line_time * v` s after it; a `line_time` below zero reads from the
+bottom. On a `Trajectory` each row then has a pose of its own; from a single `Shot` all rows have the same.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, check_finite, concrete
+from jaxgeo._numerics import value_and_slope
+from jaxgeo._typing import Flag, Pixel, Scalar, ScalarField, ScalarLike, StatusCode, Vector3
+from jaxgeo.rotations import Rx
+from jaxgeo.sensor.camera import (
+    AbstractCamera,
+    FrameCamera,
+    Numbers,
+    PixelLike,
+    Vector3Like,
+    check_positive,
+    check_size,
+)
+from jaxgeo.sensor.distortion import AbstractDistortion
+from jaxgeo.status import Status, status_where
+
+NEWTON_STEPS = 4  # each squares the error, which the lens's distortion leaves: a thousandth at most at the start
+
+
+class AbstractScanningCamera(AbstractCamera):
+    """A camera whose row `v` is exposed `line_time * v` s after the time of the shot."""
+
+    line_time: ScalarField
+
+    @property
+    @abc.abstractmethod
+    def width(self) -> int:
+        """Columns of the image."""
+
+    @property
+    @abc.abstractmethod
+    def height(self) -> int:
+        """Rows of the image."""
+
+    def time_of(self, uv: PixelLike) -> Scalar:
+        line_time, uv = as_float64((self.line_time, uv), "camera.time_of(uv)")
+        return line_time * uv[1]
+
+    def exposure(self) -> tuple[Scalar, Scalar]:
+        line_time = as_float64(self.line_time, "line_time")
+        edges = -0.5 * line_time, (self.height - 0.5) * line_time
+        return jnp.minimum(*edges), jnp.maximum(*edges)
+
+    def inside(self, uv: PixelLike) -> Flag:
+        """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
+        uv = as_float64(uv, "uv")
+        return jnp.all((uv >= -0.5) & (uv <= jnp.array([self.width - 0.5, self.height - 0.5])))
+
+    def _on_image(self, uv: Pixel, status: StatusCode) -> StatusCode:
+        """The status of the optics, but for its image that of the whole."""
+        seen = (status == Status.hit) | (status == Status.outside_image)
+        beside = status_where(self.inside(uv), Status.hit, Status.outside_image.code)
+        return jnp.where(seen, beside, status)
+
+
+class RollingShutterCamera(AbstractScanningCamera):
+    """A frame camera that reads its rows one after another, `line_time` s apart."""
+
+    frame: FrameCamera
+
+    @classmethod
+    def from_readout(cls, frame: FrameCamera, *, readout_time: ArrayLike) -> RollingShutterCamera:
+        """From the time in s in which all rows are read, first to last and on to the next image's first: data sheets
+        and calibrations give that; below zero, from the bottom. Raises `ValueError` for zero or what is not finite."""
+        readout_time = as_float64(_checked_time(readout_time, "readout_time"), "readout_time")
+        return cls(frame=frame, line_time=readout_time / frame.height)
+
+    @property
+    def width(self) -> int:
+        return self.frame.width
+
+    @property
+    def height(self) -> int:
+        return self.frame.height
+
+    def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
+        return self.frame.ray(uv)
+
+    def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
+        return self.frame.project(p_camera)
+
+
+class PushbroomCamera(AbstractScanningCamera):
+    """One line of detectors, across the camera's columns, that the motion of the platform carries over the ground.
+
+    `optics` is a frame camera of height 1: the line itself, behind a lens; its principal point may lie off the line
+    (a line that looks ahead or back). `rows` is how often the line is recorded: the height of the image.
+    """
+
+    optics: FrameCamera
+    rows: int = eqx.field(static=True)
+
+    @classmethod
+    def from_metric(
+        cls,
+        *,
+        focal_length: ArrayLike,
+        pixel_pitch: Numbers,
+        width: int,
+        height: int,
+        line_time: ArrayLike,
+        principal_point: Numbers = (0.0, 0.0),
+        distortion: AbstractDistortion | None = None,
+    ) -> PushbroomCamera:
+        """Line of `width` detectors recorded `height` times, `line_time` s apart; lengths in m.
+
+        `principal_point` is the foot of the optical axis as an offset (right, down) from the middle of the line.
+        Raises `ValueError` as `FrameCamera.from_metric` does, and for a `line_time` of zero.
+        """
+        line = _line(focal_length, pixel_pitch, width, principal_point, distortion)
+        return cls(optics=line, line_time=_checked_time(line_time, "line_time"), rows=check_size(height, "height"))
+
+    @property
+    def width(self) -> int:
+        return self.optics.width
+
+    @property
+    def height(self) -> int:
+        return self.rows
+
+    def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
+        uv = as_float64(uv, "camera.ray(uv)")
+        direction, status = self.optics.ray(jnp.stack([uv[0], 0.0 * uv[1]]))
+        return direction, self._on_image(uv, status)
+
+    def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
+        """Refused: which row sees a point is a matter of the motion."""
+        raise ValueError(
+            "A pushbroom camera that stands still sees the same line in every row, so no row can be told for a point. "
+            "Give project a Trajectory in place of a Shot; Trajectory.steady makes one of a shot and its velocity."
+        )
+
+    def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
+        line_time, time = as_float64((self.line_time, time), "camera.image_at(time)")
+        on_line, status = self.optics.project(p_camera)
+        uv = jnp.stack([on_line[0], time / line_time])
+        return uv, on_line[1] * line_time, self._on_image(uv, status)
+
+
+class SweepCamera(AbstractScanningCamera):
+    """A line camera that turns while it exposes row after row: a panoramic or whiskbroom camera.
+
+    The line lies along the camera's right; the camera turns about that, from `scan_start` at the upper edge of the
+    first row to `scan_end` at the lower edge of the last (rad from the camera's forward towards its down). `optics` is
+    a frame camera of height 1, as in `PushbroomCamera`; `rows` are the height of the image.
+    """
+
+    optics: FrameCamera
+    scan_start: ScalarField
+    scan_end: ScalarField
+    rows: int = eqx.field(static=True)
+
+    @classmethod
+    def from_metric(
+        cls,
+        *,
+        focal_length: ArrayLike,
+        pixel_pitch: Numbers,
+        width: int,
+        height: int,
+        scan_start: ArrayLike,
+        scan_end: ArrayLike,
+        duration: ArrayLike,
+        principal_point: Numbers = (0.0, 0.0),
+        distortion: AbstractDistortion | None = None,
+    ) -> SweepCamera:
+        """Line of `width` detectors (lengths in m) that sweeps `height` rows from one angle (rad) to another in
+        `duration` s.
+
+        Raises `ValueError` as `FrameCamera.from_metric` does, for a duration that is not positive, and for a sweep of
+        no angle or beyond a whole turn.
+        """
+        line = _line(focal_length, pixel_pitch, width, principal_point, distortion)
+        for value, name in ((scan_start, "scan_start"), (scan_end, "scan_end")):
+            check_finite(value, name, "rad")
+        check_positive(duration, "duration", "s", "it is the time from the first row's edge to the last's")
+        given: Any = as_float64((scan_start, scan_end, duration), "SweepCamera.from_metric")
+        start, end, duration = given
+        known = concrete(jnp.abs(end - start))
+        if known is not None and not np.all((known > 0.0) & (known <= 2.0 * np.pi)):
+            raise ValueError(
+                f"A sweep must turn by more than 0 and at most 2 pi rad; got {known.tolist()!r} rad from scan_start to "
+                "scan_end. Are they in rad?"
+            )
+        rows = check_size(height, "height")
+        return cls(optics=line, scan_start=start, scan_end=end, line_time=duration / rows, rows=rows)
+
+    @property
+    def width(self) -> int:
+        return self.optics.width
+
+    @property
+    def height(self) -> int:
+        return self.rows
+
+    def scan_angle(self, row: ScalarLike) -> Scalar:
+        """Angle in rad of the line's view at a row, from the camera's forward towards its down."""
+        camera, row = as_float64((self, row), "row")
+        return camera.scan_start + (camera.scan_end - camera.scan_start) * ((row + 0.5) / self.rows)
+
+    def axis(self) -> Vector3:
+        """The middle of the sweep."""
+        return self.ray(jnp.array([0.5 * (self.width - 1), 0.5 * (self.rows - 1)]))[0]
+
+    def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
+        uv = as_float64(uv, "camera.ray(uv)")
+        row = jnp.where(jnp.isfinite(uv[1]), uv[1], 0.0)
+        direction, status = self.optics.ray(jnp.stack([uv[0], uv[1] - row]))  # NaN stays NaN
+        return Rx(-self.scan_angle(row)) @ direction, self._on_image(uv, status)
+
+    def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
+        camera, p = as_float64((self, p_camera), "camera.project(p_camera)")
+        off_line = -camera.optics.principal_px[1] / camera.optics.focal_px[1]
+        across, ahead = p[1] - off_line * p[2], p[2] + off_line * p[1]
+        turned = (across != 0.0) | (ahead != 0.0)
+        angle = jnp.arctan2(jnp.where(turned, across, 0.0), jnp.where(turned, ahead, 1.0))
+        row = self._nearest_row(angle)
+        for _ in range(NEWTON_STEPS):
+            value, slope = value_and_slope(lambda row: camera._seen_from(p, row)[1], row)
+            step = value / jnp.where(jnp.isfinite(slope) & (slope != 0.0), slope, -jnp.inf)
+            row = row - jnp.where(jnp.isfinite(step), step, 0.0)
+        uv, _, status = camera._image(p, row)
+        return uv, status
+
+    def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
+        camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
+        uv, rows, status = camera._image(p, time / camera.line_time)
+        return uv, rows * camera.line_time, status
+
+    def _image(self, p: Vector3, row: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
+        """(pixel, rows from it to the image of the point, status) while `row` is exposed."""
+        column, rows, status = self._seen_from(p, row)
+        uv = jnp.stack([column, row + 0.0 * column])
+        return uv, rows, self._on_image(uv, status)
+
+    def _seen_from(self, p: Vector3, row: Scalar) -> tuple[Scalar, Scalar, StatusCode]:
+        on_line, status = self.optics.project(Rx(self.scan_angle(row)) @ p)
+        per_row = self.optics.focal_px[1] * (self.scan_end - self.scan_start) / self.rows
+        return on_line[0], on_line[1] / per_row, status
+
+    def _nearest_row(self, angle: Scalar) -> Scalar:
+        """The row at an angle, of the turns of it that nearest to the middle of the sweep."""
+        middle = 0.5 * (self.scan_start + self.scan_end)
+        angle = middle + jnp.mod(angle - middle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
+        return (angle - self.scan_start) / (self.scan_end - self.scan_start) * self.rows - 0.5
+
+
+def _line(
+    focal_length: ArrayLike,
+    pixel_pitch: Numbers,
+    width: int,
+    principal_point: Numbers,
+    distortion: AbstractDistortion | None,
+) -> FrameCamera:
+    return FrameCamera.from_metric(
+        focal_length=focal_length,
+        pixel_pitch=pixel_pitch,
+        width=width,
+        height=1,
+        principal_point=principal_point,
+        distortion=distortion,
+    )
+
+
+def _checked_time(value: ArrayLike, name: str) -> ArrayLike:
+    check_finite(value, name, "s")
+    known = concrete(value)
+    if known is not None and np.any(known == 0.0):
+        raise ValueError(f"{name} must not be zero, in s: a camera that exposes all rows at once is a FrameCamera.")
+    return value
