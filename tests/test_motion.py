@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +12,8 @@ import pytest
 from support.fractal import fractal_posts
 
 from jaxgeo import (
+    Atmosphere,
+    ConstantHeight,
     Dem,
     FrameCamera,
     Geodetic,
@@ -18,8 +23,10 @@ from jaxgeo import (
     PushbroomCamera,
     RollingShutterCamera,
     Sensor,
+    Shot,
     Status,
     Trajectory,
+    at_range,
     locate,
     project,
 )
@@ -125,3 +132,270 @@ def test_from_pixel_to_rough_ground_and_back(name):
     ok = np.asarray(fixes.ok)
     assert np.all(np.asarray(back.status)[ok] == Status.hit)
     np.testing.assert_allclose(np.asarray(back.uv)[ok], uv[ok], rtol=0, atol=1e-6)
+
+
+def test_what_comes_back_is_inverse_to_first_order():
+    """d pixel / d ground times d ground / d pixel is one."""
+    sensor, flight, _ = SCENES["sweep"]
+    level = ConstantHeight(3500.0)
+
+    def there(uv):
+        fix = locate(sensor, flight, uv, level, time=START)
+        return fix.position, fix.ok
+
+    def both(uv):
+        (position, ok), J = there(uv), jax.jacfwd(lambda uv: there(uv)[0])(uv)
+        back = jax.jacrev(lambda p: project(sensor, flight, p, time=START).uv)(position)
+        return ok, jnp.outer(back.lat, J.lat) + jnp.outer(back.lon, J.lon) + jnp.outer(back.height, J.height)
+
+    ok, product = jax.jit(jax.vmap(both))(jnp.asarray(some_pixels(sensor.camera, 4)))
+    assert np.all(ok)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), (4, 2, 2)), rtol=0, atol=1e-7)
+
+
+PARAMETERS = {"time": 1e-3, "line_time": 1e-9, "velocity": 1e-1, "body rates": 1e-4, "gimbal rates": 1e-4}
+
+
+def test_derivatives_by_time_tag_velocity_and_rates_equal_differences():
+    """Of the ground under a pixel of the sweep, and of the pixel of a point, by all that says how it moves."""
+    shot = SCENES["sweep"][1].at(START)
+    level, uv = ConstantHeight(3500.0), jnp.array([300.0, 30_000.0])
+    given = {
+        "time": jnp.asarray(0.0),
+        "line_time": SWEEP.camera.line_time,
+        "velocity": jnp.array([-47.0, -214.0, 2.0]),
+        "body rates": jnp.deg2rad(jnp.array([5.0, -5.0, 5.0])),
+        "gimbal rates": jnp.array([0.02, -0.01]),
+    }
+
+    def flight(given):
+        moving = {"velocity_ned": given["velocity"], "body_rates": given["body rates"]}
+        still = Shot(shot.pose, shot.gimbal_readings, jnp.asarray(0.0))
+        motion = Trajectory.steady(still, **moving, gimbal_rates=given["gimbal rates"], before=0.5, after=3.0)
+        return eqx.tree_at(lambda s: s.camera.line_time, SWEEP, given["line_time"]), motion
+
+    def ground(given):
+        return locate(*flight(given), uv, level, time=given["time"]).ecef
+
+    point = locate(*flight(given), uv, level, time=given["time"]).position
+
+    def pixel(given):
+        return project(*flight(given), point, time=given["time"]).uv
+
+    for answer in (ground, pixel):  # m, px
+        J, value = jax.jit(jax.jacfwd(answer))(given), jax.jit(answer)
+        for name, step in PARAMETERS.items():
+            for k in range(given[name].size):
+                unit = step * jnp.reshape(jnp.arange(given[name].size) == k, given[name].shape)
+                a, b, c, d = (value({**given, name: given[name] + n * unit}) for n in (-2, -1, 1, 2))
+                difference = (8.0 * (c - b) - (d - a)) / 12.0
+                predicted = np.tensordot(J[name], unit, axes=unit.ndim)
+                assert np.max(np.abs(predicted)) > 1e-4, name
+                np.testing.assert_allclose(predicted, difference, rtol=0, atol=1e-6, err_msg=name)
+
+
+def test_derivatives_by_every_knot_equal_differences():
+    """Of the pixel of a point that the sweep sees: all that is in its trajectory, two knots on each side."""
+    sensor, flight, _ = SCENES["sweep"]
+    uv = jnp.array([5000.0, 20_000.0])
+    point = locate(sensor, flight, uv, ConstantHeight(3500.0), time=START).position
+
+    def pixel(moved):
+        return project(sensor, moved, point, time=START).uv
+
+    J, value = jax.jit(jax.jacrev(pixel))(flight), jax.jit(pixel)
+    exposed = float(START + sensor.camera.time_of(uv))
+    near = int(np.searchsorted(np.asarray(flight.times), exposed)) + np.arange(-2, 2)
+    steps = {"times": 1e-4, "lat": 1e-8, "lon": 1e-8, "height": 0.01, "heading": 1e-6, "pitch": 1e-6, "roll": 1e-6}
+    leaves = jax.tree_util.tree_leaves_with_path(flight)
+    for number, ((path, leaf), slope) in enumerate(zip(leaves, jax.tree.leaves(J), strict=True)):
+        slope, step = np.asarray(slope), steps.get(path[-1].name, 1e-6)
+        others = np.delete(slope, near, axis=1)
+        assert not np.any(others), path
+        for knot in near:
+            unit = np.zeros(leaf.shape)
+            unit[knot] = step
+
+            def moved(n, number=number, unit=unit):
+                changed = [x + n * unit if k == number else x for k, (_, x) in enumerate(leaves)]
+                return value(jax.tree.unflatten(jax.tree.structure(flight), changed))
+
+            difference = (8.0 * (moved(1) - moved(-1)) - (moved(2) - moved(-2))) / 12.0
+            predicted = np.tensordot(slope, unit, axes=unit.ndim)
+            np.testing.assert_allclose(predicted, difference, rtol=0, atol=1e-6, err_msg=str(path))  # px
+
+
+def test_a_camera_at_rest_and_a_frame_on_a_trajectory_are_their_shots():
+    """A sweep from a still platform is a sweep from its shot; a frame sees at the time of the image."""
+    _, flight, _ = SCENES["sweep"]
+    shot = flight.at(START, 0.4)
+    at_rest = Trajectory.steady(shot, velocity_ned=[0.0, 0.0, 0.0], before=1.0, after=4.0)
+    level, uv = ConstantHeight(3500.0), jnp.asarray(some_pixels(SWEEP.camera, 8))
+    still, moving = (jax.jit(jax.vmap(f, (None, 0))) for f in (_still(SWEEP, level), _moving(SWEEP, level)))
+    found = moving(at_rest, uv)
+    np.testing.assert_allclose(found.ecef, still(shot, uv).ecef, rtol=0, atol=1e-7)  # 100 km from attitudes of 1e-13
+    back = jax.jit(jax.vmap(lambda p: project(SWEEP, shot, p)))(found.position)
+    np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
+    frame = Sensor(ROLLING.frame, SWEEP.gimbal, SWEEP.mount)
+    eye, readings = at_rest.at(shot.time), [1.3, 0.0]
+    a = locate(frame, flight.with_readings(readings), [10.0, 20.0], level, time=shot.time)
+    b = locate(frame, Shot(flight.at(shot.time).pose, readings), [10.0, 20.0], level)
+    np.testing.assert_allclose(a.ecef, b.ecef, rtol=0, atol=1e-7)
+    assert eye.time == shot.time
+
+
+def _still(sensor, level):
+    return lambda shot, uv: locate(sensor, shot, uv, level)
+
+
+def _moving(sensor, level):
+    return lambda motion, uv: locate(sensor, motion, uv, level, time=motion.start + 1.0)
+
+
+def test_a_sweep_is_a_line_whose_frame_turns():
+    """Li et al. scan with the outer frame: with an inner angle of zero that is a line on a gimbal that turns."""
+    _, flight, _ = SCENES["sweep"]
+    camera = SWEEP.camera
+    line = PushbroomCamera(optics=camera.optics, rows=camera.rows, line_time=camera.line_time)
+    row = (flight.times - START) / camera.line_time
+    outer = jnp.pi / 2.0 - jax.vmap(camera.scan_angle)(row)
+    turning = flight.with_readings(jnp.stack([outer, 0.0 * outer], axis=1))
+    uv, level = jnp.array([[100.0, 5.0], [7000.0, 40_000.0]]), ConstantHeight(3500.0)
+    sweep = jax.vmap(lambda p: locate(SWEEP, flight.with_readings([np.pi / 2, 0.0]), p, level, time=START))(uv)
+    lines = jax.vmap(lambda p: locate(Sensor(line, SWEEP.gimbal, ACROSS), turning, p, level, time=START))(uv)
+    np.testing.assert_allclose(sweep.ecef, lines.ecef, rtol=0, atol=1e-6)
+    back = jax.vmap(lambda p: project(Sensor(line, SWEEP.gimbal, ACROSS), turning, p, time=START))(lines.position)
+    np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
+
+
+def test_lines_of_a_steady_pushbroom_lie_as_far_apart_as_the_platform_flies():
+    shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
+    flight = Trajectory.steady(shot, velocity_ned=[60.0, 0.0, 0.0], after=3.0)
+    sensor = Sensor(PushbroomCamera.from_metric(**NADIR), Gimbal.fixed())
+    fixes = [locate(sensor, flight, (999.5, row), ConstantHeight(0.0)).ecef for row in (0.0, 500.0, 1000.0)]
+    apart = [float(jnp.linalg.norm(b - a)) for a, b in itertools.pairwise(fixes)]
+    np.testing.assert_allclose(apart, 60.0, rtol=0, atol=1e-6)  # straight on, without a turn: all lines are parallel
+
+
+NADIR = {"focal_length": 0.05, "pixel_pitch": 5e-6, "width": 2000, "height": 1200, "line_time": 2e-3}
+
+
+def test_points_no_row_sees_are_told_from_those_beside_the_image_and_outside_the_records():
+    shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
+    flight = Trajectory.steady(shot, velocity_ned=[60.0, 0.0, 0.0], before=1.0, after=4.0)
+    sensor = Sensor(PushbroomCamera.from_metric(**NADIR), Gimbal.fixed())
+
+    def where(north: float, east: float, height: float = 0.0):
+        return Geodetic(lat=np.deg2rad(50.0) + north / 6.3746e6, lon=np.deg2rad(8.0) + east / 4.1065e6, height=height)
+
+    seen = jax.jit(lambda point, time: project(sensor, flight, point, time=time))
+    cases = {
+        "in the image": (where(70.0, 20.0), 0.0, Status.hit),
+        "to its side": (where(70.0, 120.0), 0.0, Status.outside_image),
+        "just beyond its last row": (where(150.0, 0.0), 0.0, Status.outside_image),
+        "ahead": (where(400.0, 0.0), 0.0, Status.never_seen),
+        "behind": (where(-400.0, 0.0), 0.0, Status.never_seen),
+        "overhead": (where(400.0, 0.0, 3000.0), 0.0, Status.behind_camera),
+        "after the last record": (where(330.0, 0.0), 3.0, Status.outside_trajectory),
+        "far from the records": (where(0.0, 0.0), 1e4, Status.outside_trajectory),
+        "before them": (where(0.0, 0.0), -1e4, Status.outside_trajectory),
+        "nowhere": (where(np.nan, 0.0), 0.0, Status.invalid_input),
+        "at no time": (where(0.0, 0.0), np.nan, Status.invalid_input),
+    }
+    for name, (point, time, expected) in cases.items():
+        answer = seen(jax.tree.map(jnp.asarray, point), jnp.asarray(time))
+        assert Status(int(answer.status)) == expected, name
+        assert bool(jnp.all(jnp.isfinite(answer.uv))) == (expected in (Status.hit, Status.outside_image)), name
+
+    located = jax.jit(lambda uv, time: locate(sensor, flight, uv, ConstantHeight(0.0), time=time).status)
+    for uv, time, expected in (
+        ([5.0, 5.0], 0.0, Status.hit),
+        ([5.0, 1199.4], 1.7, Status.outside_trajectory),
+        ([5.0, 5.0], 9.0, Status.outside_trajectory),
+        ([5.0, np.nan], 0.0, Status.invalid_input),
+        ([5.0, 5.0], np.nan, Status.invalid_input),
+        ([5.0, 1300.0], 0.0, Status.outside_image),
+    ):
+        assert Status(int(located(jnp.array(uv), jnp.asarray(time)))) == expected
+
+    def total(flight):  # whatever fails, gradients are finite
+        points = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v, float) for v in x]), *(c[0] for c in cases.values()))
+        times = jnp.array([c[1] for c in cases.values()])
+        answers = jax.vmap(lambda p, t: project(sensor, flight, p, time=t))(points, times)
+        return jnp.sum(jnp.where(answers.ok[:, None], answers.uv, 0.0))
+
+    gradient = jax.jit(jax.grad(total))(flight)
+    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(gradient))
+    assert float(jnp.linalg.norm(gradient.poses.heading)) > 0.0
+
+
+def test_where_the_motion_turns_back_over_the_ground_the_first_row_answers():
+    """A pitch that swings faster than the platform flies: ground is seen three times, and each time is a true one."""
+    since = np.linspace(-0.5, 3.0, 141)
+    north = np.deg2rad(50.0) + 60.0 * since / 6.3756e6
+    pitch = np.deg2rad(3.0) * np.sin(2.0 * np.pi * since / 1.2)
+    pose = Pose(
+        Geodetic(lat=north, lon=np.full(141, 0.14), height=np.full(141, 1000.0)), 0.0 * since, pitch, 0.0 * since
+    )
+    flight = Trajectory.from_knots(since, pose)
+    sensor, level = Sensor(PushbroomCamera.from_metric(**NADIR), Gimbal.fixed()), ConstantHeight(0.0)
+    rows = jnp.linspace(0.0, 1199.0, 241)
+    uv = jnp.stack([jnp.full(241, 700.0), rows], axis=1)
+    fixes = jax.jit(jax.vmap(lambda p: locate(sensor, flight, p, level)))(uv)
+    back = jax.jit(jax.vmap(lambda p: project(sensor, flight, p)))(fixes.position)
+    assert np.all(back.ok)
+    again = jax.jit(jax.vmap(lambda p: locate(sensor, flight, p, level)))(back.uv)
+    np.testing.assert_allclose(again.position.lat, fixes.position.lat, rtol=0, atol=1e-6 / 6.4e6)
+    earlier = np.asarray(rows - back.uv[:, 1])
+    later = earlier < -1e-6  # but for a point over which the line only just turns
+    assert np.mean(later) < 0.01
+    turning = np.abs(np.gradient(np.asarray(fixes.position.lat), 5.0)) * 6.4e6  # m a row
+    assert np.all(turning[later] < 0.02 * np.max(turning))
+    assert np.mean(earlier > 1.0) > 0.2  # it does turn back
+    ground = np.asarray(fixes.position.lat)
+    for k in np.flatnonzero(~later)[::8]:  # no row before the answer sees the point: north of it always, or south
+        before = np.asarray(rows) < float(back.uv[k, 1]) - 5.0
+        assert np.ptp(np.sign(ground[before] - ground[k])) == 0 if np.any(before) else True
+
+
+def test_through_the_air_in_motion():
+    sensor, flight, _ = SCENES["sweep"]
+    air, level = Atmosphere.measured(pressure=60_000.0, temperature=275.0, height=4000.0), ConstantHeight(3500.0)
+
+    def there_and_back(uv):
+        fix = locate(sensor, flight, uv, level, time=START, atmosphere=air)
+        straight = locate(sensor, flight, uv, level, time=START)
+        back = project(sensor, flight, fix.position, time=START, atmosphere=air)
+        same = at_range(sensor, flight, uv, fix.slant_range, time=START, atmosphere=air)
+        return back, jnp.linalg.norm(fix.ecef - straight.ecef), jnp.linalg.norm(same.ecef - fix.ecef)
+
+    uv = jnp.asarray(some_pixels(sensor.camera, 8))
+    back, shift, apart = jax.jit(jax.vmap(there_and_back))(uv)
+    assert np.all(back.ok)
+    np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
+    assert np.all((np.asarray(shift) > 5.0) & (np.asarray(shift) < 3000.0))
+    assert np.all(np.asarray(apart) < 1e-6)
+
+
+def test_the_sweep_as_one_frame_is_far_off():
+    """What ignoring the motion costs: metres per row that the platform flies and turns after the shot."""
+    sensor, flight, _ = SCENES["sweep"]
+    level = ConstantHeight(3500.0)
+    uv = jnp.stack([jnp.full(5, 3791.5), jnp.linspace(0.0, 48835.0, 5)], axis=1)
+    moving = jax.vmap(lambda p: locate(sensor, flight, p, level, time=START))(uv)
+    frame = jax.vmap(lambda p: locate(sensor, flight.at(START), p, level))(uv)
+    off = np.linalg.norm(moving.ecef - frame.ecef, axis=1)
+    assert off[0] < 1e-5
+    assert np.all(off[1:] > 50.0)
+    assert np.max(off) > 500.0
+
+
+def test_what_cannot_be_asked_is_refused():
+    sensor, flight, _ = SCENES["rolling shutter"]
+    level = ConstantHeight(0.0)
+    with pytest.raises(ValueError, match="time goes with a Trajectory"):
+        locate(sensor, flight.at(START), (0.0, 0.0), level, time=START)
+    with pytest.raises(ValueError, match="one number in s"):
+        locate(sensor, flight, (0.0, 0.0), level, time=jnp.array([START, START]))
+    with pytest.raises(ValueError, match="outside_trajectory"):
+        locate(sensor, flight, (0.0, 0.0), level, throw=True)

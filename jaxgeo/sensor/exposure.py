@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import all_finite, implicit_root, newton_or_half, times, tree_where, value_and_slope
+from jaxgeo._numerics import all_finite, implicit_root, newton_or_half, safe_sqrt, times, tree_where, value_and_slope
 from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
@@ -132,7 +132,8 @@ def _crossing(scene: Scene, nodes: Nodes, exposure: Exposure) -> tuple[Crossing,
     """The first interval of the nodes in which the delay changes its sign, and what was the matter if there is none.
 
     An interval of the image comes before one beside it. The delay is taken as a cubic between the nodes, so that one
-    that just dips through zero and back within an interval is not overlooked.
+    that dips through zero and back within an interval is seen too; what a cubic cannot show, a line that turns back
+    within a fraction of a pixel of the point, may be missed for a later crossing.
     """
     sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
     # the air's shift hardly changes while the sensor moves: the nodes do with that of the middle
@@ -163,7 +164,12 @@ def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar)
     """((where, by when) as shares of an interval, whether): where a cubic first changes its sign within it."""
     changes = begin * end <= 0.0
     dips = (begin * slope < 0.0) & (begin * last_slope > 0.0)
-    turn = slope / jnp.where(dips, slope - last_slope, 1.0)
+    linear, square = (
+        2.0 * (3.0 * (end - begin) - 2.0 * slope - last_slope),
+        3.0 * (slope + last_slope - 2.0 * (end - begin)),
+    )
+    root = safe_sqrt(linear * linear - 4.0 * square * slope)
+    turn = -2.0 * slope / jnp.where(dips, linear + jnp.sign(last_slope - slope) * root, 1.0)  # where its slope is zero
     rest = 1.0 - turn
     lowest = begin + turn * turn * (3.0 - 2.0 * turn) * (end - begin)
     lowest = lowest + turn * rest * (rest * slope - turn * last_slope)

@@ -18,8 +18,8 @@ from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._newton import solve_2d
-from jaxgeo.sensor.camera import PixelLike
-from jaxgeo.sensor.gimbal import Gimbal, Readings, ReadingsLike
+from jaxgeo.sensor.camera import Numbers
+from jaxgeo.sensor.gimbal import Gimbal, Readings
 from jaxgeo.sensor.platform import Pose, Shot
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
@@ -41,8 +41,8 @@ def readings_towards(
     sensor: Sensor,
     pose: Pose,
     point: Geodetic,
-    uv: PixelLike | None,
-    readings: ReadingsLike | None,
+    uv: Numbers | None,
+    readings: Numbers | None,
     air: Atmosphere | None,
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
@@ -59,8 +59,8 @@ def steered(
     sensor: Sensor,
     trajectory: Trajectory,
     points: Geodetic,
-    uv: PixelLike | None,
-    readings: ReadingsLike | None,
+    uv: Numbers | None,
+    readings: Numbers | None,
     air: Atmosphere | None,
 ) -> Trajectory:
     """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""

@@ -13,8 +13,8 @@ from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
-from jaxgeo.sensor.camera import AbstractCamera, PixelLike, Vector3Like
-from jaxgeo.sensor.gimbal import Gimbal, ReadingsLike
+from jaxgeo.sensor.camera import AbstractCamera, Numbers, PixelLike, Vector3Like
+from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Mount, Pose, Shot
 from jaxgeo.status import Status, status_where
 
@@ -90,8 +90,8 @@ class Sensor(eqx.Module):
         pose: Pose,
         point: Geodetic,
         *,
-        uv: PixelLike | None = None,
-        readings: ReadingsLike | None = None,
+        uv: Numbers | None = None,
+        readings: Numbers | None = None,
         time: ArrayLike = 0.0,
         atmosphere: Atmosphere | None = None,
     ) -> Shot:
@@ -112,8 +112,8 @@ class Sensor(eqx.Module):
         trajectory: Trajectory,
         points: Geodetic,
         *,
-        uv: PixelLike | None = None,
-        readings: ReadingsLike | None = None,
+        uv: Numbers | None = None,
+        readings: Numbers | None = None,
         atmosphere: Atmosphere | None = None,
     ) -> Trajectory:
         """The trajectory with the gimbal readings that keep the optical axis (or `uv`) on `points` while it is flown.

@@ -83,9 +83,9 @@ class Trajectory(eqx.Module):
         cls,
         shot: Shot,
         *,
-        velocity_ned: Vector3Field,
-        body_rates: Vector3Field | None = None,
-        gimbal_rates: ReadingsField | None = None,
+        velocity_ned: Numbers,
+        body_rates: Numbers | None = None,
+        gimbal_rates: Numbers | None = None,
         before: ScalarLike = 1.0,
         after: ScalarLike = 1.0,
     ) -> Trajectory:
@@ -120,7 +120,7 @@ class Trajectory(eqx.Module):
         rates = jnp.stack([turning, turning])
         return cls.from_knots(shot.time + offsets, poses, readings, velocity_ned=velocities, body_rates=rates)
 
-    def with_readings(self, gimbal_readings: ReadingsField) -> Trajectory:
+    def with_readings(self, gimbal_readings: Numbers) -> Trajectory:
         """The same flight with other gimbal readings, in rad: (knots, axes), or (axes,) held throughout."""
         readings: Any = as_float64(as_array(gimbal_readings, "gimbal_readings"), "gimbal_readings")
         if readings.ndim == 1:

@@ -1,0 +1,160 @@
+"""Gimbals that follow the ground while the platform moves, sweeps that look at a point, and a tilted plumb line."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgeo import (
+    WGS84,
+    Atmosphere,
+    ConstantHeight,
+    Deflection,
+    FrameCamera,
+    Geodetic,
+    Gimbal,
+    Mount,
+    Pose,
+    Sensor,
+    Shot,
+    SweepCamera,
+    Trajectory,
+    locate,
+)
+from jaxgeo.rotations import rotation_vector_from_R
+
+FRAME = FrameCamera.from_pixels(focal_px=3000.0, width=2000, height=1500)
+SENSOR = Sensor(FRAME, Gimbal.two_axis(), Mount.nadir(lever_body=np.array([1.0, 0.2, -0.5])))
+START = Shot(Pose.from_degrees(lat=46.0, lon=7.0, height=9000.0, heading=30.0, pitch=2.0, roll=-1.0), [0.0, 0.0])
+FLIGHT = Trajectory.steady(START, velocity_ned=[150.0, 90.0, 3.0], body_rates=np.deg2rad([2.0, -1.0, 3.0]), after=3.0)
+AIR = Atmosphere()
+
+
+def off(sensor, shot, uv, point, air=None) -> float:
+    """m by which a pixel's ray at the point's height misses a point."""
+    fix = locate(sensor, shot, uv, ConstantHeight(point.height), atmosphere=air)
+    return float(jnp.linalg.norm(fix.ecef - WGS84.to_ecef(point)))
+
+
+def point(north: float = 0.0, height: float = 1200.0) -> Geodetic:
+    return Geodetic.from_degrees(lat=45.9 + north, lon=7.25, height=height)
+
+
+def test_a_steered_gimbal_follows_a_way_over_the_ground():
+    way = Geodetic(
+        lat=jnp.deg2rad(jnp.array([45.9, 45.92])), lon=jnp.full(2, np.deg2rad(7.25)), height=jnp.full(2, 800.0)
+    )
+    steered = SENSOR.steered(FLIGHT, way)
+    for k in (0, 1):
+        assert off(SENSOR, steered.at(FLIGHT.times[k]), (999.5, 749.5), jax.tree.map(lambda x, k=k: x[k], way)) < 1e-6
+    np.testing.assert_array_equal(steered.poses.heading, FLIGHT.poses.heading)
+    assert np.max(np.abs(steered.gimbal_readings[1] - steered.gimbal_readings[0])) > 0.05  # against the turning body
+
+
+def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
+    steered = SENSOR.steered(FLIGHT, point(), uv=(900.0, 800.0))
+    for time in (FLIGHT.start, FLIGHT.end):
+        assert off(SENSOR, steered.at(time), (900.0, 800.0), point()) < 1e-6
+
+
+def test_looking_at_through_the_air_aims_above_the_point():
+    pose = START.pose
+    straight, bent = (SENSOR.looking_at(pose, point(), atmosphere=air) for air in (None, AIR))
+    assert off(SENSOR, bent, (999.5, 749.5), point(), AIR) < 1e-6
+    assert off(SENSOR, bent, (999.5, 749.5), point()) > 0.5
+    turn = float(jnp.linalg.norm(bent.gimbal_readings - straight.gimbal_readings))
+    assert 2e-5 < turn < 1e-3
+
+
+def test_a_sweep_is_pointed_by_its_middle_unless_a_pixel_is_named():
+    camera = SweepCamera.from_metric(
+        focal_length=0.3, pixel_pitch=1e-5, width=1001, height=3001, scan_start=0.2, scan_end=0.6, duration=1.0
+    )
+    sensor = Sensor(camera, Gimbal.three_axis(reference="body"), Mount.forward())
+    for uv in (None, (0.0, 0.0)):
+        shot = sensor.looking_at(START.pose, point(), uv=uv)
+        assert off(sensor, shot, (500.0, 1500.0) if uv is None else uv, point()) < 1e-6
+
+
+def test_what_a_gimbal_cannot_follow_names_the_knot():
+    climbing = jax.tree.map(lambda *x: jnp.stack(x), point(), point(height=6e4))
+    with pytest.raises(ValueError, match=r"At knot 1: The gimbal"):
+        SENSOR.steered(FLIGHT, climbing)
+    with pytest.raises(ValueError, match=r"2 knots; got shape \(3,\)"):
+        SENSOR.steered(FLIGHT, Geodetic(lat=jnp.zeros(3), lon=jnp.zeros(3), height=jnp.zeros(3)))
+    with pytest.raises(ValueError, match="no axes"):
+        Sensor(FRAME, Gimbal.fixed()).steered(FLIGHT, point())
+
+
+def test_readings_are_put_on_a_trajectory_held_or_knot_by_knot():
+    held = FLIGHT.with_readings([0.3, -0.1])
+    np.testing.assert_allclose(held.at(1.234).gimbal_readings, [0.3, -0.1], rtol=0, atol=1e-15)
+    turned = FLIGHT.with_readings(np.array([[0.0, 0.0], [0.4, -0.8]]))
+    np.testing.assert_allclose(turned.at(0.0).gimbal_readings, [0.1, -0.2], rtol=0, atol=1e-15)
+    for wrong in ([0.1, np.nan], np.zeros((3, 2))):
+        with pytest.raises(ValueError, match=r"finite|shape"):
+            FLIGHT.with_readings(wrong)
+
+
+def test_steady_motion_is_what_was_given_at_every_time():
+    velocity, rates = np.array([150.0, 90.0, 3.0]), np.deg2rad([2.0, -1.0, 3.0])
+    np.testing.assert_allclose(FLIGHT.velocity_ned_at(0.0), velocity, rtol=0, atol=1e-6)
+    for time in (-0.9, 0.0, 2.7):
+        np.testing.assert_allclose(FLIGHT.body_rates_at(time), rates, rtol=0, atol=1e-12)
+    now = FLIGHT.at(0.0)
+    assert float(jnp.linalg.norm(WGS84.to_ecef(now.pose.position) - WGS84.to_ecef(START.pose.position))) < 5e-9
+    np.testing.assert_allclose(now.pose.R_ned_from_body, START.pose.R_ned_from_body, rtol=0, atol=1e-14)
+    with pytest.raises(ValueError, match=r"velocity_ned must be one vector"):
+        Trajectory.steady(START, velocity_ned=[1.0, 2.0])
+
+
+XI, ETA = 25.0, -18.0  # arc seconds
+TILTED = Deflection.from_arcseconds(xi=XI, eta=ETA)
+
+
+@pytest.mark.parametrize("reference", ["body", "level"])
+def test_a_deflected_vertical_moves_what_lies_below(reference):
+    """A plumb line whose zenith leans north and east meets the ground south and west."""
+    gimbal = Gimbal.three_axis(reference=reference)
+    sensor, down = Sensor(FRAME, gimbal, Mount.forward()), [0.0, -np.pi / 2, 0.0]
+    height = 5000.0
+    fixes = []
+    for deflection in (None, TILTED):
+        pose = Pose.from_degrees(lat=46.0, lon=7.0, height=height, deflection=deflection)
+        fixes.append(locate(sensor, Shot(pose, down), (999.5, 749.5), ConstantHeight(0.0)).position)
+    north = float(fixes[1].lat - fixes[0].lat) * 6.3674e6  # the meridian's radius there
+    east = float(fixes[1].lon - fixes[0].lon) * 6.3885e6 * np.cos(np.deg2rad(46.0))
+    expected = -np.deg2rad(np.array([XI, ETA]) / 3600.0) * height
+    np.testing.assert_allclose([north, east], expected, rtol=0, atol=2e-3)
+
+
+def test_the_deflection_is_a_least_rotation_and_its_derivative_is_exact():
+    turn = rotation_vector_from_R(TILTED.R_ned_from_level)
+    assert abs(float(turn[2])) < 1e-15  # none about the vertical: headings stay
+    assert float(jnp.linalg.norm(turn)) == pytest.approx(np.deg2rad(np.hypot(XI, ETA) / 3600.0), rel=1e-9)
+
+    def below(xi):
+        pose = Pose(START.pose.position, 0.3, 0.1, 0.0, Deflection(xi, 1e-4))
+        return locate(SENSOR, Shot(pose, [0.5, 0.0]), (999.5, 749.5), ConstantHeight(0.0)).ecef
+
+    J, step = jax.jacfwd(below)(1e-4), 1e-4
+    difference = (below(1e-4 + step) - below(1e-4 - step)) / 2.0
+    np.testing.assert_allclose(J * step, difference, rtol=0, atol=1e-5)
+    for wrong in (500.0, np.nan):
+        with pytest.raises(ValueError, match="arc seconds"):
+            Deflection.from_arcseconds(xi=wrong, eta=0.0)
+
+
+def test_a_trajectory_keeps_its_deflection():
+    heading = np.array([0.2, 0.25, 0.3])
+    position = Geodetic(lat=0.8 + 1e-5 * np.arange(3), lon=np.full(3, 0.1), height=np.full(3, 4000.0))
+    leaning = Deflection(xi=np.array([1e-4, 2e-4, 3e-4]), eta=np.full(3, -5e-5))
+    flight = Trajectory.from_knots([0.0, 1.0, 2.0], Pose(position, heading, 0.0 * heading, 0.0 * heading, leaning))
+    pose = flight.at(1.0).pose
+    np.testing.assert_allclose([pose.heading, pose.pitch, pose.roll], [0.25, 0.0, 0.0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(flight.at(1.5).pose.deflection.xi, 2.5e-4, rtol=0, atol=1e-18)
+    steady = Trajectory.steady(Shot(pose, np.zeros(0)), velocity_ned=[1.0, 0.0, 0.0])
+    np.testing.assert_allclose(steady.at(0.0).pose.R_ned_from_body, pose.R_ned_from_body, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(steady.at(0.0).pose.heading, 0.25, rtol=0, atol=1e-9)
