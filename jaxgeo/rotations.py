@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 
-from jaxgeo._numerics import cross, safe_norm, safe_sqrt
+from jaxgeo._numerics import cross, product, safe_norm, safe_sqrt
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 
 
@@ -28,7 +28,7 @@ def Rz(angle: Scalar) -> Matrix3:
 
 def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
     """`Rz(heading) Ry(pitch) Rx(roll)`: with angles of a body (forward, right, down), `R_ned_from_body`."""
-    return Rz(heading) @ Ry(pitch) @ Rx(roll)
+    return product(product(Rz(heading), Ry(pitch)), Rx(roll))
 
 
 def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
@@ -41,7 +41,7 @@ def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     pitch = jnp.arctan2(-R[2, 0], horizontal)
     heading = jnp.arctan2(jnp.where(locked, -R[0, 1], R[1, 0]), jnp.where(locked, R[1, 1], R[0, 0]))
     # Not atan2(R[2, 1], R[2, 2]): close to the lock that and the heading would be noise independent of each other.
-    levelled = Rz(-heading) @ R
+    levelled = product(Rz(-heading), R)
     roll = jnp.arctan2(-levelled[1, 2], levelled[1, 1])
     return heading, pitch, jnp.where(locked, 0.0, roll)
 
@@ -56,7 +56,7 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
     sinc = jnp.where(small, 1.0 - squared / 6.0 + squared**2 / 120.0, jnp.sin(angle) / angle)
     half = jnp.where(small, 0.5 - squared / 24.0 + squared**2 / 720.0, 2.0 * (jnp.sin(0.5 * angle) / angle) ** 2)
-    return jnp.eye(3) + sinc * K + half * (K @ K)
+    return jnp.eye(3) + sinc * K + half * product(K, K)
 
 
 def rotation_vector_from_R(R: Matrix3) -> Vector3:

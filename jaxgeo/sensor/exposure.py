@@ -8,12 +8,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import all_finite, implicit_root, newton_or_half, safe_sqrt, times, tree_where, value_and_slope
-from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, StatusCode, Vector3
+from jaxgeo._numerics import (
+    all_finite,
+    finite_or,
+    implicit_root,
+    newton_or_half,
+    safe_sqrt,
+    tree_where,
+    value_and_slope,
+)
+from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
-from jaxgeo.sensor.platform import Shot
-from jaxgeo.sensor.sensor import Sensor, made_safe
+from jaxgeo.sensor.platform import Shot, Station
+from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, status_where
 
@@ -27,13 +35,6 @@ SEEN = 1e-7  # of the exposure, by which a time may miss its point, or the traje
 
 Nodes = Float[Array, " nodes"]
 Exposure = tuple[Scalar, Scalar]
-
-
-class Sight(NamedTuple):
-    """Perspective centre in ECEF m, and R_ecef_from_camera."""
-
-    centre: Vector3
-    R_ecef_from_camera: Matrix3
 
 
 class Scene(NamedTuple):
@@ -56,29 +57,13 @@ class Crossing(NamedTuple):
     exists: Flag
 
 
-def shot_of_pixel(sensor: Sensor, motion: Shot | Trajectory, time: Scalar, uv: Pixel) -> tuple[Shot, StatusCode]:
-    """The shot that exposes a pixel: on a trajectory, the one `camera.time_of(uv)` after `time` in s.
-
-    With any other status than `hit` that is the trajectory's first.
-    """
-    if isinstance(motion, Shot):
-        return motion, Status.hit.code
-    later = sensor.camera.time_of(uv)
-    known = jnp.isfinite(time) & jnp.isfinite(later) & all_finite(motion)
-    covered = motion.covers(time, later)
-    status = status_where(covered, Status.hit, Status.outside_trajectory.code)
-    first = (motion.start, jnp.zeros_like(later))
-    shot = motion.at(*tree_where(known & covered, (time, later), first))
-    return shot, jnp.where(known, status, Status.invalid_input.code)
-
-
 def line_of_sight(
     sensor: Sensor, motion: Shot | Trajectory, time: Scalar, uv: Pixel
 ) -> tuple[Vector3, Vector3, StatusCode]:
-    """`Sensor.ray_ecef` of a pixel, from where it is exposed."""
-    shot, timing = shot_of_pixel(sensor, motion, time, uv)
-    origin, direction, status = sensor.ray_ecef(shot, uv)
-    return origin, direction, first_failure(timing, status)
+    """`Sensor.ray_ecef` of a pixel; on a trajectory from where it is exposed, `time_of(uv)` after `time` in s."""
+    if isinstance(motion, Shot):
+        return sensor.ray_ecef(motion, uv)
+    return _ray_in_motion(sensor, motion, time, sensor.camera.time_of(uv), uv)
 
 
 def image_of_point(
@@ -90,12 +75,32 @@ def image_of_point(
     are several, where the motion turns the line back over what it has seen; the first on the image is the answer.
     """
     exposure = sensor.camera.exposure()
-    if isinstance(motion, Trajectory) and exposure is not None:
+    if isinstance(motion, Shot):
+        return *sensor.project_ecef(motion, p_ecef, air), sensor.perspective_centre(motion)
+    if exposure is not None:
         return _image_in_motion(sensor, motion, time, exposure, p_ecef, air)
-    shot, status = shot_of_pixel(sensor, motion, time, jnp.zeros(2))
-    uv, seen = sensor.project_ecef(shot, p_ecef, air)
-    covered = status == Status.hit
-    return jnp.where(covered, uv, jnp.nan), first_failure(status, seen), sensor.perspective_centre(shot)
+    station, timing = _station(motion, time, jnp.zeros_like(time))
+    uv, status = sensor.project_ecef(station, p_ecef, air)
+    status = first_failure(timing, status)
+    return jnp.where(timing == Status.hit, uv, jnp.nan), status, sensor.sight(station).centre
+
+
+def _ray_in_motion(
+    sensor: Sensor, motion: Trajectory, time: Scalar, later: Scalar, uv: Pixel
+) -> tuple[Vector3, Vector3, StatusCode]:
+    station, timing = _station(motion, time, later)
+    origin, direction, status = sensor.ray_ecef(station, uv)
+    return origin, direction, first_failure(timing, status)
+
+
+def _station(motion: Trajectory, time: Scalar, later: Scalar) -> tuple[Station, StatusCode]:
+    """Where the sensor is a little `later` than `time`, both in s; with any status but `hit`, where it begins."""
+    known = jnp.isfinite(time) & jnp.isfinite(later) & all_finite(motion)
+    motion = finite_or(motion, 1.0)
+    covered = motion.covers(time, later)
+    status = status_where(covered, Status.hit, Status.outside_trajectory.code)
+    moment = tree_where(known & covered, (time, later), (motion.start, jnp.zeros_like(later)))
+    return motion.station(*moment), jnp.where(known, status, Status.invalid_input.code)
 
 
 def _image_in_motion(
@@ -137,7 +142,8 @@ def _crossing(scene: Scene, nodes: Nodes, exposure: Exposure) -> tuple[Crossing,
     """
     sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
     # the air's shift hardly changes while the sensor moves: the nodes do with that of the middle
-    middle = scene._replace(p_ecef=_seeming(scene, sights.centre[NODES // 2]), air=None)
+    seeming = scene.p_ecef if scene.air is None else apparent_point(sights.centre[NODES // 2], scene.p_ecef, scene.air)
+    middle = scene._replace(p_ecef=seeming, air=None)
 
     def delay(time: Scalar, sight: Sight, rate: Sight) -> tuple[Scalar, Scalar, StatusCode]:
         def at(sight: Sight, time: Scalar) -> tuple[Scalar, StatusCode]:
@@ -201,15 +207,8 @@ def _delay(moment: Scalar, scene: Scene) -> Scalar:
 
 
 def _sight(scene: Scene, moment: Scalar) -> Sight:
-    shot = Shot(*scene.trajectory.state(scene.time, moment))
-    return Sight(scene.sensor.perspective_centre(shot), scene.sensor.R_ecef_from_camera(shot))
+    return scene.sensor.sight(scene.trajectory.station(scene.time, moment))
 
 
 def _image(scene: Scene, sight: Sight, moment: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
-    away = _seeming(scene, sight.centre) - sight.centre
-    return scene.sensor.camera.image_at(jnp.stack(times(sight.R_ecef_from_camera.T, away)), moment)
-
-
-def _seeming(scene: Scene, centre: Vector3) -> Vector3:
-    """The point, or where it seems to be through the air."""
-    return scene.p_ecef if scene.air is None else apparent_point(centre, scene.p_ecef, scene.air)
+    return scene.sensor.camera.image_at(sight.to_camera(scene.p_ecef, scene.air), moment)

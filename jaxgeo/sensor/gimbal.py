@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
+from jaxgeo._numerics import product
 from jaxgeo._typing import Flag, Matrix3
 from jaxgeo.rotations import Rx, Ry, Rz
 
@@ -159,7 +160,7 @@ class Gimbal(eqx.Module):
         angles = self.angles(readings)
         R = jnp.eye(3)
         for axis, angle in zip(self.axes, angles, strict=True):
-            R = R @ _ROTATIONS[axis](angle)
+            R = product(R, _ROTATIONS[axis](angle))
         return R
 
     def inside_limits(self, readings: ReadingsLike) -> Flag:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,11 +11,11 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_range
-from jaxgeo._numerics import safe_norm
-from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3Field
+from jaxgeo._numerics import product, safe_norm
+from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
-from jaxgeo.sensor.gimbal import ReadingsField
+from jaxgeo.sensor.gimbal import Readings, ReadingsField
 
 # Columns: the camera's right, down and forward in head axes (x forward, y right, z down).
 R_HEAD_FROM_CAMERA_NADIR = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -179,11 +179,13 @@ class Pose(eqx.Module):
     def R_ned_from_body(self) -> Matrix3:
         """Attitude as a rotation from body axes to north-east-down at the position."""
         heading, pitch, roll = as_float64((self.heading, self.pitch, self.roll), "pose")
-        return self.levelled(R_from_heading_pitch_roll(heading, pitch, roll))
+        R_level_from_body = R_from_heading_pitch_roll(heading, pitch, roll)
+        return R_level_from_body if self.deflection is None else product(self.R_ned_from_level, R_level_from_body)
 
-    def levelled(self, R_level_from_any: Matrix3) -> Matrix3:
-        """An orientation against the level of the navigation system as one in north-east-down of the ellipsoid."""
-        return R_level_from_any if self.deflection is None else self.deflection.R_ned_from_level @ R_level_from_any
+    @property
+    def R_ned_from_level(self) -> Matrix3:
+        """The level that the attitude is against, in north-east-down of the ellipsoid."""
+        return jnp.eye(3) if self.deflection is None else self.deflection.R_ned_from_level
 
     def to_omega_phi_kappa(self, *, convergence: ScalarField = 0.0) -> tuple[Scalar, Scalar, Scalar]:
         """(omega, phi, kappa) in rad that `from_omega_phi_kappa` takes, with phi in [-pi/2, pi/2]."""
@@ -206,6 +208,26 @@ class Shot(eqx.Module):
         default_factory=lambda: np.zeros(0), converter=partial(as_array, name="gimbal_readings")
     )
     time: ScalarField = 0.0
+
+
+class Station(NamedTuple):
+    """A shot seen from the Earth: position in ECEF m, orientations of body and level there, gimbal readings in rad."""
+
+    p_ecef: Vector3
+    R_ecef_from_body: Matrix3
+    R_ecef_from_level: Matrix3
+    gimbal_readings: Readings
+
+    @classmethod
+    def of(cls, shot: Shot) -> Station:
+        """The station of a shot."""
+        given: Any = as_float64((shot.pose, shot.gimbal_readings), "shot")
+        pose, readings = given
+        R = R_ecef_from_ned(pose.position)
+        R_ecef_from_body, R_ecef_from_level = (
+            product(R, local) for local in (pose.R_ned_from_body, pose.R_ned_from_level)
+        )
+        return cls(WGS84.to_ecef(pose.position), R_ecef_from_body, R_ecef_from_level, readings)
 
 
 def R_ned_from_map(convergence: Scalar) -> Matrix3:

@@ -16,7 +16,6 @@ from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._numerics import all_finite, safe_norm
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
-from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._newton import solve_2d
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Gimbal, Readings
@@ -157,10 +156,7 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
 def _point_seen(world: World, readings: Readings) -> Vector3:
     """Unit vector to the point: two components across the line of sight, then the one along it."""
     sensor, pose, point, sight, air = world
-    shot, p_ecef = Shot(pose, readings), WGS84.to_ecef(point)
-    if air is not None:
-        p_ecef = apparent_point(sensor.perspective_centre(shot), p_ecef, air)
-    p_camera = sensor.to_camera(shot, p_ecef)
+    p_camera = sensor.sight(Shot(pose, readings)).to_camera(WGS84.to_ecef(point), air)
     down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
     down = down / safe_norm(down)
     axes = jnp.stack([jnp.cross(down, sight), down, sight])

@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_finite, concrete
-from jaxgeo._numerics import value_and_slope
+from jaxgeo._numerics import turned, value_and_slope
 from jaxgeo._typing import Flag, Pixel, Scalar, ScalarField, ScalarLike, StatusCode, Vector3
 from jaxgeo.rotations import Rx
 from jaxgeo.sensor.camera import (
@@ -222,14 +222,14 @@ class SweepCamera(AbstractScanningCamera):
         uv = as_float64(uv, "camera.ray(uv)")
         row = jnp.where(jnp.isfinite(uv[1]), uv[1], 0.0)
         direction, status = self.optics.ray(jnp.stack([uv[0], uv[1] - row]))  # NaN stays NaN
-        return Rx(-self.scan_angle(row)) @ direction, self._on_image(uv, status)
+        return turned(Rx(-self.scan_angle(row)), direction), self._on_image(uv, status)
 
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         camera, p = as_float64((self, p_camera), "camera.project(p_camera)")
         off_line = -camera.optics.principal_px[1] / camera.optics.focal_px[1]
         across, ahead = p[1] - off_line * p[2], p[2] + off_line * p[1]
-        turned = (across != 0.0) | (ahead != 0.0)
-        angle = jnp.arctan2(jnp.where(turned, across, 0.0), jnp.where(turned, ahead, 1.0))
+        aside = (across != 0.0) | (ahead != 0.0)
+        angle = jnp.arctan2(jnp.where(aside, across, 0.0), jnp.where(aside, ahead, 1.0))
         row = self._nearest_row(angle)
         for _ in range(NEWTON_STEPS):
             value, slope = value_and_slope(lambda row: camera._seen_from(p, row)[1], row)
@@ -250,7 +250,7 @@ class SweepCamera(AbstractScanningCamera):
         return uv, rows, self._on_image(uv, status)
 
     def _seen_from(self, p: Vector3, row: Scalar) -> tuple[Scalar, Scalar, StatusCode]:
-        on_line, status = self.optics.project(Rx(self.scan_angle(row)) @ p)
+        on_line, status = self.optics.project(turned(Rx(self.scan_angle(row)), p))
         per_row = self.optics.focal_px[1] * (self.scan_end - self.scan_start) / self.rows
         return on_line[0], on_line[1] / per_row, status
 

@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import all_finite, finite_or
+from jaxgeo._numerics import all_finite, finite_or, product, turned
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
-from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
+from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor.camera import AbstractCamera, Numbers, PixelLike, Vector3Like
 from jaxgeo.sensor.gimbal import Gimbal
-from jaxgeo.sensor.platform import Mount, Pose, Shot
+from jaxgeo.sensor.platform import Mount, Pose, Shot, Station
 from jaxgeo.status import Status, status_where
 
 if TYPE_CHECKING:
     from jaxgeo.sensor.trajectory import Trajectory
 
 T = TypeVar("T")
+
+
+class Sight(NamedTuple):
+    """Where a camera is and how it lies: perspective centre in ECEF m, and its orientation."""
+
+    centre: Vector3
+    R_ecef_from_camera: Matrix3
+
+    def to_camera(self, p_ecef: Vector3, air: Atmosphere | None = None) -> Vector3:
+        """A point in ECEF m, or where it seems to be through the air, from the centre in the camera frame, m."""
+        seeming = p_ecef if air is None else apparent_point(self.centre, p_ecef, air)
+        return turned(self.R_ecef_from_camera.T, seeming - self.centre)
 
 
 class Sensor(eqx.Module):
@@ -31,30 +43,32 @@ class Sensor(eqx.Module):
     gimbal: Gimbal = eqx.field(default_factory=Gimbal.fixed)
     mount: Mount = eqx.field(default_factory=Mount.nadir)
 
-    def R_ned_from_head(self, shot: Shot) -> Matrix3:
-        """Orientation of the gimbal's head in north-east-down at the position of the pose."""
-        R_base_from_head = self.gimbal.R_base_from_head(shot.gimbal_readings)
+    def sight(self, shot: Shot | Station) -> Sight:
+        """Perspective centre in ECEF m, position and both lever arms, and orientation of the camera in ECEF."""
+        station = Station.of(shot) if isinstance(shot, Shot) else shot
+        mount = as_float64(self.mount, "mount")
+        R_base_from_head = self.gimbal.R_base_from_head(station.gimbal_readings)
         if self.gimbal.reference == "level":
-            return shot.pose.levelled(R_base_from_head)
-        R_body_from_base = as_float64(self.mount.R_body_from_base, "mount.R_body_from_base")
-        return shot.pose.R_ned_from_body @ R_body_from_base @ R_base_from_head
+            R_ecef_from_head = product(station.R_ecef_from_level, R_base_from_head)
+        else:
+            R_ecef_from_head = product(product(station.R_ecef_from_body, mount.R_body_from_base), R_base_from_head)
+        lever = turned(station.R_ecef_from_body, mount.lever_body) + turned(R_ecef_from_head, mount.lever_head)
+        return Sight(station.p_ecef + lever, product(R_ecef_from_head, mount.R_head_from_camera))
 
     def R_ned_from_camera(self, shot: Shot) -> Matrix3:
         """Orientation of the camera (right, down, forward) in north-east-down at the position of the pose."""
-        return self.R_ned_from_head(shot) @ as_float64(self.mount.R_head_from_camera, "mount.R_head_from_camera")
+        R_ned_from_ecef = R_ecef_from_ned(as_float64(shot.pose.position, "shot.pose.position")).T
+        return product(R_ned_from_ecef, self.R_ecef_from_camera(shot))
 
     def R_ecef_from_camera(self, shot: Shot) -> Matrix3:
         """Orientation of the camera (right, down, forward) in ECEF."""
-        position = as_float64(shot.pose.position, "shot.pose.position")
-        return R_ecef_from_ned(position) @ self.R_ned_from_camera(shot)
+        return self.sight(shot).R_ecef_from_camera
 
     def perspective_centre(self, shot: Shot) -> Vector3:
         """Perspective centre in ECEF, m: the position of the pose and both lever arms."""
-        position, mount = as_float64((shot.pose.position, self.mount), "sensor")
-        lever_ned = shot.pose.R_ned_from_body @ mount.lever_body + self.R_ned_from_head(shot) @ mount.lever_head
-        return WGS84.to_ecef(position) + R_ecef_from_ned(position) @ lever_ned
+        return self.sight(shot).centre
 
-    def ray_ecef(self, shot: Shot, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
+    def ray_ecef(self, shot: Shot | Station, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
         """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
 
         The direction is given with `hit` and `outside_image` and NaN otherwise; with `invalid_input` (anything that is
@@ -64,25 +78,24 @@ class Sensor(eqx.Module):
         direction_camera, status = sensor.camera.ray(uv)
         usable = valid & ((status == Status.hit) | (status == Status.outside_image))
         direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
-        direction = sensor.R_ecef_from_camera(shot) @ direction_camera
-        origin = sensor.perspective_centre(shot)
+        origin, R_ecef_from_camera = sensor.sight(shot)
+        direction = turned(R_ecef_from_camera, direction_camera)
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(valid, origin, jnp.nan), jnp.where(usable, direction, jnp.nan), status
 
-    def to_camera(self, shot: Shot, p_ecef: Vector3Like) -> Vector3:
+    def to_camera(self, shot: Shot | Station, p_ecef: Vector3Like) -> Vector3:
         """A point in ECEF m as a vector from the perspective centre in the camera frame, m."""
-        p_ecef = as_float64(p_ecef, "p_ecef")
-        return self.R_ecef_from_camera(shot).T @ (p_ecef - self.perspective_centre(shot))
+        return self.sight(shot).to_camera(as_float64(p_ecef, "p_ecef"))
 
-    def project_ecef(self, shot: Shot, p_ecef: Vector3Like, air: Atmosphere | None = None) -> tuple[Pixel, StatusCode]:
+    def project_ecef(
+        self, shot: Shot | Station, p_ecef: Vector3Like, air: Atmosphere | None = None
+    ) -> tuple[Pixel, StatusCode]:
         """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite.
 
         Through the `air`, if given, by which the point seems to lie higher than it is.
         """
         valid, sensor, shot, p_ecef = made_safe(self, shot, p_ecef)
-        if air is not None:
-            p_ecef = apparent_point(sensor.perspective_centre(shot), p_ecef, air)
-        uv, status = sensor.camera.project(sensor.to_camera(shot, p_ecef))
+        uv, status = sensor.camera.project(sensor.sight(shot).to_camera(p_ecef, air))
         return jnp.where(valid, uv, jnp.nan), status_where(~valid, Status.invalid_input, status)
 
     def looking_at(

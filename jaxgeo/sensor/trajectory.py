@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete
-from jaxgeo._numerics import tree_where
+from jaxgeo._numerics import product, tree_where, turned
 from jaxgeo._typing import Flag, Index, Matrix3, Scalar, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.rotations import (
@@ -22,9 +22,10 @@ from jaxgeo.rotations import (
 )
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
-from jaxgeo.sensor.platform import Deflection, Pose, Shot
+from jaxgeo.sensor.platform import Deflection, Pose, Shot, Station
 
 GAP = 10.0  # times the median interval: a longer one is a gap, unless the caller says what is
+LONG = 4096  # knots; of more, only those about a time are looked at
 LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond, nobody can tell which way the body turned
 
 
@@ -159,10 +160,19 @@ class Trajectory(eqx.Module):
         near = self._near(time, later)
         p_ecef, R_ecef_from_body = near.motion(time, later)
         position, deflection = WGS84.to_geodetic(p_ecef), near.deflection(time, later)
-        R_ned_from_body = R_ecef_from_ned(position).T @ R_ecef_from_body
-        R_level_from_body = R_ned_from_body if deflection is None else deflection.R_ned_from_level.T @ R_ned_from_body
+        R_level_from_body = product(R_ecef_from_ned(position).T, R_ecef_from_body)
+        if deflection is not None:
+            R_level_from_body = product(deflection.R_ned_from_level.T, R_level_from_body)
         pose = Pose(position, *heading_pitch_roll_from_R(R_level_from_body), deflection)
         return pose, near.readings(time, later)
+
+    def station(self, time: Scalar, later: Scalar) -> Station:
+        """The same as `state`, seen from the Earth."""
+        near = self._near(time, later)
+        p_ecef, R_ecef_from_body = near.motion(time, later)
+        level = Pose(WGS84.to_geodetic(p_ecef), deflection=near.deflection(time, later))
+        R_ecef_from_level = product(R_ecef_from_ned(level.position), level.R_ned_from_level)
+        return Station(p_ecef, R_ecef_from_body, R_ecef_from_level, near.readings(time, later))
 
     def velocity_ned_at(self, time: ScalarLike) -> Vector3:
         """Velocity over the ground at a time between the knots, m/s in north-east-down."""
@@ -181,17 +191,22 @@ class Trajectory(eqx.Module):
         return jax.jvp(lambda t: self._near(t, later).motion(t, later)[part], (moment,), (one,))
 
     def _near(self, time: Scalar, later: Scalar) -> _Neighbours:
-        """The knots on which the motion at a time depends: two on each side, where there are as many."""
+        """The knots on which the motion at a time depends: two on each side, where there are as many.
+
+        All of them, of a trajectory that is not long: what is made of each is then made once for a crowd of times.
+        """
         times, moment = jax.lax.stop_gradient((self.times, time + later))
         knots = times.shape[0]
         before = jnp.clip(jnp.searchsorted(times, moment, side="right") - 1, 0, knots - 2)
+        if knots <= LONG:
+            return _Neighbours(self, before)
         first = jnp.clip(before - 1, 0, max(knots - 4, 0))
         which = first + jnp.arange(min(knots, 4))
         return _Neighbours(jax.tree.map(lambda x: jnp.asarray(x)[which], self), before - first)
 
 
 class _Neighbours(NamedTuple):
-    """A trajectory of up to four knots, and which of them is the one before the time."""
+    """A trajectory, whole or a few knots of it, and which of its knots is the one before the time."""
 
     knots: Trajectory
     before: Index
@@ -201,28 +216,27 @@ class _Neighbours(NamedTuple):
         times, velocity_ned, rates = self.knots.times, self.knots.velocity_ned, self.knots.body_rates
         p_ecef, R_ecef_from_ned_, R_ecef_from_body = _orientations(self.knots.poses)
         steps, turns = p_ecef[1:] - p_ecef[:-1], _turns(R_ecef_from_body)
-        if velocity_ned is None:
-            velocities = _slopes(times, steps)
-        else:
-            velocities = jnp.einsum("kij,kj->ki", R_ecef_from_ned_, velocity_ned)
-        rates = _slopes(times, turns) if rates is None else rates
+        given = None if velocity_ned is None else jax.vmap(turned)(R_ecef_from_ned_, velocity_ned)
+        velocities = _slopes(times, steps) if given is None else given
+        rates = _slopes(times, turns) if rates is None else jnp.asarray(rates)
+        k, share, duration = self.before, *self._share(time, later)
         # from the earlier knot on, for the last digits of an ECEF coordinate
-        position = p_ecef[self.before] + self._between(time, later, steps, velocities)
-        turn = turns[self.before]
-        at_end = rotation_rate_from_body_rate(turn, rates[self.before + 1])
-        rotation = self._between(time, later, turns, rates.at[self.before + 1].set(at_end))
-        return position, R_ecef_from_body[self.before] @ R_from_rotation_vector(rotation)
+        position = p_ecef[k] + _hermite(share, steps[k], duration * velocities[k], duration * velocities[k + 1])
+        at_end = rotation_rate_from_body_rate(turns[k], rates[k + 1])
+        rotation = _hermite(share, turns[k], duration * rates[k], duration * at_end)
+        return position, product(R_ecef_from_body[k], R_from_rotation_vector(rotation))
 
     def readings(self, time: Scalar, later: Scalar) -> Readings:
         """Gimbal readings, rad."""
-        readings = self.knots.gimbal_readings
+        k, share, duration = self.before, *self._share(time, later)
+        readings = jnp.asarray(self.knots.gimbal_readings)
         steps = readings[1:] - readings[:-1]
-        return readings[self.before] + self._between(time, later, steps, _slopes(self.knots.times, steps))
+        slopes = _slopes(self.knots.times, steps)
+        return readings[k] + _hermite(share, steps[k], duration * slopes[k], duration * slopes[k + 1])
 
     def deflection(self, time: Scalar, later: Scalar) -> Deflection | None:
         """Deflection of the vertical, by straight lines between the knots."""
-        share, _ = self._share(time, later)
-        k = self.before
+        k, share, _ = self.before, *self._share(time, later)
         return jax.tree.map(lambda x: x[k] + share * (x[k + 1] - x[k]), self.knots.poses.deflection)
 
     def _share(self, time: Scalar, later: Scalar) -> tuple[Scalar, Scalar]:
@@ -230,26 +244,20 @@ class _Neighbours(NamedTuple):
         start, end = self.knots.times[self.before], self.knots.times[self.before + 1]
         return ((time - start) + later) / (end - start), end - start
 
-    def _between(self, time: Scalar, later: Scalar, steps: Array, slopes: Array) -> Array:
-        """How far a cubic has gone from the earlier knot: `steps` (between knots) and `slopes` (at them) are given."""
-        share, duration = self._share(time, later)
-        k = self.before
-        return _hermite(share, steps[k], duration * slopes[k], duration * slopes[k + 1])
-
 
 def _orientations(poses: Pose) -> tuple[Array, Array, Array]:
     """ECEF positions (n, 3), R_ecef_from_ned and R_ecef_from_body (n, 3, 3) of poses."""
 
     def one(pose: Pose) -> tuple[Vector3, Matrix3, Matrix3]:
         R = R_ecef_from_ned(pose.position)
-        return WGS84.to_ecef(pose.position), R, R @ pose.R_ned_from_body
+        return WGS84.to_ecef(pose.position), R, product(R, pose.R_ned_from_body)
 
     return jax.vmap(one)(poses)
 
 
 def _turns(R_ecef_from_body: Array) -> Array:
     """Rotation vectors (n - 1, 3) from each orientation to the next, the same in the body axes of both."""
-    return jax.vmap(lambda a, b: rotation_vector_from_R(a.T @ b))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
+    return jax.vmap(lambda a, b: rotation_vector_from_R(product(a.T, b)))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
 
 
 def _slopes(times: Array, steps: Array) -> Array:
