@@ -38,6 +38,7 @@ NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
     "_doors.py": "looks at concrete values before they are traced",
     "fix.py": "puts fixes into plain numbers and words",
+    "sensor/_legs.py": "which knots are neighbours, a constant of the program",
     "sensor/camera.py": "constants and checks of records, outside any trace",
     "sensor/gimbal.py": "the same",
     "sensor/platform.py": "the same",

@@ -20,6 +20,7 @@ from jaxgeo._numerics import (
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.sensor._legs import Legs
 from jaxgeo.sensor.platform import Shot, Station
 from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
@@ -41,7 +42,7 @@ class Scene(NamedTuple):
     """All that the delay of a point depends on; `time` in s is that of the image, `p_ecef` the point in m."""
 
     sensor: Sensor
-    trajectory: Trajectory
+    legs: Legs
     time: Scalar
     p_ecef: Vector3
     air: Atmosphere | None
@@ -100,14 +101,14 @@ def _station(motion: Trajectory, time: Scalar, later: Scalar) -> tuple[Station, 
     covered = motion.covers(time, later)
     status = status_where(covered, Status.hit, Status.outside_trajectory.code)
     moment = tree_where(known & covered, (time, later), (motion.start, jnp.zeros_like(later)))
-    return motion.station(*moment), jnp.where(known, status, Status.invalid_input.code)
+    return motion.legs_about(*moment).station(*moment), jnp.where(known, status, Status.invalid_input.code)
 
 
 def _image_in_motion(
     sensor: Sensor, motion: Trajectory, time: Scalar, exposure: Exposure, p_ecef: Vector3, air: Atmosphere | None
 ) -> tuple[Pixel, StatusCode, Vector3]:
     valid, sensor, (motion, time, exposure), p_ecef = made_safe(sensor, (motion, time, exposure), p_ecef)
-    scene = Scene(sensor, motion, time, p_ecef, air)
+    scene = Scene(sensor, motion.legs(), time, p_ecef, air)
     moment, unseen = _moment(scene, exposure)
     sight = _sight(scene, moment)
     uv, delay, status = _image(scene, sight, moment)
@@ -121,7 +122,8 @@ def _image_in_motion(
 def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
     """When the point is exposed, in s after the time of the image; some time, and why, where no crossing is found."""
     frozen, (begin, end) = jax.lax.stop_gradient((scene, exposure))
-    duration, before, after = end - begin, frozen.trajectory.start - frozen.time, frozen.trajectory.end - frozen.time
+    times = frozen.legs.times
+    duration, before, after = end - begin, times[0] - frozen.time, times[-1] - frozen.time
     low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
     high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
     overlaps = low < high
@@ -207,7 +209,7 @@ def _delay(moment: Scalar, scene: Scene) -> Scalar:
 
 
 def _sight(scene: Scene, moment: Scalar) -> Sight:
-    return scene.sensor.sight(scene.trajectory.station(scene.time, moment))
+    return scene.sensor.sight(scene.legs.station(scene.time, moment))
 
 
 def _image(scene: Scene, sight: Sight, moment: Scalar) -> tuple[Pixel, Scalar, StatusCode]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,17 +12,13 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._numerics import product, tree_where, turned
-from jaxgeo._typing import Flag, Index, Matrix3, Scalar, ScalarLike, Vector3, Vector3Field
+from jaxgeo._typing import Flag, Scalar, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, R_ecef_from_ned
-from jaxgeo.rotations import (
-    R_from_rotation_vector,
-    heading_pitch_roll_from_R,
-    rotation_rate_from_body_rate,
-    rotation_vector_from_R,
-)
+from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
+from jaxgeo.sensor._legs import Legs, knot_before, turn_angles
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
-from jaxgeo.sensor.platform import Deflection, Pose, Shot, Station
+from jaxgeo.sensor.platform import Pose, Shot
 
 GAP = 10.0  # times the median interval: a longer one is a gap, unless the caller says what is
 LONG = 4096  # knots; of more, only those about a time are looked at
@@ -103,21 +99,8 @@ class Trajectory(eqx.Module):
         for vector, name in ((velocity_ned, "velocity_ned"), (turning, "body_rates")):
             if vector.shape != (3,):
                 raise ValueError(f"{name} must be one vector of shape (3,); got {vector.shape}.")
-        R_ecef_from_level = R_ecef_from_ned(shot.pose.position)
-        start, velocity = WGS84.to_ecef(shot.pose.position), R_ecef_from_level @ velocity_ned
-        R_ecef_from_body = R_ecef_from_level @ shot.pose.R_ned_from_body
-
-        def knot(later: Scalar) -> tuple[Pose, Readings, Vector3]:
-            position = WGS84.to_geodetic(start + later * velocity)
-            R_ned_from_ecef = R_ecef_from_ned(position).T
-            R = R_ned_from_ecef @ R_ecef_from_body @ R_from_rotation_vector(later * turning)
-            level = shot.pose.deflection
-            R = R if level is None else level.R_ned_from_level.T @ R
-            pose = Pose(position, *heading_pitch_roll_from_R(R), level)
-            return pose, shot.gimbal_readings + later * moving, R_ned_from_ecef @ velocity
-
         offsets = jnp.stack([-before, after])
-        poses, readings, velocities = jax.vmap(knot)(offsets)
+        poses, readings, velocities = _straight_on(shot, velocity_ned, turning, moving, offsets)
         rates = jnp.stack([turning, turning])
         return cls.from_knots(shot.time + offsets, poses, readings, velocity_ned=velocities, body_rates=rates)
 
@@ -145,138 +128,79 @@ class Trajectory(eqx.Module):
 
         `later` is added to the time without the loss of its digits (a second of the week leaves 6e-11 s).
         """
-        time, later = as_float64((time, later), "time")
-        inside = self.covers(time, later)
-        pose, readings = self.state(*tree_where(inside, (time, later), (self.start, jnp.zeros_like(later))))
-        unknown = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), (pose, readings))
-        return Shot(*tree_where(inside, (pose, readings), unknown), time + later)
+        return _shot(self, *as_float64((time, later), "time"))
 
     def covers(self, time: Scalar, later: Scalar) -> Flag:
         """Whether a time, and a little later, lies between the first knot and the last."""
         return (later >= self.start - time) & (later <= self.end - time)
 
-    def state(self, time: Scalar, later: Scalar) -> tuple[Pose, Readings]:
-        """Pose and gimbal readings at a time; beyond the first knot and the last the motion goes on as a cubic."""
-        near = self._near(time, later)
-        p_ecef, R_ecef_from_body = near.motion(time, later)
-        position, deflection = WGS84.to_geodetic(p_ecef), near.deflection(time, later)
-        R_level_from_body = product(R_ecef_from_ned(position).T, R_ecef_from_body)
-        if deflection is not None:
-            R_level_from_body = product(deflection.R_ned_from_level.T, R_level_from_body)
-        pose = Pose(position, *heading_pitch_roll_from_R(R_level_from_body), deflection)
-        return pose, near.readings(time, later)
+    def legs(self) -> Legs:
+        """The cubic motion from each knot to the next."""
+        return Legs.of(self.times, self.poses, jnp.asarray(self.gimbal_readings), self.velocity_ned, self.body_rates)
 
-    def station(self, time: Scalar, later: Scalar) -> Station:
-        """The same as `state`, seen from the Earth."""
-        near = self._near(time, later)
-        p_ecef, R_ecef_from_body = near.motion(time, later)
-        level = Pose(WGS84.to_geodetic(p_ecef), deflection=near.deflection(time, later))
-        R_ecef_from_level = product(R_ecef_from_ned(level.position), level.R_ned_from_level)
-        return Station(p_ecef, R_ecef_from_body, R_ecef_from_level, near.readings(time, later))
+    def legs_about(self, time: Scalar, later: Scalar) -> Legs:
+        """The legs on which the motion at a time depends; all, of a trajectory that is not long.
+
+        Those are made once for a crowd of times, and of a long one for each time anew.
+        """
+        knots = self.times.shape[0]
+        if knots <= LONG:
+            return self.legs()
+        first = jnp.clip(knot_before(self.times, time, later) - 1, 0, knots - 4)
+        return jax.tree.map(lambda x: jnp.asarray(x)[first + jnp.arange(4)], self).legs()
 
     def velocity_ned_at(self, time: ScalarLike) -> Vector3:
         """Velocity over the ground at a time between the knots, m/s in north-east-down."""
-        p_ecef, velocity = self._motion_and_change(time, 0)
+        (p_ecef, _), (velocity, _) = _motion_and_change(self, as_float64(time, "time"))
         return R_ecef_from_ned(WGS84.to_geodetic(p_ecef)).T @ velocity
 
     def body_rates_at(self, time: ScalarLike) -> Vector3:
         """Rates of the body against the Earth at a time between the knots, rad/s about forward, right and down."""
-        R, turn = self._motion_and_change(time, 1)
+        (_, R), (_, turn) = _motion_and_change(self, as_float64(time, "time"))
         spin = R.T @ turn
         return jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
 
-    def _motion_and_change(self, time: ScalarLike, part: int) -> tuple[Array, Array]:
-        moment: Any = as_float64(time, "time")
-        later, one = jnp.zeros_like(moment), jnp.ones_like(moment)
-        return jax.jvp(lambda t: self._near(t, later).motion(t, later)[part], (moment,), (one,))
 
-    def _near(self, time: Scalar, later: Scalar) -> _Neighbours:
-        """The knots on which the motion at a time depends: two on each side, where there are as many.
+@jax.jit
+def _straight_on(
+    shot: Shot, velocity_ned: Vector3, turning: Vector3, moving: Readings, offsets: Array
+) -> tuple[Pose, Array, Array]:
+    """Poses, gimbal readings and velocities (NED) at times after a shot that goes on steadily."""
+    R_ecef_from_ned_ = R_ecef_from_ned(shot.pose.position)
+    start, velocity = WGS84.to_ecef(shot.pose.position), turned(R_ecef_from_ned_, velocity_ned)
+    R_ecef_from_body = product(R_ecef_from_ned_, shot.pose.R_ned_from_body)
+    deflection, R_ned_from_level = shot.pose.deflection, shot.pose.R_ned_from_level
 
-        All of them, of a trajectory that is not long: what is made of each is then made once for a crowd of times.
-        """
-        times, moment = jax.lax.stop_gradient((self.times, time + later))
-        knots = times.shape[0]
-        before = jnp.clip(jnp.searchsorted(times, moment, side="right") - 1, 0, knots - 2)
-        if knots <= LONG:
-            return _Neighbours(self, before)
-        first = jnp.clip(before - 1, 0, max(knots - 4, 0))
-        which = first + jnp.arange(min(knots, 4))
-        return _Neighbours(jax.tree.map(lambda x: jnp.asarray(x)[which], self), before - first)
+    def at(later: Scalar) -> tuple[Pose, Readings, Vector3]:
+        position = WGS84.to_geodetic(start + later * velocity)
+        R_ned_from_ecef = R_ecef_from_ned(position).T
+        R = product(R_ned_from_ecef, product(R_ecef_from_body, R_from_rotation_vector(later * turning)))
+        heading, pitch, roll = heading_pitch_roll_from_R(product(R_ned_from_level.T, R))
+        pose = Pose(position, heading, pitch, roll, deflection)
+        return pose, shot.gimbal_readings + later * moving, turned(R_ned_from_ecef, velocity)
 
-
-class _Neighbours(NamedTuple):
-    """A trajectory, whole or a few knots of it, and which of its knots is the one before the time."""
-
-    knots: Trajectory
-    before: Index
-
-    def motion(self, time: Scalar, later: Scalar) -> tuple[Vector3, Matrix3]:
-        """Position in ECEF m, and R_ecef_from_body."""
-        times, velocity_ned, rates = self.knots.times, self.knots.velocity_ned, self.knots.body_rates
-        p_ecef, R_ecef_from_ned_, R_ecef_from_body = _orientations(self.knots.poses)
-        steps, turns = p_ecef[1:] - p_ecef[:-1], _turns(R_ecef_from_body)
-        given = None if velocity_ned is None else jax.vmap(turned)(R_ecef_from_ned_, velocity_ned)
-        velocities = _slopes(times, steps) if given is None else given
-        rates = _slopes(times, turns) if rates is None else jnp.asarray(rates)
-        k, share, duration = self.before, *self._share(time, later)
-        # from the earlier knot on, for the last digits of an ECEF coordinate
-        position = p_ecef[k] + _hermite(share, steps[k], duration * velocities[k], duration * velocities[k + 1])
-        at_end = rotation_rate_from_body_rate(turns[k], rates[k + 1])
-        rotation = _hermite(share, turns[k], duration * rates[k], duration * at_end)
-        return position, product(R_ecef_from_body[k], R_from_rotation_vector(rotation))
-
-    def readings(self, time: Scalar, later: Scalar) -> Readings:
-        """Gimbal readings, rad."""
-        k, share, duration = self.before, *self._share(time, later)
-        readings = jnp.asarray(self.knots.gimbal_readings)
-        steps = readings[1:] - readings[:-1]
-        slopes = _slopes(self.knots.times, steps)
-        return readings[k] + _hermite(share, steps[k], duration * slopes[k], duration * slopes[k + 1])
-
-    def deflection(self, time: Scalar, later: Scalar) -> Deflection | None:
-        """Deflection of the vertical, by straight lines between the knots."""
-        k, share, _ = self.before, *self._share(time, later)
-        return jax.tree.map(lambda x: x[k] + share * (x[k + 1] - x[k]), self.knots.poses.deflection)
-
-    def _share(self, time: Scalar, later: Scalar) -> tuple[Scalar, Scalar]:
-        """The share of the interval behind the earlier knot that has passed, and its duration in s."""
-        start, end = self.knots.times[self.before], self.knots.times[self.before + 1]
-        return ((time - start) + later) / (end - start), end - start
+    return jax.vmap(at)(offsets)
 
 
-def _orientations(poses: Pose) -> tuple[Array, Array, Array]:
-    """ECEF positions (n, 3), R_ecef_from_ned and R_ecef_from_body (n, 3, 3) of poses."""
-
-    def one(pose: Pose) -> tuple[Vector3, Matrix3, Matrix3]:
-        R = R_ecef_from_ned(pose.position)
-        return WGS84.to_ecef(pose.position), R, product(R, pose.R_ned_from_body)
-
-    return jax.vmap(one)(poses)
-
-
-def _turns(R_ecef_from_body: Array) -> Array:
-    """Rotation vectors (n - 1, 3) from each orientation to the next, the same in the body axes of both."""
-    return jax.vmap(lambda a, b: rotation_vector_from_R(product(a.T, b)))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
-
-
-def _slopes(times: Array, steps: Array) -> Array:
-    """Derivatives (n, ...) at knots of the parabolas through them and their neighbours, from the steps between them."""
-    knots = times.shape[0]
-    durations = times[1:] - times[:-1]
-    speeds = steps / durations[:, None]
-    if knots == 2:
-        return jnp.concatenate([speeds, speeds])
-    first = np.clip(np.arange(knots) - 1, 0, knots - 3)
-    a, b, c = (times[first + k] for k in range(3))
-    weight = (2.0 * times - a - b) / (c - a)
-    return speeds[first] + weight[:, None] * (speeds[first + 1] - speeds[first])
+@jax.jit
+def _shot(trajectory: Trajectory, time: Scalar, later: Scalar) -> Shot:
+    inside = trajectory.covers(time, later)
+    moment = tree_where(inside, (time, later), (trajectory.start, jnp.zeros_like(later)))
+    legs = trajectory.legs_about(*moment)
+    station, deflection = legs.station(*moment), legs.deflection_at(*moment)
+    R_level_from_body = product(station.R_ecef_from_level.T, station.R_ecef_from_body)
+    position = WGS84.to_geodetic(station.p_ecef)
+    heading, pitch, roll = heading_pitch_roll_from_R(R_level_from_body)
+    known = Pose(position, heading, pitch, roll, deflection), station.gimbal_readings
+    unknown = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), known)
+    return Shot(*tree_where(inside, known, unknown), time + later)
 
 
-def _hermite(share: Scalar, change: Array, begin: Array, end: Array) -> Array:
-    """A cubic from 0 to `change` while `share` goes from 0 to 1, with the derivatives `begin` and `end`."""
-    rest = 1.0 - share
-    return share * (share * (3.0 - 2.0 * share) * change + rest * (rest * begin - share * end))
+@jax.jit
+def _motion_and_change(trajectory: Trajectory, time: Scalar) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """(position in ECEF m, R_ecef_from_body) and their derivatives by time."""
+    legs, later, one = trajectory.legs(), jnp.zeros_like(time), jnp.ones_like(time)
+    return jax.jvp(lambda t: legs.motion(t, later), (time,), (one,))
 
 
 def _check_lengths(times: Array, poses: Pose, readings: Array, *vectors: Array | None) -> None:
@@ -314,8 +238,7 @@ def _check_times(times: Array, longest_gap: float | None) -> None:
 
 
 def _check_turns(trajectory: Trajectory) -> None:
-    _, _, R_ecef_from_body = _orientations(trajectory.poses)
-    turns = concrete(jnp.linalg.norm(_turns(R_ecef_from_body), axis=1))
+    turns = concrete(turn_angles(trajectory.poses))
     if turns is not None and np.any(turns > LARGEST_TURN):
         knot = int(np.argmax(turns > LARGEST_TURN)) + 1
         raise ValueError(
