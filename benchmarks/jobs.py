@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -129,3 +130,20 @@ def _content(terrain: TangentTerrain, sight: Sight) -> str:
 
 __all__ = ["CACHE", "MOST", "SPACING", "Job", "Sight", "TangentTerrain", "bundle", "mountain_job", "mountains"]
 __all__ += ["random_job", "rough_terrain", "sights", "subset", "with_runway"]
+
+
+def sweep_over(terrain: TangentTerrain) -> tuple[Any, Any]:
+    """A sensor that sweeps the terrain from 15 km in 2 s, and its flight at 220 m/s, the attitude swinging."""
+    from jaxgeo import Geodetic, Pose, Trajectory, enable_x64
+    from jaxgeo.sensor.conventions import li_2023_sweep_sensor
+
+    enable_x64()
+    scan = {"scan_start": np.deg2rad(-25.0), "scan_end": np.deg2rad(-65.0), "duration": 2.0}
+    sensor = li_2023_sweep_sensor(focal_length=1.9, pixel_pitch=8e-6, width=7584, height=48836, **scan)
+    times, height = np.linspace(-0.1, 2.1, 221), 15_000.0
+    lat = terrain.lat + height / np.tan(np.deg2rad(40.0)) / 6.37e6  # it looks to the right, southwards
+    lon = terrain.lon + (times - 1.0) * 220.0 / (6.37e6 * np.cos(terrain.lat))
+    position = Geodetic(lat=np.full(times.size, lat), lon=lon, height=np.full(times.size, height))
+    swing = [np.deg2rad(size) * np.sin(rate * times) for size, rate in ((0.2, 2.0), (0.3, 3.0), (0.5, 4.0))]
+    pose = Pose(position, 0.5 * np.pi + swing[0], swing[1], swing[2])
+    return sensor, Trajectory.from_knots(times, pose, np.tile([0.5 * np.pi, 0.0], (times.size, 1)))

@@ -88,21 +88,59 @@ def air(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
         run = jax.jit(jax.vmap(lambda ray, dem, air: jaxgeo.intersect(ray, dem, atmosphere=air), (0, None, None)))
         return lambda: run(batch, dem, air)
 
-    timings, fixes, others = _raced({"straight": through(None), "bent": through(jaxgeo.Atmosphere())}, repeats)
-    columns = [
-        Column("rays"),
-        Column("rate", "M rays/s", "higher"),
-        Column("of the straight ones' rate", "%", "higher"),
-        Column("spread", "% of the median", "lower"),
-        Column("hits", "% of the rays"),
+    runs = {"straight": through(None), "bent": through(jaxgeo.Atmosphere())}
+    return [_beside_the_first(f"{job.sight.start.size} rays through the air", runs, job.sight.start.size, repeats)]
+
+
+def motion(pixels: int, repeats: int) -> list[Table]:
+    """Pixels of a sweep to the ground and back: all rows from one shot, and each from its own place in a flight."""
+    import jax
+    from peers.ours import dem_of
+
+    import jaxgeo
+
+    terrain = jobs.mountains()
+    sensor, flight = jobs.sweep_over(terrain)
+    dem = jax.block_until_ready(dem_of(terrain))
+    camera: Any = sensor.camera
+    uv = np.random.default_rng(4).uniform([0.0, 0.0], [camera.width - 1.0, camera.height - 1.0], (pixels, 2))
+    locate = jax.jit(jax.vmap(jaxgeo.locate, in_axes=(None, None, 0, None)))
+    through = jax.jit(
+        jax.vmap(lambda *given: jaxgeo.locate(*given[:-1], atmosphere=given[-1]), (None, None, 0, None, None))
+    )
+    project = jax.jit(jax.vmap(jaxgeo.project, in_axes=(None, None, 0)))
+    shot, air = flight.at(1.0), jaxgeo.Atmosphere()
+    there = {
+        "one shot": lambda: locate(sensor, shot, uv, dem),
+        "trajectory": lambda: locate(sensor, flight, uv, dem),
+        "trajectory and air": lambda: through(sensor, flight, uv, dem, air),
+    }
+    ground = locate(sensor, flight, uv, dem).position
+    back = {"one shot": lambda: project(sensor, shot, ground), "trajectory": lambda: project(sensor, flight, ground)}
+    return [
+        _beside_the_first(f"{pixels} pixels of a sweep to the ground", there, pixels, repeats),
+        _beside_the_first(f"{pixels} points on the ground to pixels of a sweep", back, pixels, repeats),
     ]
-    table = Table(f"{job.sight.start.size} rays through the air", columns)
+
+
+def _beside_the_first(title: str, runs: dict[str, Callable[[], Any]], count: int, repeats: int) -> Table:
+    """Rates of several ways, as shares of that of the first."""
+    timings, answers, others = _raced(runs, repeats)
+    first = next(iter(runs))
+    columns = [
+        Column("way"),
+        Column("rate", "M/s", "higher"),
+        Column(f"of the rate of {first}", "%", "higher"),
+        Column("spread", "% of the median", "lower"),
+        Column("hits", "%"),
+    ]
+    table = Table(title, columns)
     for name, timing in timings.items():
-        share = 100.0 * timings["straight"].median / timing.median
-        hits = 100.0 * float(np.mean(np.asarray(fixes[name].ok)))
-        table.rows.append([name, 1e-6 * job.sight.start.size / timing.median, share, 100.0 * timing.spread, hits])
+        share = 100.0 * timings[first].median / timing.median
+        hits = 100.0 * float(np.mean(np.asarray(answers[name].ok)))
+        table.rows.append([name, 1e-6 * count / timing.median, share, 100.0 * timing.spread, hits])
     table.notes.append(others)
-    return [table]
+    return table
 
 
 def _raced(runs: dict[str, Callable[[], Any]], repeats: int) -> tuple[dict[str, measuring.Timing], dict[str, Any], str]:

@@ -32,6 +32,7 @@ PARTS = {
     "f": "where a ray's time goes",
     "g": "more than one core",
     "h": "rays bent by the air",
+    "i": "pixels of a sweep: from one shot, from a trajectory",
 }
 
 
@@ -39,7 +40,7 @@ def _options() -> argparse.Namespace:
     letters = "; ".join(f"{letter}: {what}" for letter, what in PARTS.items())
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default=",".join(PARTS), help=letters)
-    parser.add_argument("--rays", type=int, default=jobs.MOST, help=f"rays of a, b, c, f, g, h; a: at most {jobs.MOST}")
+    parser.add_argument("--rays", type=int, default=jobs.MOST, help=f"rays of a, b, c, f to i; a: at most {jobs.MOST}")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--peers", default=",".join(peers.FILES), help="which contenders of part a")
     parser.add_argument("--side", default="501,1001,2001,4001,8001", help="sides of part b, posts")
@@ -75,6 +76,7 @@ def main() -> None:
         "f": lambda: parts.stages(o.rays, o.repeats, o.cache),
         "g": lambda: parts.cores(o.rays, o.repeats, o.cache),
         "h": lambda: parts.air(o.rays, o.repeats, o.cache),
+        "i": lambda: parts.motion(o.rays, o.repeats),
     }
     machine = measuring.machine()
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
