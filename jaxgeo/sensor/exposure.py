@@ -9,8 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import (
-    all_finite,
-    finite_or,
     implicit_root,
     newton_or_half,
     safe_sqrt,
@@ -21,7 +19,7 @@ from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._legs import Legs
-from jaxgeo.sensor.platform import Shot, Station
+from jaxgeo.sensor.platform import Shot
 from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, status_where
@@ -64,7 +62,7 @@ def line_of_sight(
     """`Sensor.ray_ecef` of a pixel; on a trajectory from where it is exposed, `time_of(uv)` after `time` in s."""
     if isinstance(motion, Shot):
         return sensor.ray_ecef(motion, uv)
-    return _ray_in_motion(sensor, motion, time, sensor.camera.time_of(uv), uv)
+    return _ray_in_motion(sensor, motion, time, uv)
 
 
 def image_of_point(
@@ -80,28 +78,27 @@ def image_of_point(
         return *sensor.project_ecef(motion, p_ecef, air), sensor.perspective_centre(motion)
     if exposure is not None:
         return _image_in_motion(sensor, motion, time, exposure, p_ecef, air)
-    station, timing = _station(motion, time, jnp.zeros_like(time))
-    uv, status = sensor.project_ecef(station, p_ecef, air)
-    status = first_failure(timing, status)
-    return jnp.where(timing == Status.hit, uv, jnp.nan), status, sensor.sight(station).centre
+    valid, sensor, (motion, time), p_ecef = made_safe(sensor, (motion, time), p_ecef)
+    sight, status = _sight_at(sensor, motion, time, jnp.zeros_like(time))
+    uv, seen = sensor.camera.project(sight.to_camera(p_ecef, air))
+    status = status_where(~valid, Status.invalid_input, first_failure(status, seen))
+    has_image = (status == Status.hit) | (status == Status.outside_image)
+    return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
 
 
-def _ray_in_motion(
-    sensor: Sensor, motion: Trajectory, time: Scalar, later: Scalar, uv: Pixel
-) -> tuple[Vector3, Vector3, StatusCode]:
-    station, timing = _station(motion, time, later)
-    origin, direction, status = sensor.ray_ecef(station, uv)
-    return origin, direction, first_failure(timing, status)
+def _ray_in_motion(sensor: Sensor, motion: Trajectory, time: Scalar, uv: Pixel) -> tuple[Vector3, Vector3, StatusCode]:
+    valid, sensor, (motion, time), uv = made_safe(sensor, (motion, time), uv)
+    sight, timing = _sight_at(sensor, motion, time, sensor.camera.time_of(uv))
+    origin, direction, status = sensor.ray_from(sight, uv, valid)
+    return origin, direction, first_failure(jnp.where(valid, timing, status), status)
 
 
-def _station(motion: Trajectory, time: Scalar, later: Scalar) -> tuple[Station, StatusCode]:
-    """Where the sensor is a little `later` than `time`, both in s; with any status but `hit`, where it begins."""
-    known = jnp.isfinite(time) & jnp.isfinite(later) & all_finite(motion)
-    motion = finite_or(motion, 1.0)
+def _sight_at(sensor: Sensor, motion: Trajectory, time: Scalar, later: Scalar) -> tuple[Sight, StatusCode]:
+    """The camera a little `later` than `time`, both in s; where no record covers that, as it begins."""
     covered = motion.covers(time, later)
+    moment = tree_where(covered, (time, later), (motion.start, jnp.zeros_like(later)))
     status = status_where(covered, Status.hit, Status.outside_trajectory.code)
-    moment = tree_where(known & covered, (time, later), (motion.start, jnp.zeros_like(later)))
-    return motion.legs_about(*moment).station(*moment), jnp.where(known, status, Status.invalid_input.code)
+    return sensor.sight(motion.legs_about(*moment).station(*moment)), status
 
 
 def _image_in_motion(

@@ -68,28 +68,29 @@ class Sensor(eqx.Module):
         """Perspective centre in ECEF, m: the position of the pose and both lever arms."""
         return self.sight(shot).centre
 
-    def ray_ecef(self, shot: Shot | Station, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
+    def ray_ecef(self, shot: Shot, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
         """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
 
         The direction is given with `hit` and `outside_image` and NaN otherwise; with `invalid_input` (anything that is
         not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
         """
         valid, sensor, shot, uv = made_safe(self, shot, uv)
-        direction_camera, status = sensor.camera.ray(uv)
+        return sensor.ray_from(sensor.sight(shot), uv, valid)
+
+    def ray_from(self, sight: Sight, uv: Pixel, valid: Flag) -> tuple[Vector3, Vector3, StatusCode]:
+        """`ray_ecef` of numbers that are finite, from where the camera is; `valid` says whether they all were."""
+        direction_camera, status = self.camera.ray(uv)
         usable = valid & ((status == Status.hit) | (status == Status.outside_image))
         direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
-        origin, R_ecef_from_camera = sensor.sight(shot)
-        direction = turned(R_ecef_from_camera, direction_camera)
+        origin, direction = sight.centre, turned(sight.R_ecef_from_camera, direction_camera)
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(valid, origin, jnp.nan), jnp.where(usable, direction, jnp.nan), status
 
-    def to_camera(self, shot: Shot | Station, p_ecef: Vector3Like) -> Vector3:
+    def to_camera(self, shot: Shot, p_ecef: Vector3Like) -> Vector3:
         """A point in ECEF m as a vector from the perspective centre in the camera frame, m."""
         return self.sight(shot).to_camera(as_float64(p_ecef, "p_ecef"))
 
-    def project_ecef(
-        self, shot: Shot | Station, p_ecef: Vector3Like, air: Atmosphere | None = None
-    ) -> tuple[Pixel, StatusCode]:
+    def project_ecef(self, shot: Shot, p_ecef: Vector3Like, air: Atmosphere | None = None) -> tuple[Pixel, StatusCode]:
         """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite.
 
         Through the `air`, if given, by which the point seems to lie higher than it is.
