@@ -49,6 +49,8 @@ def observation(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sen
     if isinstance(shot, Shot) and time is not None:
         raise ValueError("time goes with a Trajectory; a Shot is a moment already. Leave one of them out.")
     sensor, shot = as_float64(sensor, "sensor"), as_float64(shot, "shot")
+    if isinstance(shot, Trajectory) and jnp.ndim(shot.times) != 1:
+        raise ValueError(f"shot must be one trajectory; its times have the shape {shot.times.shape}. Use jax.vmap.")
     position = shot.pose.position if isinstance(shot, Shot) else shot.poses.position
     check_latitude(position, "shot.pose.position")
     moment = jnp.asarray(as_float64(0.0 if time is None else time, "time"))

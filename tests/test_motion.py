@@ -134,6 +134,7 @@ def test_from_pixel_to_rough_ground_and_back(name):
     np.testing.assert_allclose(np.asarray(back.uv)[ok], uv[ok], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_comes_back_is_inverse_to_first_order():
     """d pixel / d ground times d ground / d pixel is one."""
     sensor, flight, _ = SCENES["sweep"]
@@ -194,6 +195,7 @@ def test_derivatives_by_time_tag_velocity_and_rates_equal_differences():
                 np.testing.assert_allclose(predicted, difference, rtol=0, atol=1e-6, err_msg=name)
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_knot_equal_differences():
     """Of the pixel of a point that the sweep sees: all that is in its trajectory, two knots on each side."""
     sensor, flight, _ = SCENES["sweep"]
@@ -318,15 +320,18 @@ def test_points_no_row_sees_are_told_from_those_beside_the_image_and_outside_the
     ):
         assert Status(int(located(jnp.array(uv), jnp.asarray(time)))) == expected
 
-    def total(flight):  # whatever fails, gradients are finite
+    def total(flight, sensor):  # whatever fails, gradients are finite
         points = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(v, float) for v in x]), *(c[0] for c in cases.values()))
         times = jnp.array([c[1] for c in cases.values()])
         answers = jax.vmap(lambda p, t: project(sensor, flight, p, time=t))(points, times)
         return jnp.sum(jnp.where(answers.ok[:, None], answers.uv, 0.0))
 
-    gradient = jax.jit(jax.grad(total))(flight)
-    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves(gradient))
+    slope = jax.jit(jax.grad(total, argnums=(0, 1)))
+    gradient, by_sensor = slope(flight, sensor)
+    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves((gradient, by_sensor)))
     assert float(jnp.linalg.norm(gradient.poses.heading)) > 0.0
+    lost = eqx.tree_at(lambda f: f.times, flight, jnp.full_like(flight.times, jnp.nan))
+    assert all(bool(jnp.all(leaf == 0.0)) for leaf in jax.tree.leaves(slope(lost, sensor)))
 
 
 def test_where_the_motion_turns_back_over_the_ground_the_first_row_answers():
@@ -356,6 +361,34 @@ def test_where_the_motion_turns_back_over_the_ground_the_first_row_answers():
     for k in np.flatnonzero(~later)[::8]:  # no row before the answer sees the point: north of it always, or south
         before = np.asarray(rows) < float(back.uv[k, 1]) - 5.0
         assert np.ptp(np.sign(ground[before] - ground[k])) == 0 if np.any(before) else True
+
+
+@pytest.mark.slow
+def test_a_lively_flight_is_seen_by_every_row_that_sees():
+    """Many swings within one exposure, ground that is seen several times, also off the side of the image."""
+    since = np.arange(-0.5, 10.5, 0.05)
+    swing = [np.deg2rad(a) * np.sin(2.0 * np.pi * since / p) for a, p in ((5.0, 2.0), (4.0, 1.1), (8.0, 1.7))]
+    north = 0.87 + 8.0 * since / 6.375e6
+    position = Geodetic(lat=north, lon=np.full(since.size, 0.14), height=np.full(since.size, 100.0))
+    heading, pitch, roll = swing
+    flight = Trajectory.from_knots(since, Pose(position, heading, pitch, roll))
+    camera = PushbroomCamera.from_metric(
+        focal_length=0.012, pixel_pitch=1e-5, width=1000, height=4000, line_time=2.5e-3, principal_point=(0.0, -1e-3)
+    )
+    sensor, level, air = Sensor(camera, Gimbal.fixed()), ConstantHeight(0.0), Atmosphere()
+
+    def there_and_back(uv):
+        fix = locate(sensor, flight, uv, level, atmosphere=air)
+        back = project(sensor, flight, fix.position, atmosphere=air)
+        again = locate(sensor, flight, back.uv, level, atmosphere=air)
+        return fix.ok, back, jnp.linalg.norm(again.ecef - fix.ecef)
+
+    uv = jnp.asarray(some_pixels(camera, 300))
+    ok, back, apart = jax.jit(jax.vmap(there_and_back))(uv)
+    assert np.all(ok)
+    assert np.mean(back.ok) > 0.98  # of more than three crossings those on the image may come last
+    assert np.all(np.asarray(apart)[np.asarray(back.ok)] < 1e-6)
+    assert np.mean(np.asarray(back.uv[:, 1] < uv[:, 1] - 1.0)) > 0.1
 
 
 def test_through_the_air_in_motion():

@@ -88,7 +88,7 @@ class Legs(NamedTuple):
     def _place(self, time: Scalar, later: Scalar) -> tuple[Index, Scalar, Scalar]:
         """The knot before a time, the share of the leg behind it that has passed, and its duration in s."""
         k = knot_before(self.times, time, later)
-        duration = self.times[k + 1] - self.times[k]
+        duration = _not_zero(self.times[k + 1] - self.times[k])
         return k, ((time - self.times[k]) + later) / duration, duration
 
 
@@ -124,13 +124,18 @@ def _slopes(times: Array, steps: Array) -> Array:
     """Derivatives (n, ...) at knots of the parabolas through them and their neighbours, from the steps between them."""
     knots = times.shape[0]
     durations = times[1:] - times[:-1]
-    speeds = steps / durations[:, None]
+    speeds = steps / _not_zero(durations)[:, None]
     if knots == 2:
         return jnp.concatenate([speeds, speeds])
     first = np.clip(np.arange(knots) - 1, 0, knots - 3)
     a, b, c = (times[first + k] for k in range(3))
-    weight = (2.0 * times - a - b) / (c - a)
+    weight = (2.0 * times - a - b) / _not_zero(c - a)
     return speeds[first] + weight[:, None] * (speeds[first + 1] - speeds[first])
+
+
+def _not_zero(durations: Array) -> Array:
+    """Durations, or one for those between records of one time, which only traced values can have."""
+    return jnp.where(durations == 0.0, 1.0, durations)
 
 
 def _hermite(share: Scalar, change: Array, begin: Array, end: Array) -> Array:

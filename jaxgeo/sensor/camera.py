@@ -62,7 +62,7 @@ class AbstractCamera(eqx.Module):
         """(pixel, delay, status) of a point in the camera frame as that lies at `time`, in s after that of the shot.
 
         `delay` in s is zero where the point is exposed at that very time, and about how much later, or earlier, it will
-        be; the pixel holds where it is zero.
+        be; the pixel holds where it is zero and the status says so. Both are numbers wherever the point is.
         """
         uv, status = self.project(p_camera)
         return uv, self.time_of(uv) - time, status

@@ -24,7 +24,9 @@ from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, status_where
 
-NODES = 33  # times at which an exposure is looked through for those that see a point
+FEWEST, MOST = 33, 257  # times at which an exposure is looked through for those that see a point: as many as records
+CANDIDATES = 3  # of those times, which are settled
+AIR_SLACK = 0.05  # of the interval between them, by which the air's shift at one of them may be off
 MARGIN = 0.1  # of the exposure, by which it is looked beyond both its ends: points beside the image have a pixel
 STEPS = 40
 CLOSE_ENOUGH = (
@@ -47,7 +49,7 @@ class Scene(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """Times in s after that of the image between which a point is exposed, where to begin, and the delay's sign."""
+    """Times in s after that of the image between which a point is exposed, where to begin, and the first sign."""
 
     low: Scalar
     high: Scalar
@@ -106,11 +108,10 @@ def _image_in_motion(
 ) -> tuple[Pixel, StatusCode, Vector3]:
     valid, sensor, (motion, time, exposure), p_ecef = made_safe(sensor, (motion, time, exposure), p_ecef)
     scene = Scene(sensor, motion.legs(), time, p_ecef, air)
-    moment, unseen = _moment(scene, exposure)
+    moment, unseen = _moment(*jax.lax.stop_gradient((scene, exposure)))
+    moment = implicit_root(_delay, jax.lax.stop_gradient(moment), scene)
     sight = _sight(scene, moment)
-    uv, delay, status = _image(scene, sight, moment)
-    is_there = (unseen == Status.hit) & (jnp.abs(delay) <= SEEN * (exposure[1] - exposure[0]))
-    unseen = status_where((unseen == Status.hit) & ~is_there, Status.never_seen, unseen)
+    uv, _, status = _image(scene, sight, moment)
     status = status_where(~valid, Status.invalid_input, first_failure(unseen, status))
     has_image = (status == Status.hit) | (status == Status.outside_image)
     return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
@@ -118,31 +119,35 @@ def _image_in_motion(
 
 def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
     """When the point is exposed, in s after the time of the image; some time, and why, where no crossing is found."""
-    frozen, (begin, end) = jax.lax.stop_gradient((scene, exposure))
-    times = frozen.legs.times
-    duration, before, after = end - begin, times[0] - frozen.time, times[-1] - frozen.time
+    (begin, end), times = exposure, scene.legs.times
+    duration, before, after = end - begin, times[0] - scene.time, times[-1] - scene.time
     low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
     high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
     overlaps = low < high
     low, high = tree_where(overlaps, (low, high), (before, after))
-    crossing, seen = _crossing(frozen, low + (high - low) * jnp.linspace(0.0, 1.0, NODES), (begin, end))
-    moment = implicit_root(_delay, jax.lax.stop_gradient(_newton(frozen, crossing, duration)), scene)
-    reason = status_where(seen == Status.hit, Status.never_seen, seen)
+    nodes = low + (high - low) * jnp.linspace(0.0, 1.0, min(max(times.shape[0], FEWEST), MOST))
+    crossings, blind = _crossings(scene, nodes, SEEN * duration)
+    moments = jax.vmap(lambda crossing: _newton(scene, crossing, duration))(crossings)
+    _, delays, statuses = jax.vmap(lambda s: _image(scene, _sight(scene, s), s))(moments)
+    found = crossings.exists & overlaps & (jnp.abs(delays) <= SEEN * duration)
+    best = jnp.where(statuses == Status.hit, 3, jnp.where(statuses == Status.outside_image, 2, 1))
+    k = jnp.argmax(jnp.where(found, best, 0))  # of equals the first
+    reason = status_where(blind == Status.hit, Status.never_seen, blind)
     reason = status_where((before > begin) | (after < end), Status.outside_trajectory, reason)
-    return moment, status_where(overlaps & crossing.exists, Status.hit, reason)
+    return moments[k], status_where(found[k], Status.hit, reason)
 
 
-def _crossing(scene: Scene, nodes: Nodes, exposure: Exposure) -> tuple[Crossing, StatusCode]:
-    """The first interval of the nodes in which the delay changes its sign, and what was the matter if there is none.
+def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, StatusCode]:
+    """The first intervals of the nodes in which the delay changes its sign, and what is the matter with all nodes.
 
-    An interval of the image comes before one beside it. The delay is taken as a cubic between the nodes, so that one
-    that dips through zero and back within an interval is seen too; what a cubic cannot show, a line that turns back
-    within a fraction of a pixel of the point, may be missed for a later crossing.
+    Those with the point beside the image come last. The delay is taken as a cubic between the nodes, so that one that
+    dips through zero and back within an interval is seen too.
     """
     sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
-    # the air's shift hardly changes while the sensor moves: the nodes do with that of the middle
-    seeming = scene.p_ecef if scene.air is None else apparent_point(sights.centre[NODES // 2], scene.p_ecef, scene.air)
-    middle = scene._replace(p_ecef=seeming, air=None)
+    middle, step = scene, nodes[1] - nodes[0]
+    if scene.air is not None:  # its shift hardly changes while the sensor moves: the nodes do with that of the middle
+        seeming = apparent_point(sights.centre[nodes.shape[0] // 2], scene.p_ecef, scene.air)
+        middle, slack = scene._replace(p_ecef=seeming, air=None), AIR_SLACK * step
 
     def delay(time: Scalar, sight: Sight, rate: Sight) -> tuple[Scalar, Scalar, StatusCode]:
         def at(sight: Sight, time: Scalar) -> tuple[Scalar, StatusCode]:
@@ -152,17 +157,16 @@ def _crossing(scene: Scene, nodes: Nodes, exposure: Exposure) -> tuple[Crossing,
         return value, slope, status
 
     values, slopes, statuses = jax.vmap(delay)(nodes, sights, rates)
-    sees = jnp.isfinite(values) & jnp.isfinite(slopes)
-    values, slopes = jnp.where(sees, values, 0.0), jnp.where(sees, slopes, 0.0)
-    step = nodes[1] - nodes[0]
     place, crosses = jax.vmap(_first_change)(values[:-1], values[1:], step * slopes[:-1], step * slopes[1:])
-    crosses &= sees[:-1] & sees[1:]
-    on_image = (nodes[1:] > exposure[0]) & (nodes[:-1] < exposure[1])
-    k = jnp.argmax(2 * crosses + (crosses & on_image))
-    share, reach = place[k]
+    ahead, on_image = statuses != Status.behind_camera, statuses == Status.hit
+    crosses &= ahead[:-1] | ahead[1:]  # where the point passes behind, the delay jumps
+    order = jnp.argsort(jnp.where(crosses, jnp.where(on_image[:-1] | on_image[1:], 0, 1), 2), stable=True)
+    k = jnp.sort(order[:CANDIDATES])
+    share, reach = place[k].T
     sign = jnp.sign(jnp.where(values[k] == 0.0, -values[k + 1], values[k]))
-    crossing = Crossing(nodes[k], nodes[k] + reach * step, nodes[k] + share * step, sign, crosses[k])
-    return crossing, jnp.where(jnp.any(sees), Status.hit.code, statuses[NODES // 2])
+    low, high = nodes[k] - slack, nodes[k] + reach * step + slack
+    blind = jnp.where(jnp.any(ahead), Status.hit.code, statuses[nodes.shape[0] // 2])
+    return Crossing(low, high, nodes[k] + share * step, sign, crosses[k]), blind
 
 
 def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar) -> tuple[Float[Array, "2"], Flag]:

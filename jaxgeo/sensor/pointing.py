@@ -46,6 +46,7 @@ def readings_towards(
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
     _check_axes(sensor.gimbal)
+    _check_kinds((pose, Pose, "pose"), (point, Geodetic, "point"), (air, Atmosphere | None, "atmosphere"))
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, pose, point, uv, readings, air), "looking_at")
     _check_given(given[1:])
@@ -64,6 +65,8 @@ def steered(
 ) -> Trajectory:
     """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""
     _check_axes(sensor.gimbal)
+    kinds = (trajectory, Trajectory, "trajectory"), (points, Geodetic, "points"), (air, Atmosphere | None, "atmosphere")
+    _check_kinds(*kinds)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, trajectory, points, uv, readings, air), "steered")
     sensor, trajectory, points, uv, start, air = given
@@ -247,6 +250,14 @@ def _check_axes(gimbal: Gimbal) -> None:
         raise ValueError(
             "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
         )
+
+
+def _check_kinds(*given: tuple[Any, Any, str]) -> None:
+    for value, kind, name in given:
+        if not isinstance(value, kind):
+            wanted = getattr(kind, "__name__", "Atmosphere")
+            hint = " Of a Shot or a Trajectory, `shot.pose` or `trajectory.at(time).pose`." if name == "pose" else ""
+            raise TypeError(f"{name} must be a jaxgeo {wanted}; got {type(value).__name__}.{hint}")
 
 
 def _check_given(given: Any) -> None:

@@ -95,6 +95,11 @@ class RollingShutterCamera(AbstractScanningCamera):
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         return self.frame.project(p_camera)
 
+    def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
+        camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
+        uv, status = _on_line(camera.frame, p)
+        return uv, camera.time_of(uv) - time, status
+
 
 class PushbroomCamera(AbstractScanningCamera):
     """One line of detectors, across the camera's columns, that the motion of the platform carries over the ground.
@@ -147,10 +152,10 @@ class PushbroomCamera(AbstractScanningCamera):
         )
 
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
-        line_time, time = as_float64((self.line_time, time), "camera.image_at(time)")
-        on_line, status = self.optics.project(p_camera)
-        uv = jnp.stack([on_line[0], time / line_time])
-        return uv, on_line[1] * line_time, self._on_image(uv, status)
+        camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
+        on_line, status = _on_line(camera.optics, p)
+        uv = jnp.stack([on_line[0], time / jnp.where(camera.line_time == 0.0, 1.0, camera.line_time)])
+        return uv, on_line[1] * camera.line_time, self._on_image(uv, status)
 
 
 class SweepCamera(AbstractScanningCamera):
@@ -236,11 +241,12 @@ class SweepCamera(AbstractScanningCamera):
             step = value / jnp.where(jnp.isfinite(slope) & (slope != 0.0), slope, -jnp.inf)
             row = row - jnp.where(jnp.isfinite(step), step, 0.0)
         uv, _, status = camera._image(p, row)
-        return uv, status
+        has_image = (status == Status.hit) | (status == Status.outside_image)
+        return jnp.where(has_image, uv, jnp.nan), status
 
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
         camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
-        uv, rows, status = camera._image(p, time / camera.line_time)
+        uv, rows, status = camera._image(p, time / jnp.where(camera.line_time == 0.0, 1.0, camera.line_time))
         return uv, rows * camera.line_time, status
 
     def _image(self, p: Vector3, row: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
@@ -250,7 +256,7 @@ class SweepCamera(AbstractScanningCamera):
         return uv, rows, self._on_image(uv, status)
 
     def _seen_from(self, p: Vector3, row: Scalar) -> tuple[Scalar, Scalar, StatusCode]:
-        on_line, status = self.optics.project(turned(Rx(self.scan_angle(row)), p))
+        on_line, status = _on_line(self.optics, turned(Rx(self.scan_angle(row)), p))
         per_row = self.optics.focal_px[1] * (self.scan_end - self.scan_start) / self.rows
         return on_line[0], on_line[1] / per_row, status
 
@@ -259,6 +265,20 @@ class SweepCamera(AbstractScanningCamera):
         middle = 0.5 * (self.scan_start + self.scan_end)
         angle = middle + jnp.mod(angle - middle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
         return (angle - self.scan_start) / (self.scan_end - self.scan_start) * self.rows - 0.5
+
+
+def _on_line(optics: FrameCamera, p: Vector3) -> tuple[Pixel, StatusCode]:
+    """`optics.project`, but where that has no pixel, behind it or outside the lens's field, one by the angles alone.
+
+    So the line knows on which side of it every point lies, and no derivative meets a NaN.
+    """
+    uv, status = optics.project(p)
+    known = jnp.all(jnp.isfinite(uv))
+    p = jnp.where(known | ~jnp.all(jnp.isfinite(p)), jnp.array([0.0, 0.0, 1.0]), p)
+    away = jnp.any(p != 0.0)
+    across, ahead = jnp.where(away, p[:2], 0.0), jnp.where(away, p[2], 1.0)
+    rough = optics.principal_px + optics.focal_px * jnp.arctan2(across, jnp.stack([ahead, ahead]))
+    return jnp.where(known, uv, rough), status
 
 
 def _line(

@@ -45,6 +45,11 @@ class Sensor(eqx.Module):
 
     def sight(self, shot: Shot | Station) -> Sight:
         """Perspective centre in ECEF m, position and both lever arms, and orientation of the camera in ECEF."""
+        if not isinstance(shot, Shot | Station):
+            raise TypeError(
+                f"shot must be a jaxgeo Shot; got {type(shot).__name__}. Of a Trajectory, trajectory.at(time) is one; "
+                "locate, project and at_range take the trajectory itself."
+            )
         station = Station.of(shot) if isinstance(shot, Shot) else shot
         mount = as_float64(self.mount, "mount")
         R_base_from_head = self.gimbal.R_base_from_head(station.gimbal_readings)

@@ -22,6 +22,7 @@ from jaxgeo.sensor.platform import Pose, Shot
 
 GAP = 10.0  # times the median interval: a longer one is a gap, unless the caller says what is
 LONG = 4096  # knots; of more, only those about a time are looked at
+STEADY_LEGS = 8
 LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond, nobody can tell which way the body turned
 
 
@@ -56,20 +57,26 @@ class Trajectory(eqx.Module):
 
         `gimbal_readings` are (n, axes) in rad, `velocity_ned` and `body_rates` are (n, 3). Raises `ValueError`, naming
         the knot, for times that do not increase, for a gap longer than `longest_gap` s (ten median intervals if left
-        out), for a turn of more than 120 deg from one knot to the next, for arrays of other lengths, and for numbers
-        that are not finite.
+        out), for a turn of more than 120 deg from one knot to the next (also by the rates that are given), for gimbal
+        readings that jump by more than 180 deg (a yaw that passes from 180 to -180 is to be unwrapped, `numpy.unwrap`),
+        for arrays of other lengths, and for numbers that are not finite. One number in `poses` holds for all knots.
         """
-        times = np.asarray(times) if isinstance(times, list | tuple) else times
+        _check_is(poses, Pose, "poses", "one Pose whose fields hold an entry for each knot")
         readings = np.zeros((*np.shape(times), 0)) if gimbal_readings is None else gimbal_readings
-        given: Any = as_float64((times, poses, readings, velocity_ned, body_rates), "Trajectory.from_knots")
-        times, poses, readings, velocity_ned, body_rates = given
+        parts = [_no_list(part) for part in (times, readings, velocity_ned, body_rates)]
+        given: Any = as_float64((poses, *parts), "Trajectory.from_knots")
+        poses, times, readings, velocity_ned, body_rates = given
+        poses = jax.tree.map(lambda x: jnp.broadcast_to(x, times.shape) if jnp.ndim(x) == 0 else x, poses)
         _check_lengths(times, poses, readings, velocity_ned, body_rates)
         for part, name, unit in (
             (times, "times", "s"),
             (jnp.stack(jax.tree.leaves(poses)), "poses", "rad and m"),
             (readings, "gimbal_readings", "rad"),
+            (velocity_ned, "velocity_ned", "m/s"),
+            (body_rates, "body_rates", "rad/s"),
         ):
-            check_finite(part, name, unit)
+            if part is not None:
+                check_finite(part, name, unit)
         trajectory = cls(times, poses, readings, velocity_ned, body_rates)
         _check_times(times, longest_gap)
         _check_turns(trajectory)
@@ -89,28 +96,38 @@ class Trajectory(eqx.Module):
         """A shot in steady motion, from `before` to `after` s around its time: straight on, turning at constant rates.
 
         `velocity_ned` (3,) in m/s over the ground, `body_rates` (3,) in rad/s about forward, right and down, against
-        the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`.
+        the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`; also for a turn beyond 960 deg.
         """
+        _check_is(shot, Shot, "shot", "trajectory.at(time) is one")
         turning: Any = np.zeros(3) if body_rates is None else body_rates
         moving: Any = np.zeros(np.shape(shot.gimbal_readings)) if gimbal_rates is None else gimbal_rates
         vectors = [as_array(v, "velocity or rates") for v in (velocity_ned, turning, moving)]
         given: Any = as_float64((shot, *vectors, before, after), "Trajectory.steady")
         shot, velocity_ned, turning, moving, before, after = given
-        for vector, name in ((velocity_ned, "velocity_ned"), (turning, "body_rates")):
-            if vector.shape != (3,):
-                raise ValueError(f"{name} must be one vector of shape (3,); got {vector.shape}.")
-        offsets = jnp.stack([-before, after])
+        for vector, name, unit, shape in (
+            (velocity_ned, "velocity_ned", "m/s", (3,)),
+            (turning, "body_rates", "rad/s", (3,)),
+            (moving, "gimbal_rates", "rad/s", shot.gimbal_readings.shape),
+        ):
+            check_finite(vector, name, unit)
+            if vector.shape != shape:
+                raise ValueError(f"{name} must have the shape {shape}, in {unit}; got {vector.shape}.")
+        known = concrete(jnp.asarray(before + after))
+        if known is not None and not known > 0.0:
+            raise ValueError(f"before and after must make more than 0 s together; got {float(known):.9g} s.")
+        offsets = -before + (before + after) * jnp.linspace(0.0, 1.0, STEADY_LEGS + 1)
         poses, readings, velocities = _straight_on(shot, velocity_ned, turning, moving, offsets)
-        rates = jnp.stack([turning, turning])
+        rates = jnp.broadcast_to(turning, (STEADY_LEGS + 1, 3))
         return cls.from_knots(shot.time + offsets, poses, readings, velocity_ned=velocities, body_rates=rates)
 
     def with_readings(self, gimbal_readings: Numbers) -> Trajectory:
         """The same flight with other gimbal readings, in rad: (knots, axes), or (axes,) held throughout."""
-        readings: Any = as_float64(as_array(gimbal_readings, "gimbal_readings"), "gimbal_readings")
+        readings: Any = as_float64(_no_list(gimbal_readings), "gimbal_readings")
         if readings.ndim == 1:
             readings = jnp.broadcast_to(readings, (*self.times.shape, *readings.shape))
         _check_lengths(self.times, self.poses, readings)
         check_finite(readings, "gimbal_readings", "rad")
+        _check_readings(readings)
         return Trajectory(self.times, self.poses, readings, self.velocity_ned, self.body_rates)
 
     @property
@@ -150,12 +167,12 @@ class Trajectory(eqx.Module):
         return jax.tree.map(lambda x: jnp.asarray(x)[first + jnp.arange(4)], self).legs()
 
     def velocity_ned_at(self, time: ScalarLike) -> Vector3:
-        """Velocity over the ground at a time between the knots, m/s in north-east-down."""
+        """Velocity over the ground at a time, m/s in north-east-down; NaN beyond the first and last knot."""
         (p_ecef, _), (velocity, _) = _motion_and_change(self, as_float64(time, "time"))
         return R_ecef_from_ned(WGS84.to_geodetic(p_ecef)).T @ velocity
 
     def body_rates_at(self, time: ScalarLike) -> Vector3:
-        """Rates of the body against the Earth at a time between the knots, rad/s about forward, right and down."""
+        """Rates of the body against the Earth at a time, rad/s about forward, right and down; NaN beyond the knots."""
         (_, R), (_, turn) = _motion_and_change(self, as_float64(time, "time"))
         spin = R.T @ turn
         return jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
@@ -200,7 +217,30 @@ def _shot(trajectory: Trajectory, time: Scalar, later: Scalar) -> Shot:
 def _motion_and_change(trajectory: Trajectory, time: Scalar) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """(position in ECEF m, R_ecef_from_body) and their derivatives by time."""
     legs, later, one = trajectory.legs(), jnp.zeros_like(time), jnp.ones_like(time)
-    return jax.jvp(lambda t: legs.motion(t, later), (time,), (one,))
+    inside = trajectory.covers(time, later)
+    moment = jnp.where(inside, time, trajectory.start)
+    motion, change = jax.jvp(lambda t: legs.motion(t, later), (moment,), (one,))
+    return motion, jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), change)
+
+
+def _no_list(value: Any) -> Any:
+    return jnp.asarray(value) if isinstance(value, list | tuple) else value
+
+
+def _check_is(value: Any, kind: type, name: str, hint: str) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be a jaxgeo {kind.__name__}; got {type(value).__name__}: {hint}.")
+
+
+def _check_readings(readings: Array) -> None:
+    known = concrete(readings)
+    jumps = None if known is None else np.abs(np.diff(known, axis=0))
+    if jumps is not None and np.any(jumps > np.pi):
+        knot, axis = np.argwhere(jumps > np.pi)[0]
+        raise ValueError(
+            f"gimbal_readings of axis {axis} jump by {np.rad2deg(jumps[knot, axis]):.1f} deg up to knot {knot + 1} "
+            "and would be interpolated the long way round. Are they in rad? If they wrap at 180 deg, numpy.unwrap them."
+        )
 
 
 def _check_lengths(times: Array, poses: Pose, readings: Array, *vectors: Array | None) -> None:
@@ -238,7 +278,13 @@ def _check_times(times: Array, longest_gap: float | None) -> None:
 
 
 def _check_turns(trajectory: Trajectory) -> None:
-    turns = concrete(turn_angles(trajectory.poses))
+    _check_readings(trajectory.gimbal_readings)
+    turns, times = concrete(turn_angles(trajectory.poses)), concrete(trajectory.times)
+    rates = None if trajectory.body_rates is None else concrete(trajectory.body_rates)
+    if rates is not None and times is not None:
+        speed = np.linalg.norm(rates, axis=1)
+        by_rates = 0.5 * (speed[1:] + speed[:-1]) * np.diff(times)
+        turns = by_rates if turns is None else np.maximum(turns, by_rates)
     if turns is not None and np.any(turns > LARGEST_TURN):
         knot = int(np.argmax(turns > LARGEST_TURN)) + 1
         raise ValueError(

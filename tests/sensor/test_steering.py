@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import TypeCheckError
 
 from jaxgeo import (
     WGS84,
@@ -43,14 +46,12 @@ def point(north: float = 0.0, height: float = 1200.0) -> Geodetic:
 
 
 def test_a_steered_gimbal_follows_a_way_over_the_ground():
-    way = Geodetic(
-        lat=jnp.deg2rad(jnp.array([45.9, 45.92])), lon=jnp.full(2, np.deg2rad(7.25)), height=jnp.full(2, 800.0)
-    )
+    way = jax.tree.map(lambda *x: jnp.stack(x), *(point(0.0025 * k) for k in range(9)))
     steered = SENSOR.steered(FLIGHT, way)
-    for k in (0, 1):
+    for k in (0, 4, 8):
         assert off(SENSOR, steered.at(FLIGHT.times[k]), (999.5, 749.5), jax.tree.map(lambda x, k=k: x[k], way)) < 1e-6
     np.testing.assert_array_equal(steered.poses.heading, FLIGHT.poses.heading)
-    assert np.max(np.abs(steered.gimbal_readings[1] - steered.gimbal_readings[0])) > 0.05  # against the turning body
+    assert np.max(np.abs(steered.gimbal_readings[8] - steered.gimbal_readings[0])) > 0.05  # against the turning body
 
 
 def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
@@ -79,10 +80,10 @@ def test_a_sweep_is_pointed_by_its_middle_unless_a_pixel_is_named():
 
 
 def test_what_a_gimbal_cannot_follow_names_the_knot():
-    climbing = jax.tree.map(lambda *x: jnp.stack(x), point(), point(height=6e4))
+    climbing = jax.tree.map(lambda *x: jnp.stack(x), point(), *[point(height=6e4)] * 8)
     with pytest.raises(ValueError, match=r"At knot 1: The gimbal"):
         SENSOR.steered(FLIGHT, climbing)
-    with pytest.raises(ValueError, match=r"2 knots; got shape \(3,\)"):
+    with pytest.raises(ValueError, match=r"9 knots; got shape \(3,\)"):
         SENSOR.steered(FLIGHT, Geodetic(lat=jnp.zeros(3), lon=jnp.zeros(3), height=jnp.zeros(3)))
     with pytest.raises(ValueError, match="no axes"):
         Sensor(FRAME, Gimbal.fixed()).steered(FLIGHT, point())
@@ -91,7 +92,7 @@ def test_what_a_gimbal_cannot_follow_names_the_knot():
 def test_readings_are_put_on_a_trajectory_held_or_knot_by_knot():
     held = FLIGHT.with_readings([0.3, -0.1])
     np.testing.assert_allclose(held.at(1.234).gimbal_readings, [0.3, -0.1], rtol=0, atol=1e-15)
-    turned = FLIGHT.with_readings(np.array([[0.0, 0.0], [0.4, -0.8]]))
+    turned = FLIGHT.with_readings(np.linspace(0.0, 1.0, 9)[:, None] * np.array([0.4, -0.8]))
     np.testing.assert_allclose(turned.at(0.0).gimbal_readings, [0.1, -0.2], rtol=0, atol=1e-15)
     for wrong in ([0.1, np.nan], np.zeros((3, 2))):
         with pytest.raises(ValueError, match=r"finite|shape"):
@@ -106,7 +107,7 @@ def test_steady_motion_is_what_was_given_at_every_time():
     now = FLIGHT.at(0.0)
     assert float(jnp.linalg.norm(WGS84.to_ecef(now.pose.position) - WGS84.to_ecef(START.pose.position))) < 5e-9
     np.testing.assert_allclose(now.pose.R_ned_from_body, START.pose.R_ned_from_body, rtol=0, atol=1e-14)
-    with pytest.raises(ValueError, match=r"velocity_ned must be one vector"):
+    with pytest.raises(ValueError, match=r"velocity_ned must have the shape \(3,\)"):
         Trajectory.steady(START, velocity_ned=[1.0, 2.0])
 
 
@@ -158,3 +159,51 @@ def test_a_trajectory_keeps_its_deflection():
     steady = Trajectory.steady(Shot(pose, np.zeros(0)), velocity_ned=[1.0, 0.0, 0.0])
     np.testing.assert_allclose(steady.at(0.0).pose.R_ned_from_body, pose.R_ned_from_body, rtol=0, atol=1e-14)
     np.testing.assert_allclose(steady.at(0.0).pose.heading, 0.25, rtol=0, atol=1e-9)
+
+
+def test_a_steady_turn_of_more_than_a_circle_is_itself_and_a_wild_one_is_refused():
+    shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
+    turning = Trajectory.steady(
+        shot, velocity_ned=[0.0, 0.0, 0.0], body_rates=np.deg2rad([0.0, 0.0, 60.0]), before=1.0, after=7.0
+    )
+    for time in (0.0, 1.0, 2.0, 6.9):
+        heading = float(turning.at(time).pose.heading)
+        assert abs(np.angle(np.exp(1j * (heading - np.deg2rad(60.0 * time))))) < 1e-12
+    with pytest.raises(ValueError, match=r"turns by 1500\.0 deg"):
+        Trajectory.steady(shot, velocity_ned=[0.0, 0.0, 0.0], body_rates=np.deg2rad([0.0, 0.0, 6000.0]))
+
+
+def test_readings_that_wrap_are_refused():
+    yaw = np.deg2rad([178.0, 179.0, -180.0, -179.0, -178.0])
+    readings = np.stack([yaw, 0.0 * yaw, 0.0 * yaw], axis=1)
+    pose = Pose(Geodetic(lat=0.8 + 1e-6 * np.arange(5), lon=np.full(5, 0.1), height=np.full(5, 1e3)))
+    with pytest.raises(ValueError, match=r"axis 0 jump by 359\.0 deg up to knot 2"):
+        Trajectory.from_knots(np.arange(5.0), pose, readings)
+    flight = Trajectory.from_knots(np.arange(5.0), pose, np.unwrap(readings, axis=0))
+    np.testing.assert_allclose(flight.at(1.5).gimbal_readings[0], np.deg2rad(179.5), rtol=0, atol=1e-12)
+    for change in (flight.velocity_ned_at, flight.body_rates_at):
+        assert np.all(np.isfinite(change(4.0)))
+        assert np.all(np.isnan(change(4.1)))
+
+
+@pytest.mark.parametrize(
+    "ask, kind, words",
+    [
+        (lambda: SENSOR.looking_at(FLIGHT, point()), TypeError, r"pose must be.*trajectory\.at"),
+        (lambda: SENSOR.perspective_centre(FLIGHT), TypeError, r"shot must be.*trajectory\.at"),
+        (lambda: SENSOR.steered(START, point()), TypeError, "trajectory must be"),
+        (lambda: Trajectory.steady(FLIGHT, velocity_ned=[0.0, 0.0, 0.0]), TypeError, "shot must be"),
+        (lambda: Trajectory.steady(START, velocity_ned=[0.0, np.nan, 0.0]), ValueError, "velocity_ned must be finite"),
+        (lambda: Trajectory.steady(START, velocity_ned=[0.0] * 3, gimbal_rates=[1.0]), ValueError, "gimbal_rates"),
+        (
+            lambda: Trajectory.steady(START, velocity_ned=[0.0] * 3, before=-1.0, after=0.5),
+            ValueError,
+            "before and after",
+        ),
+        (lambda: Trajectory.from_knots([0.0, 1.0], START.pose, body_rates=[[9.0, 0.0, 0.0]] * 2), ValueError, "515"),
+    ],
+)
+def test_mistakes_are_named(ask, kind, words):
+    with pytest.raises((kind, TypeCheckError)) as refused:  # the checker of types is on in tests, not for users
+        ask()
+    assert isinstance(refused.value, TypeCheckError) or re.search(words, str(refused.value), flags=re.DOTALL)
