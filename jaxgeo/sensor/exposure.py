@@ -24,7 +24,7 @@ from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, status_where
 
-FEWEST, MOST = 33, 257  # times at which an exposure is looked through for those that see a point: as many as records
+FEWEST, MOST = 65, 257  # times at which an exposure is looked through for those that see a point: two a record
 CANDIDATES = 3  # of those times, which are settled
 AIR_SLACK = 0.05  # of the interval between them, by which the air's shift at one of them may be off
 MARGIN = 0.1  # of the exposure, by which it is looked beyond both its ends: points beside the image have a pixel
@@ -125,7 +125,7 @@ def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
     high = jnp.minimum(end + MARGIN * duration, after + SEEN * duration)
     overlaps = low < high
     low, high = tree_where(overlaps, (low, high), (before, after))
-    nodes = low + (high - low) * jnp.linspace(0.0, 1.0, min(max(times.shape[0], FEWEST), MOST))
+    nodes = low + (high - low) * jnp.linspace(0.0, 1.0, min(max(2 * times.shape[0], FEWEST), MOST))
     crossings, blind = _crossings(scene, nodes, SEEN * duration)
     moments = jax.vmap(lambda crossing: _newton(scene, crossing, duration))(crossings)
     _, delays, statuses = jax.vmap(lambda s: _image(scene, _sight(scene, s), s))(moments)
