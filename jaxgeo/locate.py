@@ -141,9 +141,10 @@ def project(
     `atmosphere` bends the line of sight, by the same model as in `locate`.
 
     On a `Trajectory`, with the `time` of the image in s (0 if left out), a camera that exposes row after row sees the
-    point at a time that is found with the pixel: if there are several, at the first within the image; if there is none
-    (a tenth of the exposure beyond both ends is looked through as well), it is `never_seen`, or `outside_trajectory`
-    where records are missing for a part of the exposure.
+    point at a time that is found with the pixel. Of several such times (a line that swings back) it is the first on
+    the image, of the three that come first. If there is none, and none a tenth of the exposure before or behind it, the
+    status is `never_seen`, or `outside_trajectory` where records are missing for a part of the exposure. The exposure
+    is looked through twice for each record, at 65 to 257 places: swings far shorter than that may be overlooked.
 
     With a `terrain`, a point whose line of sight meets ground more than `hidden_tolerance` m before it is
     `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or

@@ -157,6 +157,7 @@ def test_what_comes_back_is_inverse_to_first_order():
 PARAMETERS = {"time": 1e-3, "line_time": 1e-9, "velocity": 1e-1, "body rates": 1e-4, "gimbal rates": 1e-4}
 
 
+@pytest.mark.slow
 def test_derivatives_by_time_tag_velocity_and_rates_equal_differences():
     """Of the ground under a pixel of the sweep, and of the pixel of a point, by all that says how it moves."""
     shot = SCENES["sweep"][1].at(START)
@@ -391,6 +392,7 @@ def test_a_lively_flight_is_seen_by_every_row_that_sees():
     assert np.mean(np.asarray(back.uv[:, 1] < uv[:, 1] - 1.0)) > 0.1
 
 
+@pytest.mark.slow
 def test_through_the_air_in_motion():
     sensor, flight, _ = SCENES["sweep"]
     air, level = Atmosphere.measured(pressure=60_000.0, temperature=275.0, height=4000.0), ConstantHeight(3500.0)
