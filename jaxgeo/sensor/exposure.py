@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxgeo._numerics import (
     implicit_root,
@@ -160,13 +160,22 @@ def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, Sta
     place, crosses = jax.vmap(_first_change)(values[:-1], values[1:], step * slopes[:-1], step * slopes[1:])
     ahead, on_image = statuses != Status.behind_camera, statuses == Status.hit
     crosses &= ahead[:-1] | ahead[1:]  # where the point passes behind, the delay jumps
-    order = jnp.argsort(jnp.where(crosses, jnp.where(on_image[:-1] | on_image[1:], 0, 1), 2), stable=True)
-    k = jnp.sort(order[:CANDIDATES])
+    k = _first_few(jnp.where(crosses, jnp.where(on_image[:-1] | on_image[1:], 0, 1), 2))
     share, reach = place[k].T
     sign = jnp.sign(jnp.where(values[k] == 0.0, -values[k + 1], values[k]))
     low, high = nodes[k] - slack, nodes[k] + reach * step + slack
     blind = jnp.where(jnp.any(ahead), Status.hit.code, statuses[nodes.shape[0] // 2])
     return Crossing(low, high, nodes[k] + share * step, sign, crosses[k]), blind
+
+
+def _first_few(rank: Int[Array, " intervals"]) -> Int[Array, " few"]:
+    """The places of the least ranks, of equals the first, in their order: half the time of sorting all."""
+    places, count = jnp.arange(rank.shape[0]), rank.shape[0]
+    key, found = rank * count + places, []
+    for _ in range(CANDIDATES):
+        found.append(jnp.argmin(key))
+        key = jnp.where(places == found[-1], 3 * count, key)
+    return jnp.sort(jnp.stack(found))
 
 
 def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar) -> tuple[Float[Array, "2"], Flag]:
