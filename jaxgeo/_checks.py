@@ -80,7 +80,15 @@ def _shown(value: np.ndarray) -> str:
 
 
 def as_array(value: Any, name: str) -> Any:
-    """A list or tuple of numbers, some perhaps traced, as one array; anything else as it is."""
-    if isinstance(value, list | tuple):
-        return jnp.stack([as_float64(number, f"{name}[{k}]") for k, number in enumerate(value)])
-    return value
+    """Numbers, some perhaps traced, in a list or tuple, or in lists of lists, as one array; anything else as it is."""
+    if not isinstance(value, list | tuple):
+        return value
+    parts = [as_float64(as_array(part, f"{name}[{k}]"), f"{name}[{k}]") for k, part in enumerate(value)]
+    return jnp.stack(parts) if parts else jnp.zeros(0)
+
+
+def check_is(value: Any, kind: type, name: str, hint: str = "") -> None:
+    """Raise `TypeError` unless `value` is of a kind of record; `hint` is a sentence on what to do."""
+    if not isinstance(value, kind):
+        hint = f"Did you mean {value.__name__}()?" if isinstance(value, type) else hint
+        raise TypeError(f"{name} must be a jaxgeo {kind.__name__}; got {type(value).__name__}. {hint}".rstrip())

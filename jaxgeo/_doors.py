@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, concrete, require_x64
+from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
 from jaxgeo._typing import Pixel, Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.geodetic import Geodetic
@@ -57,13 +57,6 @@ def observation(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sen
     if moment.shape != ():
         raise ValueError(f"time must be one number in s; got shape {moment.shape}. For many images use jax.vmap.")
     return sensor, shot, moment
-
-
-def check_is(value: Any, kind: type, name: str) -> None:
-    """Raise `TypeError` unless `value` is of a kind of record."""
-    if not isinstance(value, kind):
-        hint = f" Did you mean {value.__name__}()?" if isinstance(value, type) else ""
-        raise TypeError(f"{name} must be a jaxgeo {kind.__name__}; got {type(value).__name__}.{hint}")
 
 
 def check_terrain(terrain: Any, search: Any) -> None:

@@ -9,10 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64
+from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._doors import (
     UNIT_TOLERANCE,
-    check_is,
     check_latitude,
     check_ray,
     check_terrain,

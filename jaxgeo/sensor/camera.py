@@ -171,8 +171,7 @@ class FrameCamera(AbstractCamera):
 
     def inside(self, uv: PixelLike) -> Flag:
         """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
-        uv = as_float64(uv, "uv")
-        return jnp.all((uv >= -0.5) & (uv <= jnp.array([self.width - 0.5, self.height - 0.5])))
+        return inside_image(uv, self.width, self.height)
 
     def field_of_view(self) -> tuple[Scalar, Scalar]:
         """Angles in rad across the image (along its middle row, along its middle column), edge to edge."""
@@ -186,6 +185,12 @@ class FrameCamera(AbstractCamera):
 
     def _inside_status(self, uv: Pixel) -> StatusCode:
         return status_where(~self.inside(uv), Status.outside_image, Status.hit.code)
+
+
+def inside_image(uv: PixelLike, width: int, height: int) -> Flag:
+    """Whether a pixel position lies on an image of a size, its pixels' outer edges included."""
+    uv = as_float64(uv, "uv")
+    return jnp.all((uv >= -0.5) & (uv <= jnp.array([width - 0.5, height - 0.5])))
 
 
 def _centre(width: int, height: int) -> np.ndarray:

@@ -8,13 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._numerics import (
-    implicit_root,
-    newton_or_half,
-    safe_sqrt,
-    tree_where,
-    value_and_slope,
-)
+from jaxgeo._numerics import implicit_root, newton_or_half, safe_sqrt, tree_where, value_and_slope
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
@@ -29,9 +23,7 @@ CANDIDATES = 3  # of those times, which are settled
 AIR_SLACK = 0.05  # of the interval between them, by which the air's shift at one of them may be off
 MARGIN = 0.1  # of the exposure, by which it is looked beyond both its ends: points beside the image have a pixel
 STEPS = 40
-CLOSE_ENOUGH = (
-    1e-8  # of the exposure: the last Newton step; what is left after it is its square over a turn of the line
-)
+CLOSE_ENOUGH = 1e-8  # of the exposure, the last of Newton's steps: what is left after it is of its square
 SEEN = 1e-7  # of the exposure, by which a time may miss its point, or the trajectory's end
 
 Nodes = Float[Array, " nodes"]
@@ -64,7 +56,13 @@ def line_of_sight(
     """`Sensor.ray_ecef` of a pixel; on a trajectory from where it is exposed, `time_of(uv)` after `time` in s."""
     if isinstance(motion, Shot):
         return sensor.ray_ecef(motion, uv)
-    return _ray_in_motion(sensor, motion, time, uv)
+    valid, sensor, (motion, time), uv = made_safe(sensor, (motion, time), uv)
+    later = sensor.camera.time_of(uv)
+    covered = motion.covers(time, later)
+    moment = tree_where(covered, (time, later), (motion.start, jnp.zeros_like(later)))
+    sight = sensor.sight(motion.legs_about(*moment).station(*moment))
+    origin, direction, status = sensor.ray_from(sight, uv, valid)
+    return origin, direction, jnp.where(valid & ~covered, Status.outside_trajectory.code, status)
 
 
 def image_of_point(
@@ -75,41 +73,17 @@ def image_of_point(
     From a moving camera that is exposed line by line, the time has to be found: there is none (`never_seen`), or there
     are several, where the motion turns the line back over what it has seen; the first on the image is the answer.
     """
-    exposure = sensor.camera.exposure()
     if isinstance(motion, Shot):
         return *sensor.project_ecef(motion, p_ecef, air), sensor.perspective_centre(motion)
-    if exposure is not None:
-        return _image_in_motion(sensor, motion, time, exposure, p_ecef, air)
-    valid, sensor, (motion, time), p_ecef = made_safe(sensor, (motion, time), p_ecef)
-    sight, status = _sight_at(sensor, motion, time, jnp.zeros_like(time))
-    uv, seen = sensor.camera.project(sight.to_camera(p_ecef, air))
-    status = status_where(~valid, Status.invalid_input, first_failure(status, seen))
-    has_image = (status == Status.hit) | (status == Status.outside_image)
-    return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
-
-
-def _ray_in_motion(sensor: Sensor, motion: Trajectory, time: Scalar, uv: Pixel) -> tuple[Vector3, Vector3, StatusCode]:
-    valid, sensor, (motion, time), uv = made_safe(sensor, (motion, time), uv)
-    sight, timing = _sight_at(sensor, motion, time, sensor.camera.time_of(uv))
-    origin, direction, status = sensor.ray_from(sight, uv, valid)
-    return origin, direction, first_failure(jnp.where(valid, timing, status), status)
-
-
-def _sight_at(sensor: Sensor, motion: Trajectory, time: Scalar, later: Scalar) -> tuple[Sight, StatusCode]:
-    """The camera a little `later` than `time`, both in s; where no record covers that, as it begins."""
-    covered = motion.covers(time, later)
-    moment = tree_where(covered, (time, later), (motion.start, jnp.zeros_like(later)))
-    status = status_where(covered, Status.hit, Status.outside_trajectory.code)
-    return sensor.sight(motion.legs_about(*moment).station(*moment)), status
-
-
-def _image_in_motion(
-    sensor: Sensor, motion: Trajectory, time: Scalar, exposure: Exposure, p_ecef: Vector3, air: Atmosphere | None
-) -> tuple[Pixel, StatusCode, Vector3]:
+    exposure = sensor.camera.exposure()
     valid, sensor, (motion, time, exposure), p_ecef = made_safe(sensor, (motion, time, exposure), p_ecef)
     scene = Scene(sensor, motion.legs(), time, p_ecef, air)
-    moment, unseen = _moment(*jax.lax.stop_gradient((scene, exposure)))
-    moment = implicit_root(_delay, jax.lax.stop_gradient(moment), scene)
+    if exposure is None:
+        moment = jnp.zeros_like(time)
+        unseen = status_where(motion.covers(time, moment), Status.hit, Status.outside_trajectory.code)
+    else:
+        moment, unseen = _moment(*jax.lax.stop_gradient((scene, exposure)))
+        moment = implicit_root(_delay, moment, scene)
     sight = _sight(scene, moment)
     uv, _, status = _image(scene, sight, moment)
     status = status_where(~valid, Status.invalid_input, first_failure(unseen, status))
@@ -174,7 +148,7 @@ def _first_few(rank: Int[Array, " intervals"]) -> Int[Array, " few"]:
     key, found = rank * count + places, []
     for _ in range(CANDIDATES):
         found.append(jnp.argmin(key))
-        key = jnp.where(places == found[-1], 3 * count, key)
+        key = jnp.where(places == found[-1], 3 * count, key)  # behind all others
     return jnp.sort(jnp.stack(found))
 
 
@@ -182,10 +156,8 @@ def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar)
     """((where, by when) as shares of an interval, whether): where a cubic first changes its sign within it."""
     changes = begin * end <= 0.0
     dips = (begin * slope < 0.0) & (begin * last_slope > 0.0)
-    linear, square = (
-        2.0 * (3.0 * (end - begin) - 2.0 * slope - last_slope),
-        3.0 * (slope + last_slope - 2.0 * (end - begin)),
-    )
+    linear = 2.0 * (3.0 * (end - begin) - 2.0 * slope - last_slope)
+    square = 3.0 * (slope + last_slope - 2.0 * (end - begin))
     root = safe_sqrt(linear * linear - 4.0 * square * slope)
     turn = -2.0 * slope / jnp.where(dips, linear + jnp.sign(last_slope - slope) * root, 1.0)  # where its slope is zero
     rest = 1.0 - turn

@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._checks import as_array, as_float64, check_finite, concrete
+from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
 from jaxgeo._numerics import all_finite, safe_norm
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
@@ -46,7 +47,9 @@ def readings_towards(
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
     _check_axes(sensor.gimbal)
-    _check_kinds((pose, Pose, "pose"), (point, Geodetic, "point"), (air, Atmosphere | None, "atmosphere"))
+    check_is(pose, Pose, "pose", "Of a Shot or a Trajectory, shot.pose or trajectory.at(time).pose.")
+    check_is(point, Geodetic, "point")
+    _check_air(air)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, pose, point, uv, readings, air), "looking_at")
     _check_given(given[1:])
@@ -65,8 +68,9 @@ def steered(
 ) -> Trajectory:
     """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""
     _check_axes(sensor.gimbal)
-    kinds = (trajectory, Trajectory, "trajectory"), (points, Geodetic, "points"), (air, Atmosphere | None, "atmosphere")
-    _check_kinds(*kinds)
+    check_is(trajectory, Trajectory, "trajectory")
+    check_is(points, Geodetic, "points")
+    _check_air(air)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, trajectory, points, uv, readings, air), "steered")
     sensor, trajectory, points, uv, start, air = given
@@ -77,9 +81,12 @@ def steered(
         raise ValueError(f"points must be one position, or one for each of the {knots[0]} knots; got shape {wrong[0]}.")
     points = jax.tree.map(lambda x: jnp.broadcast_to(x, knots), points)
     found = _steer(sensor, trajectory.poses, points, uv, start, air)
-    for knot in range(knots[0]):
-        _raise_unless_reached(sensor.gimbal, jax.tree.map(lambda x, k=knot: x[k], found), f"At knot {knot}: ")
-    return trajectory.with_readings(jax.vmap(_reached)(found))
+    readings = jax.vmap(_reached)(found)
+    lost = concrete(jnp.any(jnp.isnan(readings), axis=1))
+    if lost is not None and np.any(lost):
+        knot = int(np.argmax(lost))
+        _raise_unless_reached(sensor.gimbal, jax.tree.map(lambda x: x[knot], found), f"At knot {knot}: ")
+    return trajectory.with_readings(readings)
 
 
 @eqx.filter_jit
@@ -252,12 +259,9 @@ def _check_axes(gimbal: Gimbal) -> None:
         )
 
 
-def _check_kinds(*given: tuple[Any, Any, str]) -> None:
-    for value, kind, name in given:
-        if not isinstance(value, kind):
-            wanted = getattr(kind, "__name__", "Atmosphere")
-            hint = " Of a Shot or a Trajectory, `shot.pose` or `trajectory.at(time).pose`." if name == "pose" else ""
-            raise TypeError(f"{name} must be a jaxgeo {wanted}; got {type(value).__name__}.{hint}")
+def _check_air(air: Any) -> None:
+    if air is not None:
+        check_is(air, Atmosphere, "atmosphere", "Leave it out for no refraction.")
 
 
 def _check_given(given: Any) -> None:

@@ -26,6 +26,7 @@ from jaxgeo.sensor.camera import (
     Vector3Like,
     check_positive,
     check_size,
+    inside_image,
 )
 from jaxgeo.sensor.distortion import AbstractDistortion
 from jaxgeo.status import Status, status_where
@@ -59,8 +60,7 @@ class AbstractScanningCamera(AbstractCamera):
 
     def inside(self, uv: PixelLike) -> Flag:
         """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
-        uv = as_float64(uv, "uv")
-        return jnp.all((uv >= -0.5) & (uv <= jnp.array([self.width - 0.5, self.height - 0.5])))
+        return inside_image(uv, self.width, self.height)
 
     def _on_image(self, uv: Pixel, status: StatusCode) -> StatusCode:
         """The status of the optics, but for its image that of the whole."""
@@ -101,15 +101,30 @@ class RollingShutterCamera(AbstractScanningCamera):
         return uv, camera.time_of(uv) - time, status
 
 
-class PushbroomCamera(AbstractScanningCamera):
-    """One line of detectors, across the camera's columns, that the motion of the platform carries over the ground.
+class AbstractLineCamera(AbstractScanningCamera):
+    """One line of detectors along the camera's right, recorded `rows` times: the height of the image.
 
     `optics` is a frame camera of height 1: the line itself, behind a lens; its principal point may lie off the line
-    (a line that looks ahead or back). `rows` is how often the line is recorded: the height of the image.
+    (a line that looks ahead or back).
     """
 
     optics: FrameCamera
     rows: int = eqx.field(static=True)
+
+    @property
+    def width(self) -> int:
+        return self.optics.width
+
+    @property
+    def height(self) -> int:
+        return self.rows
+
+    def _row_at(self, time: Scalar) -> Scalar:
+        return time / jnp.where(self.line_time == 0.0, 1.0, self.line_time)  # zero is what only a traced one can be
+
+
+class PushbroomCamera(AbstractLineCamera):
+    """A line camera that the motion of the platform carries over the ground."""
 
     @classmethod
     def from_metric(
@@ -131,14 +146,6 @@ class PushbroomCamera(AbstractScanningCamera):
         line = _line(focal_length, pixel_pitch, width, principal_point, distortion)
         return cls(optics=line, line_time=_checked_time(line_time, "line_time"), rows=check_size(height, "height"))
 
-    @property
-    def width(self) -> int:
-        return self.optics.width
-
-    @property
-    def height(self) -> int:
-        return self.rows
-
     def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
         uv = as_float64(uv, "camera.ray(uv)")
         direction, status = self.optics.ray(jnp.stack([uv[0], 0.0 * uv[1]]))
@@ -154,22 +161,19 @@ class PushbroomCamera(AbstractScanningCamera):
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
         camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
         on_line, status = _on_line(camera.optics, p)
-        uv = jnp.stack([on_line[0], time / jnp.where(camera.line_time == 0.0, 1.0, camera.line_time)])
+        uv = jnp.stack([on_line[0], camera._row_at(time)])
         return uv, on_line[1] * camera.line_time, self._on_image(uv, status)
 
 
-class SweepCamera(AbstractScanningCamera):
+class SweepCamera(AbstractLineCamera):
     """A line camera that turns while it exposes row after row: a panoramic or whiskbroom camera.
 
     The line lies along the camera's right; the camera turns about that, from `scan_start` at the upper edge of the
-    first row to `scan_end` at the lower edge of the last (rad from the camera's forward towards its down). `optics` is
-    a frame camera of height 1, as in `PushbroomCamera`; `rows` are the height of the image.
+    first row to `scan_end` at the lower edge of the last (rad from the camera's forward towards its down).
     """
 
-    optics: FrameCamera
     scan_start: ScalarField
     scan_end: ScalarField
-    rows: int = eqx.field(static=True)
 
     @classmethod
     def from_metric(
@@ -206,14 +210,6 @@ class SweepCamera(AbstractScanningCamera):
         rows = check_size(height, "height")
         return cls(optics=line, scan_start=start, scan_end=end, line_time=duration / rows, rows=rows)
 
-    @property
-    def width(self) -> int:
-        return self.optics.width
-
-    @property
-    def height(self) -> int:
-        return self.rows
-
     def scan_angle(self, row: ScalarLike) -> Scalar:
         """Angle in rad of the line's view at a row, from the camera's forward towards its down."""
         camera, row = as_float64((self, row), "row")
@@ -246,7 +242,7 @@ class SweepCamera(AbstractScanningCamera):
 
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
         camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
-        uv, rows, status = camera._image(p, time / jnp.where(camera.line_time == 0.0, 1.0, camera.line_time))
+        uv, rows, status = camera._image(p, camera._row_at(time))
         return uv, rows * camera.line_time, status
 
     def _image(self, p: Vector3, row: Scalar) -> tuple[Pixel, Scalar, StatusCode]:

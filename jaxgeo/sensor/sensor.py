@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64
+from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import all_finite, finite_or, product, turned
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_ned
@@ -45,11 +45,8 @@ class Sensor(eqx.Module):
 
     def sight(self, shot: Shot | Station) -> Sight:
         """Perspective centre in ECEF m, position and both lever arms, and orientation of the camera in ECEF."""
-        if not isinstance(shot, Shot | Station):
-            raise TypeError(
-                f"shot must be a jaxgeo Shot; got {type(shot).__name__}. Of a Trajectory, trajectory.at(time) is one; "
-                "locate, project and at_range take the trajectory itself."
-            )
+        if not isinstance(shot, Station):
+            check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one; locate takes the whole.")
         station = Station.of(shot) if isinstance(shot, Shot) else shot
         mount = as_float64(self.mount, "mount")
         R_base_from_head = self.gimbal.R_base_from_head(station.gimbal_readings)

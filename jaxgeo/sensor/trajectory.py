@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_array, as_float64, check_finite, concrete
+from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
 from jaxgeo._numerics import product, tree_where, turned
 from jaxgeo._typing import Flag, Scalar, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, R_ecef_from_ned
@@ -61,9 +61,10 @@ class Trajectory(eqx.Module):
         readings that jump by more than 180 deg (a yaw that passes from 180 to -180 is to be unwrapped, `numpy.unwrap`),
         for arrays of other lengths, and for numbers that are not finite. One number in `poses` holds for all knots.
         """
-        _check_is(poses, Pose, "poses", "one Pose whose fields hold an entry for each knot")
+        check_is(poses, Pose, "poses", "One Pose, whose fields hold an entry for each knot.")
         readings = np.zeros((*np.shape(times), 0)) if gimbal_readings is None else gimbal_readings
-        parts = [_no_list(part) for part in (times, readings, velocity_ned, body_rates)]
+        named = {"times": times, "readings": readings, "velocity_ned": velocity_ned, "body_rates": body_rates}
+        parts = [as_array(part, name) for name, part in named.items()]
         given: Any = as_float64((poses, *parts), "Trajectory.from_knots")
         poses, times, readings, velocity_ned, body_rates = given
         poses = jax.tree.map(lambda x: jnp.broadcast_to(x, times.shape) if jnp.ndim(x) == 0 else x, poses)
@@ -98,7 +99,7 @@ class Trajectory(eqx.Module):
         `velocity_ned` (3,) in m/s over the ground, `body_rates` (3,) in rad/s about forward, right and down, against
         the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`; also for a turn beyond 960 deg.
         """
-        _check_is(shot, Shot, "shot", "trajectory.at(time) is one")
+        check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one.")
         turning: Any = np.zeros(3) if body_rates is None else body_rates
         moving: Any = np.zeros(np.shape(shot.gimbal_readings)) if gimbal_rates is None else gimbal_rates
         vectors = [as_array(v, "velocity or rates") for v in (velocity_ned, turning, moving)]
@@ -122,7 +123,7 @@ class Trajectory(eqx.Module):
 
     def with_readings(self, gimbal_readings: Numbers) -> Trajectory:
         """The same flight with other gimbal readings, in rad: (knots, axes), or (axes,) held throughout."""
-        readings: Any = as_float64(_no_list(gimbal_readings), "gimbal_readings")
+        readings: Any = as_float64(as_array(gimbal_readings, "gimbal_readings"), "gimbal_readings")
         if readings.ndim == 1:
             readings = jnp.broadcast_to(readings, (*self.times.shape, *readings.shape))
         _check_lengths(self.times, self.poses, readings)
@@ -221,15 +222,6 @@ def _motion_and_change(trajectory: Trajectory, time: Scalar) -> tuple[tuple[Arra
     moment = jnp.where(inside, time, trajectory.start)
     motion, change = jax.jvp(lambda t: legs.motion(t, later), (moment,), (one,))
     return motion, jax.tree.map(lambda x: jnp.where(inside, x, jnp.nan), change)
-
-
-def _no_list(value: Any) -> Any:
-    return jnp.asarray(value) if isinstance(value, list | tuple) else value
-
-
-def _check_is(value: Any, kind: type, name: str, hint: str) -> None:
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a jaxgeo {kind.__name__}; got {type(value).__name__}: {hint}.")
 
 
 def _check_readings(readings: Array) -> None:
