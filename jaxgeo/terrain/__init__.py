@@ -2,6 +2,7 @@
 
 from jaxgeo.terrain.constant import ConstantHeight
 from jaxgeo.terrain.dem import Dem
+from jaxgeo.terrain.field import AbstractField, ConstantField, LineField, SumField
 from jaxgeo.terrain.grid import AbstractGrid, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search import (
@@ -27,6 +28,7 @@ from jaxgeo.terrain.search import (
 )
 
 __all__ = [
+    "AbstractField",
     "AbstractGrid",
     "AbstractSearch",
     "AbstractStudiedSearch",
@@ -34,6 +36,7 @@ __all__ = [
     "AbstractWindow",
     "Bisection",
     "Bracket",
+    "ConstantField",
     "ConstantHeight",
     "Dem",
     "Ending",
@@ -46,10 +49,12 @@ __all__ = [
     "HeightsBetween",
     "ImprovedLiteral",
     "ImprovedSecant",
+    "LineField",
     "Outcome",
     "Photogrammetric",
     "Run",
     "Segmented",
+    "SumField",
     "TangentGrid",
     "TargetArea",
     "TransverseMercatorGrid",

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxgeo._checks import as_float64
+from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import finite_or, value_and_slope
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
+from jaxgeo.terrain.field import AbstractField, ConstantField, checked_field
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search.base import AbstractSearch
 
@@ -30,6 +31,15 @@ class ConstantHeight(AbstractTerrain):
 
     height: ScalarField
     ellipsoid: Ellipsoid = eqx.field(static=True, default=WGS84)
+
+    def with_field(self, field: AbstractField) -> ConstantHeight:
+        """The surface a bias higher; there are no posts for a field that varies.
+
+        Raises `TypeError` for any other field than a `ConstantField`.
+        """
+        hint = "A terrain of one height has no posts for a field that varies: take a Dem."
+        check_is(field, ConstantField, "field", hint)
+        return ConstantHeight(self._height() + checked_field(field).bounds()[0], self.ellipsoid)
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
         del search

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,11 +18,12 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain._memory import aligned_empty, copied, handed_over
+from jaxgeo.terrain._memory import copied, handed_over
+from jaxgeo.terrain.field import AbstractField, BoundedField, Bounds, SumField, checked_field
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.patch import Patch
-from jaxgeo.terrain.pyramid import Pyramid, build_pyramid
+from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, extremes, known_posts
 from jaxgeo.terrain.search.base import AbstractSearch
 
 EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
@@ -35,7 +36,7 @@ class Dem(AbstractTerrain):
     `posts` are ellipsoidal heights in m, indexed [row, col], stored in any real dtype and finite everywhere; `void`
     marks those that are unknown. `grid` maps positions to (row, col). `extent` is the true (rows, cols) when the
     arrays are padded. `lowest` and `highest` are those of the known posts; the ground over a void cell (one with a void
-    post) is unknown up to `void_ceiling`.
+    post) is unknown up to `void_ceiling`. A `field`, if there is one, is added to all of that (see `with_field`).
     """
 
     posts: PostsField
@@ -47,6 +48,7 @@ class Dem(AbstractTerrain):
     void_ceiling: ScalarField
     has_void: FlagField
     pyramid: Pyramid
+    field: AbstractField | None = None
 
     @classmethod
     def from_array(
@@ -78,10 +80,10 @@ class Dem(AbstractTerrain):
         if void is not None:
             unknown = unknown | void
         rows, cols = posts.shape if extent is None else xp.asarray(extent)
-        known, has_void = _known(unknown, rows, cols, xp)
+        known, has_void = known_posts(unknown, rows, cols, xp)
         if is_known_now and not has_void:
             unknown = np.broadcast_to(False, posts.shape)  # of no size in memory
-        lowest, highest = _extremes(posts, known, xp)
+        lowest, highest = extremes(posts, known, xp)
         if is_known_now:
             _check_posts(known, lowest, highest)
         ceiling = highest if void_ceiling is None else xp.asarray(void_ceiling, np.float64)
@@ -107,41 +109,74 @@ class Dem(AbstractTerrain):
         )
 
     def with_posts(self, posts: ArrayLike) -> Dem:
-        """The same terrain with other heights (rows, cols) in m; voids stay, and their ceiling if it was set."""
+        """The same terrain with other heights (rows, cols) in m; voids, a ceiling set for them, and the field stay."""
         if jnp.shape(posts) != jnp.shape(self.posts):
             raise ValueError(f"posts must keep the shape {jnp.shape(self.posts)}; got {jnp.shape(posts)}.")
         highest = jnp.max(jnp.where(jnp.asarray(self.void), -jnp.inf, jnp.asarray(posts)))
         is_default = jnp.asarray(self.void_ceiling) == self.highest
         ceiling = jax.lax.stop_gradient(jnp.where(is_default, highest, self.void_ceiling))
-        return Dem.from_array(posts, self.grid, void=self.void, void_ceiling=ceiling, extent=self.extent)
+        dem = Dem.from_array(posts, self.grid, void=self.void, void_ceiling=ceiling, extent=self.extent)
+        return dem if self.field is None else dem.with_field(self.field)
+
+    def with_field(self, field: AbstractField) -> Dem:
+        """The same terrain, its posts changed by a field of heights in m, on top of any that it has already.
+
+        Its arrays are shared, not copied: under `jax.vmap` every item may have a field of its own, and all are searched
+        together. The ceiling of voids rises by the field's highest value. Hits are differentiable in the field, but for
+        those on a void's ceiling. Raises `TypeError` for what is no field, `ValueError` for one of many fields at once.
+        """
+        field = checked_field(field)
+        return dataclasses.replace(self, field=field if self.field is None else SumField(self.field, field))
+
+    @property
+    def known_heights(self) -> Bounds:
+        """Heights in m between which the known ground lies; with a field, bounds of them."""
+        lowest, highest = jnp.asarray(self.lowest), jnp.asarray(self.highest)
+        if self.field is None:
+            return lowest, highest
+        low, high = self.field.frozen_bounds()
+        return lowest + low, highest + high
+
+    @property
+    def void_top(self) -> Scalar:
+        """Height in m up to which the ground over voids may rise, the field included."""
+        top = jnp.asarray(self.void_ceiling)
+        return top if self.field is None else top + self.field.frozen_bounds()[1]
+
+    @property
+    def rise(self) -> Scalar | None:
+        """How far in m the ground may rise above the bounds in `pyramid`; None if they are its own."""
+        return None if self.field is None else self.field.frozen_bounds()[1]
 
     @property
     def ceiling(self) -> Scalar:
         """Height in m above which there is nothing, known or unknown."""
-        return jnp.where(self.has_void, jnp.maximum(self.highest, self.void_ceiling), jnp.asarray(self.highest))
+        _, highest = self.known_heights
+        return jnp.where(self.has_void, jnp.maximum(highest, self.void_top), highest)
 
     @property
     def floor(self) -> Scalar:
         """Height in m below which no answer can lie: of the lowest post, or of a lower void ceiling."""
-        lowest = jnp.asarray(self.lowest)
-        return jnp.where(self.has_void, jnp.minimum(lowest, self.void_ceiling), lowest)
+        lowest, _ = self.known_heights
+        return jnp.where(self.has_void, jnp.minimum(lowest, self.void_top), lowest)
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
-        return search.bracket(*jax.lax.stop_gradient((ray, self)))
+        bounded = self if self.field is None else dataclasses.replace(self, field=BoundedField.of(self.field))
+        return search.bracket(*jax.lax.stop_gradient((ray, bounded)))
 
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
         rowcol, height = self.over(p_ecef)
         return height - self.surface(rowcol, cell)
 
     def made_safe(self) -> tuple[Dem, Flag]:
-        small = (self.grid, self.lowest, self.highest, self.void_ceiling)
-        places = lambda dem: (dem.grid, dem.lowest, dem.highest, dem.void_ceiling)  # noqa: E731
-        return eqx.tree_at(places, self, finite_or(small, 1.0)), all_finite(small)
+        names = ("grid", "lowest", "highest", "void_ceiling", "field")
+        small = {name: getattr(self, name) for name in names}
+        return dataclasses.replace(self, **finite_or(small, 1.0)), all_finite(small)
 
     def safe_ray(self) -> Ray:
         normal = jax.lax.stop_gradient(self.centre_normal())
         lat, lon = jnp.arcsin(normal[2]), jnp.arctan2(normal[1], normal[0])
-        origin = WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=self.highest + 1000.0))
+        origin = WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=self.known_heights[1] + 1000.0))
         return jax.lax.stop_gradient(Ray(origin, -normal))
 
     def centre_normal(self) -> Vector3:
@@ -169,7 +204,8 @@ class Dem(AbstractTerrain):
     def patch(self, cell: Int[Array, "2"]) -> tuple[Patch, Flag]:
         """The surface of a cell, given by its first post, and whether it is void: it then is flat at its ceiling."""
         rows, cols = jnp.shape(self.posts)
-        first = jnp.clip(cell[0], 0, rows - 2) * cols + jnp.clip(cell[1], 0, cols - 2)
+        row, col = jnp.clip(cell[0], 0, rows - 2), jnp.clip(cell[1], 0, cols - 2)
+        first = row * cols + col
         corners = [first, first + 1, first + cols, first + cols + 1]
         posts = jnp.asarray(self.posts).reshape(-1)
         heights = [posts.at[post].get(mode="promise_in_bounds").astype(jnp.float64) for post in corners]
@@ -181,7 +217,10 @@ class Dem(AbstractTerrain):
 
         is_void = jax.lax.cond(self.has_void, touches_void, lambda: jnp.zeros_like(first, dtype=bool))
         is_void = is_void | ~jnp.isfinite(heights[0] + heights[1] + heights[2] + heights[3])
-        return Patch(*(jnp.where(is_void, self.void_ceiling, height) for height in heights)), is_void
+        if self.field is not None:
+            more = self.field.at_corners(row, col)
+            heights = [height + change for height, change in zip(heights, more, strict=True)]
+        return Patch(*(jnp.where(is_void, self.void_top, height) for height in heights)), is_void
 
     def surface(self, rowcol: Float[Array, "2"], cell: Int[Array, "2"]) -> Scalar:
         """Height in m at (row, col) of the bilinear patch of a frozen cell, continued beyond it."""
@@ -265,22 +304,3 @@ def _check_posts(known: np.ndarray, lowest: np.floating, highest: np.floating) -
         raise ValueError(f"all {known.size} posts are void: there is no terrain here.")
     if not np.isfinite(lowest) or not np.isfinite(highest):
         raise ValueError("posts must be finite or NaN (void); found an infinite height. Mark such posts in `void`.")
-
-
-def _known(unknown: Any, rows: Any, cols: Any, xp: Any) -> tuple[Any, Any]:
-    """Which posts are known and within the true extent, and whether any within it is not; in NumPy with one array."""
-    if xp is np:
-        known = np.logical_not(unknown, out=aligned_empty(unknown.shape, bool))
-        has_void = not known[:rows, :cols].all()
-        known[rows:], known[:, cols:] = False, False
-        return known, np.asarray(has_void)
-    inside = (xp.arange(unknown.shape[0]) < rows)[:, None] & (xp.arange(unknown.shape[1]) < cols)[None, :]
-    return inside & ~unknown, xp.any(inside & unknown)
-
-
-def _extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:
-    """Lowest and highest known post; no array of the posts' size is made of those known now."""
-    kind = None if posts.dtype.kind == "f" else np.iinfo(posts.dtype)
-    least, most = (-np.inf, np.inf) if kind is None else (kind.min, kind.max)
-    lowest = xp.min(posts, where=known, initial=most)
-    return lowest.astype(np.float64), xp.max(posts, where=known, initial=least).astype(np.float64)

@@ -12,6 +12,7 @@ from jaxgeo._typing import Flag, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.earth.ray import Ray
 
 if TYPE_CHECKING:
+    from jaxgeo.terrain.field import AbstractField
     from jaxgeo.terrain.search.base import AbstractSearch
 
 
@@ -38,6 +39,10 @@ class AbstractTerrain(eqx.Module):
     @abstractmethod
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
         """Height in m of an ECEF point above the surface of one frozen cell, smooth in every input."""
+
+    @abstractmethod
+    def with_field(self, field: AbstractField) -> AbstractTerrain:
+        """The terrain with a field of heights added, on top of any that it has already."""
 
     @abstractmethod
     def made_safe(self) -> tuple[AbstractTerrain, Flag]:

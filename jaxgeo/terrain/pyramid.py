@@ -49,6 +49,25 @@ class Pyramid(eqx.Module):
         return self.base + self.step * stored.astype(jnp.float64)
 
 
+def known_posts(unknown: Any, rows: Any, cols: Any, xp: Any) -> tuple[Any, Any]:
+    """Which posts are known and within the true extent, and whether any within it is not; in NumPy with one array."""
+    if xp is np:
+        known = np.logical_not(unknown, out=aligned_empty(unknown.shape, bool))
+        has_void = not known[:rows, :cols].all()
+        known[rows:], known[:, cols:] = False, False
+        return known, np.asarray(has_void)
+    inside = (xp.arange(unknown.shape[0]) < rows)[:, None] & (xp.arange(unknown.shape[1]) < cols)[None, :]
+    return inside & ~unknown, xp.any(inside & unknown)
+
+
+def extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:
+    """Lowest and highest known post; no array of the posts' size is made of those known now."""
+    kind = None if posts.dtype.kind == "f" else np.iinfo(posts.dtype)
+    least, most = (-np.inf, np.inf) if kind is None else (kind.min, kind.max)
+    lowest = xp.min(posts, where=known, initial=most)
+    return lowest.astype(np.float64), xp.max(posts, where=known, initial=least).astype(np.float64)
+
+
 def build_pyramid(
     posts: Any, unknown: Any, *, ceiling: Any, lowest: Any, highest: Any, xp: types.ModuleType
 ) -> Pyramid:

@@ -33,6 +33,10 @@ class Quartic(eqx.Module):
         """The derivative at `tau`."""
         return ((4.0 * self.c4 * tau + 3.0 * self.c3) * tau + 2.0 * self.c2) * tau + self.c1
 
+    def lowered(self, by: Scalar) -> Quartic:
+        """The polynomial less a number."""
+        return Quartic(self.c0 - by, self.c1, self.c2, self.c3, self.c4)
+
     def speed(self) -> Scalar:
         """An upper bound of the derivative's size for tau in [-1, 1]."""
         return abs(self.c1) + 2.0 * abs(self.c2) + 3.0 * abs(self.c3) + 4.0 * abs(self.c4)

@@ -22,6 +22,7 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import happened, has_entered, march_all
 from jaxgeo.terrain.search.walk import Stretch, advance, is_passing, must_settle, place, position_of
 from jaxgeo.terrain.search.walker import (
@@ -50,37 +51,38 @@ Rays = Float[Array, " rays"]
 Codes = Int32[Array, " rays"]
 
 
-def walk_all(ray: Ray, reach: Reach, dem: Dem) -> tuple[Walker, Track]:
+def walk_all(ray: Ray, reach: Reach, ground: Ground) -> tuple[Walker, Track]:
     """Walk every ray (leading axis) to its first event or to its end; the track is the one of the event."""
     count = reach.start.shape[0]
     if count > SMALL_BLOCK:
-        store, waiting, left = _first_pass(ray, reach, dem)
+        store, waiting, left = _first_pass(ray, reach, ground)
     else:
         walker = jax.vmap(Walker.at_start)(reach)
         store = Store.of(walker, no_tracks(reach.start))
         waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
-    store = _rounds(store, waiting, left, ray, reach, dem)
+    store = _rounds(store, waiting, left, ray, reach, ground)
     return store.unpacked()
 
 
-def _first_pass(ray: Ray, reach: Reach, dem: Dem) -> tuple[Store, Int[Array, " list"], Index]:
+def _first_pass(ray: Ray, reach: Reach, ground: Ground) -> tuple[Store, Int[Array, " list"], Index]:
     """Every ray once, in blocks that lie together; and who is not done. The last block is filled up."""
     count = reach.start.shape[0]
     blocks = -(-count // LARGE_BLOCK)
     size = BUNDLE * -(-count // (BUNDLE * blocks))
     whole = blocks * size
-    ray, reach = jax.tree.map(lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], whole - count, axis=0)]), (ray, reach))
+    filled = lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], whole - count, axis=0)])  # noqa: E731
+    (ray, reach), ground = jax.tree.map(filled, (ray, reach)), ground.of_rays(filled)
     reach = eqx.tree_at(lambda r: r.exists, reach, reach.exists & (jnp.arange(whole) < count))
 
     def block(number, state):
         store, waiting, left = state
         first = number * size
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
-        here_ray, here_reach = jax.tree.map(part, (ray, reach))
+        (here_ray, here_reach), here = jax.tree.map(part, (ray, reach)), ground.of_rays(part)
         walker = jax.vmap(Walker.at_start)(here_reach)
-        walker, track = _with_new_tracks(walker, no_tracks(here_reach.start), here_ray, dem, here_reach)
-        walker = start_together(walker, jax.vmap(Stretch.of)(track), dem)
-        walker = _one_round(walker, track, dem, here_reach.end, few=size // 8)
+        walker, track = _with_new_tracks(walker, no_tracks(here_reach.start), here_ray, ground.shared, here_reach)
+        walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
+        walker = _one_round(walker, track, here, here_reach.end, few=size // 8)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
         index = first + jnp.arange(size, dtype=jnp.int32)
@@ -94,7 +96,7 @@ def _first_pass(ray: Ray, reach: Reach, dem: Dem) -> tuple[Store, Int[Array, " l
     return jax.tree.map(lambda x: x[:, :count], store), waiting[:count], left
 
 
-def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, dem: Dem) -> Store:
+def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, ground: Ground) -> Store:
     """Go through the list again and again until nobody is left."""
     count = reach.start.shape[0]
     size = min(SMALL_BLOCK, max(64, 1 << (count - 1).bit_length()))
@@ -106,9 +108,10 @@ def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, r
         index = jnp.where(number * size + jnp.arange(size) < left, index, count)
         walker, track = jax.tree.map(lambda x: _columns(x, index), store).unpacked()
         walker = eqx.tree_at(lambda w: w.is_over, walker, walker.is_over | (index == count))
-        here_ray, here_reach = jax.tree.map(lambda x: x.at[index].get(mode="clip"), (ray, reach))
-        walker, track = _with_new_tracks(walker, track, here_ray, dem, here_reach)
-        walker = _one_round(walker, track, dem, here_reach.end, few=jnp.where(left > size, size // 8, 0), left=left)
+        pick = lambda x: x.at[index].get(mode="clip")  # noqa: E731
+        (here_ray, here_reach), here = jax.tree.map(pick, (ray, reach)), ground.of_rays(pick)
+        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_reach)
+        walker = _one_round(walker, track, here, here_reach.end, few=jnp.where(left > size, size // 8, 0), left=left)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
         newcomers, some = _listed(index, ~walker.is_over)
@@ -127,33 +130,37 @@ def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, r
 
 
 def _one_round(
-    walker: Walker, track: Track, dem: Dem, end: Rays, *, few: Index | int, left: Index | None = None
+    walker: Walker, track: Track, ground: Ground, end: Rays, *, few: Index | int, left: Index | None = None
 ) -> Walker:
     """Skip ahead, march over ground that is too near (few rays in many lanes each), and close finished tracks."""
-    stretch = jax.vmap(Stretch.of)(track)
-    walker = skip_ahead(walker, stretch, dem, few)
+    stretch = ground.each(_stretch_of, track)
+    walker = skip_ahead(walker, stretch, ground.shared, few)
     found = (
-        _march(walker, stretch, dem, few // 2)
+        _march(walker, stretch, ground, few // 2)
         if left is None
-        else _march_in_lanes(walker, stretch, dem, few // 2, left)
+        else _march_in_lanes(walker, stretch, ground, few // 2, left)
     )
     return jax.vmap(after_track)(jax.vmap(take_down)(walker, stretch, *found), stretch, end)
 
 
-def _march(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> tuple[Rays, Codes, Codes]:
+def _stretch_of(track: Track, dem: Dem) -> Stretch:
+    return Stretch.of(track, dem.rise)
+
+
+def _march(walker: Walker, stretch: Stretch, ground: Ground, few: Index | int) -> tuple[Rays, Codes, Codes]:
     """March over the next intervals of every ray that cannot skip them: where the marches end, what they met, and how
     many intervals they have settled."""
     first = position_of(walker.here)
     marches = ~walker.fresh & ~walker.is_over & must_settle(walker.here)
     last = jnp.minimum(first + jnp.where(marches, STRIDE, 0), stretch.count)
     begin, end = stretch.tau(first), stretch.tau(last)
-    march = march_all(stretch.track, dem, begin, end, walker.news, few)
+    march = march_all(stretch.track, ground, begin, end, walker.news, few)
     settled = jnp.where((march.tau >= end) & ~happened(march.news), last - first, 0)
     return march.tau, jnp.where((settled > 0) | happened(march.news), march.news, walker.news), settled
 
 
 def _march_in_lanes(
-    walker: Walker, stretch: Stretch, dem: Dem, few: Index | int, left: Index
+    walker: Walker, stretch: Stretch, ground: Ground, few: Index | int, left: Index
 ) -> tuple[Rays, Codes, Codes]:
     """As `_march`, with as many lanes for each ray as there are: each lane takes the intervals behind the one before.
 
@@ -164,7 +171,8 @@ def _march_in_lanes(
     each = jnp.maximum(size // jnp.maximum(left, 1), 1)
     lane = jnp.arange(size, dtype=jnp.int32)
     owner, ahead = lane // each, lane % each
-    theirs, mine = jax.tree.map(lambda x: x.at[owner].get(mode="clip"), (stretch, walker))
+    pick = lambda x: x.at[owner].get(mode="clip")  # noqa: E731
+    theirs, mine = jax.tree.map(pick, (stretch, walker))
     first = position_of(mine.here) + STRIDE * ahead
     is_used = (owner < left) & (first < theirs.count) & (has_entered(mine.news) | (ahead == 0))
     there = eqx.tree_at(
@@ -172,7 +180,7 @@ def _march_in_lanes(
         mine,
         (jnp.where(must_settle(mine.here), place(first, jnp.full_like(first, -1)), mine.here), mine.is_over | ~is_used),
     )
-    tau, news, settled = _march(there, theirs, dem, few)
+    tau, news, settled = _march(there, theirs, ground.of_rays(pick), few)
     met = jax.lax.cummin(jnp.where(happened(news) & is_used, lane, size), reverse=True)
     start = lane * each
     nearest = met.at[start].get(mode="clip")
@@ -222,7 +230,7 @@ def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
         apart = sum(jnp.abs(bundles(each) - first[:, None]) for each, first in pairs)
         return 1.001 * jnp.where(ready, jnp.max(jnp.asarray(apart), axis=1), SCATTERED).astype(jnp.float32)
 
-    quartics = lambda s: (s.track.row, s.track.col, s.track.height)  # noqa: E731
+    quartics = lambda s: (s.track.row, s.track.col, s.headroom)  # noqa: E731
     spreads = tuple(spread(all_, first) for all_, first in zip(quartics(stretch), quartics(leader), strict=True))
 
     def move(here: Int[Array, " bundles"]) -> Int[Array, " bundles"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.custom_batching import custom_vmap
@@ -16,6 +17,7 @@ from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
 from jaxgeo.terrain.search.crowd import STRIDE, Walker, walk_all
+from jaxgeo.terrain.search.ground import Ground, fits_together
 from jaxgeo.terrain.search.march import (
     cell_between,
     cell_exit,
@@ -47,7 +49,8 @@ class FirstHit(AbstractSearch):
     aligned; otherwise it is halved; an interval of the finest level is settled exactly (`leaf.first_event`). So no cell
     is passed unseen, and the crossing found is the first.
 
-    Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out.
+    Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out; also where
+    each has a field of its own (`Dem.with_field`). Terrains that differ in more are searched one after the other.
     """
 
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
@@ -56,7 +59,7 @@ class FirstHit(AbstractSearch):
 
 @custom_vmap
 def _first_hit(ray: Ray, dem: Dem) -> Bracket:
-    brackets = _first_hits(jax.tree.map(lambda x: x[None], ray), dem)
+    brackets = _first_hits(jax.tree.map(lambda x: x[None], ray), Ground.common(dem))
     return jax.tree.map(lambda x: x[0], brackets)
 
 
@@ -64,28 +67,27 @@ def _first_hit(ray: Ray, dem: Dem) -> Bracket:
 def _(axis_size, in_batched, ray: Ray, dem: Dem):
     ray_batched, dem_batched = in_batched
     ray = _broadcast(ray, ray_batched, axis_size)
-    if any(jax.tree.leaves(dem_batched)):
-        brackets = _one_terrain_each(_first_hit, axis_size, ray, dem, dem_batched)
+    if fits_together(dem_batched):
+        brackets = _first_hits(ray, Ground.of(dem, dem_batched))
     else:
-        brackets = _first_hits(ray, dem)
+        brackets = _one_terrain_each(_first_hit, axis_size, ray, dem, dem_batched)
     return brackets, jax.tree.map(lambda _: True, brackets)
 
 
 @custom_vmap
-def _first_hits(rays: Ray, dem: Dem) -> Bracket:
+def _first_hits(rays: Ray, ground: Ground) -> Bracket:
     """Brackets of many rays (leading axis); more than `AT_ONCE` go in parts."""
     count = rays.origin.shape[0]
     parts = -(-count // AT_ONCE)
     size = -(-count // parts) if count else 0
     if parts <= 1:
-        return _search(rays, dem) if count else jax.vmap(lambda _: _nothing())(rays.origin)
+        return _search(rays, ground) if count else jax.vmap(lambda _: _nothing())(rays.origin)
 
     def part(start: Int[Array, ""], found: Bracket) -> Bracket:
         first = jnp.minimum(start * size, count - size)
-        some = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, first, size), rays)
-        return jax.tree.map(
-            lambda all_, new: jax.lax.dynamic_update_slice_in_dim(all_, new, first, 0), found, _search(some, dem)
-        )
+        pick = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
+        new = _search(jax.tree.map(pick, rays), ground.of_rays(pick))
+        return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), found, new)
 
     nothing = nothing_like(jnp.where(jnp.isfinite(rays.origin[0, 0]), rays.origin[0, 0], 0.0))
     empty = jax.tree.map(lambda x: jnp.full((count, *x.shape), nothing.astype(x.dtype)), _nothing())
@@ -93,17 +95,27 @@ def _first_hits(rays: Ray, dem: Dem) -> Bracket:
 
 
 @_first_hits.def_vmap
-def _(axis_size, in_batched, rays: Ray, dem: Dem):
+def _(axis_size, in_batched, rays: Ray, ground: Ground):
     """A batch of batches is one larger batch."""
-    ray_batched, dem_batched = in_batched
+    ray_batched, ground_batched = in_batched
     rays = _broadcast(rays, ray_batched, axis_size)
-    if any(jax.tree.leaves(dem_batched)):
-        brackets = _one_terrain_each(_first_hits, axis_size, rays, dem, dem_batched)
-    else:
+    if fits_together(ground_batched.shared):
         count = rays.origin.shape[1]
-        together = _first_hits(jax.tree.map(lambda x: x.reshape(axis_size * count, *x.shape[2:]), rays), dem)
+        flat = lambda x: x.reshape(axis_size * count, *x.shape[2:])  # noqa: E731
+        together = _first_hits(jax.tree.map(flat, rays), _flat_ground(ground, ground_batched, axis_size, count))
         brackets = jax.tree.map(lambda x: x.reshape(axis_size, count, *x.shape[1:]), together)
+    else:
+        brackets = _one_terrain_each(_first_hits, axis_size, rays, ground, ground_batched)
     return brackets, jax.tree.map(lambda _: True, brackets)
+
+
+def _flat_ground(ground: Ground, batched: Ground, axis_size: int, count: int) -> Ground:
+    """The ground of a batch of batches: what differs between the batches or within them is each ray's own."""
+    own = _broadcast(ground.own, batched.own, axis_size)
+    per_batch, shared = eqx.partition(ground.shared, batched.shared)
+    repeated = jax.tree.map(lambda x: jnp.broadcast_to(x[:, None], (axis_size, count, *x.shape[1:])), per_batch)
+    flat = jax.tree.map(lambda x: x.reshape(axis_size * count, *x.shape[2:]), eqx.combine(own, repeated))
+    return Ground(flat, shared)
 
 
 def _broadcast(tree, batched, axis_size: int):
@@ -112,7 +124,7 @@ def _broadcast(tree, batched, axis_size: int):
     )
 
 
-def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem, dem_batched):
+def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem | Ground, dem_batched):
     """A batch in which every item has a terrain of its own: one after the other."""
     leaves, structure = jax.tree.flatten(dem)
     flags = jax.tree.leaves(dem_batched)
@@ -124,14 +136,14 @@ def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem, dem_batched):
     return jax.lax.map(one, jnp.arange(axis_size))
 
 
-def _search(rays: Ray, dem: Dem) -> Bracket:
-    reach = jax.vmap(reach_of, (0, None))(rays, dem)
-    walker, track = walk_all(rays, reach, dem)
-    brackets = jax.vmap(_as_bracket, (0, 0, 0, None))(walker, track, reach, dem)
+def _search(rays: Ray, ground: Ground) -> Bracket:
+    reach = ground.each(reach_of, rays)
+    walker, track = walk_all(rays, reach, ground)
+    brackets = ground.each(_as_bracket, walker, track, reach)
     begins_low = reach.exists & reach.is_near & (reach.start == 0.0)
 
     def with_buried() -> Bracket:
-        buried = begins_low & jax.vmap(is_buried, (0, None))(rays, dem)
+        buried = begins_low & ground.each(is_buried, rays)
         status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
         return Bracket(brackets.lower, brackets.upper, brackets.cell, status)
 

@@ -27,8 +27,8 @@ class _State(eqx.Module):
 
 def middle_height(descent: Descent, height: ScalarField | None) -> Scalar:
     """The approximate height to start from in m: the one given, or the middle between lowest and highest post."""
-    middle = 0.5 * (jnp.asarray(descent.dem.lowest) + descent.dem.highest)
-    return middle if height is None else jnp.asarray(height, jnp.float64)
+    lowest, highest = descent.dem.known_heights
+    return 0.5 * (lowest + highest) if height is None else jnp.asarray(height, jnp.float64)
 
 
 def iterate(descent: Descent, start: Scalar, step: Step, eps: Scalar, limit: Index) -> Search:

@@ -15,6 +15,7 @@ from jaxgeo.status import Status, status_where
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
     from jaxgeo.terrain.patch import Patch
+    from jaxgeo.terrain.search.ground import Ground
     from jaxgeo.terrain.track import Quartic, Track
 
 Rays = Float[Array, " rays"]
@@ -65,7 +66,7 @@ def status_of(news: Index) -> StatusCode:
     return (jnp.right_shift(news, 2) - 1).astype(jnp.int8)
 
 
-def step(march: March, track: Track, dem: Dem, end: Scalar) -> March:
+def step(march: March, track: Track, end: Scalar, dem: Dem) -> March:
     """Settle the cell ahead and go on to the next one; a march that has met an event stays before its cell."""
     exit_ = jax.lax.optimization_barrier(cell_exit(march.tau, track, end))
     news = jnp.where(march.is_done(end), march.news, _settle(march, track, dem, exit_))
@@ -145,11 +146,13 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     return jnp.where(crosses, jnp.clip(crossing, tau, stop), stop)
 
 
-def march_all(track: Track, dem: Dem, begin: Rays, end: Rays, news: Int32[Array, " rays"], few: Index | int) -> March:
+def march_all(
+    track: Track, ground: Ground, begin: Rays, end: Rays, news: Int32[Array, " rays"], few: Index | int
+) -> March:
     """March a crowd (leading axis) from `begin` to `end`, until no more than `few` are still on the way."""
 
     def move(march: March) -> March:
-        return jax.vmap(lambda march, track, end: step(march, track, dem, end))(march, track, end)
+        return ground.each(step, march, track, end)
 
     def many_are_on_the_way(march: March) -> Flag:
         return jnp.sum(~march.is_done(end), dtype=jnp.int32) > few

@@ -21,21 +21,31 @@ _LEVELS = 32  # a place is position * 32 + level + 1 in one int32
 class Stretch(eqx.Module):
     """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell.
 
-    `rough` are its row, col and height again, in 32 bits and with what bounds the error of that: intervals are skipped
-    on them, which takes half the time, and settled on the track itself.
+    `rough` are its row, col and `headroom` again, in 32 bits and with what bounds the error of that: intervals are
+    skipped on them, which takes half the time, and settled on the track itself. `lowered` is the headroom over ground
+    with a field, else None.
     """
 
     track: Track
     finest: IndexField
     unit: ScalarField
     rough: tuple[Rough, Rough, Rough]
+    lowered: Quartic | None
 
     @classmethod
-    def of(cls, track: Track) -> Stretch:
+    def of(cls, track: Track, rise: ScalarField | None = None) -> Stretch:
+        """Cut up a track over ground that may `rise` so many m above the pyramid's bounds (see `Dem.rise`)."""
         cells = jnp.ceil(jnp.clip(2.0 * track.speed(), 1.0, 2.0**FINEST)).astype(jnp.int32)
         finest = 32 - jax.lax.clz(cells - 1)
         unit = 2.0 / jnp.left_shift(jnp.ones_like(finest), finest)
-        return cls(track, finest, unit, (Rough.of(track.row), Rough.of(track.col), Rough.of(track.height)))
+        lowered = None if rise is None else track.height.lowered(rise)
+        headroom = track.height if lowered is None else lowered
+        return cls(track, finest, unit, (Rough.of(track.row), Rough.of(track.col), Rough.of(headroom)), lowered)
+
+    @property
+    def headroom(self) -> Quartic:
+        """The track's height less what a field may add to the ground: to be above the pyramid's bounds."""
+        return self.track.height if self.lowered is None else self.lowered
 
     @property
     def count(self) -> Indices:

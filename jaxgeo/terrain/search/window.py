@@ -52,7 +52,8 @@ class TargetArea(AbstractWindow):
 
     def heights(self, descent: Descent) -> tuple[Scalar, Scalar]:
         dem = descent.dem
-        height = 0.5 * (jnp.asarray(dem.lowest) + dem.highest) if self.height is None else jnp.asarray(self.height)
+        lowest, highest = dem.known_heights
+        height = 0.5 * (lowest + highest) if self.height is None else jnp.asarray(self.height)
         rowcol, _ = dem.over(descent.ray.at(descent.range_at(height)))
         extent = jnp.asarray(dem.extent)
         stored = jnp.shape(dem.posts)
@@ -63,10 +64,13 @@ class TargetArea(AbstractWindow):
         def strip(offset: Index, heights: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
             corner = (first[0] + offset, first[1])
             posts = jax.lax.dynamic_slice(jnp.asarray(dem.posts), corner, (1, cols)).astype(jnp.float64)
+            if dem.field is not None:
+                along = (first[1] + jnp.arange(cols)).astype(jnp.float64)
+                posts = posts + jax.vmap(dem.field.at, (None, 0))(corner[0].astype(jnp.float64), along)[None, :]
             void = jax.lax.dynamic_slice(jnp.asarray(dem.void), corner, (1, cols))
             exists = (first[1] + jnp.arange(cols) < extent[1])[None, :] & (first[0] + offset < extent[0])
             lowest = jnp.min(jnp.where(exists & ~void, posts, jnp.inf))
-            highest = jnp.max(jnp.where(exists, jnp.where(void, dem.void_ceiling, posts), -jnp.inf))
+            highest = jnp.max(jnp.where(exists, jnp.where(void, dem.void_top, posts), -jnp.inf))
             return jnp.minimum(heights[0], lowest), jnp.maximum(heights[1], highest)
 
         none = jnp.asarray(jnp.inf), jnp.asarray(-jnp.inf)

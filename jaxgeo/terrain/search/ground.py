@@ -1,0 +1,47 @@
+"""One terrain under many rays, of which each may have a field of heights of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import jax
+
+if TYPE_CHECKING:
+    from jaxgeo.terrain.dem import Dem
+
+
+class Ground(eqx.Module):
+    """A terrain in two parts: `shared` by all rays, and what is each ray's `own`, with a leading axis of rays.
+
+    Each part is a `Dem` with None for what the other one has. A ray's own may be leaves of the field, and nothing that
+    the pyramid's bounds depend on.
+    """
+
+    own: Dem
+    shared: Dem
+
+    @classmethod
+    def of(cls, dem: Dem, is_own: Dem) -> Ground:
+        """Split a terrain by a flag for each leaf."""
+        return cls(*eqx.partition(dem, is_own))
+
+    @classmethod
+    def common(cls, dem: Dem) -> Ground:
+        """A terrain that is the same for all rays."""
+        return cls.of(dem, jax.tree.map(lambda _: False, dem))
+
+    def each(self, function: Callable[..., Any], *args: Any) -> Any:
+        """`function(*args, dem)` for every ray; the arguments have a leading axis of rays."""
+        return jax.vmap(lambda own, *args: function(*args, eqx.combine(own, self.shared)))(self.own, *args)
+
+    def of_rays(self, pick: Callable[[Any], Any]) -> Ground:
+        """The ground of other rays: `pick` takes them from an array with a leading axis of rays."""
+        return Ground(jax.tree.map(pick, self.own), self.shared)
+
+
+def fits_together(dem_batched: Dem) -> bool:
+    """Whether items whose terrains differ in the flagged leaves can share a walk: if only their fields do."""
+    rest = eqx.tree_at(lambda dem: dem.field, dem_batched, None, is_leaf=lambda x: x is None)
+    return not any(jax.tree.leaves(rest))
