@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
@@ -26,6 +27,16 @@ from jaxgeo.sensor import (
 )
 from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
+from jaxgeo.uncertainty import (
+    ErrorModel,
+    accuracy,
+    circular_error,
+    compare,
+    linear_error,
+    propagate,
+    sample,
+    spherical_error,
+)
 
 if TYPE_CHECKING:
     from jaxgeo import io, plot
@@ -39,6 +50,7 @@ __all__ = [
     "Deflection",
     "Dem",
     "Ellipsoid",
+    "ErrorModel",
     "FirstHit",
     "Fix",
     "FrameCamera",
@@ -55,13 +67,21 @@ __all__ = [
     "Status",
     "SweepCamera",
     "Trajectory",
+    "accuracy",
     "at_range",
+    "circular_error",
+    "compare",
     "enable_x64",
     "intersect",
     "io",
+    "linear_error",
     "locate",
     "plot",
     "project",
+    "propagate",
+    "sample",
+    "spherical_error",
+    "uncertainty",
 ]
 
 _ON_DEMAND = ("io", "plot")  # these load rasterio and pyproj, or matplotlib

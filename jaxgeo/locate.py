@@ -173,6 +173,21 @@ def _locate(
     return _intersect(*_line_of_sight(sensor, shot, time, pixel), terrain, search, air)
 
 
+def located_anywhere(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    time: Scalar,
+    pixel: Pixel,
+    terrain: AbstractTerrain,
+    search: AbstractSearch,
+    air: Atmosphere | None,
+) -> tuple[Fix, Bracket]:
+    """`locate` of checked input, for a pixel that may lie beside the image, as a measured one may; and the bracket."""
+    ray, status = _line_of_sight(sensor, shot, time, pixel)
+    status = status_where(status == Status.outside_image, Status.hit, status)
+    return _intersect_and_bracket(ray, status, terrain, search, air)
+
+
 @jax.jit
 def _at_range(
     sensor: Sensor,

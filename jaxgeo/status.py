@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._typing import Flag, StatusCode
+from jaxgeo._typing import Flag, Flags, Indices, StatusCode
 
 
 class Status(enum.IntEnum):
@@ -79,6 +79,14 @@ def first_failure(*statuses: StatusCode) -> StatusCode:
 def status_where(condition: Flag, status: Status, otherwise: StatusCode) -> StatusCode:
     """`status` where `condition` holds, `otherwise` elsewhere."""
     return jnp.where(condition, status.code, otherwise)
+
+
+def counts_as_fix(code: Indices) -> Flags:
+    """Whether a sample with a status counts as one with a fix: its position holds, even if no derivative does.
+
+    Over a void, and in from the side, the ground that the line of sight met first is not known.
+    """
+    return (code == Status.hit) | (code == Status.near_tangent)
 
 
 def count_statuses(codes: ArrayLike) -> dict[Status, int]:

@@ -46,9 +46,21 @@ NUMPY_FILES = {
     "sensor/scanning.py": "the same as camera.py",
     "sensor/trajectory.py": "checks of knots, outside any trace",
     "status.py": "counts concrete statuses for reports",
+    "uncertainty/compare.py": "reads kept samples, after all computing",
+    "uncertainty/metrics/_ball.py": "nodes of quadratures, constants of the program",
+    "uncertainty/metrics/_radius.py": "the same",
+    "uncertainty/metrics/exact.py": "checks of concrete covariances, outside any trace",
+    "uncertainty/metrics/standards.py": "codes and categories of concrete figures",
+    "uncertainty/sampled.py": "gathers the samples of finished chunks",
+    "uncertainty/sources/base.py": "checks of concrete covariances, outside any trace",
     "terrain/_memory.py": "hands arrays over to JAX",
     "terrain/dem.py": "builds the record from a file's posts, outside any trace",
     "terrain/pyramid.py": "builds the bounds once, outside any trace",
+    "uncertainty/intervals.py": "order statistics of concrete samples",
+    "uncertainty/_optimum.py": "hands sigmas to and from SciPy's optimiser, outside any trace",
+    "uncertainty/design.py": "checks bounds and costs, and keeps a finished design",
+    "uncertainty/sensitivity.py": "sums and resamples finished samples",
+    "uncertainty/sobol.py": "reads the table of direction numbers, a constant of the program",
 }
 
 

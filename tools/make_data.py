@@ -1,11 +1,11 @@
-"""Make the data files inside the package, `jaxgeo/data/*.tif`, from their public sources.
+"""Make the data files inside the package, in `jaxgeo/data/`, from their public sources.
 
     python tools/make_data.py --gtx egm96_15.gtx --jacksboro jacksboro_fault_dem.npz
 
 `egm96_15.gtx` is in Debian's package proj-data (`apt-get download proj-data; dpkg-deb -x proj-data_*.deb .`, then
 `usr/share/proj/egm96_15.gtx`). `jacksboro_fault_dem.npz` is in matplotlib's wheel, `mpl-data/sample_data/`; without
-`--jacksboro` the installed matplotlib's own copy is taken. Both files are in the public domain at their origin; see
-`jaxgeo/data/LICENSES.md`.
+`--jacksboro` the installed matplotlib's own copy is taken. Both files are in the public domain at their origin. The
+direction numbers of Joe and Kuo are taken from the installed scipy. See `jaxgeo/data/LICENSES.md`.
 """
 
 from __future__ import annotations
@@ -82,6 +82,24 @@ def make_jacksboro(npz: pathlib.Path) -> pathlib.Path:
     return path
 
 
+def make_direction_numbers(npz: pathlib.Path) -> pathlib.Path:
+    """The first 1024 dimensions of new-joe-kuo-6, a line each: primitive polynomial, then its initial values."""
+    path = DATA / "joe_kuo_2008.txt"
+    archive = np.load(npz)
+    lines = [
+        "# Direction numbers of Sobol sequences: the first 1024 dimensions of new-joe-kuo-6.21201.",
+        "# Copyright (c) 2008, Frances Y. Kuo and Stephen Joe. All rights reserved. Licence: LICENSE-joe-kuo.txt.",
+        "# S. Joe and F. Y. Kuo 2008, Constructing Sobol sequences with better two-dimensional projections,",
+        "# SIAM J. Sci. Comput. 30, 2635-2654.",
+        "# A line for each dimension: the coefficients of its primitive polynomial as bits, then the initial values.",
+    ]
+    for polynomial, values in zip(archive["poly"][:1024].tolist(), archive["vinit"][:1024].tolist(), strict=True):
+        degree = max(polynomial.bit_length() - 1, 1)
+        lines.append(" ".join(map(str, [polynomial, *values[:degree]])))
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gtx", type=pathlib.Path, help="egm96_15.gtx; without it that file is left alone")
@@ -91,7 +109,10 @@ def main() -> None:
         import matplotlib
 
         options.jacksboro = pathlib.Path(matplotlib.get_data_path()) / "sample_data" / "jacksboro_fault_dem.npz"
-    made = [make_jacksboro(options.jacksboro)]
+    import scipy.stats
+
+    numbers = pathlib.Path(scipy.stats.__file__).parent / "_sobol_direction_numbers.npz"
+    made = [make_jacksboro(options.jacksboro), make_direction_numbers(numbers)]
     if options.gtx is not None:
         made.append(make_egm96(options.gtx))
     for path in made:

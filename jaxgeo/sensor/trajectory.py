@@ -161,11 +161,15 @@ class Trajectory(eqx.Module):
 
         Those are made once for a crowd of times, and of a long one for each time anew.
         """
-        knots = self.times.shape[0]
-        if knots <= LONG:
-            return self.legs()
-        first = jnp.clip(knot_before(self.times, time, later) - 1, 0, knots - 4)
-        return jax.tree.map(lambda x: jnp.asarray(x)[first + jnp.arange(4)], self).legs()
+        return self.legs() if self.times.shape[0] <= LONG else self.about(time, later, 4).legs()
+
+    def about(self, time: Scalar, later: Scalar, knots: int) -> Trajectory:
+        """So many knots (4 or more) about a time, on which the motion there depends; all, if there are fewer."""
+        there = self.times.shape[0]
+        if there <= knots:
+            return self
+        first = jnp.clip(knot_before(self.times, time, later) - (knots // 2 - 1), 0, there - knots)
+        return jax.tree.map(lambda x: jnp.asarray(x)[first + jnp.arange(knots)], self)
 
     def velocity_ned_at(self, time: ScalarLike) -> Vector3:
         """Velocity over the ground at a time, m/s in north-east-down; NaN beyond the first and last knot."""

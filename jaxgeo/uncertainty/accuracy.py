@@ -1,0 +1,119 @@
+"""The everyday door: how sure a fix is, by the cheapest method that can be trusted there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax.typing import ArrayLike
+
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.sampled import Sampled, sample
+from jaxgeo.uncertainty.verdict import Signs, Trust, signs_of, trust_of
+
+SAMPLES = 20_000
+
+
+class Accuracy(eqx.Module):
+    """How sure a fix is: radii in m about it that hold the truth with a `probability`, and who says so.
+
+    `circular` on the level plane, `linear` in height, `spherical` in space; infinite if too many of the errors drawn
+    leave no fix. `trust` names the method they are from, and `because` says in words why.
+    """
+
+    fix: Fix
+    probability: float
+    circular: float
+    linear: float
+    spherical: float
+    trust: Trust
+    because: str
+    signs: Signs
+    propagation: Propagation
+    sampled: Sampled | None = None
+
+    def __str__(self) -> str:
+        percent = f"{100.0 * self.probability:g}"
+        return (
+            f"CE{percent} {self.circular:.4g} m, LE{percent} {self.linear:.4g} m, SE{percent} {self.spherical:.4g} m, "
+            f"by {self.trust.words}. {self.because}"
+        )
+
+
+def accuracy(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    probability: float = 0.9,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    key: Any = None,
+    count: int = SAMPLES,
+) -> Accuracy:
+    """How sure the fix is that `locate` gives with the same arguments.
+
+    What lies about the fix is looked at first, without a sample: the slope of the facet against that of the footprint,
+    the profile of the ground along the look with its ridges and unseen gaps, edges and voids within reach. If linear
+    propagation over the facet agrees with them, that is the answer; if not, but that over the footprint does, that one;
+    if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out). Raises as
+    `propagate`, and `ValueError` for a probability outside (0, 1) and where there is no fix.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, look)
+    aim = look.aim(search)
+    if not bool(aim.fix.found):
+        status = Status(int(aim.fix.status))
+        raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
+    signs, facet, footprint = signs_of(look, aim, model)
+    trust = Trust(int(trust_of(signs)))
+    because = _reason(signs, trust)
+    if trust is Trust.samples:
+        key = jax.random.key(0) if key is None else key
+        drawn = sample(
+            sensor, shot, uv, terrain, model, key=key, count=count, time=time, search=search, atmosphere=atmosphere
+        )
+        doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
+        circular, linear, spherical = (door(probability).value for door in doors)
+        return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)
+    chosen = facet if trust is Trust.facet else footprint
+    doors = (chosen.circular_error, chosen.linear_error, chosen.spherical_error)
+    circular, linear, spherical = (float(door(probability)) for door in doors)
+    return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, chosen)
+
+
+def _reason(signs: Signs, trust: Trust) -> str:
+    """Why this method and no cheaper one, with the figures that decided."""
+    facet, footprint, profile = (float(x) for x in (signs.facet, signs.footprint, signs.profile))
+    jumps, fails = 100.0 * float(signs.jumps), 100.0 * float(signs.fails)
+    figures = (
+        f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
+    )
+    if trust is Trust.facet:
+        return f"The ground is as good as a plane as far as the errors reach: {figures}."
+    if trust is Trust.footprint:
+        return f"The slope under the fix is not that of the ground about it: {figures}."
+    if fails > 0.0 and fails >= jumps:
+        return f"{fails:.2g} % of the lines of sight come down nowhere, or beyond what is known: {figures}."
+    if jumps > 0.0:
+        off = float(signs.clearance)
+        return f"{jumps:.2g} % of the lines of sight jump to other ground, the nearest {off:.2g} sigmas off: {figures}."
+    return (
+        f"The ground is no plane within the errors' reach: {figures}; LE90 {float(signs.facet_up):.3g}, "
+        f"{float(signs.footprint_up):.3g} and {float(signs.profile_up):.3g} m."
+    )

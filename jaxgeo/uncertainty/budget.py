@@ -1,0 +1,327 @@
+"""The error budget: what each standard deviation of each source has in how sure a fix is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import check_is
+from jaxgeo._typing import Matrix3, Scalar, Vector3
+from jaxgeo.status import Status
+from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.metrics import circular_error
+from jaxgeo.uncertainty.metrics.exact import check_probability
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.slopes import along_plane
+from jaxgeo.uncertainty.sources import Correlated
+from jaxgeo.uncertainty.sources.base import AbstractSource
+
+Sigmas = Float[Array, " sigmas"]
+Covariances = Float[Array, "causes 3 3"]
+READ_AS = {"rad": ("deg", 180.0 / math.pi)}  # units that people read in another one
+ROUGHNESS = "roughness of the ground"
+
+
+class Variance(NamedTuple):
+    """Variance on the level plane (that of east and that of north together) and of height, m2."""
+
+    horizontal: float
+    vertical: float
+
+
+class SigmaShare(NamedTuple):
+    """What one standard deviation has in a budget.
+
+    `sigma` in `unit`; `variance` what it adds, None in a block, whose axes have no shares of their own; the circular
+    error in m `without` it, and its `slope`: by how many m it grows for one unit more.
+    """
+
+    name: str
+    sigma: float
+    unit: str
+    variance: Variance | None
+    without: float
+    slope: float
+
+
+class SourceShare(NamedTuple):
+    """What one source has in a budget; `is_block` where only the whole has a share, since its axes are correlated."""
+
+    label: str
+    variance: Variance
+    without: float
+    is_block: bool
+    sigmas: tuple[SigmaShare, ...]
+
+
+class Budget(eqx.Module):
+    """The error budget of one look, by linear propagation; print it for a table.
+
+    `total` is the variance of the fix, to which `shares()` add up; `circular_error` in m the one at `probability`. With
+    the slope of a footprint the last of `sources` is the ground's roughness, which has no sigma. With a `status` other
+    than `hit` it holds only as far as that sentence says.
+    """
+
+    sources: tuple[SourceShare, ...]
+    total: Variance
+    circular_error: float
+    probability: float
+    status: Status
+
+    def shares(self) -> dict[str, Variance]:
+        """What adds up to `total`: each independent standard deviation, each block of correlated ones, the ground."""
+        return {row.name: row.variance for row in self._rows() if row.variance is not None}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and words, with standard deviations in the unit that people read: deg, m, px, s."""
+        return {
+            "probability": self.probability,
+            "circular_error_m": self.circular_error,
+            "variance_m2": self.total._asdict(),
+            "status": self.status.name,
+            "sources": [_source_as_dict(source) for source in self.sources],
+        }
+
+    def __str__(self) -> str:
+        percent = f"CE{100.0 * self.probability:g}"
+        rows = [("error", "sigma", "horizontal", "vertical", f"{percent} without", f"d{percent}/dsigma")]
+        for row in sorted(self._rows(), key=lambda row: row.order):
+            sigma, slope = ("", "") if row.line is None else _as_read(row.line)
+            rows.append((row.name, sigma, *self._percent(row.variance), f"{row.without:.3f} m", slope))
+        total = (f"{math.sqrt(self.total.horizontal):.3f} m", f"{math.sqrt(self.total.vertical):.3f} m")
+        rows.append(("standard deviation in all", "", *total, f"{percent} {self.circular_error:.3f} m", ""))
+        note = "" if self.status == Status.hit else f"\n{self.status.name}: {self.status.message}"
+        return _table(rows) + note
+
+    def _rows(self) -> Iterator[_Row]:
+        for source in self.sources:
+            of_source = (-source.variance.horizontal, -source.variance.vertical)
+            if source.is_block:
+                yield _Row(source.label, source.variance, source.without, None, (*of_source, 0))
+            for line in source.sigmas:
+                own = of_source if line.variance is None else (-line.variance.horizontal, -line.variance.vertical)
+                yield _Row(line.name, line.variance, line.without, line, (*own, 1))
+
+    def _percent(self, variance: Variance | None) -> tuple[str, str]:
+        if variance is None:
+            return "in block", "in block"
+        whole = zip(variance, self.total, strict=True)
+        across, up = (f"{100.0 * part / total:.2f} %" if total > 0.0 else "0 %" for part, total in whole)
+        return across, up
+
+
+class _Row(NamedTuple):
+    """A line of a budget's table: its sigma if it is one, and where it sorts (the axes of a block behind it)."""
+
+    name: str
+    variance: Variance | None
+    without: float
+    line: SigmaShare | None
+    order: tuple[float, float, int]
+
+
+class Linear(eqx.Module):
+    """The covariance of a fix as a function of the standard deviations of all its errors."""
+
+    jacobian: Float[Array, "3 axes"]
+    rough_enu: Matrix3
+    bias_enu: Vector3
+    model: ErrorModel
+
+    @classmethod
+    def of(cls, propagation: Any, what: str) -> Linear:
+        """From a propagation, checked: `what` for, messages say.
+
+        Raises `TypeError` for anything else, or one that is traced, `ValueError` for a batch, or one without a fix.
+        """
+        check_is(propagation, Propagation, "propagation", "Make one with jaxgeo.uncertainty.propagate.")
+        if isinstance(propagation.fix.status, jax.core.Tracer):
+            raise TypeError(f"{what} is plain numbers and cannot be traced; call it outside jit and vmap.")
+        if jnp.ndim(propagation.fix.status) != 0:
+            raise ValueError(
+                f"{what} is of one look; this propagation holds looks of shape {jnp.shape(propagation.fix.status)}. "
+                "Take one: jax.tree.map(lambda x: x[0], propagation)."
+            )
+        if not bool(jnp.all(jnp.isfinite(propagation.cov_enu))):
+            status = Status(int(propagation.fix.status))
+            raise ValueError(f"{what} needs a fix, and there is none: {status.name}: {status.message}")
+        surface, direction = propagation.surface, propagation.aim.direction_enu
+        along = direction / along_plane(surface.normal, direction)
+        rough = jnp.outer(along, along) * surface.roughness**2
+        return cls(propagation.jacobian, rough, propagation.bias_enu, propagation.model)
+
+    def swept(self, sigma: Sigmas) -> Matrix3:
+        """What the errors add to the covariance of the fix, m2."""
+        cov = self.jacobian @ with_sigmas(self.model, sigma).covariance() @ self.jacobian.T
+        return 0.5 * (cov + cov.T)
+
+    def on_level(self, sigma: Sigmas) -> Float[Array, "2 2"]:
+        """Covariance of the fix on the level plane, m2, that of rough ground included."""
+        return (self.swept(sigma) + self.rough_enu)[:2, :2]
+
+
+def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tuple[Scalar, Sigmas]:
+    """(circular error in m, its derivative by each standard deviation, m per unit).
+
+    By the chain rule over the covariance, so that what takes long to compile is the same for all error models.
+    """
+    cov, by_sigma = _level_and_slopes(linear, sigma)
+    error, by_cov = _error_and_slopes(cov, probability, linear.bias_enu[:2])
+    return error, jnp.sum(by_cov[:, :, None] * by_sigma, axis=(0, 1))
+
+
+_error_and_slopes = jax.jit(jax.value_and_grad(circular_error))
+
+
+@eqx.filter_jit
+def _level_and_slopes(linear: Linear, sigma: Sigmas) -> tuple[Float[Array, "2 2"], Float[Array, "2 2 sigmas"]]:
+    return linear.on_level(sigma), jax.jacfwd(linear.on_level)(sigma)
+
+
+def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
+    """What each standard deviation of each source has in the covariance and the circular error of a fix.
+
+    Shares of variance add up; circular errors do not, so what each would save stands beside: the error without it, all
+    others as they are, and the derivative by it, both of the exact quantile. Of correlated axes only the whole block
+    has a share; one of them may even help, where its errors cancel another's. With the slope of a footprint the plane
+    is held where it is. Raises `ValueError` for a propagation without a fix, a batch of them or a probability outside
+    (0, 1), `TypeError` for anything else or what is traced.
+    """
+    linear = Linear.of(propagation, "An error budget")
+    probability = check_probability(probability)
+    covs, others = _causes(linear)
+    without = [float(circular_error(cov[:2, :2], probability, linear.bias_enu[:2])) for cov in others]
+    error, slopes = error_and_slopes(linear, sigmas_of(linear.model), probability)
+    variances = [_variance(cov) for cov in jax.device_get(covs)]
+    sources = _of_sources(linear.model, variances, without, slopes.tolist())
+    if float(propagation.surface.roughness) > 0.0:
+        sources = (*sources, SourceShare(ROUGHNESS, variances[-1], without[-1], True, ()))
+    status = Status(int(propagation.fix.status))
+    return Budget(sources, _variance(propagation.cov_enu), float(error), float(probability), status)
+
+
+@eqx.filter_jit
+def _causes(linear: Linear) -> tuple[Covariances, Covariances]:
+    """(covariances of the fix by one cause alone, by all others), m2.
+
+    The causes are first the sigmas, then the sources, then the ground's roughness.
+    """
+    sigma = sigmas_of(linear.model)
+    alone = jnp.concatenate([jnp.eye(sigma.shape[0]), _membership(linear.model)])
+    covs = jax.vmap(linear.swept)(alone * sigma[None, :])
+    others = jax.vmap(linear.swept)((1.0 - alone) * sigma[None, :]) + linear.rough_enu[None]
+    return jnp.append(covs, linear.rough_enu[None], 0), jnp.append(others, linear.swept(sigma)[None], 0)
+
+
+def _of_sources(
+    model: ErrorModel, variances: Sequence[Variance], without: Sequence[float], slopes: Sequence[float]
+) -> tuple[SourceShare, ...]:
+    """The figures under their names."""
+    sigmas, names, units = sigmas_of(model).tolist(), sigma_names(model), sigma_units(model)
+    sources, first = [], 0
+    for number, (source, label) in enumerate(zip(model.sources, source_names(model), strict=True)):
+        is_block = source.correlation is not None
+        lines = tuple(
+            SigmaShare(names[k], sigmas[k], units[k], None if is_block else variances[k], without[k], slopes[k])
+            for k in range(first, first + _count(source))
+        )
+        whole = len(sigmas) + number
+        sources.append(SourceShare(label, variances[whole], without[whole], is_block, lines))
+        first += _count(source)
+    return tuple(sources)
+
+
+def _variance(cov_enu: Any) -> Variance:
+    return Variance(float(cov_enu[0, 0] + cov_enu[1, 1]), float(cov_enu[2, 2]))
+
+
+def sigmas_of(model: ErrorModel) -> Sigmas:
+    """The standard deviations of all sources, one after the other."""
+    return jnp.concatenate([jnp.asarray(source.sigma) for source in model.sources])
+
+
+def with_sigmas(model: ErrorModel, sigma: Sigmas) -> ErrorModel:
+    """The model with other standard deviations, in the order of `sigmas_of`."""
+    return ErrorModel(_with_sigmas(model.sources, sigma))
+
+
+def sigma_names(model: ErrorModel) -> tuple[str, ...]:
+    """A name for each of `sigmas_of`, all different."""
+    pairs = zip(source_names(model), model.sources, strict=True)
+    return tuple(f"{name}: {axis}" for name, source in pairs for axis in source.sigma_axes)
+
+
+def source_names(model: ErrorModel) -> tuple[str, ...]:
+    """A name for each source; those of one kind are numbered from the second on."""
+    labels = [source.label for source in model.sources]
+    earlier = [labels[:number].count(label) for number, label in enumerate(labels)]
+    return tuple(label if n == 0 else f"{label} ({n + 1})" for label, n in zip(labels, earlier, strict=True))
+
+
+def sigma_units(model: ErrorModel) -> tuple[str, ...]:
+    """The unit of each of `sigmas_of`."""
+    return tuple(unit for source in model.sources for unit in _units(source))
+
+
+def _units(source: AbstractSource) -> list[str]:
+    if isinstance(source, Correlated):
+        return [unit for part in source.parts for unit in _units(part)]
+    each = source.unit.split(" and ")
+    return each if len(each) == _count(source) else [source.unit] * _count(source)
+
+
+def _count(source: AbstractSource) -> int:
+    return jnp.shape(source.sigma)[0]
+
+
+def _with_sigmas(sources: tuple[AbstractSource, ...], sigma: Sigmas) -> tuple[AbstractSource, ...]:
+    after, first = [], 0
+    for source in sources:
+        own = sigma[first : first + _count(source)]
+        moved = eqx.tree_at(lambda source: source.sigma, source, own)
+        if isinstance(moved, Correlated):
+            moved = eqx.tree_at(lambda block: block.parts, moved, _with_sigmas(moved.parts, own))
+        after.append(moved)
+        first += _count(source)
+    return tuple(after)
+
+
+def _membership(model: ErrorModel) -> Float[Array, "sources sigmas"]:
+    """One where a standard deviation belongs to a source, zero elsewhere."""
+    owner = jnp.concatenate([jnp.full(_count(source), number) for number, source in enumerate(model.sources)])
+    return (owner[None, :] == jnp.arange(len(model.sources))[:, None]).astype(jnp.float64)
+
+
+def _as_read(line: SigmaShare) -> tuple[str, str]:
+    unit, factor = READ_AS.get(line.unit, (line.unit, 1.0))
+    one = f"({unit})" if "/" in unit else unit
+    return f"{line.sigma * factor:.4g} {unit}", f"{line.slope / factor:.4g} m/{one}"
+
+
+def _source_as_dict(source: SourceShare) -> dict[str, Any]:
+    sigmas = []
+    for line in source.sigmas:
+        unit, factor = READ_AS.get(line.unit, (line.unit, 1.0))
+        share = None if line.variance is None else line.variance._asdict()
+        read = {"sigma": line.sigma * factor, "unit": unit, "circular_error_slope": line.slope / factor}
+        sigmas.append({"name": line.name, **read, "variance_m2": share, "circular_error_without_m": line.without})
+    whole = {"variance_m2": source.variance._asdict(), "circular_error_without_m": source.without}
+    return {"source": source.label, "is_block": source.is_block, **whole, "sigmas": sigmas}
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    """Columns of text, the first to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *others in rows:
+        right = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        lines.append("  ".join([first.ljust(widths[0]), *right]).rstrip())
+    return "\n".join(lines)

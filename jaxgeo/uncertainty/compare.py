@@ -1,0 +1,156 @@
+"""Every method on one fix, side by side, and which of them the samples bear out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
+from jaxgeo.uncertainty.draws import AbstractDraws, Random
+from jaxgeo.uncertainty.linear import propagated
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.profile import profile_of
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
+from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
+from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
+
+FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))
+RANDOM = Random()
+
+
+class Row(NamedTuple):
+    """One method's figures in m, in the order of `FIGURES`, and what the samples say of each."""
+
+    method: str
+    values: tuple[float, ...]
+    validity: tuple[str, ...]
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether all figures hold at the stated digits."""
+        return all(one == "valid" for one in self.validity)
+
+
+class Comparison(eqx.Module):
+    """What each method says of one fix; `str()` of it is a table with the verdict.
+
+    A figure is valid if it lies within half a unit of the last of `digits` significant digits of the sampled one
+    (JCGM 101:2008, 8.1), surely so with all of its confidence interval, and undecided if more samples are needed to
+    tell. `jumped` is the share of samples beyond a gap of unseen ground, `failed` that of those without a fix.
+    """
+
+    fix: Fix
+    rows: tuple[Row, ...]
+    quantiles: tuple[Quantile, ...]
+    digits: int
+    jumped: float
+    failed: float
+    sampled: Sampled
+
+    @property
+    def valid(self) -> tuple[str, ...]:
+        """The methods all of whose figures hold."""
+        return tuple(row.method for row in self.rows if row.is_valid)
+
+    @property
+    def verdict(self) -> str:
+        """One or two sentences."""
+        digits = f"to {self.digits} significant digit{'s' if self.digits > 1 else ''}"
+        unsure = [row.method for row in self.rows if not row.is_valid and "not valid" not in row.validity]
+        said = f"Valid {digits}: {'; '.join(self.valid) or 'none but sampling'}."
+        if unsure:
+            said += f" Undecided until more samples are drawn: {'; '.join(unsure)}."
+        if self.jumped > 0.0 or self.failed > 0.0:
+            jumped, failed = 100.0 * self.jumped, 100.0 * self.failed
+            said += f" {jumped:.2g} % of the samples jump to other ground, {failed:.2g} % have no fix."
+        return said
+
+    def __str__(self) -> str:
+        names = [name for name, _ in FIGURES]
+        marks = {"valid": " ", "not valid": "x", "undecided": "?"}
+        lines = [f"{'':28s}" + "".join(f"{name:>12s}  " for name in names)]
+        for row in self.rows:
+            cells = (f"{value:12.4g} {marks[one]}" for value, one in zip(row.values, row.validity, strict=True))
+            lines.append(f"{row.method:28s}" + "".join(cells))
+        lines.append(f"{f'{self.sampled.count} samples':28s}" + "".join(f"{q.value:12.4g}  " for q in self.quantiles))
+        bounds = (f"{f'{q.low:.4g}..{q.high:.4g}':>12s}  " for q in self.quantiles)
+        lines.append(f"{'their 95 % interval':28s}" + "".join(bounds))
+        return "\n".join([*lines, f"m; x: not valid, ?: undecided. {self.verdict}"])
+
+
+def compare(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    key: Any,
+    count: int = 100_000,
+    draws: AbstractDraws = RANDOM,
+    digits: int = 2,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    **sampling: Any,
+) -> Comparison:
+    """Linear propagation by facet, footprint and level ground, second order, sigma points and samples of one fix.
+
+    Arguments and errors as for `sample`, whose others (`chunk`, `devices`, `progress`) go through; `digits` are the
+    significant digits that a figure is to be good for.
+    """
+    if not 1 <= digits <= 6:
+        raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, look)
+    given: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
+    drawn = sample(sensor, shot, uv, terrain, model, key=key, count=count, draws=draws, keep=True, **given, **sampling)
+    aim = look.aim(search)
+    footprint = propagated(look, aim, model, Footprint())
+    methods = {
+        "linear, facet": propagated(look, aim, model, Facet()),
+        "linear, footprint": footprint,
+        "linear, level ground": propagated(look, aim, model, Level()),
+        "second order": second_moments(look, aim, model),
+        "sigma points": sigma_moments(look, aim, model, search),
+    }
+    quantiles = _figures(drawn)
+    rows = []
+    for name, result in methods.items():
+        values = tuple(float(value) for value in _figures(result))
+        validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
+        rows.append(Row(name, values, validity))
+    jumped = 0.0
+    if isinstance(look.terrain, Dem) and drawn.errors_enu is not None:
+        profile = profile_of(look, aim, footprint.model, footprint.surface.normal)
+        ahead = np.asarray(aim.direction_enu)[:2]
+        along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
+        jumped = float(jnp.mean(profile.jumped(jnp.asarray(np.nan_to_num(along)))))
+    return Comparison(aim.fix, tuple(rows), quantiles, digits, jumped, 1.0 - drawn.found / drawn.count, drawn)
+
+
+def _figures(result: Any) -> tuple[Any, ...]:
+    doors = {"CE": result.circular_error, "LE": result.linear_error, "SE": result.spherical_error}
+    return tuple(doors[name[:2]](probability) for name, probability in FIGURES)
+
+
+def _validity(value: float, sampled: Quantile, digits: int) -> str:
+    """JCGM 101:2008, 8.1, with the interval of the sampled figure in place of its value."""
+    if not math.isfinite(value) or not math.isfinite(sampled.value):
+        return "not valid"
+    tolerance = 0.5 * 10.0 ** (math.floor(math.log10(max(sampled.value, 1e-300))) - digits + 1)
+    low, high = sampled.low - tolerance, sampled.high + tolerance
+    if not low <= value <= high:
+        return "not valid"
+    return "valid" if sampled.high - tolerance <= value <= sampled.low + tolerance else "undecided"

@@ -1,0 +1,266 @@
+"""Inverse design: the cheapest standard deviations with which a fix is as sure as it has to be."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import as_array, as_float64, check_finite
+from jaxgeo._typing import Scalar
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty._optimum import Problem, cheapest, closest, equal_scaling, karush_kuhn_tucker
+from jaxgeo.uncertainty.budget import Linear, Sigmas, sigma_names, sigma_units, sigmas_of, with_sigmas
+from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.metrics.exact import check_probability
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.sampled import Quantile, sample
+
+CLOSE = 1e-8  # of the target, by which an optimum may miss it
+AT_BOUND = 1e-7  # of log sigma, within which a sigma is at its bound
+KEPT = 1e-6  # of the cost, by which an optimum may break the conditions of Karush, Kuhn and Tucker
+
+
+class InverseCost(eqx.Module):
+    """The cost of each sigma is `weights` (one, or one for each) times today's sigma over it: half of it costs double.
+
+    A sigma that is zero today costs nothing.
+    """
+
+    weights: Any = 1.0
+
+    def __call__(self, sigma: Sigmas, today: Sigmas) -> Scalar:
+        weights = jnp.broadcast_to(jnp.asarray(as_array(self.weights, "weights")), today.shape)
+        return jnp.sum(weights * jnp.where(sigma > 0.0, today / jnp.where(sigma > 0.0, sigma, 1.0), 0.0))
+
+
+INVERSE_COST = InverseCost()
+
+
+class Outcome(enum.Enum):
+    """What became of a design, as a sentence."""
+
+    optimal = "The target is met, and nothing cheaper meets it."
+    slack = "The target is met with every sigma at its highest: looser bounds would be cheaper still."
+    infeasible = "The target cannot be met within the bounds: these sigmas come closest to it."
+    not_converged = "The optimisation did not converge: these sigmas may not be the cheapest, or miss the target."
+
+
+class Design(eqx.Module):
+    """The cheapest standard deviations, and how sure a fix is with them.
+
+    `sigmas` in rad, m, px, s, ... under `names`, `model` the errors with them, `cost` theirs, `equal_cost` that of
+    `equal_factor` times all of today's (each within its bounds) to the same target, NaN where that does not reach it.
+    `multiplier` is the cost that one m more of the target would save; `kkt_residual` how far the conditions of Karush,
+    Kuhn and Tucker are broken, in shares of the cost; `at_lowest` and `at_highest` name the sigmas at their bounds.
+    `circular_error` in m is that of linear propagation times `ratio`.
+    """
+
+    outcome: Outcome
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    today: np.ndarray
+    sigmas: np.ndarray
+    model: ErrorModel
+    circular_error: float
+    target: float
+    probability: float
+    ratio: float
+    cost: float
+    equal_cost: float
+    equal_factor: float
+    multiplier: float
+    kkt_residual: float
+    at_lowest: tuple[str, ...]
+    at_highest: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and words; standard deviations, and those of `today`, in `unit`."""
+        rows = zip(self.names, self.units, self.today.tolist(), self.sigmas.tolist(), strict=True)
+        figures = "circular_error target probability ratio cost equal_cost equal_factor multiplier kkt_residual".split()
+        return {
+            "outcome": self.outcome.name,
+            "sigmas": [{"name": n, "unit": u, "today": old, "sigma": new} for n, u, old, new in rows],
+            **{name: getattr(self, name) for name in figures},
+            "at_lowest": list(self.at_lowest),
+            "at_highest": list(self.at_highest),
+        }
+
+    def certify(
+        self,
+        sensor: Sensor,
+        shot: Shot | Trajectory,
+        uv: Any,
+        terrain: AbstractTerrain,
+        *,
+        key: Any,
+        count: int = 100_000,
+        **options: Any,
+    ) -> Certificate:
+        """Draw the errors of the design at its look, by `sample`, which takes the same arguments.
+
+        The design is a linear one; this asks the whole map, samples without a fix counted as infinitely far.
+        """
+        sampled = sample(sensor, shot, uv, terrain, self.model, key=key, count=count, figures=("CE",), **options)
+        return Certificate(sampled.circular_error(self.probability), self.target, self.circular_error)
+
+
+class Certificate(NamedTuple):
+    """A target in m beside the circular error of samples, and the one that the design reckoned with."""
+
+    sampled: Quantile
+    target: float
+    designed: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times what was designed the samples err."""
+        return self.sampled.value / self.designed
+
+    @property
+    def holds(self) -> bool:
+        """Whether the target lies in the interval of the samples, or above it."""
+        return self.target >= self.sampled.low
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether it lies at the interval's upper end or above: with confidence no less than asked for."""
+        return self.target >= self.sampled.high
+
+
+def design(
+    propagation: Propagation,
+    *,
+    target: float,
+    probability: float = 0.9,
+    cost: Callable[[Sigmas, Sigmas], Scalar] = INVERSE_COST,
+    bounds: Sequence[Any] = (0.01, 100.0),
+    ratio: float = 1.0,
+) -> Design:
+    """The cheapest standard deviations with which the circular error at `probability` is no more than `target` m.
+
+    `cost(sigma, today)` is the cost of standard deviations in rad, m, px, s, ..., in the order of the model's, beside
+    today's; it must be written with jax.numpy, and fall as sigmas grow. `bounds` are the lowest and the highest
+    multiples of today's, one for all or one for every sigma. By sequential quadratic programming in log sigma with
+    exact derivatives (Kraft 1988, "A software package for sequential quadratic programming"); for correlated errors,
+    which may cancel, it finds a local optimum. It holds for the linear propagation, times a `ratio` that samples may
+    have shown: `certify` what comes out, or call `certified_design`, which does so until it holds.
+    Raises `ValueError` for a target that is not positive, a negative cost, bounds in disorder, or a propagation without
+    a fix.
+    """
+    linear = Linear.of(propagation, "A design")
+    probability_ = check_probability(probability)
+    if not (math.isfinite(target) and target > 0.0):
+        raise ValueError(f"target must be a positive circular error in m; got {target!r}.")
+    if not (math.isfinite(ratio) and ratio > 0.0):
+        raise ValueError(f"ratio must be a positive number; got {ratio!r}.")
+    today = sigmas_of(linear.model)
+    problem = Problem(linear, today, probability_, as_float64(cost, "cost"), *_log_bounds(bounds, today), ratio)
+    _check_cost(problem)
+    goal = math.log(target)
+    equal = equal_scaling(problem, goal)
+    if problem.log_error(problem.high)[0] <= goal:
+        return _design(problem, problem.high, Outcome.slack, goal, equal)
+    start = problem.equal(equal)
+    if math.isnan(equal):
+        start = closest(problem)
+        if problem.log_error(start)[0] > goal:
+            return _design(problem, start, Outcome.infeasible, goal, equal)
+    return _design(problem, cheapest(problem, start, goal), Outcome.optimal, goal, equal)
+
+
+def certified_design(
+    propagation: Propagation,
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: Any,
+    terrain: AbstractTerrain,
+    *,
+    key: Any,
+    count: int = 100_000,
+    probability: float = 0.9,
+    rounds: int = 4,
+    sampling: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> tuple[Design, Certificate]:
+    """(a design as `design` makes it with the same options, its certificate), made to hold for samples.
+
+    Where samples err more than linear propagation says, as on rough ground, all is designed again for so much less,
+    `rounds` times at most. `sampling` holds more arguments of `sample`. Raises as `design` and `sample`.
+    """
+    ratio = 1.0
+    for _ in range(max(rounds, 1)):
+        result = design(propagation, probability=probability, ratio=ratio, **options)
+        certificate = result.certify(sensor, shot, uv, terrain, key=key, count=count, **(sampling or {}))
+        if certificate.holds or result.outcome is Outcome.infeasible or not math.isfinite(certificate.ratio):
+            break
+        ratio *= certificate.ratio
+    return result, certificate
+
+
+def _design(problem: Problem, logs: np.ndarray, outcome: Outcome, goal: float, equal: float) -> Design:
+    """The record of a design, with the optimality of what is called optimal checked."""
+    log_error, error_slopes = problem.log_error(logs)
+    cost, cost_slopes = problem.priced(logs)
+    free = problem.low < problem.high
+    lowest, highest = free & (logs - problem.low < AT_BOUND), free & (problem.high - logs < AT_BOUND)
+    multiplier, residual = math.nan, math.nan
+    if outcome is Outcome.optimal:
+        multiplier, residual = karush_kuhn_tucker(cost_slopes, error_slopes, lowest, highest, free)
+        residual /= cost if cost > 0.0 else 1.0
+        if not (residual <= KEPT and log_error - goal <= CLOSE):
+            outcome = Outcome.not_converged
+    names = sigma_names(problem.linear.model)
+    sigma = problem.sigma(logs)
+    return Design(
+        outcome, names, sigma_units(problem.linear.model), np.asarray(problem.today), np.asarray(sigma),
+        with_sigmas(problem.linear.model, sigma), math.exp(log_error), math.exp(goal), float(problem.probability),
+        problem.ratio, cost,
+        math.nan if math.isnan(equal) else problem.priced(problem.equal(equal))[0], math.exp(equal),
+        multiplier / math.exp(goal), residual,
+        *(tuple(name for name, is_at in zip(names, at, strict=True) if is_at) for at in (lowest, highest)),
+    )  # fmt: skip
+
+
+def _log_bounds(bounds: Any, today: Sigmas) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of the bounds, one for each sigma; zero for those that are zero today, and stay so."""
+    if not isinstance(bounds, tuple | list) or len(bounds) != 2:
+        raise ValueError(f"bounds must be two, the lowest and the highest multiples of today's sigmas; got {bounds!r}.")
+    both = []
+    for name, bound in zip(("lowest", "highest"), bounds, strict=True):
+        given: Any = np.asarray(as_float64(as_array(bound, f"{name} bounds"), f"{name} bounds"))
+        if given.shape not in ((), today.shape):
+            raise ValueError(f"{name} bounds must be one number or {today.shape[0]}; got the shape {given.shape}.")
+        if not np.all((given > 0.0) & (given < np.inf)):
+            raise ValueError(f"{name} bounds must be positive multiples of today's sigmas; got {np.min(given):g}.")
+        both.append(np.where(np.asarray(today) > 0.0, np.log(np.broadcast_to(given, today.shape)), 0.0))
+    low, high = both
+    if np.any(low > high):
+        worst = int(np.argmax(low - high))
+        raise ValueError(
+            f"bounds must be in order; for sigma {worst} the lowest is {math.exp(low[worst]):g} times today's, the "
+            f"highest {math.exp(high[worst]):g} times."
+        )
+    return low, high
+
+
+def _check_cost(problem: Problem) -> None:
+    """Raise as `design` for what is no cost; asked at both ends of the bounds."""
+    if isinstance(problem.cost, InverseCost):
+        weights = np.asarray(as_array(problem.cost.weights, "weights"))
+        check_finite(weights, "weights", "units of cost")
+        if weights.shape not in ((), problem.today.shape):
+            count = problem.today.shape[0]
+            raise ValueError(f"weights must be one number or {count}, one a sigma; got the shape {weights.shape}.")
+        if np.any(weights < 0.0):
+            raise ValueError(f"weights must not be negative, in units of cost; got {np.min(weights):g}.")
+    for logs, which in ((problem.low, "lowest"), (problem.high, "highest")):
+        value = problem.priced(logs)[0]
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ValueError(f"cost must be a number of at least 0; it is {value:g} with every sigma at its {which}.")

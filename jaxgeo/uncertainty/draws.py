@@ -1,0 +1,140 @@
+"""Standard normal vectors by their number: a sample hangs on a key and its index, never on its neighbours."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, UInt32
+
+from jaxgeo._checks import concrete, require_x64
+from jaxgeo._typing import IndexField, Numbers
+from jaxgeo.uncertainty import sobol
+
+Vector = Float[Array, " size"]
+
+
+class AbstractDraws(eqx.Module):
+    """Where the standard normal vectors of a sampling come from."""
+
+    @abc.abstractmethod
+    def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
+        """Sample number `index`, counted from 0: `size` independent standard normal numbers.
+
+        The same for the same key and index, alone or under `vmap`, in whatever chunks; another device's or compiler's
+        logarithm may differ in the last digit. Its first numbers do not change when `size` grows. None is infinite:
+        they lie within 8.13 of zero. Raises `ValueError` for an index out of range and for a key other than JAX's usual
+        kind, whose numbers change under `vmap`.
+        """
+
+
+class Random(AbstractDraws):
+    """Independent draws, for up to 2^32 samples."""
+
+    def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
+        _check(key, index, size, 2**32)
+        bits = jax.random.bits(jax.random.fold_in(key, index), (size,), jnp.uint64)
+        return normal_quantile(_centred((bits >> 32).astype(jnp.uint32), bits.astype(jnp.uint32)))
+
+
+class Sobol(AbstractDraws):
+    """Sobol points, which fill space evenly, scrambled several times over so that their error can be told.
+
+    Sample `index` is point `index // scrambles` of scramble `index % scrambles`; 2^32 points in each. The scrambles are
+    independent, each by itself an even and unbiased sample; it is best at a power of two of points. So the spread
+    between the scrambles' results tells the error of their mean (see `intervals.scrambled_interval`); the samples of
+    one scramble are not independent of each other. Raises `ValueError` for more dimensions than 1024.
+    """
+
+    scrambles: int = eqx.field(static=True, default=16)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.scrambles, int) or self.scrambles < 1:
+            raise ValueError(f"scrambles must be a whole number of at least 1; got {self.scrambles!r}.")
+
+    def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
+        _check(key, index, size, self.scrambles * 2**32)
+        directions = jnp.asarray(sobol.direction_numbers(size))
+        index = jnp.asarray(index)
+        point = sobol.sobol_point((index // self.scrambles).astype(jnp.uint32), directions)
+        shift, factor, filling = self._seeds(key, size)[index % self.scrambles]
+        digits = sobol.scrambled(point, shift, factor)
+        return normal_quantile(_centred(sobol.mirrored(digits), sobol.mixed(digits ^ filling)))
+
+    def _seeds(self, key: Any, size: int) -> UInt32[Array, "scrambles 3 size"]:
+        """Random words of all scrambles: under `vmap` over the index they are drawn only once."""
+
+        def of_scramble(number):
+            return jax.random.bits(jax.random.fold_in(key, number), (size, 3), jnp.uint32).T
+
+        return jax.vmap(of_scramble)(jnp.arange(self.scrambles))
+
+
+def _centred(high: UInt32[Array, " size"], low: UInt32[Array, " size"]) -> Vector:
+    """Numbers in (-1/2, 1/2) of 51 random bits: odd multiples of 2^-52, so never 0 nor an end, and exact.
+
+    The bits make the fraction of a float in [1, 2), which costs much less than converting 64-bit integers. The odd one
+    is among them: XLA would fold it into the 1.5 if it were added later, and lose it.
+    """
+    fraction = high.astype(jnp.uint64) << 20 | (low >> 12 | 1).astype(jnp.uint64)
+    return jax.lax.bitcast_convert_type(fraction | jnp.uint64(0x3FF << 52), jnp.float64) - 1.5
+
+
+# Coefficients of numerator and denominator, from the highest power down, for the middle and for the near and far tails.
+_MIDDLE = (
+    (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457,
+     13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.3871328727963666080),
+    (5226.4952788528545610, 28729.085735721942674, 39307.895800092710610, 21213.794301586595867,
+     5394.1960214247511077, 687.18700749205790830, 42.313330701600911252, 1.0),
+)  # fmt: skip
+_NEAR = (
+    (7.74545014278341407640e-4, 0.0227238449892691845833, 0.241780725177450611770, 1.27045825245236838258,
+     3.64784832476320460504, 5.76949722146069140550, 4.63033784615654529590, 1.42343711074968357734),
+    (1.05075007164441684324e-9, 5.47593808499534494600e-4, 0.0151986665636164571966, 0.148103976427480074590,
+     0.689767334985100004550, 1.67638483018380384940, 2.05319162663775882187, 1.0),
+)  # fmt: skip
+_FAR = (
+    (2.01033439929228813265e-7, 2.71155556874348757815e-5, 0.00124266094738807843860, 0.0265321895265761230930,
+     0.296560571828504891230, 1.78482653991729133580, 5.46378491116411436990, 6.65790464350110377720),
+    (2.04426310338993978564e-15, 1.42151175831644588870e-7, 1.84631831751005468180e-5, 7.86869131145613259100e-4,
+     0.0148753612908506148525, 0.136929880922735805310, 0.599832206555887937690, 1.0),
+)  # fmt: skip
+
+
+def normal_quantile(centred: Numbers) -> Numbers:
+    """Quantile of the standard normal distribution at the probability 1/2 + `centred`, which lies in (-1/2, 1/2).
+
+    Wichura 1988, "Algorithm AS 241: the percentage points of the normal distribution", to 1e-15; odd to the last bit.
+    Of its three quotients the coefficients are chosen and one is computed: twice as fast as `jax.scipy.special.ndtri`.
+    """
+    middle = jnp.abs(centred) <= 0.425
+    tail = jnp.where(middle, 0.5, 0.5 - jnp.abs(centred))
+    depth = jnp.sqrt(-jnp.log(tail))
+    far = depth > 5.0
+    x = jnp.where(middle, 0.180625 - centred * centred, depth - jnp.where(far, 5.0, 1.6))
+    above, below = jnp.zeros_like(x), jnp.zeros_like(x)
+    for power in range(8):
+        above = above * x + jnp.where(middle, _MIDDLE[0][power], jnp.where(far, _FAR[0][power], _NEAR[0][power]))
+        below = below * x + jnp.where(middle, _MIDDLE[1][power], jnp.where(far, _FAR[1][power], _NEAR[1][power]))
+    return above / below * jnp.where(middle, centred, jnp.sign(centred))
+
+
+def _check(key: Any, index: Any, size: int, count: int) -> None:
+    """Raise `ValueError` where a sample cannot be drawn."""
+    require_x64()
+    if not isinstance(size, int) or size < 0:
+        raise ValueError(f"size must be a whole number of at least 0; got {size!r}.")
+    kind = str(jax.random.key_impl(key))
+    if kind != "threefry2x32":
+        raise ValueError(f"key must be of the kind threefry2x32, as jax.random.key(0) is by default; got {kind}.")
+    if jnp.ndim(index) != 0 or not jnp.issubdtype(jnp.result_type(index), jnp.integer):
+        raise ValueError(
+            f"index must be one whole number; got shape {jnp.shape(index)} of {jnp.result_type(index)}. Draw several "
+            f"samples with jax.vmap over the index."
+        )
+    known = concrete(index)
+    if known is not None and not 0 <= int(known) < count:
+        raise ValueError(f"index must be from 0 to {count - 1}, the last sample of these draws; got {known}.")

@@ -1,0 +1,61 @@
+"""The covariance of a fix by another way: adjustment of conditions between what is observed and the point itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._typing import Matrix3, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor.exposure import image_of_point
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+
+
+def gauss_helmert(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+) -> Matrix3:
+    """Covariance of the fix in east, north, up (m2) as `propagate` gives it, but through `project`.
+
+    Gu (2017), Eq 3: of the conditions F(X, l) = 0, that the point X is imaged at the pixel (two rows of collinearity)
+    and lies on the ground (one row), with B = dF/dX and A = dF/dl, the covariance is (B' (A Sigma A')^-1 B)^-1. All
+    three rows must err, so a source of the ground's height must be among the errors, or the inner matrix is singular:
+    the result then is NaN or infinite. Raises as `propagate`.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return _gauss_helmert(look, look.aim(search), checked_model(errors, look))
+
+
+@eqx.filter_jit
+def _gauss_helmert(look: Look, aim: Aim, model: ErrorModel) -> Matrix3:
+    model = model.at(look, aim)
+
+    def conditions(offset_enu: Vector3, error: Float[Array, " axes"]) -> Vector3:
+        moved = model.moved(look, error)
+        p_ecef = aim.p_ecef + aim.R_ecef_from_enu @ offset_enu
+        uv, _, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.air)
+        return jnp.append(uv - moved.uv, moved.terrain.clearance(p_ecef, aim.cell))
+
+    B, A = jax.jacfwd(conditions, (0, 1))(jnp.zeros(3), jnp.zeros(model.size))
+    inner = A @ model.covariance() @ A.T
+    weight = jnp.diag(1.0 / jnp.sqrt(jnp.diagonal(inner)))  # rows of pixels and of metres are put on one scale
+    B, inner = weight @ B, weight @ inner @ weight
+    cov_enu = jnp.linalg.inv(B.T @ jnp.linalg.solve(inner, B))
+    return jnp.where(aim.fix.found, cov_enu, jnp.nan)

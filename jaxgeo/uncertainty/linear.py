@@ -1,0 +1,120 @@
+"""Linear propagation: the covariance of a fix by the derivative of its miss."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._typing import Matrix3, Scalar, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, along_plane
+
+Swept = Float[Array, "3 axes"]
+FACET = Facet()
+# Under `jit` what is no covariance, that of no fix, gives NaN in place of an exception.
+_circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
+
+
+class Propagation(eqx.Module):
+    """How sure a fix is, by linear propagation.
+
+    `jacobian` (3, axes) in m of east, north, up at the fix for one rad, m, px, s, K or Pa of each axis of the error
+    vector; `cov_error` the errors' covariance; `cov_enu` that of the fix in m2, with `bias_enu` the mean of its errors
+    in m (zero but for the slope of a footprint). Where there is no fix all are NaN, and `fix.status` says why.
+    """
+
+    fix: Fix
+    jacobian: Swept
+    cov_error: Float[Array, "axes axes"]
+    cov_enu: Matrix3
+    bias_enu: Vector3
+    surface: Surface
+    aim: Aim
+    model: ErrorModel
+
+    @property
+    def cov_ecef(self) -> Matrix3:
+        """Covariance of the fix in ECEF, m2."""
+        R = self.aim.R_ecef_from_enu
+        return R @ self.cov_enu @ R.T
+
+    def circular_error(self, probability: ArrayLike) -> Scalar:
+        """Radius in m about the fix, on the level plane, within which it falls with a probability."""
+        return _circular_error(self.cov_enu[:2, :2], probability, self.bias_enu[:2])
+
+    def linear_error(self, probability: ArrayLike) -> Scalar:
+        """Height in m above and below the fix within which it falls with a probability."""
+        return _linear_error(self.cov_enu[2, 2], probability, self.bias_enu[2])
+
+    def spherical_error(self, probability: ArrayLike) -> Scalar:
+        """Radius in m about the fix within which it falls in space with a probability."""
+        return _spherical_error(self.cov_enu, probability, self.bias_enu)
+
+
+def propagate(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    slope: AbstractSlope = FACET,
+) -> Propagation:
+    """Covariance of the fix that `locate` gives with the same arguments, to first order in its `errors`.
+
+    `errors` is an `ErrorModel`, or a tuple of sources. The derivative is that of the miss itself, through pose, gimbal,
+    camera, air and the terrain under the fix. With `slope=Footprint()` the ground is the plane that fits it best over
+    the error ellipse, with `Level()` level. Under `jit` and `vmap` like `locate`, and differentiable in the errors'
+    sigmas and all else. Raises as `locate` does, and `TypeError` for what is no source, `ValueError` for a sigma that
+    is negative or NaN, a covariance that is none, or a source that has no part in this look.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return propagated(look, look.aim(search), checked_model(errors, look), slope)
+
+
+@eqx.filter_jit
+def propagated(look: Look, aim: Aim, model: ErrorModel, slope: AbstractSlope) -> Propagation:
+    """`propagate` of checked input, about what it aims at."""
+    model = model.at(look, aim)
+    cov_error = model.covariance()
+    jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
+    surface = Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
+    bias, extra = jnp.zeros(3), jnp.zeros((3, 3))
+    if not isinstance(slope, Facet):
+        spread = spread_of(look, aim, model, cov_error)
+        surface = slope.surface(look.terrain, aim, facet_normal(look, aim), spread)
+        jacobian = spread.on(surface, aim.direction_enu)
+        along = aim.direction_enu / along_plane(surface.normal, aim.direction_enu)
+        bias, extra = along * surface.above, jnp.outer(along, along) * surface.roughness**2
+    known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731
+    cov_enu = jacobian @ cov_error @ jacobian.T + extra
+    return Propagation(aim.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, aim, model)
+
+
+def spread_of(look: Look, aim: Aim, model: ErrorModel, cov_error: Float[Array, "axes axes"]) -> Spread:
+    """How errors move the line of sight at the fix's range, and the terrain at the fix."""
+
+    ray, height = jax.jacfwd(lambda error: model.moved(look, error).swept(aim))(jnp.zeros(model.size))
+    return Spread(ray, height, cov_error)
+
+
+def facet_normal(look: Look, aim: Aim) -> Vector3:
+    """Normal of the surface under the fix in east, north, up, with 1 as its last component."""
+    gradient = aim.R_ecef_from_enu.T @ jax.grad(look.terrain.clearance)(aim.p_ecef, aim.cell)
+    return gradient / gradient[2]

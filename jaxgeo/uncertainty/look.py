@@ -1,0 +1,152 @@
+"""One look at the ground: all that a fix depends on, and where it comes down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Int
+
+from jaxgeo._checks import as_float64
+from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
+from jaxgeo._numerics import implicit_root, safe_norm, tree_where
+from jaxgeo._typing import Matrix3, PixelField, Scalar, ScalarField, StatusCode, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.ellipsoid import WGS84
+from jaxgeo.earth.frames import R_ecef_from_enu
+from jaxgeo.earth.ray import Ray
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT, located_anywhere
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor.exposure import line_of_sight
+from jaxgeo.sensor.platform import Pose
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.terrain.polish import polish
+
+KNOTS = 8  # of a trajectory about an exposure, within which an error of its time leaves a look
+
+
+class Aim(NamedTuple):
+    """Where a look comes down: its fix, the cell of the terrain there, and the frame in which misses are counted.
+
+    `distance` in m is the range along the ray, `direction_enu` that of the ray as it arrives, `R_ecef_from_enu` the
+    frame at the fix. Where there is no fix, a stand-in keeps all numbers but the fix's finite.
+    """
+
+    fix: Fix
+    p_ecef: Vector3
+    distance: Scalar
+    cell: Int[Array, "2"]
+    direction_enu: Vector3
+    R_ecef_from_enu: Matrix3
+
+
+class Look(eqx.Module):
+    """A sensor, where it was (a shot, or a trajectory with the image's time), a pixel, the terrain, and any air.
+
+    Made by `Look.of`, which checks what it is given. An error source moves any of these.
+    """
+
+    sensor: Sensor
+    motion: Shot | Trajectory
+    time: ScalarField
+    uv: PixelField
+    terrain: AbstractTerrain
+    air: Atmosphere | None = None
+
+    @classmethod
+    def of(
+        cls,
+        sensor: Sensor,
+        shot: Shot | Trajectory,
+        uv: ArrayLike | Sequence[ArrayLike],
+        terrain: AbstractTerrain,
+        *,
+        time: ArrayLike | None = None,
+        search: AbstractSearch = FIRST_HIT,
+        atmosphere: Atmosphere | None = None,
+    ) -> Look:
+        """A look at pixel `uv`, with the arguments and errors of `jaxgeo.locate`.
+
+        Of a trajectory the knots about the exposure are kept.
+        """
+        check_terrain(terrain, search)
+        given: Any = pixel_of_shot(sensor, shot, time, uv)
+        sensor, motion, moment, pixel = given
+        if isinstance(motion, Trajectory):
+            motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
+        return cls(sensor, motion, moment, pixel, terrain, checked_air(atmosphere))
+
+    def ground(self, search: AbstractSearch) -> Fix:
+        """The fix, whether or not the pixel lies on the image."""
+        return self._located(search)[0]
+
+    def aim(self, search: AbstractSearch) -> Aim:
+        """Where the look comes down; without derivatives."""
+        return _aim(self, search)
+
+    def near_miss(self, aim: Aim) -> Vector3:
+        """Offset from `aim` of the point where this look's line of sight meets the surface of the same cell.
+
+        The derivatives, of every order, of `miss` where nothing has moved yet: the search only chose the cell.
+        """
+        ray = self._ray()
+        distance = implicit_root(_clearance, aim.distance, (ray, self.terrain, aim.cell))
+        return aim.R_ecef_from_enu.T @ (ray.at(distance) - aim.p_ecef)
+
+    def swept(self, aim: Aim) -> tuple[Vector3, Scalar]:
+        """(offset from `aim` of the point of this look's line of sight at the same range, m; how far the terrain there
+        lies above it, m): what the error ellipse is made of before any slope turns it."""
+        offset = self._ray().at(aim.distance) - aim.p_ecef
+        return aim.R_ecef_from_enu.T @ offset, -self.terrain.clearance(aim.p_ecef, aim.cell)
+
+    def miss(self, aim: Aim, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
+        """(offset of this look's fix from `aim` in east, north, up there in m, status)."""
+        fix = self.ground(search)
+        offset = jnp.where(fix.found, fix.ecef, aim.p_ecef) - aim.p_ecef
+        return aim.R_ecef_from_enu.T @ offset, jnp.asarray(fix.status)
+
+    @property
+    def pose(self) -> Pose:
+        """The pose of the shot, or the poses of the knots."""
+        return self.motion.pose if isinstance(self.motion, Shot) else self.motion.poses
+
+    def with_pose(self, pose: Pose) -> Look:
+        """The look from another pose, or other poses at the knots."""
+        where = (lambda look: look.motion.pose) if isinstance(self.motion, Shot) else (lambda look: look.motion.poses)
+        return eqx.tree_at(where, self, pose)
+
+    def _located(self, search: AbstractSearch) -> tuple[Fix, Any]:
+        time = jnp.asarray(as_float64(self.time, "time"))
+        return located_anywhere(self.sensor, self.motion, time, self.uv, self.terrain, search, self.air)
+
+    def _ray(self) -> Ray:
+        """The line of sight; a ray that stands in for one that is not finite."""
+        origin, direction, _ = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
+        sound = jnp.all(jnp.isfinite(origin)) & jnp.all(jnp.isfinite(direction))
+        stand_in = Ray(jnp.array([WGS84.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))
+        return tree_where(sound, Ray(origin, direction), stand_in).through(self.air)
+
+
+@eqx.filter_jit
+def _aim(look: Look, search: AbstractSearch) -> Aim:
+    look = jax.lax.stop_gradient(look)
+    terrain, _ = look.terrain.made_safe()
+    fix, bracket = look._located(search)
+    seen = fix.found
+    ray = tree_where(seen, look._ray(), terrain.safe_ray().through(look.air))
+    bracket = tree_where(seen, bracket, jax.tree.map(jnp.zeros_like, bracket))
+    distance = polish(ray, terrain, bracket) if look.air is not None else jnp.where(seen, fix.slant_range, 1000.0)
+    p_ecef = ray.at(distance)
+    R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
+    arriving = ray.heading_at(distance)
+    return Aim(fix, p_ecef, distance, bracket.cell, R.T @ (arriving / safe_norm(arriving)), R)
+
+
+def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, Array]) -> Scalar:
+    ray, terrain, cell = world
+    return terrain.clearance(ray.at(distance), cell)

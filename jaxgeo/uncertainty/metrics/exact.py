@@ -1,0 +1,152 @@
+"""Circular, linear and spherical error, and the probabilities that they invert: exact, for any normal error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import as_array, as_float64, check_finite, concrete
+from jaxgeo._typing import Numbers
+from jaxgeo.uncertainty.metrics._radius import ROUNDING, chance_within, radius_of
+
+
+def _for_crowds(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callable[..., Numbers]:
+    """A function of a covariance, a number and a bias, for leading axes that broadcast; compiled once per shape."""
+
+    def crowd(cov: Numbers, number: Numbers, bias: Numbers) -> Numbers:
+        d = bias.shape[-1]
+        batch = jnp.broadcast_shapes(cov.shape[:-2], number.shape, bias.shape[:-1])
+        flat = (
+            jnp.broadcast_to(cov, (*batch, d, d)).reshape(-1, d, d),
+            jnp.broadcast_to(number, batch).reshape(-1),
+            jnp.broadcast_to(bias, (*batch, d)).reshape(-1, d),
+        )
+        return jax.vmap(item)(*flat).reshape(batch)
+
+    return jax.jit(crowd)
+
+
+_radii = _for_crowds(radius_of)
+_chances = _for_crowds(chance_within)
+
+
+def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
+    """Radius in m of the circle about the nominal point that holds the true one with a probability: CE50, CE90, ...
+
+    `cov` (..., 2, 2) in m² along any two axes at right angles; `bias` (..., 2) in m along the same, zero by default:
+    the error is N(bias, cov), and the circle lies about zero error, not about its mean. Leading axes broadcast. Not an
+    approximation: the integral is inverted, to about 1e-12 of the radius, from round to flat errors and near or far
+    biases. Derivatives of every order by all three hold for equal axes, for a flat covariance and for no bias; at a
+    covariance of zero the radius is |bias|, and its derivative by the covariance, which is infinite, is given as zero.
+    Raises `ValueError` for a probability outside (0, 1), a covariance that is none, infinities and NaN; traced, the
+    radius is NaN then.
+    """
+    return _radius(cov, probability, bias, 2)
+
+
+def spherical_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
+    """Radius in m of the sphere about the nominal point that holds the true one; see `circular_error`.
+
+    `cov` (..., 3, 3) in m², `bias` (..., 3) in m. To about 1e-10 of the radius for biases up to ten times the largest
+    standard deviation.
+    """
+    return _radius(cov, probability, bias, 3)
+
+
+def linear_error(variance: Any, probability: Any, bias: Any = None) -> Numbers:
+    """Half length in m of the interval about the nominal value that holds the true one: LE50, LE90, ...
+
+    `variance` (...) in m², `bias` (...) in m; otherwise as `circular_error`.
+    """
+    return _radius(*_as_line(variance, probability, bias), 1)
+
+
+def circular_probability(cov: Any, radius: Any, bias: Any = None) -> Numbers:
+    """Chance that the error N(bias, cov) stays within a radius in m of zero; arguments as for `circular_error`.
+
+    Zero for a negative radius. A covariance of zero gives zero or one.
+    """
+    return _chance(cov, radius, bias, 2)
+
+
+def spherical_probability(cov: Any, radius: Any, bias: Any = None) -> Numbers:
+    """Chance that an error in space stays within a radius in m of zero; arguments as for `spherical_error`."""
+    return _chance(cov, radius, bias, 3)
+
+
+def linear_probability(variance: Any, radius: Any, bias: Any = None) -> Numbers:
+    """Chance that an error along a line stays within a distance in m of zero; arguments as for `linear_error`."""
+    return _chance(*_as_line(variance, radius, bias), 1)
+
+
+def _as_line(variance: Any, other: Any, bias: Any) -> tuple[Any, Any, Any]:
+    variance = as_float64(as_array(variance, "variance"), "variance")
+    bias = None if bias is None else as_float64(as_array(bias, "bias"), "bias")[..., None]
+    return variance[..., None, None], other, bias
+
+
+def _radius(cov: Any, probability: Any, bias: Any, d: int) -> Numbers:
+    cov, bias = covariance(cov, d), bias_of(bias, d)
+    return _radii(cov, check_probability(probability), bias)
+
+
+def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:
+    cov, bias = covariance(cov, d), bias_of(bias, d)
+    radius = as_float64(as_array(radius, "radius"), "radius")
+    known = concrete(radius)
+    if known is not None and np.any(np.isnan(known)):
+        raise ValueError("radius must be a number of m; got NaN.")
+    return _chances(cov, radius, bias)
+
+
+def check_probability(probability: Any) -> Numbers:
+    """A probability as float64; `ValueError` unless it lies in (0, 1), both ends excluded, where it is known."""
+    probability = as_float64(as_array(probability, "probability"), "probability")
+    known = concrete(probability)
+    if known is not None and not np.all((known > 0.0) & (known < 1.0)):
+        wrong = known[~((known > 0.0) & (known < 1.0))].flat[0]
+        raise ValueError(f"probability must lie between 0 and 1, both excluded; got {wrong:g}. Write 90 % as 0.9.")
+    return probability
+
+
+def covariance(cov: Any, d: int) -> Numbers:
+    """A covariance (..., d, d) in m² as float64; `ValueError` unless it can be one, where it is known."""
+    name = "cov" if d > 1 else "variance"
+    cov = as_float64(as_array(cov, name), name)
+    if jnp.ndim(cov) < 2 or cov.shape[-2:] != (d, d):
+        raise ValueError(f"cov must have the shape (..., {d}, {d}); got {jnp.shape(cov)}.")
+    check_finite(cov, name, "m²")
+    known = concrete(cov)
+    if known is not None and known.size:
+        _check_covariance(known.reshape(-1, d, d), name)
+    return cov
+
+
+def _check_covariance(covs: np.ndarray, name: str) -> None:
+    close = ROUNDING * np.max(np.abs(covs), axis=(1, 2))
+    skew = np.abs(covs - covs.transpose(0, 2, 1)) > close[:, None, None]
+    if np.any(skew):
+        k, i, j = np.argwhere(skew)[0]
+        raise ValueError(
+            f"cov must be symmetric; got {covs[k, i, j]:g} m² in row {i}, column {j}, but {covs[k, j, i]:g} m² in row "
+            f"{j}, column {i}. Give (cov + cov.T) / 2 if that is rounding."
+        )
+    lowest = np.linalg.eigvalsh(covs)[:, 0]
+    if np.any(lowest < -close):
+        worst = lowest[np.argmax(lowest < -close)]
+        raise ValueError(f"{name} must not be negative in any direction; got one with the eigenvalue {worst:g} m².")
+
+
+def bias_of(bias: Any, d: int) -> Numbers:
+    """A bias (..., d) in m as float64, zero for None."""
+    if bias is None:
+        return jnp.zeros(d)
+    bias = as_float64(as_array(bias, "bias"), "bias")
+    if jnp.ndim(bias) < 1 or bias.shape[-1] != d:
+        raise ValueError(f"bias must have the shape (..., {d}); got {jnp.shape(bias)}.")
+    check_finite(bias, "bias", "m")
+    return bias

@@ -1,0 +1,113 @@
+"""All errors of a look together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64
+from jaxgeo._typing import StatusCode, Vector3
+from jaxgeo.terrain import AbstractSearch
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
+
+
+class ErrorModel(eqx.Module):
+    """A tuple of error sources, independent of each other; what hangs together is one `Correlated` source.
+
+    Its error vector e is theirs, one after the other. Everything that asks how sure a fix is pushes e through one map,
+    `miss`.
+    """
+
+    sources: tuple[AbstractSource, ...] = eqx.field(converter=tuple)
+
+    @property
+    def size(self) -> int:
+        """Length of the error vector."""
+        return sum(len(source.axes) for source in self.sources)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """A name for every axis of the error vector."""
+        return tuple(f"{source.label}: {axis}" for source in self.sources for axis in source.axes)
+
+    def parts(self) -> Iterator[tuple[AbstractSource, slice]]:
+        """Every source and its place in the error vector."""
+        first = 0
+        for source in self.sources:
+            yield source, slice(first, first + len(source.axes))
+            first += len(source.axes)
+
+    def at(self, look: Look, aim: Aim) -> ErrorModel:
+        """The model as it is at a look."""
+        return ErrorModel(tuple(source.at(look, aim) for source in self.sources))
+
+    def covariance(self) -> Covariance:
+        """Covariance of the error vector, a block for each source; of a model `at` a look."""
+        total = jnp.zeros((self.size, self.size))
+        for source, place in self.parts():
+            total = total.at[place, place].set(source.covariance())
+        return total
+
+    def factor(self) -> Covariance:
+        """L, with L z ~ N(0, covariance) for standard normal z; a covariance may be singular."""
+        total = jnp.zeros((self.size, self.size))
+        for source, place in self.parts():
+            total = total.at[place, place].set(_square_root(source))
+        return total
+
+    def moved(self, look: Look, error: Error) -> Look:
+        """The look with errors in it."""
+        for source, place in self.parts():
+            look = source.moved(look, error[place])
+        return look
+
+    def miss(self, look: Look, aim: Aim, error: Error, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
+        """(offset of the fix with errors in it from `aim`, in east, north, up there, m; status)."""
+        return self.moved(look, error).miss(aim, search)
+
+    def near_miss(self, look: Look, aim: Aim, error: Error) -> Vector3:
+        """`miss` for errors that leave the fix in its cell: its derivatives at no error."""
+        return self.moved(look, error).near_miss(aim)
+
+    def check(self, look: Look) -> None:
+        """Raise as the sources do for numbers that are none, and for what has no part in this look."""
+        for source in self.sources:
+            source.check_numbers()
+            source.check(look)
+
+
+def checked_model(errors: object, look: Look) -> ErrorModel:
+    """The model in float64, checked against a look.
+
+    Raises `TypeError` for what is no model and no sequence of sources, and as `ErrorModel.check`.
+    """
+    sources = errors.sources if isinstance(errors, ErrorModel) else errors
+    if isinstance(sources, AbstractSource):
+        sources = (sources,)
+    if not isinstance(sources, tuple | list):
+        raise TypeError(f"errors must be a jaxgeo ErrorModel or a tuple of error sources; got {type(errors).__name__}.")
+    for number, source in enumerate(sources):
+        if not isinstance(source, AbstractSource):
+            hint = f" Did you mean {source.__name__}(...)?" if isinstance(source, type) else ""
+            raise TypeError(
+                f"errors[{number}] is no error source known here, but a {type(source).__name__}; they are in "
+                f"jaxgeo.uncertainty.sources.{hint}"
+            )
+    if not sources:
+        raise ValueError("errors has no source: without any, a fix is as exact as its input.")
+    model = as_float64(ErrorModel(tuple(sources)), "errors")
+    model.check(look)
+    return model
+
+
+def _square_root(source: AbstractSource) -> Float[Array, "n n"]:
+    """A root of a source's covariance: diagonal where its axes are independent."""
+    if source.correlation is None and len(source.sigma_axes) == len(source.axes):
+        return jnp.diag(jnp.asarray(source.sigma))
+    values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(source.covariance()))
+    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # what varies most comes first

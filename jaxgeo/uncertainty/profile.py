@@ -1,0 +1,197 @@
+"""The ground's profile under a line of sight, and where lines of sight that err by so many sigmas would come down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import ndtr, ndtri
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgeo._typing import Scalar, Vector3
+from jaxgeo.terrain import Dem
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel
+
+NODES = 512  # places before the fix, and as many behind it
+NEAREST = 0.25  # of a cell: how far the nearest of them lie from it
+GROWTH = 1.009  # of the distance between neighbours; the farthest lie 2700 cells away
+LEVELS = 256  # lines of sight, each standing for an equal share of chance
+HALVINGS = 60
+FLAT = 1e-3  # level part of a direction: a steeper line of sight has no profile
+LEAST = 1e-9  # m: a standard deviation of nothing
+GAP = 1.0  # of a cell: unseen ground that is longer is a gap, beyond which lines of sight jump
+
+Places = Float[Array, " places"]
+Levels = Float[Array, " levels"]
+
+
+class Ground(NamedTuple):
+    """Ground along a line of sight: places `ahead` of the fix and height `above` the ray in m, and if it is known."""
+
+    ahead: Places
+    above: Places
+    known: Bool[Array, " places"]
+
+
+class Profile(NamedTuple):
+    """Where lines of sight of equal chance come down, in the vertical plane of the nominal one.
+
+    `ahead` of the fix along the look, `across` and `up` in m are the mean of where each of `LEVELS` comes down
+    (infinite where it does not), `across_sigma` and `up_sigma` what is left of chance to the side and in height.
+    `jumps` is the share that comes down beyond a gap of unseen ground, `fails` that which comes down nowhere;
+    `clearance` is how many sigmas off the nearest line of sight is that does either. `unseen` is how much ground is out
+    of sight up to each of `places`, m, and `cell` the length of a cell.
+    """
+
+    ahead: Levels
+    across: Levels
+    up: Levels
+    across_sigma: Scalar
+    up_sigma: Scalar
+    jumps: Scalar
+    fails: Scalar
+    clearance: Scalar
+    places: Places
+    unseen: Places
+    cell: Scalar
+
+    def jumped(self, ahead: Float[Array, "..."]) -> Bool[Array, "..."]:
+        """Whether points so far ahead of the fix, m, lie beyond a gap of unseen ground."""
+        between = jnp.interp(ahead, self.places, self.unseen) - self.unseen[NODES]
+        return jnp.abs(between) > GAP * self.cell
+
+    def circular_error(self, probability: float) -> Scalar:
+        """Radius in m on the level plane within which the fix falls with a probability; infinite if too many fail."""
+
+        def within(radius: Scalar) -> Scalar:
+            half = jnp.sqrt(jnp.maximum(radius**2 - self.ahead**2, 0.0))
+            chance = _chance_between(-half, half, self.across, self.across_sigma)
+            return jnp.mean(jnp.where(jnp.abs(self.ahead) <= radius, chance, 0.0))
+
+        return self._radius(within, probability, jnp.abs(self.ahead) + jnp.abs(self.across) + 9.0 * self.across_sigma)
+
+    def linear_error(self, probability: float) -> Scalar:
+        """Height in m above and below the fix within which it falls with a probability."""
+
+        def within(radius: Scalar) -> Scalar:
+            chance = _chance_between(-radius, radius, self.up, self.up_sigma)
+            return jnp.mean(jnp.where(jnp.isfinite(self.up), chance, 0.0))
+
+        return self._radius(within, probability, jnp.abs(self.up) + 9.0 * self.up_sigma)
+
+    def _radius(self, within: Callable[[Scalar], Scalar], probability: float, reach: Levels) -> Scalar:
+        def halve(_: Int[Array, ""], ends: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+            low, high = ends
+            middle = 0.5 * (low + high)
+            enough = within(middle) >= probability
+            return jnp.where(enough, low, middle), jnp.where(enough, middle, high)
+
+        farthest = jnp.max(jnp.where(jnp.isfinite(reach), reach, 0.0)) + LEAST
+        _, radius = jax.lax.fori_loop(0, HALVINGS, halve, (jnp.zeros_like(farthest), farthest))
+        return jnp.where(1.0 - self.fails >= probability, radius, jnp.inf)
+
+
+@eqx.filter_jit
+def profile_of(look: Look, aim: Aim, model: ErrorModel, normal: Vector3) -> Profile:
+    """The profile of a look over a `Dem`, of a model that is `at` it; without derivatives.
+
+    An error of the line of sight, or of the terrain's height, lifts the one over the other by as many sigmas all the
+    way; across the look the ground rises as the plane of a `normal` (its last component 1) does.
+    """
+    look, aim, model, normal = jax.lax.stop_gradient((look, aim, model, normal))
+    assert isinstance(look.terrain, Dem)
+    cov_error = model.covariance()
+    level = jnp.sqrt(aim.direction_enu[0] ** 2 + aim.direction_enu[1] ** 2)
+    plumb = level < FLAT
+    along = jnp.where(plumb, jnp.array([1.0, 0.0]), aim.direction_enu[:2] / jnp.where(plumb, 1.0, level))
+    level = jnp.maximum(level, FLAT)
+    fall = -aim.direction_enu[2] / level
+    ground, cell = _ground(look.terrain, aim, level)
+
+    here, height = jax.jacfwd(lambda error: model.moved(look, error).swept(aim))(jnp.zeros(model.size))
+    farther = aim._replace(distance=aim.distance + 1000.0)
+    there, _ = jax.jacfwd(lambda error: model.moved(look, error).swept(farther))(jnp.zeros(model.size))
+    to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
+    turn = (to_lift(there) - to_lift(here)) / 1000.0
+    to_side = jnp.stack([-along[1], along[0]])
+    aside = to_side @ here[:2]
+    rise_aside = -(normal[:2] @ to_side) * aside
+    lift = (to_lift(here) - height - rise_aside)[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
+    sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
+
+    levels = ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
+    ahead, rise, fell, unseen = _first_met(ground, ground.above / sigma, levels)
+    jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > GAP * cell)
+    at_fix = lift[NODES] / sigma[NODES]
+    across, across_sigma = _given_lift(aside, at_fix, cov_error)
+    up, up_sigma = _given_lift(height + rise_aside, at_fix, cov_error)
+    return Profile(
+        ahead=jnp.where(fell, ahead, jnp.inf),
+        across=across * levels,
+        up=jnp.where(fell, rise - fall * ahead + up * levels, jnp.inf),
+        across_sigma=across_sigma,
+        up_sigma=up_sigma,
+        jumps=jnp.mean(jumped),
+        fails=jnp.mean(~fell),
+        clearance=jnp.min(jnp.where(jumped | ~fell, jnp.abs(levels), jnp.inf)),
+        places=ground.ahead,
+        unseen=unseen,
+        cell=cell,
+    )
+
+
+def _ground(dem: Dem, aim: Aim, level: Scalar) -> tuple[Ground, Scalar]:
+    """The ground along a line of sight, close about its fix and looser and looser away from it; a cell's length."""
+    cell = jnp.sqrt(jnp.prod(dem.grid.cell_size()))
+    aside = NEAREST * cell * (GROWTH ** jnp.arange(1, NODES + 1) - 1.0) / (GROWTH - 1.0)
+    ahead = jnp.concatenate([-aside[::-1], jnp.zeros(1), aside])
+    direction = aim.R_ecef_from_enu @ aim.direction_enu
+
+    def above_ray(ahead: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
+        rowcol, height = dem.over(aim.p_ecef + direction * (ahead / level))
+        inside = dem.contains(rowcol)
+        place = jnp.where(inside, rowcol, 0.0)
+        cell = dem.cell_of(place)
+        _, is_void = dem.patch(cell)
+        return dem.surface(place, cell) - height, inside & ~is_void
+
+    above, known = jax.vmap(above_ray)(ahead)
+    return Ground(ahead, above.at[NODES].set(0.0), known & (ahead > -aim.distance * level)), cell
+
+
+def _first_met(ground: Ground, excess: Places, levels: Levels) -> tuple[Levels, Levels, Bool[Array, " levels"], Places]:
+    """(place ahead, ground above the ray there, whether it comes down) of rays lifted by sigmas; unseen ground up to
+    each place, m.
+
+    `excess` is the ground's height above the ray in sigmas: a ray that is lifted by z meets the ground where that first
+    reaches z, so that its running maximum is all that is seen.
+    """
+    excess = jnp.where(ground.known, excess, -jnp.inf)
+    highest = jax.lax.cummax(excess)
+    index = jnp.searchsorted(highest, levels, side="left")
+    fell = (index > 0) & (index < excess.shape[0])
+    index = jnp.clip(index, 1, excess.shape[0] - 1)
+    before, after = excess[index - 1], excess[index]
+    share = jnp.where(jnp.isfinite(before), (levels - before) / jnp.where(after > before, after - before, 1.0), 1.0)
+    share = jnp.clip(share, 0.0, 1.0)
+    between = lambda x: x[index - 1] + share * (x[index] - x[index - 1])  # noqa: E731
+    step = jnp.diff(ground.ahead, prepend=ground.ahead[:1])
+    unseen = jnp.cumsum(jnp.where(excess < highest, step, 0.0))
+    return between(ground.ahead), between(ground.above), fell, unseen
+
+
+def _given_lift(
+    moved: Float[Array, " axes"], lift: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]
+) -> tuple[Scalar, Scalar]:
+    """(how far a quantity goes with one sigma of lift, what is left of its standard deviation)."""
+    together = moved @ cov_error @ lift
+    return together, jnp.sqrt(jnp.maximum(moved @ cov_error @ moved - together**2, 0.0))
+
+
+def _chance_between(low: Scalar, high: Scalar, mean: Levels, sigma: Scalar) -> Levels:
+    sigma = jnp.maximum(sigma, LEAST)
+    return ndtr((high - mean) / sigma) - ndtr((low - mean) / sigma)

@@ -1,0 +1,324 @@
+"""Monte Carlo propagation: the same map, pushed with drawn errors, in chunks of constant memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int, Int8
+
+from jaxgeo._typing import Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.intervals import (
+    Interval,
+    quantile_interval,
+    relative_half_width,
+    scramble_quantile,
+    scrambled_interval,
+)
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+
+CHUNK = 65_536
+RANDOM = Random()
+FIGURES = ("CE", "LE", "SE")
+
+
+class Quantile(NamedTuple):
+    """A figure of accuracy from samples, m: `value`, and an interval from `low` to `high` that covers the truth.
+
+    It is over all samples, those without a fix infinitely far: infinite if too many fail. `conditional` is the figure
+    of the samples with a fix alone, and `share` their share.
+    """
+
+    value: float
+    low: float
+    high: float
+    conditional: float
+    share: float
+
+
+class Sampled(eqx.Module):
+    """How sure a fix is, by samples.
+
+    `count` samples of which `found` have a fix, the others counted in `statuses`; `mean_enu` in m and `cov_enu` in m2
+    are those of the samples with a fix. `errors_enu` (count, 3) in m, NaN without a fix, and `codes` (count,) are kept
+    if asked for. Errors are about `centre_enu`: the nominal fix (0, 0, 0), or the mean.
+    """
+
+    fix: Fix
+    count: int
+    found: int
+    statuses: dict[Status, int]
+    mean_enu: np.ndarray
+    cov_enu: np.ndarray
+    centre_enu: np.ndarray
+    radii: dict[str, np.ndarray]
+    scrambles: int
+    confidence: float
+    errors_enu: np.ndarray | None = None
+    codes: np.ndarray | None = None
+
+    def circular_error(self, probability: float) -> Quantile:
+        """Radius on the level plane about the centre that holds a share of the samples."""
+        return self._quantile("CE", probability)
+
+    def linear_error(self, probability: float) -> Quantile:
+        """Height above and below the centre that holds a share of the samples."""
+        return self._quantile("LE", probability)
+
+    def spherical_error(self, probability: float) -> Quantile:
+        """Radius in space about the centre that holds a share of the samples."""
+        return self._quantile("SE", probability)
+
+    def _quantile(self, figure: str, probability: float) -> Quantile:
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
+        if figure not in self.radii:
+            raise ValueError(f"{figure} was not asked for: figures are {', '.join(self.radii)}. Sample again with it.")
+        radii = self.radii[figure]
+        value, low, high = _interval(radii, probability, self.confidence, self.scrambles)
+        known = radii if self.found == self.count else radii[np.isfinite(radii)]
+        conditional = value if known is radii else (quantile_interval(known, probability)[0] if known.size else np.nan)
+        return Quantile(float(value), float(low), float(high), float(conditional), self.found / self.count)
+
+
+class Plan(NamedTuple):
+    """What is sampled and how, once and for all chunks."""
+
+    look: Look
+    aim: Aim
+    model: ErrorModel
+    factor: Float[Array, "axes axes"]
+    draws: AbstractDraws
+    search: AbstractSearch
+    key: Any
+
+
+def sample(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    key: Any,
+    count: int = 10_000,
+    draws: AbstractDraws = RANDOM,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    about_mean: bool = False,
+    figures: Sequence[str] = FIGURES,
+    half_width: float | None = None,
+    confidence: float = 0.95,
+    keep: bool = False,
+    chunk: int = CHUNK,
+    devices: Sequence[Any] | None = None,
+    progress: bool = False,
+) -> Sampled:
+    """Errors of the fix that `locate` gives with the same arguments, drawn `count` times.
+
+    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (samples at a time,
+    which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`, whose
+    points are turned so that the directions that matter most come first. 8 bytes a sample are kept for each of the
+    `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the interval of the first figure at 90
+    % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at `count` samples at the latest.
+    `about_mean` counts errors about their mean, for which all is drawn twice; `keep` returns the samples themselves.
+    Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that is not there, or a number of
+    samples that does not go into Sobol's scrambles.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, look)
+    _check_request(count, chunk, draws, figures, confidence, half_width)
+    plan = _plan(look, look.aim(search), model, draws, search, key)
+    if not bool(plan.aim.fix.found):
+        status = Status(int(plan.aim.fix.status))
+        raise ValueError(f"there is no fix whose errors could be drawn: {status.name}: {status.message}")
+    devices = list(jax.devices() if devices is None else devices)
+    centre = np.zeros(3)
+    if about_mean:
+        centre = _gather(plan, count, chunk, devices, centre, (), None, confidence, False, progress).mean_enu
+    return _gather(plan, count, chunk, devices, centre, tuple(figures), half_width, confidence, keep, progress)
+
+
+def _check_request(
+    count: int, chunk: int, draws: AbstractDraws, figures: Sequence[str], confidence: float, half_width: float | None
+) -> None:
+    for value, name in ((count, "count"), (chunk, "chunk")):
+        if not isinstance(value, int | np.integer) or value < 1:
+            raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
+    if not isinstance(draws, AbstractDraws):
+        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
+    if isinstance(draws, Sobol) and count % draws.scrambles:
+        raise ValueError(f"count must be a multiple of the {draws.scrambles} scrambles of Sobol; got {count}.")
+    unknown = [figure for figure in figures if figure not in FIGURES]
+    if unknown:
+        raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence must lie between 0 and 1; got {confidence!r}.")
+    if half_width is not None and (not half_width > 0.0 or not figures):
+        raise ValueError(f"half_width must be a positive share of the first of the figures; got {half_width!r}.")
+
+
+@eqx.filter_jit
+def _plan(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any) -> Plan:
+    model = model.at(look, aim)
+    factor = model.factor()
+    if isinstance(draws, Sobol):
+        jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
+        factor = factor @ _leading_first(jacobian @ factor)
+    return Plan(look, aim, model, factor, draws, search, key)
+
+
+def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
+    """A rotation of standard normal vectors after which the first of them move the fix the most."""
+    sound = jnp.all(jnp.isfinite(swept))
+    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
+    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
+
+
+def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]:
+    """Misses in m and statuses of the samples of these numbers."""
+
+    def one(number: Int[Array, ""]) -> tuple[Vector3, Int8[Array, ""]]:
+        error = plan.factor @ plan.draws.standard_normal(plan.key, number, plan.model.size)
+        return plan.model.miss(plan.look, plan.aim, error, plan.search)
+
+    return jax.vmap(one)(numbers)
+
+
+@eqx.filter_jit
+def _drawn(
+    plan: Plan, first: Int[Array, ""], centre: Vector3, size: int, devices: tuple[Any, ...]
+) -> tuple[Float[Array, "samples 3"], Int8[Array, " samples"], Float[Array, "3 samples"]]:
+    """(errors about the centre, statuses, radii for CE, LE and SE) of a chunk, spread over the devices."""
+    numbers = first + jnp.arange(size)
+    if len(devices) == 1:
+        miss, status = _misses(plan, numbers)
+    else:
+        everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
+        spread = jax.shard_map(
+            _misses,
+            mesh=Mesh(np.array(devices), ("samples",)),
+            in_specs=(everywhere, in_turn),
+            out_specs=in_turn,
+            check_vma=False,
+        )
+        miss, status = spread(plan, numbers)
+    found = counts_as_fix(status)
+    error = miss - centre[None, :]
+    across = error[:, 0] ** 2 + error[:, 1] ** 2
+    radii = jnp.stack([jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2)])
+    return jnp.where(found[:, None], error, jnp.nan), status, jnp.where(found, radii, jnp.inf)
+
+
+def _gather(
+    plan: Plan,
+    count: int,
+    chunk: int,
+    devices: list[Any],
+    centre: np.ndarray,
+    figures: tuple[str, ...],
+    half_width: float | None,
+    confidence: float,
+    keep: bool,
+    progress: bool,
+) -> Sampled:
+    """Draw chunk after chunk, and keep what was asked for."""
+    scrambles = plan.draws.scrambles if isinstance(plan.draws, Sobol) else 0
+    tally = _Tally(count, figures, keep)
+    for first, size, padded in _chunks(count, chunk, len(devices), max(scrambles, 1), progress):
+        drawn = _drawn(plan, jnp.asarray(first), jnp.asarray(centre), padded, tuple(devices))
+        error, status, radii = (np.asarray(part) for part in drawn)
+        tally.add(first, error, status, radii, size)
+        if half_width is not None and tally.is_sharp(half_width, confidence, scrambles):
+            break
+    return tally.result(plan.aim.fix, centre, scrambles, confidence)
+
+
+def _chunks(count: int, chunk: int, devices: int, unit: int, progress: bool) -> Iterator[tuple[int, int, int]]:
+    """(first sample, number of samples, the same padded to one size that goes into devices and scrambles)."""
+    unit = int(np.lcm(devices, unit))
+    size = -(-min(chunk, count) // unit) * unit
+    parts = [(first, min(size, count - first), size) for first in range(0, count, size)]
+    if not progress:
+        yield from parts
+        return
+    from rich.progress import track  # only who wants to see it needs it
+
+    yield from track(parts, description="sampling")
+
+
+class _Tally:
+    """What is kept of the chunks: sums, statuses, radii, and samples if asked for."""
+
+    def __init__(self, count: int, figures: tuple[str, ...], keep: bool) -> None:
+        self.count, self.found = 0, 0
+        self.checked_at = 0
+        self.sum, self.squares = np.zeros(3), np.zeros((3, 3))
+        self.codes = np.zeros(len(Status), int)
+        self.radii = {figure: np.empty(count) for figure in figures}
+        self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if keep else None
+
+    def add(self, first: int, error: np.ndarray, status: np.ndarray, radii: np.ndarray, size: int) -> None:
+        error, status, radii = error[:size], status[:size], radii[:, :size]
+        found = np.isfinite(radii[0])
+        known = error[found]
+        self.count += size
+        self.found += int(found.sum())
+        self.sum += known.sum(axis=0)
+        self.squares += known.T @ known
+        self.codes += np.bincount(status, minlength=len(Status))
+        for figure, kept in self.radii.items():
+            kept[first : first + size] = radii[FIGURES.index(figure)]
+        if self.kept is not None:
+            self.kept[0][first : first + size], self.kept[1][first : first + size] = error, status
+
+    def is_sharp(self, half_width: float, confidence: float, scrambles: int) -> bool:
+        """Whether the first figure's interval at 90 % is narrow enough; asked each time a quarter more is there."""
+        if self.count < 1.25 * self.checked_at:
+            return False
+        self.checked_at = self.count
+        radii = next(iter(self.radii.values()))[: self.count]
+        return relative_half_width(_interval(radii, 0.9, confidence, scrambles)) <= half_width
+
+    def result(self, fix: Fix, centre: np.ndarray, scrambles: int, confidence: float) -> Sampled:
+        mean = self.sum / self.found if self.found else np.full(3, np.nan)
+        fewer = max(self.found - 1, 1)
+        cov = (self.squares - self.found * np.outer(mean, mean)) / fewer if self.found > 1 else np.full((3, 3), np.nan)
+        kept = (None, None) if self.kept is None else tuple(part[: self.count] for part in self.kept)
+        return Sampled(
+            fix=fix,
+            count=self.count,
+            found=self.found,
+            statuses={Status(code): int(number) for code, number in enumerate(self.codes) if number},
+            mean_enu=mean + centre,
+            cov_enu=cov,
+            centre_enu=centre,
+            radii={figure: radii[: self.count] for figure, radii in self.radii.items()},
+            scrambles=scrambles,
+            confidence=confidence,
+            errors_enu=kept[0],
+            codes=kept[1],
+        )
+
+
+def _interval(radii: np.ndarray, probability: float, confidence: float, scrambles: int) -> Interval:
+    """A quantile with its interval: of independent draws, or over independent scrambles."""
+    if not scrambles:
+        return quantile_interval(radii, probability, confidence)
+    each = [scramble_quantile(radii[number::scrambles], probability) for number in range(scrambles)]
+    return scrambled_interval(np.array(each), confidence)

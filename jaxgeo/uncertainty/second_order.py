@@ -1,0 +1,117 @@
+"""The middle way between one derivative and many samples: sigma points, and the second-order moments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Int
+
+from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import counts_as_fix
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+
+SPREAD = 3.0**0.5  # sigmas at which a sigma point lies: right to the fourth moment of a Gaussian along its axis
+
+
+class Moments(NamedTuple):
+    """Mean (m) and covariance (m2) of a fix's errors in east, north, up; `failed` sigma points had no fix."""
+
+    mean_enu: Vector3
+    cov_enu: Matrix3
+    status: StatusField
+    failed: Int[Array, ""]
+
+    def circular_error(self, probability: ArrayLike) -> Scalar:
+        """Radius in m about the nominal fix on the level plane."""
+        return jax.jit(circular_error)(self.cov_enu[:2, :2], probability, self.mean_enu[:2])
+
+    def linear_error(self, probability: ArrayLike) -> Scalar:
+        """Height in m above and below the nominal fix."""
+        return jax.jit(linear_error)(self.cov_enu[2, 2], probability, self.mean_enu[2])
+
+    def spherical_error(self, probability: ArrayLike) -> Scalar:
+        """Radius in m about the nominal fix in space."""
+        return jax.jit(spherical_error)(self.cov_enu, probability, self.mean_enu)
+
+
+def sigma_points(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+) -> Moments:
+    """Mean and covariance of the fix from 2 n + 1 sigma points (Julier and Uhlmann 1997), at 3^(1/2) sigmas.
+
+    Along each axis that is Gauss-Hermite quadrature with three nodes, and so the unscented transform with its central
+    weight 1 - n/3: right to the third order in the errors, and blind to what lies between its points. If one has no
+    fix, its share is unknown: the moments are NaN, and `failed` counts them. Raises as `propagate`.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return sigma_moments(look, look.aim(search), checked_model(errors, look), search)
+
+
+@eqx.filter_jit
+def sigma_moments(look: Look, aim: Aim, model: ErrorModel, search: AbstractSearch) -> Moments:
+    """`sigma_points` of checked input, about what it aims at."""
+    model = model.at(look, aim)
+    factor = SPREAD * model.factor().T
+    points = jnp.concatenate([jnp.zeros((1, model.size)), factor, -factor])
+    misses, statuses = jax.vmap(lambda error: model.miss(look, aim, error, search))(points)
+    found = counts_as_fix(statuses)
+    middle, ahead, behind = misses[0], misses[1 : model.size + 1], misses[model.size + 1 :]
+    bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
+    slope = (ahead - behind) / (2.0 * SPREAD)
+    mean = middle + 0.5 * jnp.sum(bend, axis=0)
+    cov = slope.T @ slope + 0.5 * bend.T @ bend
+    sound = aim.fix.found & jnp.all(found)
+    failed = jnp.sum(~found)
+    return Moments(jnp.where(sound, mean, jnp.nan), jnp.where(sound, cov, jnp.nan), aim.fix.status, failed)
+
+
+def second_order(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+) -> Moments:
+    """Mean and covariance of the fix to second order in its errors, by exact Hessians on the facet under the fix.
+
+    mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Raises as `propagate`.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return second_moments(look, look.aim(search), checked_model(errors, look))
+
+
+@eqx.filter_jit
+def second_moments(look: Look, aim: Aim, model: ErrorModel) -> Moments:
+    """`second_order` of checked input, about what it aims at."""
+    model = model.at(look, aim)
+    factor, zero = model.factor(), jnp.zeros(model.size)
+    miss = lambda z: model.near_miss(look, aim, factor @ z)  # noqa: E731
+    jacobian = jax.jacfwd(miss)(zero)
+    hessian = jax.jacfwd(jax.jacfwd(miss))(zero)
+    mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
+    cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
+    known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731
+    return Moments(known(mean), known(cov), aim.fix.status, jnp.asarray(0))

@@ -1,0 +1,316 @@
+"""Sobol indices of a miss: which share of its variance each source causes, alone and with others, however it bends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.special
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from jaxgeo._typing import Flag, Vector3
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.budget import source_names
+from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
+from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+
+CHUNK = 16_384  # rows at a time
+FEW = 0.1  # the share of rows left out above which the indices are of another error than the look's
+COMPONENTS = ("east", "north", "up", "horizontal")
+SUMS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+SOBOL = Sobol()
+
+Normals = Float[Array, "rows axes"]
+Misses = Float[Array, "rows 3"]
+
+
+class Estimate(NamedTuple):
+    """Indices (groups, components) of first order and total, half widths of their intervals, variances (components,).
+
+    NaN for a component that does not vary.
+    """
+
+    first: np.ndarray
+    total: np.ndarray
+    first_half: np.ndarray
+    total_half: np.ndarray
+    variance: np.ndarray
+
+
+class SobolIndex(NamedTuple):
+    """Shares of one group in the variance of one component: alone, and with all that it does together with others."""
+
+    first: float
+    first_low: float
+    first_high: float
+    total: float
+    total_low: float
+    total_high: float
+
+
+class SobolIndices(eqx.Module):
+    """Sobol indices of a miss by groups of errors, for east, north, up and the horizontal plane.
+
+    `estimate` is from the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is
+    that of the intervals, `variance` in m2 in the order of the components.
+    """
+
+    groups: tuple[str, ...]
+    estimate: Estimate
+    rows: int
+    left_out: float
+    confidence: float
+
+    @property
+    def variance(self) -> dict[str, float]:
+        """Variance of each component in m2; of the horizontal plane the sum of east and north."""
+        return dict(zip(COMPONENTS, self.estimate.variance.tolist(), strict=True))
+
+    @property
+    def warning(self) -> str | None:
+        """A sentence if so many rows have no fix that the indices are of another error than the look's."""
+        if self.left_out <= FEW:
+            return None
+        return (
+            f"{100.0 * self.left_out:.3g} % of the rows were left out, since the errors drawn leave no fix: the "
+            "indices are of the errors that do, and not of all."
+        )
+
+    def of(self, group: str, component: str = "horizontal") -> SobolIndex:
+        """The indices of a group. Raises `ValueError` for a name that is none."""
+        for name, names, kind in ((group, self.groups, "group"), (component, COMPONENTS, "component")):
+            if name not in names:
+                raise ValueError(f"{kind} must be one of {', '.join(names)}; got {name!r}.")
+        place = self.groups.index(group), COMPONENTS.index(component)
+        first, total, first_half, total_half = (float(part[place]) for part in self.estimate[:4])
+        first_bounds = first, first - first_half, first + first_half
+        return SobolIndex(*first_bounds, total, total - total_half, total + total_half)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and words."""
+        indices = {g: {c: self.of(g, c)._asdict() for c in COMPONENTS} for g in self.groups}
+        kept = {"rows": self.rows, "left_out": self.left_out, "warning": self.warning}
+        return {"indices": indices, "variance_m2": self.variance, "confidence": self.confidence, **kept}
+
+    def __str__(self) -> str:
+        width = max(map(len, self.groups))
+        lines = [f"{'horizontal':{width}}  {'first order':>16}  {'total':>16}"]
+        order = np.argsort(-self.estimate.total[:, COMPONENTS.index("horizontal")], kind="stable")
+        for group in (self.groups[k] for k in order):
+            index = self.of(group)
+            half = index.first_high - index.first, index.total_high - index.total
+            lines.append(f"{group:{width}}  {index.first:7.4f} ± {half[0]:.4f}  {index.total:7.4f} ± {half[1]:.4f}")
+        lines.append(f"{self.rows} rows, {100.0 * self.left_out:.3g} % of them left out")
+        return "\n".join(lines if self.warning is None else [*lines, self.warning])
+
+
+class Plan(NamedTuple):
+    """What is pushed through the map from standard normal numbers to misses."""
+
+    look: Look
+    aim: Aim
+    model: ErrorModel
+    factor: Float[Array, "axes axes"]
+
+
+def sobol_indices(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    key: Any,
+    count: int = 4096,
+    by_axis: bool = False,
+    draws: AbstractDraws = SOBOL,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    confidence: float = 0.95,
+    resamples: int = 500,
+    chunk: int = CHUNK,
+) -> SobolIndices:
+    """Which share of the variance of a fix each source causes, alone (first order) and with others (total).
+
+    Every source is a group; `by_axis` makes one of every axis of those whose axes are independent. From `count` rows of
+    two independent error vectors, A and B, and of A with one group from B: (groups + 2) evaluations a row, `chunk` rows
+    at a time. First order by Saltelli et al. (2010), total by Jansen (1999); on the level plane sums over east and
+    north (Lamboni et al. 2011; Gamboa et al. 2014). Intervals are by bootstrap, `resamples` times, over rows, or over
+    the scrambles of Sobol points, of which at least 16 are needed. A row with an evaluation without a fix is left out,
+    and counted. Raises as `sample`.
+    """
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, look)
+    _check_request(count, draws, confidence, resamples, chunk)
+    plan = planned(look, look.aim(search), model)
+    if not bool(plan.aim.fix.found):
+        status = Status(int(plan.aim.fix.status))
+        raise ValueError(f"there is no fix whose errors could be drawn: {status.name}: {status.message}")
+    names, members = groups_of(model, by_axis)
+    push = lambda normals: misses_of(plan, normals, search)  # noqa: E731
+    misses, found = evaluated(push, draws, key, members, count, min(chunk, count))
+    kept = np.all(found, axis=0)
+    estimate = sobol_estimate(
+        *(misses[0, kept], misses[1, kept], misses[2:, kept]),
+        sums=SUMS, units=_units(count, draws)[kept], confidence=confidence, resamples=resamples,
+        seed=np.asarray(jax.random.key_data(key)).tolist(),
+    )  # fmt: skip
+    return SobolIndices(names, estimate, count, 1.0 - float(np.mean(kept)), confidence)
+
+
+def groups_of(model: ErrorModel, by_axis: bool) -> tuple[tuple[str, ...], np.ndarray]:
+    """(names of the groups, which axes of the error vector belong to each (groups, axes))."""
+    names, members = [], []
+    for name, (source, place) in zip(source_names(model), model.parts(), strict=True):
+        axes = np.arange(model.size)[place]
+        independent = source.correlation is None and len(source.sigma_axes) == len(source.axes)
+        split = by_axis and independent and len(axes) > 1
+        names += [f"{name}: {axis}" for axis in source.axes] if split else [name]
+        members += [[axis] for axis in axes] if split else [axes]
+    return tuple(names), np.array([np.isin(np.arange(model.size), axes) for axes in members])
+
+
+def sobol_estimate(
+    base: np.ndarray,
+    other: np.ndarray,
+    mixed: np.ndarray,
+    *,
+    sums: np.ndarray | None = None,
+    units: np.ndarray | None = None,
+    confidence: float = 0.95,
+    resamples: int = 500,
+    seed: Any = 0,
+) -> Estimate:
+    """Sobol indices from values (rows, outputs) at A and B, and (groups, rows, outputs) at A with a group from B.
+
+    `sums` (components, outputs) says which outputs' variances add to each component (one for each output), `units`
+    (rows,) numbers what is independent and drawn again by the bootstrap (every row).
+    First order, mean of f(B) (f(AB) - f(A)): Saltelli et al. 2010, "Variance based sensitivity analysis of model
+    output". Total, half the mean of (f(A) - f(AB))^2: Jansen 1999, "Analysis of variance designs for model output".
+    """
+    rows, outputs = base.shape
+    sums = np.eye(outputs) if sums is None else sums
+    if rows < 2:
+        nothing = np.full((mixed.shape[0], sums.shape[0]), np.nan)
+        return Estimate(nothing, nothing, nothing, nothing, np.full(sums.shape[0], np.nan))
+    centre = 0.5 * (base.mean(axis=0) + other.mean(axis=0))
+    a, b, m = base - centre, other - centre, mixed - centre
+    parts = np.concatenate([(0.5 * (a + b))[None], (0.5 * (a**2 + b**2))[None], b * (m - a), 0.5 * (a - m) ** 2])
+    table = parts.transpose(1, 0, 2).reshape(rows, -1)
+
+    def indices(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        middle, square, *causes = means.reshape(-1, outputs)
+        variance = sums @ (square - middle**2)
+        shares = np.array(causes) @ sums.T / np.where(variance > 0.0, variance, np.nan)
+        return shares[: len(shares) // 2], shares[len(shares) // 2 :], variance
+
+    first, total, variance = indices(table.mean(axis=0))
+    again = [indices(means)[:2] for means in _resampled(table, units, resamples, seed)]
+    independent = rows if units is None else len(np.unique(units))
+    first_half, total_half = _half_width(confidence, independent) * np.std(again, axis=0)
+    return Estimate(first, total, first_half, total_half, variance)
+
+
+def _resampled(table: np.ndarray, units: np.ndarray | None, resamples: int, seed: Any) -> Iterator[np.ndarray]:
+    """Means of a table's columns over units that are drawn again, with replacement."""
+    rng = np.random.default_rng(seed)
+    sums, rows = table, np.ones(len(table))
+    if units is not None:
+        _, owner, rows = np.unique(units, return_inverse=True, return_counts=True)
+        sums = np.zeros((len(rows), table.shape[1]))
+        np.add.at(sums, owner, table)
+    for _ in range(resamples):
+        weight = np.bincount(rng.integers(len(rows), size=len(rows)), minlength=len(rows))
+        yield weight @ sums / (weight @ rows)
+
+
+def _half_width(confidence: float, units: int) -> float:
+    """Half the width of Student's interval, in the standard deviation of a bootstrap over so many units."""
+    student = float(scipy.special.stdtrit(units - 1, 0.5 * (1.0 + confidence)))
+    return student * math.sqrt(units / (units - 1)) if units > 1 else math.nan
+
+
+def _units(count: int, draws: AbstractDraws) -> np.ndarray:
+    """What is independent among the rows: the scrambles of Sobol points, or every row."""
+    numbers = np.arange(count)
+    return numbers % draws.scrambles if isinstance(draws, Sobol) else numbers
+
+
+@eqx.filter_jit
+def planned(look: Look, aim: Aim, model: ErrorModel) -> Plan:
+    """The model at a look, with a factor that keeps its sources, and independent axes, apart."""
+    model = model.at(look, aim)
+    return Plan(look, aim, model, model.factor())
+
+
+@eqx.filter_jit
+def misses_of(
+    plan: Plan, normals: Normals, search: AbstractSearch
+) -> tuple[Float[Array, "rows 3"], Bool[Array, " rows"]]:
+    """(misses in m for standard normal errors, whether there is a fix)."""
+
+    def one(normal: Float[Array, " axes"]) -> tuple[Vector3, Flag]:
+        miss, status = plan.model.miss(plan.look, plan.aim, plan.factor @ normal, search)
+        return miss, (status == Status.hit) | (status == Status.near_tangent)
+
+    return jax.vmap(one)(normals)
+
+
+@eqx.filter_jit
+def _drawn(draws: AbstractDraws, key: Any, first: Array, rows: int, axes: int) -> tuple[Normals, Normals]:
+    """A and B for so many rows from `first` on."""
+    both = jax.vmap(lambda number: draws.standard_normal(key, number, 2 * axes))(first + jnp.arange(rows))
+    return both[:, :axes], both[:, axes:]
+
+
+def evaluated(
+    push: Callable[[Normals], tuple[Array, Array]],
+    draws: AbstractDraws,
+    key: Any,
+    members: np.ndarray,
+    count: int,
+    size: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(misses (groups + 2, rows, 3), whether there is a fix) for A, B, and A with each group from B.
+
+    `push` gives both for standard normal errors, `size` rows at a time.
+    """
+    axes = members.shape[1]
+    from_other = np.concatenate([np.zeros((1, axes), bool), np.ones((1, axes), bool), members])
+    misses, found = np.empty((len(from_other), count, 3)), np.empty((len(from_other), count), bool)
+    for first in range(0, count, size):
+        a, b = _drawn(draws, key, jnp.asarray(first), size, axes)
+        rows = slice(first, min(first + size, count))
+        for number, chosen in enumerate(from_other):
+            miss, fix = push(jnp.where(jnp.asarray(chosen)[None, :], b, a))
+            misses[number, rows] = miss[: rows.stop - first]
+            found[number, rows] = fix[: rows.stop - first]
+    return misses, found
+
+
+def _check_request(count: Any, draws: Any, confidence: Any, resamples: Any, chunk: Any) -> None:
+    least = {"count": (count, 2), "chunk": (chunk, 1), "resamples": (resamples, 2)}
+    for name, (value, low) in least.items():
+        if not isinstance(value, int | np.integer) or value < low:
+            raise ValueError(f"{name} must be a whole number of at least {low}; got {value!r}.")
+    if not isinstance(draws, AbstractDraws):
+        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
+    if isinstance(draws, Sobol) and count % draws.scrambles:
+        raise ValueError(f"count must be a multiple of the {draws.scrambles} scrambles of Sobol; got {count}.")
+    if isinstance(draws, Sobol) and draws.scrambles < LEAST_SCRAMBLES:
+        raise ValueError(f"Sobol needs {LEAST_SCRAMBLES} scrambles or more for intervals; got {draws.scrambles}.")
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence must lie between 0 and 1, such as 0.95; got {confidence!r}.")

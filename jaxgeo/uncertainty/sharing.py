@@ -1,0 +1,90 @@
+"""What two measurements share of one error: all of it, nothing, or less the longer the time between them."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxgeo._checks import check_range
+from jaxgeo._typing import Scalar, ScalarField, ScalarLike
+
+
+class Occasion(NamedTuple):
+    """When a pixel was measured: numbers of the measurement, its shot and its flight, and the time in s."""
+
+    measurement: ScalarLike
+    shot: ScalarLike
+    flight: ScalarLike
+    time: ScalarLike
+
+
+class AbstractSharing(eqx.Module):
+    """How an error of one occasion is correlated with that of another."""
+
+    @abstractmethod
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        """Correlation of the same axis of the error, between -1 and 1."""
+
+
+class EachMeasurement(AbstractSharing):
+    """Drawn anew for every measured pixel."""
+
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        return _same(here.measurement, there.measurement)
+
+
+class EachShot(AbstractSharing):
+    """One for all pixels of a shot, another for the next shot."""
+
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        return _same(here.flight, there.flight) * _same(here.shot, there.shot)
+
+
+class EachFlight(AbstractSharing):
+    """One for a whole flight: calibrations."""
+
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        return _same(here.flight, there.flight)
+
+
+class Everywhere(AbstractSharing):
+    """One for all flights: the geoid, an elevation model's bias."""
+
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        del here, there
+        return jnp.asarray(1.0)
+
+
+class InTime(AbstractSharing):
+    """The less alike the longer between two shots of a flight: A [alpha + (1 - alpha) (1 + beta) / (beta + e^(dt/T))].
+
+    The four-parameter function of the Community Sensor Model (NGA.STND.0017): `duration` T in s, `alpha` the part that
+    lasts, `beta` how flat it begins, `strength` A what different shots have in common at most. With alpha = beta = 0
+    and A = 1 it is exp(-dt/T), a first-order Gauss-Markov process.
+    """
+
+    duration: ScalarField
+    alpha: ScalarField = 0.0
+    beta: ScalarField = 0.0
+    strength: ScalarField = 1.0
+
+    def correlation(self, here: Occasion, there: Occasion) -> Scalar:
+        apart = jnp.abs(jnp.asarray(here.time) - there.time)
+        fading = (1.0 + self.beta) / (self.beta + jnp.exp(apart / self.duration))
+        between = self.strength * (self.alpha + (1.0 - self.alpha) * fading)
+        same_shot = jnp.asarray(here.shot) == there.shot
+        return _same(here.flight, there.flight) * jnp.where(same_shot, 1.0, between)
+
+    def check(self) -> None:
+        """Raise `ValueError` for a duration that is not positive, or alpha or A outside 0 to 1, or a beta below 0."""
+        check_range(self.duration, "duration of InTime", "s (positive)", 1e-12, 1e12)
+        check_range(self.alpha, "alpha of InTime", "(a share)", 0.0, 1.0)
+        check_range(self.strength, "strength of InTime", "(a correlation)", 0.0, 1.0)
+        check_range(self.beta, "beta of InTime", "(a number from 0 to 10)", 0.0, 10.0)
+
+
+def _same(here: ScalarLike, there: ScalarLike) -> Scalar:
+    return jnp.where(jnp.asarray(here) == jnp.asarray(there), 1.0, 0.0)

@@ -1,0 +1,38 @@
+"""Error sources: one small class each, that says how it moves a look and what its covariance is."""
+
+from jaxgeo.uncertainty.sources.air import Refraction
+from jaxgeo.uncertainty.sources.base import AbstractSource
+from jaxgeo.uncertainty.sources.correlated import Correlated
+from jaxgeo.uncertainty.sources.gimbal import GimbalAngles, GimbalMounting
+from jaxgeo.uncertainty.sources.ground import Geoid, TerrainField, TerrainHeight
+from jaxgeo.uncertainty.sources.image import Distortion, InteriorOrientation, PixelMeasurement
+from jaxgeo.uncertainty.sources.platform import (
+    Attitude,
+    Boresight,
+    CameraMounting,
+    LeverArm,
+    Position,
+    TimeTag,
+    Velocity,
+)
+
+__all__ = [
+    "AbstractSource",
+    "Attitude",
+    "Boresight",
+    "CameraMounting",
+    "Correlated",
+    "Distortion",
+    "Geoid",
+    "GimbalAngles",
+    "GimbalMounting",
+    "InteriorOrientation",
+    "LeverArm",
+    "PixelMeasurement",
+    "Position",
+    "Refraction",
+    "TerrainField",
+    "TerrainHeight",
+    "TimeTag",
+    "Velocity",
+]

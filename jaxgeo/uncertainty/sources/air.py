@@ -1,0 +1,39 @@
+"""Errors of the air through which a line of sight is bent."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+from jax.typing import ArrayLike
+
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+
+
+class Refraction(AbstractSource):
+    """Errors of the air's temperature, K at every height, and of the pressure at sea level, Pa."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    names: ClassVar = ("temperature", "pressure")
+    unit: ClassVar = "K and Pa"
+
+    @classmethod
+    def from_kelvin_and_pascal(cls, *, temperature: ArrayLike, pressure: ArrayLike, **options: Any) -> Refraction:
+        """From standard deviations in K and Pa."""
+        return cls(sigmas(temperature, pressure), **options)
+
+    def check(self, look: Look) -> None:
+        if look.air is None:
+            raise ValueError(
+                "A Refraction source needs the air whose temperature and pressure err: pass atmosphere=Atmosphere()."
+            )
+
+    def moved(self, look: Look, error: Error) -> Look:
+        air = look.air
+        assert air is not None
+        after = (air.temperature_offset + error[0], air.sea_level_pressure + error[1])
+        return eqx.tree_at(lambda look: (look.air.temperature_offset, look.air.sea_level_pressure), look, after)

@@ -1,0 +1,157 @@
+"""What an error source is: how far each of its axes goes, how they hang together, and what they move."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Num
+
+from jaxgeo._checks import as_array, as_float64, check_finite, concrete, require_x64
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, InTime, Occasion
+
+SourceT = TypeVar("SourceT", bound="AbstractSource")
+Error: TypeAlias = Float[Array, " axes"]
+Covariance: TypeAlias = Float[Array, "axes axes"]
+if TYPE_CHECKING:
+    Sigma: TypeAlias = Any
+    Correlation: TypeAlias = Any
+else:
+    Sigma: TypeAlias = Num[ArrayLike, " axes"]
+    Correlation: TypeAlias = Num[ArrayLike, "axes axes"] | None
+
+NEGATIVE = 1e-9  # of the largest eigenvalue: a covariance computed in floating point is no more negative than this
+
+
+class AbstractSource(eqx.Module):
+    """One cause of error: a vector e ~ N(0, D R D), D of its `sigma`, R its `correlation`, that moves a look.
+
+    `sigma` are standard deviations in rad, m, px, s, K or Pa, one for each of `names`; without a `correlation` the axes
+    are independent. `sharing` says what of it two measurements have in common.
+    """
+
+    sigma: eqx.AbstractVar[Sigma]
+    correlation: eqx.AbstractVar[Correlation]
+    sharing: eqx.AbstractVar[AbstractSharing]
+    names: ClassVar[tuple[str, ...]]
+    unit: ClassVar[str]
+
+    @property
+    def label(self) -> str:
+        """What budgets call it."""
+        words = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in type(self).__name__)
+        return words.strip()
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of the axes of its error vector."""
+        return self.names
+
+    @property
+    def sigma_axes(self) -> tuple[str, ...]:
+        """What each of its standard deviations is of."""
+        return self.axes
+
+    def at(self: SourceT, look: Look, aim: Aim) -> SourceT:
+        """The source as it is at a look; only what varies over the ground makes use of it."""
+        del look, aim
+        return self
+
+    def covariance(self) -> Covariance:
+        """Covariance of the error vector."""
+        sigma = jnp.asarray(self.sigma)
+        unit = jnp.eye(sigma.shape[0]) if self.correlation is None else jnp.asarray(self.correlation)
+        return sigma[:, None] * unit * sigma[None, :]
+
+    def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
+        """Covariance between the error vector here (rows) and that of the same source at another look (columns)."""
+        del there
+        return self.sharing.correlation(*when) * self.covariance()
+
+    @abstractmethod
+    def moved(self, look: Look, error: Error) -> Look:
+        """The look with an error in it."""
+
+    def check(self, look: Look) -> None:
+        """Raise `ValueError` where the source can have no part in a look, `TypeError` where it makes no sense."""
+        del look
+
+    def check_numbers(self) -> None:
+        """Raise `ValueError` for a sigma that is negative or not finite, or a correlation that is none."""
+        check_sigma(self.sigma, self.sigma_axes, self.label)
+        if self.correlation is not None:
+            check_correlation(self.correlation, len(self.axes), self.label)
+        if isinstance(self.sharing, InTime):
+            self.sharing.check()
+
+    @classmethod
+    def from_covariance(cls: type[SourceT], covariance: ArrayLike, **options: Any) -> SourceT:
+        """From a covariance matrix (axes, axes), in the squared units of `sigma`.
+
+        Raises `ValueError` for one that is not symmetric and positive semi-definite.
+        """
+        given: Any = as_float64(as_array(covariance, "covariance"), "covariance")
+        check_covariance(given, f"covariance of {cls.__name__}")
+        sigma = jnp.sqrt(jnp.maximum(jnp.diagonal(given), 0.0))
+        safe = jnp.where(sigma > 0.0, sigma, 1.0)
+        correlation = jnp.where(jnp.eye(sigma.shape[0]) > 0.0, 1.0, given / (safe[:, None] * safe[None, :]))
+        return cls(sigma=sigma, correlation=correlation, **options)
+
+
+def sigmas(*values: ArrayLike, degrees: bool = False) -> Array:
+    """Standard deviations as one vector, from degrees if they are."""
+    require_x64()
+    parts: Any = as_float64(list(values), "sigma")
+    stacked = jnp.stack([jnp.asarray(part) for part in parts])
+    return jnp.deg2rad(stacked) if degrees else stacked
+
+
+def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
+    """Raise `ValueError` for standard deviations that are negative, not finite, or not one for each axis."""
+    if np.shape(sigma) != (len(axes),):
+        raise ValueError(
+            f"{label}: sigma must be one number for each of {', '.join(axes)}; got shape {np.shape(sigma)}."
+        )
+    check_finite(sigma, f"{label}: sigma", "rad, m, px, s, K or Pa")
+    known = concrete(sigma)
+    if known is not None and np.any(known < 0.0):
+        axis = int(np.argmax(known < 0.0))
+        raise ValueError(f"{label}: sigma of {axes[axis]} must not be negative; got {known[axis]!r}.")
+
+
+def check_covariance(covariance: Any, name: str) -> None:
+    """Raise `ValueError` unless a matrix that is known is symmetric and positive semi-definite."""
+    if np.ndim(covariance) != 2 or np.shape(covariance)[0] != np.shape(covariance)[1]:
+        raise ValueError(f"{name} must be a square matrix; got shape {np.shape(covariance)}.")
+    check_finite(covariance, name, "squared units")
+    known = concrete(covariance)
+    if known is None:
+        return
+    largest = float(np.max(np.abs(known), initial=0.0))
+    if np.max(np.abs(known - known.T), initial=0.0) > NEGATIVE * largest:
+        row, col = np.unravel_index(np.argmax(np.abs(known - known.T)), known.shape)
+        raise ValueError(
+            f"{name} must be symmetric; entry ({row}, {col}) is {known[row, col]:.9g}, but ({col}, {row}) is "
+            f"{known[col, row]:.9g}."
+        )
+    lowest = float(np.linalg.eigvalsh(0.5 * (known + known.T))[0]) if known.size else 0.0
+    if lowest < -NEGATIVE * largest:
+        raise ValueError(
+            f"{name} is not positive semi-definite: its lowest eigenvalue is {lowest:.6g}. Its axes are correlated by "
+            "more than their variances allow."
+        )
+
+
+def check_correlation(correlation: Any, count: int, label: str) -> None:
+    """Raise `ValueError` unless a matrix that is known is a correlation of so many axes."""
+    if np.shape(correlation) != (count, count):
+        raise ValueError(f"{label}: correlation must have the shape ({count}, {count}); got {np.shape(correlation)}.")
+    check_covariance(correlation, f"{label}: correlation")
+    known = concrete(correlation)
+    if known is not None and np.any(np.abs(np.diagonal(known) - 1.0) > 1e-9):
+        raise ValueError(f"{label}: correlation must have ones on its diagonal; got {np.diagonal(known).tolist()}.")

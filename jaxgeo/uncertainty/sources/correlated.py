@@ -1,0 +1,55 @@
+"""Several sources whose errors hang together, as one block."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sharing import AbstractSharing
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma
+
+
+class Correlated(AbstractSource):
+    """Sources as one block, with a correlation over all their axes in order, and one sharing.
+
+    Position and attitude of one Kalman filter are such a block. Make it with `Correlated.of`.
+    """
+
+    parts: tuple[AbstractSource, ...]
+    sigma: Sigma
+    correlation: Correlation
+    sharing: AbstractSharing
+    unit: ClassVar = "mixed"
+
+    @classmethod
+    def of(cls, *parts: AbstractSource, correlation: Correlation, sharing: AbstractSharing) -> Correlated:
+        """From sources, whose standard deviations are kept, and the correlation (axes, axes) of all of them.
+
+        Raises `ValueError` for a `TerrainField`.
+        """
+        for part in parts:
+            if len(part.sigma_axes) != len(part.axes):
+                raise ValueError(f"{part.label} has its own correlation over the ground; it can be no part of a block.")
+        sigma = jnp.concatenate([jnp.asarray(part.sigma) for part in parts])
+        return cls(parts=parts, sigma=sigma, correlation=jnp.asarray(correlation, float), sharing=sharing)
+
+    @property
+    def label(self) -> str:
+        return " and ".join(part.label for part in self.parts)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return tuple(f"{part.label}: {axis}" for part in self.parts for axis in part.axes)
+
+    def check(self, look: Look) -> None:
+        for part in self.parts:
+            part.check(look)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        first = 0
+        for part in self.parts:
+            look = part.moved(look, error[first : first + len(part.axes)])
+            first += len(part.axes)
+        return look

@@ -1,0 +1,79 @@
+"""Errors of the gimbal: what its encoders read, and how its axes are mounted."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo.sensor import Gimbal
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachShot
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+
+AxesT = TypeVar("AxesT", bound="_OfGimbalAxes")
+
+
+class _OfGimbalAxes(AbstractSource):
+    """A source with one axis for each of a gimbal's."""
+
+    sigma: eqx.AbstractVar[Sigma]
+    correlation: eqx.AbstractVar[Correlation]
+    sharing: eqx.AbstractVar[AbstractSharing]
+    gimbal_axes: eqx.AbstractVar[tuple[str, ...]]
+    unit: ClassVar = "rad"
+
+    @classmethod
+    def from_degrees(cls: type[AxesT], *, sharing: AbstractSharing | None = None, **axes: ArrayLike) -> AxesT:
+        """From standard deviations in deg, named as the gimbal's axes are: `outer=0.02, inner=0.02`."""
+        shared = {} if sharing is None else {"sharing": sharing}
+        values = sigmas(*axes.values(), degrees=True)
+        return cls(values, gimbal_axes=tuple(axes), **shared)  # pyright: ignore[reportCallIssue]
+
+    @classmethod
+    def of(cls: type[AxesT], gimbal: Gimbal, sigma: ArrayLike, **options: Any) -> AxesT:
+        """The same standard deviation in rad on every axis of a gimbal, or one for each."""
+        values = jnp.broadcast_to(jnp.asarray(sigma, float), (len(gimbal.names),))
+        return cls(values, gimbal_axes=gimbal.names, **options)  # pyright: ignore[reportCallIssue]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.gimbal_axes
+
+    def check(self, look: Look) -> None:
+        names = look.sensor.gimbal.names
+        if tuple(self.gimbal_axes) != tuple(names):
+            raise ValueError(
+                f"{type(self).__name__} is for the axes {', '.join(self.gimbal_axes) or 'none'}, but this gimbal has "
+                f"{', '.join(names) or 'none'}."
+            )
+
+
+class GimbalAngles(_OfGimbalAxes):
+    """Errors of the gimbal's readings, rad, in the order of its axes."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachShot()
+    gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
+
+    def moved(self, look: Look, error: Error) -> Look:
+        readings = jnp.asarray(look.motion.gimbal_readings)
+        readings = readings + (error if readings.ndim == 1 else error[None, :])
+        return eqx.tree_at(lambda look: look.motion.gimbal_readings, look, readings)
+
+
+class GimbalMounting(_OfGimbalAxes):
+    """Errors of the gimbal's axes as they are mounted, rad of axis angle; they add to the angles (Li et al. 2023)."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
+
+    def moved(self, look: Look, error: Error) -> Look:
+        gimbal = look.sensor.gimbal
+        offset = jnp.asarray(gimbal.offset) - error / (jnp.asarray(gimbal.sign) * jnp.asarray(gimbal.gain))
+        return eqx.tree_at(lambda look: look.sensor.gimbal.offset, look, offset)

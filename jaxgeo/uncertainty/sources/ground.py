@@ -1,0 +1,181 @@
+"""Errors of the ground: a bias of its heights, the geoid, and heights that err alike within some distance."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import check_finite, concrete
+from jaxgeo._typing import Scalar
+from jaxgeo.terrain import ConstantField, Dem, LineField
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, Everywhere, Occasion
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Covariance, Error, Sigma, sigmas
+
+NODES_A_RANGE = 4  # nodes in the shortest of a field's correlation lengths
+
+
+class TerrainHeight(AbstractSource):
+    """Error of the terrain's height, m: the same everywhere (a bias, or all that matters of a field at one place)."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = Everywhere()
+    names: ClassVar = ("height",)
+    unit: ClassVar = "m"
+
+    @classmethod
+    def from_metres(cls, height: ArrayLike, **options: Any) -> TerrainHeight:
+        """From a standard deviation in m."""
+        return cls(sigmas(height), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        return _raised(look, error[0])
+
+
+class Geoid(AbstractSource):
+    """Error of the geoid's undulation, m, by which heights above the sea were made heights above the ellipsoid.
+
+    It raises the terrain; with `platform` the sensor too, if its height was made from one above the sea as well.
+    """
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = Everywhere()
+    platform: bool = eqx.field(static=True, default=False)
+    names: ClassVar = ("undulation",)
+    unit: ClassVar = "m"
+
+    @classmethod
+    def from_metres(cls, undulation: ArrayLike, **options: Any) -> Geoid:
+        """From a standard deviation in m."""
+        return cls(sigmas(undulation), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        look = _raised(look, error[0])
+        if not self.platform:
+            return look
+        height = look.pose.position.height + error[0]
+        return look.with_pose(eqx.tree_at(lambda pose: pose.position.height, look.pose, height))
+
+
+class TerrainField(AbstractSource):
+    """Errors of the terrain's height that are alike over some distance, m: a Gaussian random field over the ground.
+
+    Its covariance is a sum of Gaussian, s^2 exp(-(d/a)^2), and spherical, s^2 (1 - 1.5 d/a + 0.5 (d/a)^3), variograms,
+    of standard deviation s in m and length a in m each (`sigma` has the Gaussian ones first). At one look it is drawn
+    at nodes along the approach of the line of sight, the middle one at the fix, and is linear between them; so it is
+    right at the hit and on the ground that the ray passes over before and would behind. Two looks share what their
+    nodes' distances leave them.
+    """
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = Everywhere()
+    _: KW_ONLY
+    gaussian_lengths: Float[Array, "..."]
+    spherical_lengths: Float[Array, "..."]
+    place: Float[Array, "... nodes 3"]
+    rowcol: Float[Array, "... 2"]
+    step: Float[Array, "... 2"]
+    nodes: int = eqx.field(static=True, default=33)
+    unit: ClassVar = "m"
+
+    @classmethod
+    def of_variograms(
+        cls, *, gaussian: Any = (), spherical: Any = (), nodes: int = 33, sharing: AbstractSharing | None = None
+    ) -> TerrainField:
+        """From lists of (standard deviation in m, length in m); `nodes`, an odd number, are a quarter of the shortest
+        length apart.
+
+        Raises `ValueError` for no variogram at all, a length that is not positive, or an even number of nodes.
+        """
+        pairs = [*gaussian, *spherical]
+        if not pairs or any(len(pair) != 2 for pair in pairs):
+            raise ValueError("TerrainField needs variograms: gaussian=[(sigma, length), ...] or spherical=[...], in m.")
+        for _, length in pairs:
+            check_finite(length, "length of a variogram", "m")
+            known = concrete(length)
+            if known is not None and not known > 0.0:
+                raise ValueError(f"length of a variogram must be positive, in m; got {float(known)!r}.")
+        if nodes < 3 or nodes % 2 == 0:
+            raise ValueError(f"nodes must be an odd number from 3 on, so that one lies at the fix; got {nodes!r}.")
+        of_gaussian, of_spherical = (jnp.asarray([pair[1] for pair in part], float) for part in (gaussian, spherical))
+        return cls(
+            sigmas(*(pair[0] for pair in pairs)),
+            sharing=Everywhere() if sharing is None else sharing,
+            gaussian_lengths=of_gaussian.reshape(-1),
+            spherical_lengths=of_spherical.reshape(-1),
+            place=jnp.full((nodes, 3), jnp.nan),  # until it is placed at a look
+            rowcol=jnp.zeros(2),
+            step=jnp.zeros(2),
+            nodes=nodes,
+        )
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return tuple(f"node {number - self.nodes // 2:+d}" for number in range(self.nodes))
+
+    @property
+    def sigma_axes(self) -> tuple[str, ...]:
+        gaussian = len(self.gaussian_lengths)
+        return tuple(f"{'gaussian' if k < gaussian else 'spherical'} {k}" for k in range(len(self.sigma)))
+
+    def at(self, look: Look, aim: Aim) -> TerrainField:
+        east, north = aim.direction_enu[0], aim.direction_enu[1]
+        level = jnp.sqrt(east**2 + north**2)
+        plumb = level < 1e-9
+        ahead = jnp.stack([jnp.where(plumb, 1.0, east), jnp.where(plumb, 0.0, north), jnp.zeros_like(east)])
+        spacing = jnp.min(jnp.concatenate([self.gaussian_lengths, self.spherical_lengths])) / NODES_A_RANGE
+        way = spacing * (aim.R_ecef_from_enu @ (ahead / jnp.where(plumb, 1.0, level)))
+        numbers = (jnp.arange(self.nodes) - self.nodes // 2).astype(jnp.float64)
+        place = aim.p_ecef[None, :] + numbers[:, None] * way[None, :]
+        assert isinstance(look.terrain, Dem)
+        middle, following = look.terrain.over(aim.p_ecef)[0], look.terrain.over(aim.p_ecef + way)[0]
+        step = following - middle
+        after = (place, middle + numbers[0] * step, step)
+        return eqx.tree_at(lambda source: (source.place, source.rowcol, source.step), self, after)
+
+    def covariance(self) -> Covariance:
+        return self.variance_at(_distances(self.place, self.place))
+
+    def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
+        return self.sharing.correlation(*when) * self.variance_at(_distances(self.place, there.place))
+
+    def check(self, look: Look) -> None:
+        if not isinstance(look.terrain, Dem):
+            raise ValueError(
+                f"A TerrainField is one of the posts of a Dem; this terrain is a {type(look.terrain).__name__}. Use "
+                "TerrainHeight for a height that errs everywhere alike."
+            )
+
+    def moved(self, look: Look, error: Error) -> Look:
+        assert isinstance(look.terrain, Dem)
+        field = LineField(error, self.rowcol, self.step)
+        return eqx.tree_at(lambda look: look.terrain, look, look.terrain.with_field(field))
+
+    def variance_at(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Covariance in m2 of the heights' errors so many m apart."""
+        sigma, split = jnp.asarray(self.sigma), self.gaussian_lengths.shape[0]
+        total = jnp.zeros_like(distance)
+        for number in range(split):
+            total = total + sigma[number] ** 2 * jnp.exp(-((distance / self.gaussian_lengths[number]) ** 2))
+        for number in range(self.spherical_lengths.shape[0]):
+            share = jnp.minimum(distance / self.spherical_lengths[number], 1.0)
+            total = total + sigma[split + number] ** 2 * (1.0 - 1.5 * share + 0.5 * share**3)
+        return total
+
+
+def _raised(look: Look, height: Scalar) -> Look:
+    terrain: Any = look.terrain
+    return eqx.tree_at(lambda look: look.terrain, look, terrain.with_field(ConstantField(height)))
+
+
+def _distances(here: Float[Array, "n 3"], there: Float[Array, "m 3"]) -> Float[Array, "n m"]:
+    squared = jnp.sum((here[:, None, :] - there[None, :, :]) ** 2, axis=2)
+    return jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)) * (squared > 0.0)

@@ -1,0 +1,106 @@
+"""Errors in the image: the measured pixel, and the camera's interior orientation."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo.sensor import AbstractCamera, FrameCamera
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachMeasurement
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+
+
+class PixelMeasurement(AbstractSource):
+    """Errors of the measured pixel, px along columns and rows."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachMeasurement()
+    names: ClassVar = ("column", "row")
+    unit: ClassVar = "px"
+
+    @classmethod
+    def from_pixels(cls, *, column: ArrayLike, row: ArrayLike, **options: Any) -> PixelMeasurement:
+        """From standard deviations in px."""
+        return cls(sigmas(column, row), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        return eqx.tree_at(lambda look: look.uv, look, look.uv + error)
+
+
+class InteriorOrientation(AbstractSource):
+    """Errors of the focal length and the principal point (column, row), px; both focal lengths by the same share."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    names: ClassVar = ("focal length", "principal column", "principal row")
+    unit: ClassVar = "px"
+
+    @classmethod
+    def from_pixels(
+        cls, *, focal: ArrayLike, principal_column: ArrayLike, principal_row: ArrayLike, **options: Any
+    ) -> InteriorOrientation:
+        """From standard deviations in px."""
+        return cls(sigmas(focal, principal_column, principal_row), **options)
+
+    def check(self, look: Look) -> None:
+        optics_of(look.sensor.camera)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        optics = optics_of(look.sensor.camera)
+        focal = jnp.asarray(optics.focal_px)
+        after = (focal * (1.0 + error[0] / focal[0]), jnp.asarray(optics.principal_px) + error[1:])
+
+        def where(look: Look) -> tuple[Any, Any]:
+            optics = optics_of(look.sensor.camera)
+            return optics.focal_px, optics.principal_px
+
+        return eqx.tree_at(where, look, after)
+
+
+class Distortion(AbstractSource):
+    """Errors of named coefficients of the lens distortion, without a unit."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    coefficients: tuple[str, ...] = eqx.field(static=True, default=("k1",))
+    unit: ClassVar = "1"
+
+    @classmethod
+    def from_coefficients(cls, *, sharing: AbstractSharing | None = None, **coefficients: ArrayLike) -> Distortion:
+        """From the standard deviation of each coefficient, by its name: `k1=1e-4, k2=1e-4`."""
+        shared = {} if sharing is None else {"sharing": sharing}
+        return cls(sigmas(*coefficients.values()), coefficients=tuple(coefficients), **shared)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.coefficients
+
+    def check(self, look: Look) -> None:
+        distortion = optics_of(look.sensor.camera).distortion
+        missing = [name for name in self.coefficients if not hasattr(distortion, name)]
+        if missing:
+            raise ValueError(
+                f"The camera's {type(distortion).__name__} has no coefficient {', '.join(missing)}; give the camera a "
+                "BrownConrady lens, of zeros if need be."
+            )
+
+    def moved(self, look: Look, error: Error) -> Look:
+        def where(look: Look) -> tuple[Any, ...]:
+            return tuple(getattr(optics_of(look.sensor.camera).distortion, name) for name in self.coefficients)
+
+        return eqx.tree_at(where, look, tuple(old + e for old, e in zip(where(look), error, strict=True)))
+
+
+def optics_of(camera: AbstractCamera) -> FrameCamera:
+    """The lens and detector of a camera: itself, or its line or frame. Raises `ValueError` if it has none."""
+    for part in (camera, getattr(camera, "optics", None), getattr(camera, "frame", None)):
+        if isinstance(part, FrameCamera):
+            return part
+    raise ValueError(f"A {type(camera).__name__} has no focal length and principal point; leave this source out.")

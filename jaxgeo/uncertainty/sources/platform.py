@@ -1,0 +1,212 @@
+"""Errors of the platform: attitude, position, time, and how gimbal and camera sit on it."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo._numerics import product, turned
+from jaxgeo._typing import ScalarField, Vector3, Vector3Field
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
+from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, heading_pitch_roll_from_R
+from jaxgeo.sensor import Pose, Shot
+from jaxgeo.sensor.gimbal import Numbers
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachShot
+from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
+
+
+class Attitude(AbstractSource):
+    """Errors of the measured heading, pitch and roll, rad."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachShot()
+    names: ClassVar = ("heading", "pitch", "roll")
+    unit: ClassVar = "rad"
+
+    @classmethod
+    def from_degrees(cls, *, heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike, **options: Any) -> Attitude:
+        """From standard deviations in deg."""
+        return cls(sigmas(heading, pitch, roll, degrees=True), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        pose = look.pose
+        heading, pitch, roll = error
+        heading, pitch, roll = pose.heading + heading, pose.pitch + pitch, pose.roll + roll
+        return look.with_pose(Pose(pose.position, heading, pitch, roll, pose.deflection))
+
+
+class Position(AbstractSource):
+    """Errors of the measured position, m: along north, east, down there, or along the axes of ECEF (`frame`)."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachShot()
+    frame: Literal["ned", "ecef"] = eqx.field(static=True, default="ned")
+    names: ClassVar = ("north", "east", "down")
+    unit: ClassVar = "m"
+
+    @classmethod
+    def from_ned(cls, *, north: ArrayLike, east: ArrayLike, down: ArrayLike, **options: Any) -> Position:
+        """From standard deviations in m."""
+        return cls(sigmas(north, east, down), **options)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        return self.names if self.frame == "ned" else ("x", "y", "z")
+
+    def moved(self, look: Look, error: Error) -> Look:
+        def shifted(position: Geodetic) -> Geodetic:
+            shift = turned(R_ecef_from_ned(position), error) if self.frame == "ned" else error
+            return WGS84.to_geodetic(WGS84.to_ecef(position) + shift)
+
+        pose = look.pose
+        move = shifted if isinstance(look.motion, Shot) else jax.vmap(shifted)
+        return look.with_pose(Pose(move(pose.position), pose.heading, pose.pitch, pose.roll, pose.deflection))
+
+
+class Velocity(AbstractSource):
+    """Errors of the measured velocity, m/s north, east, down, by which the position is carried on for `latency` s."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachShot()
+    latency: ScalarField = 0.005
+    names: ClassVar = ("north", "east", "down")
+    unit: ClassVar = "m/s"
+
+    @classmethod
+    def from_ned(cls, *, north: ArrayLike, east: ArrayLike, down: ArrayLike, **options: Any) -> Velocity:
+        """From standard deviations in m/s."""
+        return cls(sigmas(north, east, down), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        return Position(self.sigma).moved(look, error * self.latency)
+
+
+class TimeTag(AbstractSource):
+    """Error of an image's time against the navigation's clock, s.
+
+    On a trajectory it moves along it. A single shot needs to be told how it moves: `velocity_ned` in m/s over the
+    ground, and, if they matter, `body_rates` about forward, right and down and `gimbal_rates`, rad/s.
+    """
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachShot()
+    velocity_ned: Vector3Field | None = None
+    body_rates: Vector3Field | None = None
+    gimbal_rates: Any = None
+    names: ClassVar = ("time",)
+    unit: ClassVar = "s"
+
+    @classmethod
+    def from_seconds(
+        cls,
+        time: ArrayLike,
+        *,
+        velocity_ned: Numbers | None = None,
+        body_rates: Numbers | None = None,
+        gimbal_rates: Numbers | None = None,
+        **options: Any,
+    ) -> TimeTag:
+        """From a standard deviation in s, and the motion of a single shot."""
+        rates = (velocity_ned, body_rates, gimbal_rates)
+        velocity, turning, moving = (None if rate is None else jnp.asarray(rate, float) for rate in rates)
+        return cls(sigmas(time), velocity_ned=velocity, body_rates=turning, gimbal_rates=moving, **options)
+
+    def check(self, look: Look) -> None:
+        if isinstance(look.motion, Shot) and self.velocity_ned is None:
+            raise ValueError(
+                "A TimeTag needs to know how a single shot moves: give it velocity_ned in m/s (and body_rates, "
+                "gimbal_rates in rad/s), or a Trajectory in place of the shot."
+            )
+
+    def moved(self, look: Look, error: Error) -> Look:
+        later = error[0]
+        if not isinstance(look.motion, Shot):
+            return eqx.tree_at(lambda look: look.time, look, look.time + later)
+        shot, pose = look.motion, look.motion.pose
+        velocity: Vector3 = jnp.zeros(3) if self.velocity_ned is None else jnp.asarray(self.velocity_ned)
+        way = turned(R_ecef_from_ned(pose.position), later * velocity)
+        position = WGS84.to_geodetic(WGS84.to_ecef(pose.position) + way)
+        pose = Pose(position, pose.heading, pose.pitch, pose.roll, pose.deflection)
+        if self.body_rates is not None:
+            R_level_from_body = R_from_heading_pitch_roll(*map(jnp.asarray, (pose.heading, pose.pitch, pose.roll)))
+            R = product(R_level_from_body, R_from_rotation_vector(later * jnp.asarray(self.body_rates)))
+            pose = Pose(position, *heading_pitch_roll_from_R(R), pose.deflection)
+        readings = jnp.asarray(shot.gimbal_readings)
+        if self.gimbal_rates is not None:
+            readings = readings + later * jnp.asarray(self.gimbal_rates)
+        return eqx.tree_at(lambda look: look.motion, look, Shot(pose, readings, shot.time))
+
+
+class Boresight(AbstractSource):
+    """Errors of the calibration between navigation and gimbal base, rad: `R_body_from_base` is turned by
+    Rz(heading) Ry(pitch) Rx(roll) in body axes. Li et al. (2023) call it the INS calibration."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    names: ClassVar = ("heading", "pitch", "roll")
+    unit: ClassVar = "rad"
+
+    @classmethod
+    def from_degrees(cls, *, heading: ArrayLike, pitch: ArrayLike, roll: ArrayLike, **options: Any) -> Boresight:
+        """From standard deviations in deg."""
+        return cls(sigmas(heading, pitch, roll, degrees=True), **options)
+
+    def check(self, look: Look) -> None:
+        if look.sensor.gimbal.reference == "level":
+            raise ValueError(
+                "A gimbal that reports in local level has no boresight against the body: its angles are against the "
+                "horizon. Use CameraMounting for the camera in the head, or GimbalMounting for the axes."
+            )
+
+    def moved(self, look: Look, error: Error) -> Look:
+        turn = R_from_heading_pitch_roll(*error)
+        R = product(turn, jnp.asarray(look.sensor.mount.R_body_from_base))
+        return eqx.tree_at(lambda look: look.sensor.mount.R_body_from_base, look, R)
+
+
+class CameraMounting(AbstractSource):
+    """Errors of how the camera sits in the head, rad: a small rotation about the head's axes forward, right, down."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    names: ClassVar = ("forward", "right", "down")
+    unit: ClassVar = "rad"
+
+    @classmethod
+    def from_degrees(cls, *, forward: ArrayLike, right: ArrayLike, down: ArrayLike, **options: Any) -> CameraMounting:
+        """From standard deviations in deg."""
+        return cls(sigmas(forward, right, down, degrees=True), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        R = product(R_from_rotation_vector(error), jnp.asarray(look.sensor.mount.R_head_from_camera))
+        return eqx.tree_at(lambda look: look.sensor.mount.R_head_from_camera, look, R)
+
+
+class LeverArm(AbstractSource):
+    """Errors of the lever arm from the IMU to the gimbal's centre, m in body axes forward, right, down."""
+
+    sigma: Sigma
+    correlation: Correlation = None
+    sharing: AbstractSharing = EachFlight()
+    names: ClassVar = ("forward", "right", "down")
+    unit: ClassVar = "m"
+
+    @classmethod
+    def from_metres(cls, *, forward: ArrayLike, right: ArrayLike, down: ArrayLike, **options: Any) -> LeverArm:
+        """From standard deviations in m."""
+        return cls(sigmas(forward, right, down), **options)
+
+    def moved(self, look: Look, error: Error) -> Look:
+        lever = jnp.asarray(look.sensor.mount.lever_body) + error
+        return eqx.tree_at(lambda look: look.sensor.mount.lever_body, look, lever)

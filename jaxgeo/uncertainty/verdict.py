@@ -1,0 +1,113 @@
+"""Which way of propagating errors can be trusted at a fix, told without drawing a sample."""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxgeo._typing import Flag, Scalar
+from jaxgeo.terrain import Dem
+from jaxgeo.uncertainty.linear import FACET, Propagation, propagated
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.metrics import circular_error, linear_error
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.profile import profile_of
+from jaxgeo.uncertainty.slopes import Footprint
+
+FOOTPRINT = Footprint()
+# Set on made-up terrain, judged on other terrain (benchmarks/verdict.py).
+AGREEMENT = 0.08  # of a logarithm: circular errors that differ by more do not agree
+AGREEMENT_UP = 0.15  # the same of linear errors
+FEW = 0.01  # of chance: more lines of sight that jump or fail show in a figure at 90 %
+GRAZING = 0.01  # sine of the angle between ray and surface
+
+
+class Signs(NamedTuple):
+    """What can be known of a fix's error without samples: figures at 90 % in m, and how the ground lies about it.
+
+    `facet`, `footprint` and `profile` are circular errors by the slope under the fix, by that of its footprint, and
+    over the profile of the ground along the look; `facet_up`, `footprint_up` and `profile_up` linear errors. `jumps`
+    and `fails` are shares of chance, `clearance` how many sigmas off they begin; `grazing` is the sine of the angle
+    between ray and surface, `known` the share of the footprint over known ground.
+    """
+
+    facet: Scalar
+    footprint: Scalar
+    profile: Scalar
+    facet_up: Scalar
+    footprint_up: Scalar
+    profile_up: Scalar
+    jumps: Scalar
+    fails: Scalar
+    clearance: Scalar
+    grazing: Scalar
+    known: Scalar
+
+
+@eqx.filter_jit
+def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagation, Propagation]:
+    """The signs, and the propagations by facet and footprint that they were read from."""
+    facet, footprint = (propagated(look, aim, model, slope) for slope in (FACET, FOOTPRINT))
+    across, up = ((_circular(one), _linear(one)) for one in (facet, footprint))
+    zero, one = jnp.asarray(0.0), jnp.asarray(1.0)
+    grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
+    (facet_ce, facet_le), (footprint_ce, footprint_le) = across, up
+    if not isinstance(look.terrain, Dem):
+        signs = Signs(facet_ce, facet_ce, facet_ce, facet_le, facet_le, facet_le, zero, zero, one / zero, grazing, one)
+        return signs, facet, footprint
+    profile = profile_of(look, aim, facet.model, footprint.surface.normal)
+    signs = Signs(
+        facet_ce,
+        footprint_ce,
+        profile.circular_error(0.9),
+        facet_le,
+        footprint_le,
+        profile.linear_error(0.9),
+        profile.jumps,
+        profile.fails,
+        profile.clearance,
+        grazing,
+        footprint.surface.known,
+    )
+    return signs, facet, footprint
+
+
+def _circular(one: Propagation) -> Scalar:
+    return circular_error(one.cov_enu[:2, :2], 0.9, one.bias_enu[:2])
+
+
+def _linear(one: Propagation) -> Scalar:
+    return linear_error(one.cov_enu[2, 2], 0.9, one.bias_enu[2])
+
+
+class Trust(enum.IntEnum):
+    """The cheapest method that can be trusted at a fix."""
+
+    facet = 0
+    footprint = 1
+    samples = 2
+
+    @property
+    def words(self) -> str:
+        """The method, in words."""
+        return ("linear propagation", "linear propagation over the footprint", "samples")[self]
+
+
+def trust_of(signs: Signs) -> Int[Array, ""]:
+    """Which method the signs trust, as a `Trust`; under `vmap` for many fixes."""
+    calm = (signs.jumps + signs.fails <= FEW) & (signs.known == 1.0) & (signs.grazing > GRAZING)
+    facet = _agree(signs.facet, signs.profile, AGREEMENT) & _agree(signs.facet, signs.footprint, AGREEMENT)
+    facet &= _agree(signs.facet_up, signs.profile_up, AGREEMENT_UP)
+    footprint = _agree(signs.footprint, signs.profile, AGREEMENT)
+    footprint &= _agree(signs.footprint_up, signs.profile_up, AGREEMENT_UP)
+    code = jnp.where(calm & footprint, Trust.footprint.value, Trust.samples.value)
+    return jnp.where(calm & facet, Trust.facet.value, code)
+
+
+def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
+    """Whether two figures differ by no more than is trusted; those that are infinite or NaN do."""
+    return jnp.abs(jnp.log(one / other)) <= tolerance

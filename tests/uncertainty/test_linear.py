@@ -1,0 +1,143 @@
+"""Linear propagation: derivatives against differences, another route to the covariance, and what each source moves."""
+
+from __future__ import annotations
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
+from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sources
+from jaxgeo.uncertainty.look import Look
+from tests.support import looks
+
+SEARCH = FirstHit()
+
+
+@eqx.filter_jit
+def _misses(look: Look, aim, model: ErrorModel, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(lambda error: model.miss(look, aim, error, SEARCH))(errors)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return looks.sensor(), looks.shot(), looks.UV, looks.dem()
+
+
+@pytest.fixture(scope="module")
+def whole(scene):
+    return propagate(*scene, looks.all_sources(), atmosphere=looks.AIR)
+
+
+@pytest.mark.parametrize("motion", ["shot", "trajectory"])
+def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
+    """Column by column against central differences of the whole map, search included."""
+    sensor, shot, uv, dem = scene
+    where, time = (shot, None) if motion == "shot" else (looks.trajectory(), 0.0)
+    model = looks.all_sources()
+    result = whole if motion == "shot" else propagate(sensor, where, uv, dem, model, time=time, atmosphere=looks.AIR)
+    look = Look.of(sensor, where, uv, dem, time=time, atmosphere=looks.AIR)
+    step = looks.steps(model)
+    errors = jnp.concatenate([jnp.diag(step), -jnp.diag(step)])
+    misses, statuses = _misses(look, result.aim, result.model, errors)
+    assert np.all(np.asarray(statuses) == 0)
+    differences = (misses[: model.size] - misses[model.size :]).T / (2.0 * step)
+    moved_per_sigma = np.sqrt(np.diagonal(np.asarray(result.cov_error)))
+    np.testing.assert_allclose(result.jacobian * moved_per_sigma, differences * moved_per_sigma, atol=2e-4)  # m
+    assert np.all(np.abs(np.asarray(result.jacobian)).max(axis=0)[: model.size - 15] > 0.0)
+
+
+def test_gauss_helmert_gives_the_same_covariance(scene, whole) -> None:
+    other = gauss_helmert(*scene, looks.all_sources(), atmosphere=looks.AIR)
+    np.testing.assert_allclose(other, whole.cov_enu, rtol=0.0, atol=1e-12 * np.abs(whole.cov_enu).max() * 10)
+
+
+def test_covariance_is_the_same_in_ecef(whole) -> None:
+    R = np.asarray(whole.aim.R_ecef_from_enu)
+    np.testing.assert_allclose(np.trace(whole.cov_ecef), np.trace(whole.cov_enu), rtol=1e-12)
+    np.testing.assert_allclose(R.T @ whole.cov_ecef @ R, whole.cov_enu, atol=1e-9)
+
+
+def test_shares_add_up(whole) -> None:
+    shares = whole.shares()
+    np.testing.assert_allclose(sum(np.asarray(share) for share in shares.values()), whole.cov_enu, atol=1e-9)
+    assert {"attitude: heading", "terrain field", "attitude and position"} <= set(shares)
+
+
+def test_a_look_straight_down_at_a_plane() -> None:
+    """Every figure by hand: position moves the fix as it is, height not at all, a pixel by height over focal length."""
+    camera = jaxgeo.FrameCamera.from_pixels(focal_px=2000.0, width=801, height=601)
+    sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    shot = Shot(Pose.from_degrees(lat=10.0, lon=20.0, height=1100.0))
+    model = ErrorModel(
+        (
+            sources.Position.from_ned(north=3.0, east=2.0, down=1.0),
+            sources.PixelMeasurement.from_pixels(column=2.0, row=4.0),
+            sources.TerrainHeight.from_metres(5.0),
+        )
+    )
+    result = propagate(sensor, shot, camera.principal_px, ConstantHeight(100.0), model)
+    # The level surface bends away by some 1e-7 of the height flown.
+    expected = np.diag([2.0**2 + (2.0 * 0.5) ** 2, 3.0**2 + (4.0 * 0.5) ** 2, 5.0**2])
+    np.testing.assert_allclose(result.cov_enu, expected, atol=5e-3)
+
+
+def test_terrain_height_moves_the_hit_by_the_tangent_of_the_incidence() -> None:
+    sensor = jaxgeo.Sensor(looks.sensor().camera, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
+    shot = Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=5000.0), jnp.deg2rad(jnp.array([60.0, 0.0])))
+    ground = ConstantHeight(200.0)
+    result = propagate(sensor, shot, looks.UV, ground, ErrorModel((sources.TerrainHeight.from_metres(2.0),)))
+    aside = math.sqrt(float(np.trace(result.cov_enu[:2, :2])))
+    assert aside == pytest.approx(2.0 * math.tan(float(result.fix.incidence_ellipsoid)), abs=1e-6)
+    assert float(result.cov_enu[2, 2]) == pytest.approx(4.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("slope", [Footprint(), Level()], ids=["footprint", "level"])
+def test_on_level_ground_every_slope_is_the_same(scene, slope) -> None:
+    sensor, shot, uv, dem = scene
+    level = dem.with_posts(jnp.full(dem.posts.shape, 130.0))
+    facet, other = (propagate(sensor, shot, uv, level, looks.few_sources(), slope=s) for s in (jaxgeo_facet(), slope))
+    np.testing.assert_allclose(other.cov_enu, facet.cov_enu, rtol=2e-3, atol=1e-3)
+
+
+def jaxgeo_facet():
+    from jaxgeo.uncertainty import Facet
+
+    return Facet()
+
+
+def test_footprint_within_a_cell_is_the_facet(scene) -> None:
+    """Errors a hundred times smaller keep the ellipse within the cell, whose slope the regression then finds."""
+    sensor, shot, uv, dem = scene
+    small = jax.tree.map(lambda x: 0.003 * x, looks.few_sources())
+    facet = propagate(sensor, shot, uv, dem, small)
+    footprint = propagate(sensor, shot, uv, dem, small, slope=Footprint())
+    np.testing.assert_allclose(footprint.cov_enu, facet.cov_enu, atol=2e-2 * np.abs(facet.cov_enu).max())
+
+
+def test_propagation_runs_under_vmap_and_tells_of_misses(scene) -> None:
+    sensor, shot, _, dem = scene
+    pixels = jnp.array([looks.UV, (-5000.0, 300.0), (math.nan, 3.0)])
+    result = jax.vmap(lambda uv: propagate(sensor, shot, uv, dem, looks.few_sources()))(pixels)
+    single = propagate(sensor, shot, looks.UV, dem, looks.few_sources())
+    np.testing.assert_allclose(result.cov_enu[0], single.cov_enu, atol=1e-9)
+    assert [int(code) != 0 for code in result.fix.status] == [False, True, True]
+    assert np.all(np.isnan(result.cov_enu[1:]))
+    assert np.isnan(jax.vmap(lambda one: one.circular_error(0.9))(result)[1])
+
+
+def test_circular_error_is_differentiable_in_a_sigma(scene) -> None:
+    sensor, shot, uv, dem = scene
+
+    def ce90(heading: jax.Array) -> jax.Array:
+        model = ErrorModel((sources.Attitude(jnp.stack([heading, 5e-4, 5e-4])), *looks.few_sources().sources[1:]))
+        return propagate(sensor, shot, uv, dem, model).circular_error(0.9)
+
+    ce90 = jax.jit(ce90)
+    slope, step = jax.grad(ce90)(1e-3), 1e-6
+    assert float(slope) == pytest.approx(float(ce90(1e-3 + step) - ce90(1e-3 - step)) / (2.0 * step), rel=1e-5)
