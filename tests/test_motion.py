@@ -255,6 +255,7 @@ def _moving(sensor, level):
     return lambda motion, uv: locate(sensor, motion, uv, level, time=motion.start + 1.0)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_line_whose_frame_turns():
     """Li et al. scan with the outer frame: with an inner angle of zero that is a line on a gimbal that turns."""
     _, flight, _ = SCENES["sweep"]
@@ -335,6 +336,7 @@ def test_points_no_row_sees_are_told_from_those_beside_the_image_and_outside_the
     assert all(bool(jnp.all(leaf == 0.0)) for leaf in jax.tree.leaves(slope(lost, sensor)))
 
 
+@pytest.mark.slow
 def test_where_the_motion_turns_back_over_the_ground_the_first_row_answers():
     """A pitch that swings faster than the platform flies: ground is seen three times, and each time is a true one."""
     since = np.linspace(-0.5, 3.0, 141)

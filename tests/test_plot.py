@@ -12,10 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxgeo import plot
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.plot.cloud import ground_about
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem, GeographicGrid, TangentGrid
+from jaxgeo.uncertainty import Budget, Comparison, Sampled, Trust
+from jaxgeo.uncertainty.budget import SigmaShare, SourceShare, Variance
 
 SHAPE = (41, 61)
 
@@ -135,6 +138,161 @@ def test_everything_together_draws(ax) -> None:
     plot.scale_bar(ax)
     ax.figure.canvas.draw()
     assert float(np.asarray(ax.figure.canvas.buffer_rgba())[..., :3].std()) > 10.0
+
+
+def on_the_hill() -> Fix:
+    """A fix at the post in row 20 and column 30."""
+    position = Geodetic.from_degrees(lat=44.02, lon=5.03, height=800.0)
+    number = jnp.asarray(1.0)
+    return Fix(position, WGS84.to_ecef(position), number, number, number, number, jnp.asarray(0, jnp.int8))
+
+
+def sampled(count: int = 2000, failed: int = 0, keep: bool = True) -> Sampled:
+    """Errors of 20 m east and 10 m north, of which the last have no fix."""
+    errors = np.random.default_rng(0).standard_normal((count, 3)) * [20.0, 10.0, 5.0]
+    errors[count - failed :] = np.nan
+    radii = {"CE": np.nan_to_num(np.hypot(errors[:, 0], errors[:, 1]), nan=np.inf)}
+    kept = errors if keep else None
+    zero = np.zeros(3)
+    return Sampled(on_the_hill(), count, count - failed, {}, zero, np.eye(3), zero, radii, 0, 0.95, kept)
+
+
+def labels(handles) -> list[str]:
+    return [handle.get_label() for handle in handles]
+
+
+def test_a_cloud_shows_the_samples_and_their_circles(ax) -> None:
+    marked = np.arange(2000) < 500
+    handles = plot.error_cloud(sampled(), ax, jumped=marked, reach=60.0)
+    plain, jumped, *_ = ax.lines
+    assert (len(plain.get_xdata()), len(jumped.get_xdata())) == (1500, 500)
+    np.testing.assert_allclose(plain.get_xydata(), np.asarray(sampled().errors_enu)[500:, :2], rtol=0, atol=1e-12)
+    radius = sampled().circular_error(0.9).value
+    drawn = [np.hypot(*np.asarray(line.get_xydata()).T) for line in ax.lines[2:4]]
+    np.testing.assert_allclose(drawn[1], radius, rtol=0, atol=1e-9)
+    assert drawn[0].max() < radius
+    assert labels(handles)[:2] == ["samples", "samples that jumped"]
+    assert f"CE90 {radius:.3g} m" in labels(handles)[2]
+    assert ax.get_xlabel() == "east, m"
+    assert ax.get_xlim() == (-60.0, 60.0)
+
+
+def test_a_cloud_of_a_comparison_marks_its_jumps(ax) -> None:
+    beyond = np.arange(2000) < 100
+    compared = Comparison(on_the_hill(), (), (), 2, 0.05, 0.0, sampled(), {}, beyond)
+    handles = plot.error_cloud(compared, ax)
+    assert [len(line.get_xdata()) for line in ax.lines[:2]] == [1900, 100]
+    assert labels(handles)[1] == "samples that jumped"
+
+
+def test_a_cloud_says_what_it_does_not_show(ax) -> None:
+    handles = plot.error_cloud(sampled(failed=400), ax, reach=20.0)
+    (remark,) = [text.get_text() for text in ax.texts]
+    assert "20 % without a fix" in remark
+    assert "outside the picture" in remark
+    assert "CE90 without end" in labels(handles)[1]
+
+
+def test_the_ground_under_a_cloud_lies_where_the_terrain_says(ax) -> None:
+    fix = on_the_hill()
+    (east, north), height = ground_about(north_up(), fix, 300.0)
+    at_fix = np.unravel_index(np.argmin(np.hypot(east, north)), east.shape)
+    assert np.hypot(east[at_fix], north[at_fix]) < 1e-3  # m
+    assert height[at_fix] == pytest.approx(800.0, abs=1e-9)
+    metres_east = np.radians(0.001) * float(WGS84.prime_vertical_radius(jnp.radians(44.02)) + 800.0)
+    cells = np.ptp(east[at_fix[0]]) / (metres_east * np.cos(np.radians(44.02)))
+    assert cells == pytest.approx(round(cells), abs=1e-4)
+    plot.error_cloud(sampled(), ax, dem=north_up())
+    ax.figure.canvas.draw()
+    assert len(ax.collections) >= 2  # shading and contour lines
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"errors": sampled(keep=False)}, "keep=True"),
+        ({"errors": sampled(10, failed=10)}, "none of the samples has a fix"),
+        ({"jumped": np.zeros(7, bool)}, "each of the 2000 samples"),
+        ({"reach": -1.0}, "reach must be a positive length in m"),
+        ({"probabilities": (0.5, 1.0)}, "between 0 and 1"),
+    ],
+)
+def test_a_cloud_refuses_what_it_cannot_draw(ax, change, message) -> None:
+    given = {"errors": sampled(), **change}
+    errors = given.pop("errors")
+    with pytest.raises(ValueError, match=message):
+        plot.error_cloud(errors, ax, **given)
+
+
+def a_budget(shares=(6.0, 3.0, 1.0)) -> Budget:
+    lines = tuple(
+        SigmaShare(f"source: {k}", 1.0, "m", Variance(share, 0.0), 5.0 + k, 0.1) for k, share in enumerate(shares)
+    )
+    source = SourceShare("source", Variance(sum(shares), 0.0), 0.0, False, lines)
+    block = SourceShare("block", Variance(10.0, 1.0), 4.0, True, ())
+    return Budget((source, block), Variance(10.0 + sum(shares), 1.0), 9.0, 0.9, Status.hit)
+
+
+def test_bars_of_a_budget_are_its_shares(ax) -> None:
+    bars = plot.budget_bars(a_budget(), ax)
+    np.testing.assert_allclose([bar.get_width() for bar in bars], [50.0, 30.0, 15.0, 5.0], rtol=0, atol=1e-12)
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["block", "source: 0", "source: 1", "source: 2"]
+    said = [text.get_text() for text in ax.texts]
+    assert {"4.00", "5.00", "6.00", "7.00", "CE90 without, m"} <= set(said)
+
+
+def test_small_bars_are_drawn_as_one(ax) -> None:
+    bars = plot.budget_bars(a_budget(), ax, most=2)
+    np.testing.assert_allclose([bar.get_width() for bar in bars], [50.0, 50.0], rtol=0, atol=1e-12)
+    assert ax.get_yticklabels()[1].get_text() == "3 others"
+
+
+def test_bars_refuse_what_has_no_shares(ax) -> None:
+    with pytest.raises(ValueError, match="most must be 2 bars or more; got 1"):
+        plot.budget_bars(a_budget(), ax, most=1)
+    nothing = Budget((), Variance(0.0, 0.0), 0.0, 0.9, Status.hit)
+    with pytest.raises(ValueError, match="horizontal variance of this budget is zero"):
+        plot.budget_bars(nothing, ax)
+
+
+UV = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
+ERROR = np.array([[1.0, 2.0, 4.0, 8.0], [1.0, 2.0, np.nan, 8.0], [1.0, 2.0, 4.0, np.inf]])
+TRUST = np.array([[0, 0, 1, 2], [0, 0, 1, 2], [0, 0, 1, 2]])
+
+
+def test_a_map_of_accuracy_marks_each_method(ax) -> None:
+    colours, handles = plot.accuracy_map(ERROR, TRUST, UV, ax, limits=(1.0, 8.0))
+    cells, *marks = ax.collections
+    alpha = np.asarray(cells.get_array())[..., 3]
+    np.testing.assert_array_equal(alpha == 0.0, np.isnan(ERROR))
+    footprint, samples = (np.asarray(one.get_offsets()) for one in marks)
+    np.testing.assert_array_equal(footprint, [[2.0, 0.0], [2.0, 2.0]])
+    np.testing.assert_array_equal(samples, [[3.0, 0.0], [3.0, 1.0], [3.0, 2.0]])  # the infinite one too
+    assert (colours.norm.vmin, colours.norm.vmax) == (1.0, 8.0)
+    assert [label.rsplit(",", 1)[0] for label in labels(handles)[1:]] == [one.words for one in list(Trust)[1:]]
+
+
+def test_a_map_of_accuracy_on_the_ground_is_in_degrees(ax) -> None:
+    lon, lat = np.deg2rad(5.0 + 0.01 * UV[..., 0]), np.deg2rad(44.0 + 0.01 * UV[..., 1])
+    _, handles = plot.accuracy_map(ERROR, TRUST, Geodetic(lat=lat, lon=lon, height=np.zeros_like(lat)), ax)
+    places = [np.asarray(marks.get_offsets()) for marks in ax.collections]
+    assert [len(place) for place in places] == [6, 2, 3]
+    np.testing.assert_allclose(places[1], [[5.02, 44.0], [5.02, 44.02]], rtol=0, atol=1e-9)
+    assert [label.rsplit(",", 1)[0] for label in labels(handles)] == [one.words for one in Trust]
+
+
+@pytest.mark.parametrize(
+    "error, trust, where, message",
+    [
+        (ERROR, TRUST[:2], UV, "trust must have the shape of error"),
+        (ERROR, TRUST, UV[:2], "where must have the shape of error"),
+        (ERROR, TRUST + 1, UV, "must hold codes of Trust"),
+        (np.full_like(ERROR, np.nan), TRUST, UV, "nothing to draw"),
+    ],
+)
+def test_a_map_of_accuracy_refuses_what_does_not_belong_together(ax, error, trust, where, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        plot.accuracy_map(error, trust, where, ax)
 
 
 def test_without_matplotlib_the_import_says_what_to_install(monkeypatch) -> None:

@@ -17,7 +17,7 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
-from jaxgeo.uncertainty.linear import propagated
+from jaxgeo.uncertainty.linear import Propagation, propagated
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.profile import profile_of
@@ -47,7 +47,8 @@ class Comparison(eqx.Module):
 
     A figure is valid if it lies within half a unit of the last of `digits` significant digits of the sampled one
     (JCGM 101:2008, 8.1), surely so with all of its confidence interval, and undecided if more samples are needed to
-    tell. `jumped` is the share of samples beyond a gap of unseen ground, `failed` that of those without a fix.
+    tell. `jumped` is the share of samples beyond a gap of unseen ground (`beyond_gap` marks them), `failed` that of
+    those without a fix. `propagations` are the linear ones by name.
     """
 
     fix: Fix
@@ -57,6 +58,8 @@ class Comparison(eqx.Module):
     jumped: float
     failed: float
     sampled: Sampled
+    propagations: dict[str, Propagation] = eqx.field(default_factory=dict)
+    beyond_gap: np.ndarray | None = None
 
     @property
     def valid(self) -> tuple[str, ...]:
@@ -131,13 +134,15 @@ def compare(
         values = tuple(float(value) for value in _figures(result))
         validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
         rows.append(Row(name, values, validity))
-    jumped = 0.0
+    beyond = np.zeros(drawn.count, bool)
     if isinstance(look.terrain, Dem) and drawn.errors_enu is not None:
         profile = profile_of(look, aim, footprint.model, footprint.surface.normal)
         ahead = np.asarray(aim.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
-        jumped = float(jnp.mean(profile.jumped(jnp.asarray(np.nan_to_num(along)))))
-    return Comparison(aim.fix, tuple(rows), quantiles, digits, jumped, 1.0 - drawn.found / drawn.count, drawn)
+        beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))
+    failed = 1.0 - drawn.found / drawn.count
+    linear = {name: result for name, result in methods.items() if isinstance(result, Propagation)}
+    return Comparison(aim.fix, tuple(rows), quantiles, digits, float(beyond.mean()), failed, drawn, linear, beyond)
 
 
 def _figures(result: Any) -> tuple[Any, ...]:

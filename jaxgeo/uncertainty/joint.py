@@ -16,6 +16,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.sharing import Occasion
 
+SINGULAR = 1e-10  # of the largest eigenvalue: less is rounding
 Joint = Float[Array, "coordinates coordinates"]
 
 
@@ -38,16 +39,20 @@ class JointFixes(eqx.Module):
     def fused(self) -> tuple[Vector3, Matrix3]:
         """(the best linear unbiased estimate of one target seen by all looks, ECEF m; its covariance in ENU there, m2).
 
-        Generalised least squares with all correlations: looks that err together count for less than their number.
+        Generalised least squares with all correlations: looks that err together count for less than their number. The
+        covariance may be singular, as that of fixes on one known surface is (Rao 1971, "Unified theory of linear
+        estimation").
         """
         count = self.p_ecef.shape[0]
         stacked = jnp.tile(jnp.eye(3), (count, 1))
         scale = jnp.sqrt(jnp.trace(self.cov_ecef) / (3 * count))
-        inverse = jnp.linalg.pinv(self.cov_ecef / scale**2, hermitian=True)
-        cov = jnp.linalg.inv(stacked.T @ inverse @ stacked)
+        widened = self.cov_ecef / scale**2 + stacked @ stacked.T
+        inverse = jnp.linalg.pinv(widened, rtol=SINGULAR, hermitian=True)
+        wide = jnp.linalg.inv(stacked.T @ inverse @ stacked)
+        cov = wide - jnp.eye(3)
         reference = self.p_ecef[0]
         offsets = (self.p_ecef - reference[None, :]).reshape(-1)
-        p_ecef = reference + cov @ (stacked.T @ inverse @ offsets)
+        p_ecef = reference + wide @ (stacked.T @ inverse @ offsets)
         R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
         return p_ecef, R.T @ (cov * scale**2) @ R
 

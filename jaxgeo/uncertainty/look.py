@@ -79,6 +79,8 @@ class Look(eqx.Module):
         sensor, motion, moment, pixel = given
         if isinstance(motion, Trajectory):
             motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
+        # A plain number would be a constant of the program, which then is compiled for every other one.
+        terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
         return cls(sensor, motion, moment, pixel, terrain, checked_air(atmosphere))
 
     def ground(self, search: AbstractSearch) -> Fix:

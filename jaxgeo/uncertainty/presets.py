@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from jax.typing import ArrayLike
 
 from jaxgeo.uncertainty.model import ErrorModel
@@ -44,13 +42,12 @@ def li_2023(*, terrain_height: ArrayLike | None = None) -> ErrorModel:
     return ErrorModel(tuple(sources))
 
 
-def pos_av_310(
-    solution: Literal["SPS", "RTX", "RTX post-processed", "SmartBase post-processed"], *, latency: ArrayLike = 0.005
-) -> ErrorModel:
-    """A column of Table 1 of Xue et al. (2019), on the geolocation accuracy of an unmanned helicopter: POS AV 310.
+def pos_av_310(solution: str, *, latency: ArrayLike = 0.005) -> ErrorModel:
+    """A column of Table 1 of Xue et al. (2019), on the geolocation accuracy of an unmanned helicopter: the POS AV 310.
 
-    Standard deviations are taken for each axis. The velocity's counts over a `latency` in s, from the record of the
-    position to the exposure (half an interval of 100 Hz). Raises `ValueError` for a solution that is not in the table.
+    `solution` is one of `POS_AV_310`: "SPS", "RTX", "RTX post-processed", "SmartBase post-processed". Standard
+    deviations are taken for each axis. The velocity's counts over a `latency` in s, from the record of the position to
+    the exposure (half an interval of 100 Hz). Raises `ValueError` for a solution that is not in the table.
     """
     if solution not in POS_AV_310:
         raise ValueError(f"solution must be one of {', '.join(POS_AV_310)}; got {solution!r}.")

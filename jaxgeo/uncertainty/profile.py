@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgeo._typing import Scalar, Vector3
+from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel
@@ -192,6 +192,6 @@ def _given_lift(
     return together, jnp.sqrt(jnp.maximum(moved @ cov_error @ moved - together**2, 0.0))
 
 
-def _chance_between(low: Scalar, high: Scalar, mean: Levels, sigma: Scalar) -> Levels:
+def _chance_between(low: Numbers, high: Numbers, mean: Levels, sigma: Scalar) -> Levels:
     sigma = jnp.maximum(sigma, LEAST)
     return ndtr((high - mean) / sigma) - ndtr((low - mean) / sigma)

@@ -72,9 +72,7 @@ def all_sources() -> ErrorModel:
                 np.array([[4.0, 1.0, 0.5], [1.0, 3.0, -0.4], [0.5, -0.4, 2.0]]), frame="ecef"
             ),
             sources.Velocity.from_ned(north=0.1, east=0.1, down=0.2, latency=0.5),
-            sources.TimeTag.from_seconds(
-                0.01, velocity_ned=VELOCITY, body_rates=BODY_RATES, gimbal_rates=GIMBAL_RATES
-            ),
+            sources.TimeTag.from_seconds(0.01, velocity_ned=VELOCITY, body_rates=BODY_RATES, gimbal_rates=GIMBAL_RATES),
             sources.GimbalAngles.from_degrees(outer=0.02, inner=0.03),
             sources.GimbalMounting.from_degrees(outer=0.01, inner=0.02),
             sources.Boresight.from_degrees(heading=0.03, pitch=0.01, roll=0.02),

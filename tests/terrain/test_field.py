@@ -164,6 +164,7 @@ def slanted(count: int = 3) -> Ray:
     return stacked([local_ray(100.0 * k, -50.0, 1500, azimuth=40.0, elevation=-60.0) for k in range(count)])
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_field_are_differences_and_reach_the_nodes_that_matter(derivatives, own_fields):
     dem, sights = small_dem(POSTS), slanted()
     field = sum_of(2.0, 11)
@@ -242,6 +243,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bisection", pytest.param("area", marks=pytest.mark.slow)])
 def test_the_other_searches_see_the_field_too(name):
     search = OTHERS[name]
@@ -254,6 +256,7 @@ def test_the_other_searches_see_the_field_too(name):
     assert np.all(fix.ok)
 
 
+@pytest.mark.slow
 def test_heights_normals_and_bounds_are_those_of_the_surface_with_its_field():
     posts = rough(5)
     posts[12, 12] = np.nan

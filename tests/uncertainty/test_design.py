@@ -163,6 +163,7 @@ def test_what_is_exact_today_stays_so_and_costs_nothing():
     assert result.equal_cost == pytest.approx(2.0 * (COUNT - 1))
 
 
+@pytest.mark.slow
 def test_samples_certify_a_design(look, today):
     result = design(look, target=0.5 * today, cost=InverseCost(WEIGHTS))
     certificate = result.certify(a_sensor(), a_shot(), UV, GROUND, key=jax.random.key(0), count=4096)

@@ -34,6 +34,7 @@ def whole(scene):
     return propagate(*scene, looks.all_sources(), atmosphere=looks.AIR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["shot", "trajectory"])
 def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
     """Column by column against central differences of the whole map, search included."""
@@ -46,27 +47,36 @@ def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
     errors = jnp.concatenate([jnp.diag(step), -jnp.diag(step)])
     misses, statuses = _misses(look, result.aim, result.model, errors)
     assert np.all(np.asarray(statuses) == 0)
-    differences = (misses[: model.size] - misses[model.size :]).T / (2.0 * step)
+    differences = np.asarray(misses[: model.size] - misses[model.size :]).T / (2.0 * np.asarray(step))
     moved_per_sigma = np.sqrt(np.diagonal(np.asarray(result.cov_error)))
     np.testing.assert_allclose(result.jacobian * moved_per_sigma, differences * moved_per_sigma, atol=2e-4)  # m
-    assert np.all(np.abs(np.asarray(result.jacobian)).max(axis=0)[: model.size - 15] > 0.0)
+    idle = [axis for axis, column in zip(model.axes, result.jacobian.T, strict=True) if not np.any(column)]
+    assert all("node" in axis for axis in idle)  # of a field along the approach only those about the fix count
 
 
-def test_gauss_helmert_gives_the_same_covariance(scene, whole) -> None:
-    other = gauss_helmert(*scene, looks.all_sources(), atmosphere=looks.AIR)
-    np.testing.assert_allclose(other, whole.cov_enu, rtol=0.0, atol=1e-12 * np.abs(whole.cov_enu).max() * 10)
+def test_gauss_helmert_gives_the_same_covariance() -> None:
+    """Through `project` and not through `locate`. From 15 km, so that the nanometre of an ECEF position is nothing."""
+    plain = jaxgeo.FrameCamera.from_pixels(focal_px=9000.0, width=1600, height=1200)
+    sensor = jaxgeo.Sensor(plain, jaxgeo.Gimbal.two_axis(), looks.sensor().mount)
+    shot = Shot(Pose.from_degrees(lat=29.0, lon=89.0, height=15_409.0, heading=-102.0), jnp.array([1.2, 0.01]))
+    scene = (sensor, shot, looks.UV, ConstantHeight(3850.0), looks.few_sources())
+    direct = propagate(*scene).cov_enu
+    np.testing.assert_allclose(gauss_helmert(*scene), direct, rtol=0.0, atol=1e-12 * np.abs(direct).max())
 
 
+@pytest.mark.slow
+def test_gauss_helmert_on_a_facet(scene) -> None:
+    """The slope of a bilinear facet of 30 m changes by 3e-11 within the nanometre of an ECEF position."""
+    direct = propagate(*scene, looks.few_sources()).cov_enu
+    other = gauss_helmert(*scene, looks.few_sources())
+    np.testing.assert_allclose(other, direct, rtol=0.0, atol=2e-10 * np.abs(direct).max())
+
+
+@pytest.mark.slow
 def test_covariance_is_the_same_in_ecef(whole) -> None:
     R = np.asarray(whole.aim.R_ecef_from_enu)
     np.testing.assert_allclose(np.trace(whole.cov_ecef), np.trace(whole.cov_enu), rtol=1e-12)
     np.testing.assert_allclose(R.T @ whole.cov_ecef @ R, whole.cov_enu, atol=1e-9)
-
-
-def test_shares_add_up(whole) -> None:
-    shares = whole.shares()
-    np.testing.assert_allclose(sum(np.asarray(share) for share in shares.values()), whole.cov_enu, atol=1e-9)
-    assert {"attitude: heading", "terrain field", "attitude and position"} <= set(shares)
 
 
 def test_a_look_straight_down_at_a_plane() -> None:
@@ -97,20 +107,26 @@ def test_terrain_height_moves_the_hit_by_the_tangent_of_the_incidence() -> None:
     assert float(result.cov_enu[2, 2]) == pytest.approx(4.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("slope", [Footprint(), Level()], ids=["footprint", "level"])
-def test_on_level_ground_every_slope_is_the_same(scene, slope) -> None:
+@pytest.mark.slow
+def test_on_level_ground_every_slope_is_the_same(scene) -> None:
     sensor, shot, uv, dem = scene
     level = dem.with_posts(jnp.full(dem.posts.shape, 130.0))
-    facet, other = (propagate(sensor, shot, uv, level, looks.few_sources(), slope=s) for s in (jaxgeo_facet(), slope))
-    np.testing.assert_allclose(other.cov_enu, facet.cov_enu, rtol=2e-3, atol=1e-3)
+    facet = propagate(sensor, shot, uv, level, looks.few_sources())
+    other = propagate(sensor, shot, uv, level, looks.few_sources(), slope=Footprint())
+    np.testing.assert_allclose(other.cov_enu, facet.cov_enu, atol=2e-3 * np.abs(facet.cov_enu).max())
+    assert float(other.surface.roughness) < 0.01  # m: the surface of one height bends away from its tangent plane
 
 
-def jaxgeo_facet():
-    from jaxgeo.uncertainty import Facet
+@pytest.mark.slow
+def test_level_ground_is_what_a_constant_height_gives(scene) -> None:
+    sensor, shot, uv, dem = scene
+    result = propagate(sensor, shot, uv, dem, looks.few_sources(), slope=Level())
+    plane = ConstantHeight(float(result.fix.position.height))
+    other = propagate(sensor, shot, uv, plane, looks.few_sources())
+    np.testing.assert_allclose(result.cov_enu, other.cov_enu, atol=1e-3 * np.abs(other.cov_enu).max())
 
-    return Facet()
 
-
+@pytest.mark.slow
 def test_footprint_within_a_cell_is_the_facet(scene) -> None:
     """Errors a hundred times smaller keep the ellipse within the cell, whose slope the regression then finds."""
     sensor, shot, uv, dem = scene
@@ -120,6 +136,7 @@ def test_footprint_within_a_cell_is_the_facet(scene) -> None:
     np.testing.assert_allclose(footprint.cov_enu, facet.cov_enu, atol=2e-2 * np.abs(facet.cov_enu).max())
 
 
+@pytest.mark.slow
 def test_propagation_runs_under_vmap_and_tells_of_misses(scene) -> None:
     sensor, shot, _, dem = scene
     pixels = jnp.array([looks.UV, (-5000.0, 300.0), (math.nan, 3.0)])
@@ -131,6 +148,7 @@ def test_propagation_runs_under_vmap_and_tells_of_misses(scene) -> None:
     assert np.isnan(jax.vmap(lambda one: one.circular_error(0.9))(result)[1])
 
 
+@pytest.mark.slow
 def test_circular_error_is_differentiable_in_a_sigma(scene) -> None:
     sensor, shot, uv, dem = scene
 

@@ -118,6 +118,7 @@ def test_a_flat_error_is_that_along_the_line():
     np.testing.assert_allclose(m.linear_error(1.0, 0.9), 1.6448536269514722, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_sphere_without_height_is_a_circle():
     cov, bias = np.zeros((3, 3)), np.zeros((2, 3))
     cov[:2, :2], bias[1] = OBLIQUE, [1.5, -0.7, 0.0]
@@ -170,6 +171,7 @@ def test_gradient_at_the_edge_of_what_can_be():
     np.testing.assert_allclose(GRADIENT(jnp.array([0.0, 0.0, 0.0, 0.9, 3.0, 4.0]))[4:], [0.6, 0.8], rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variances", [[1.0, 0.0, 1.0], [1.0, 0.0, 1e-2]])
 def test_second_derivatives_are_differences_of_the_first(variances):
     parts = jnp.array([*variances, 0.9, 0.0, 0.0])

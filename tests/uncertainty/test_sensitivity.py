@@ -117,6 +117,7 @@ def test_what_does_not_vary_has_no_indices():
     assert np.isnan(sobol_estimate(moving[:1], moving[:1], moving[None, :1]).first).all()
 
 
+@pytest.mark.slow
 def test_where_the_map_is_linear_indices_are_the_shares_of_the_budget():
     indices = indices_at(60.0, 0.01, by_axis=True, confidence=0.999)
     shares = budget(propagate(a_sensor(), a_shot(), UV, GROUND, some_errors())).shares()
@@ -156,7 +157,6 @@ def test_a_look_gives_the_indices_of_another_program():
             ours = indices.of(name, component)
             assert abs(ours.first - theirs["S1"][k]) < ours.first_high - ours.first + theirs["S1_conf"][k]
             assert abs(ours.total - theirs["ST"][k]) < ours.total_high - ours.total + theirs["ST_conf"][k]
-    assert sum(indices.of(name).total for name in names) > 1.01
 
 
 def test_rows_without_a_fix_are_left_out_and_said():

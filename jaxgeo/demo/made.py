@@ -1,11 +1,10 @@
-"""The demonstration: an oblique camera over real terrain, its fixes, what it cannot see, and a picture of it all."""
+"""What the demonstration shows: fixes of an oblique camera over real terrain, what it cannot see, how sure one is."""
 
 from __future__ import annotations
 
 import importlib.resources
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, BinaryIO
 
 import equinox as eqx
 import jax
@@ -20,6 +19,19 @@ from jaxgeo.io.scene import read_scene
 from jaxgeo.locate import locate, project
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Sensor, Shot
 from jaxgeo.terrain import Dem
+from jaxgeo.uncertainty import (
+    Accuracy,
+    Budget,
+    Comparison,
+    ErrorModel,
+    Footprint,
+    accuracy,
+    budget,
+    compare,
+    presets,
+    propagate,
+    sources,
+)
 
 GRID = (4, 5)  # fixes across the image, along columns and rows
 VIEW = (100, 200)  # pixels of the camera's own view, along columns and rows
@@ -28,6 +40,17 @@ PROFILE = 800  # samples of the section under the optical axis
 REACH = 24_000.0  # m along the optical axis
 CHUNK = 4096  # pixels that are located at a time
 HIDDEN_BY = 1.0  # m by which what is seen is nearer than what is hidden
+DOUBTED = 13  # of the grid's fixes: a ridge behind which some of the lines of sight that err would come down
+SAMPLES = 20_000
+
+
+class Errors(eqx.Module):
+    """How sure one fix is, by every method; `number` is that of the fix in the grid."""
+
+    number: int
+    comparison: Comparison
+    accuracy: Accuracy
+    budget: Budget
 
 
 class Demo(eqx.Module):
@@ -45,6 +68,7 @@ class Demo(eqx.Module):
     view: Fix  # (columns, rows)
     hidden: np.ndarray  # (rows, cols) of the DEM: inside the image but behind terrain
     section: tuple[np.ndarray, ...]  # distance on the ground, height of the optical axis, of the ground, hidden
+    errors: Errors
 
 
 def scene_file() -> pathlib.Path:
@@ -67,6 +91,7 @@ def make_demo() -> Demo:
     with ThreadPoolExecutor() as pool:  # XLA compiles the parts side by side
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
+        errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem)
         fix = _located(sensor, shot, uv, dem)
         return Demo(
             title=scene.title,
@@ -81,6 +106,7 @@ def make_demo() -> Demo:
             view=_part(fix, m + 1, len(uv), VIEW),
             hidden=_hidden(sensor, shot, dem, *posts.result()),
             section=section.result(),
+            errors=errors.result(),
         )
 
 
@@ -183,105 +209,12 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
     return jax.tree.map(lambda leaf: leaf[start:stop].reshape(*shape, *leaf.shape[1:]), fix)
 
 
-# ------------------------------------------------------------------------------------------------------ the picture
-
-
-def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
-    """Map, what the camera sees, and the section under its optical axis, in one picture. Needs matplotlib.
-
-    `picture_format` is one of matplotlib's, such as "png"; left out, it is taken from the name of the file.
-    """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(
-        {"font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left"}
-    ):
-        figure = Figure(figsize=(15.0, 8.6), layout="constrained")
-        FigureCanvasAgg(figure)
-        grid = figure.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
-        _draw_map(demo, figure.add_subplot(grid[:, 0]))
-        _draw_view(demo, figure.add_subplot(grid[0, 1]))
-        _draw_section(demo, figure.add_subplot(grid[1, 1]))
-        figure.savefig(target, dpi=110, format=picture_format)
-
-
-def _draw_map(demo: Demo, ax: Any) -> None:
-    from jaxgeo import plot
-
-    plot.map_axes(ax, demo.dem)
-    plot.hillshade(demo.dem, ax)
-    handles = [
-        plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera, along its heading"),
-        plot.footprint(demo.outline, ax, label="footprint of the image"),
-        plot.sight_lines(demo.centre, demo.fix, ax),
-        plot.fixes(demo.fix, ax, label="fixes"),
-        plot.hidden_ground(demo.dem, demo.hidden, ax, label="in the image, but behind terrain"),
-    ]
-    plot.scale_bar(ax)
-    plot.north_arrow(ax)
-    ax.legend(handles=handles, loc="upper left", framealpha=0.92, fontsize=10.5)
-    ax.set_title("Where each pixel lies")
-
-
-def _draw_view(demo: Demo, ax: Any) -> None:
-    """The ground as the camera sees it: far at the top, flight to the left."""
-    from jaxgeo import plot
-
-    camera = demo.sensor.camera
-    assert isinstance(camera, FrameCamera)
-    relief = plot.shaded_relief(demo.dem)[..., :3]
-    rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(jnp.ravel, demo.view.position))).reshape(*VIEW, 2)
-    found = np.asarray(np.all(np.isfinite(rowcol), axis=-1))
-    image = np.where(found[..., None], _sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
-    distance = np.asarray(demo.view.slant_range)
-    haze = np.clip((distance - np.nanmin(distance)) / (np.nanmax(distance) - np.nanmin(distance)), 0.0, 1.0)
-    image = image + (np.array([0.86, 0.91, 0.97]) - image) * 0.45 * np.nan_to_num(haze)[..., None]
-    ax.imshow(
-        image, origin="lower", extent=(-0.5, camera.height - 0.5, -0.5, camera.width - 0.5), interpolation="bilinear"
-    )
-    ax.plot(demo.uv[:, 1], demo.uv[:, 0], "o", color=plot.FIX, markeredgecolor="white", markersize=5.5)
-    ax.set_xlabel("row (against the flight), pixels")
-    ax.set_ylabel("column (outwards), pixels")
-    ax.set_title("What the camera sees, ray by ray")
-
-
-def _sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
-    """Colours between the posts, bilinear."""
-    first = np.clip(np.floor(rowcol).astype(int), 0, np.array(image.shape[:2]) - 2)
-    row, col = first[..., 0], first[..., 1]
-    r, c = np.moveaxis(np.clip(rowcol - first, 0.0, 1.0)[..., None], 2, 0)
-    near, far = (
-        image[row, col] * (1 - c) + image[row, col + 1] * c,
-        image[row + 1, col] * (1 - c) + image[row + 1, col + 1] * c,
-    )
-    return near * (1 - r) + far * r
-
-
-def _draw_section(demo: Demo, ax: Any) -> None:
-    from jaxgeo import plot
-
-    distance, sight, ground, hidden = demo.section
-    km = distance / 1000.0
-    known = np.isfinite(ground)
-    floor = np.nanmin(ground) - 200.0
-    ax.fill_between(km[known], floor, ground[known], color="#b9a283", linewidth=0.0)
-    shadow = np.where(hidden & known, ground, np.nan)
-    ax.plot(km, shadow, color=plot.HIDDEN, linewidth=4.0, solid_capstyle="butt", label="hidden ground")
-    hit = int(np.argmax(known & (sight <= ground))) or len(km) - 1
-    ax.plot(km[: hit + 1], sight[: hit + 1], color=plot.SIGHT, linewidth=1.8, label="line of sight")
-    ax.plot(km[hit], ground[hit], "o", color=plot.FIX, markeredgecolor="white", markersize=8, label="fix")
-    reach = float(demo.axis.slant_range[0])
-    ax.set_xlim(0.0, np.max(km[known]))
-    ax.set_ylim(floor, 1.06 * np.max(sight))
-    ax.set_xlabel("distance on the ground, km")
-    ax.set_ylabel("height above WGS 84, m")
-    ax.grid(alpha=0.3)
-    ax.legend(loc="upper right", framealpha=0.92, fontsize=10.5)
-    ax.set_title(f"Under the optical axis: slant range {reach / 1000.0:.2f} km")
-
-
-@jax.jit
-def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
-    return jax.vmap(dem.rowcol_at)(positions)
+def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Errors:
+    """How sure the fix of a pixel is."""
+    # As Li et al. (2023) take them for such a camera, and a GNSS receiver without corrections.
+    position = sources.Position.from_ned(north=1.5, east=1.5, down=3.0)
+    model = ErrorModel((*presets.li_2023(terrain_height=5.0).sources, position))
+    scene, key = (sensor, shot, uv, dem), jax.random.key(0)
+    compared = compare(*scene, model, key=key, count=SAMPLES, chunk=SAMPLES)
+    trusted = accuracy(*scene, model, key=key, count=SAMPLES)
+    return Errors(DOUBTED, compared, trusted, budget(propagate(*scene, model, slope=Footprint())))

@@ -1,7 +1,4 @@
-"""Pictures of terrain and fixes: each function draws records on matplotlib axes, in degrees of longitude and latitude.
-
-Nothing here keeps a state; `map_axes` prepares axes so that a kilometre is as long north as east.
-"""
+"""Maps of terrain and fixes, in degrees of longitude and latitude."""
 
 from __future__ import annotations
 
@@ -10,21 +7,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import matplotlib.colors
+import matplotlib.patheffects
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.terrain import Dem
-
-try:
-    import matplotlib.colors
-    import matplotlib.patheffects
-    from matplotlib.axes import Axes
-    from matplotlib.collections import LineCollection
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-except ImportError as error:
-    raise ImportError("jaxgeo.plot draws with matplotlib: pip install 'jaxgeo[plot]'") from error
 
 MOST_POSTS = 1200  # along one side of a picture; larger terrain is thinned
 SIGHT, FIX, EDGE, HIDDEN = "#1f5fbf", "#d7301f", "#111111", "#7a0177"

@@ -1,0 +1,275 @@
+"""Is the cheapest trusted method right? Verdicts without samples, judged by samples on terrain they were not set on.
+
+Looks are drawn over made-up and real terrain: every azimuth, 8 to 60 degrees down, 6 to 50 km away, errors 0.15 to 3
+times those of a good sensor. Each is predicted without a sample, then sampled. `--coverage` asks another question: of
+simulated measurements, how often does the truth lie within the CE90 that is stated about the erroneous fix?
+
+Run: python benchmarks/verdict.py [--targets 60] [--output roc.png]
+     python benchmarks/verdict.py --coverage [--targets 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import pathlib
+import sys
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.special
+from looks import FIRST_HIT, MADE_UP, PIXEL, cases, errors, item, look_from, made_up, sampled, terrains
+from measuring import Column, Table
+
+import jaxgeo
+from jaxgeo.status import counts_as_fix
+from jaxgeo.terrain import ConstantField, Dem
+from jaxgeo.uncertainty import Level, Trust, verdict
+from jaxgeo.uncertainty.linear import propagated
+
+LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # of agreement, for the trade-off
+RIGHT, WRONG = 0.10, 0.25  # of the samples' circular error
+
+
+# Verdicts against samples.
+
+
+class Judged(NamedTuple):
+    """Looks with a fix: their signs, and the circular error at 90 % over level ground and by samples, m."""
+
+    signs: verdict.Signs
+    level: np.ndarray
+    truth: np.ndarray
+
+
+@eqx.filter_jit
+@eqx.filter_vmap(in_axes=(0, 0, None))
+def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[verdict.Signs, Any, Any]:
+    """(signs, circular error over level ground, whether there is a fix)."""
+    look, model = look_from(pose, terrain), errors(scale)
+    aim = look.aim(FIRST_HIT)
+    level = propagated(look, aim, model, Level()).circular_error(0.9)
+    return verdict.signs_of(look, aim, model)[0], level, counts_as_fix(aim.fix.status)
+
+
+def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
+    """Looks at a terrain, predicted and sampled."""
+    drawn = cases(dem, count, seed)
+    signs, level, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
+    truth = [
+        sampled(item(drawn.pose, i), drawn.scale[i], dem, i, samples).circular_error(0.9).value
+        for i in np.flatnonzero(found)
+    ]
+    return Judged(item(signs, found), level[found], np.array(truth))
+
+
+def joined(parts: list[Any]) -> Any:
+    return jax.tree.map(lambda *x: np.concatenate(x), *parts)
+
+
+def off(figure: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """By what share a circular error is off that of samples; 1 where those are infinite."""
+    return np.abs(np.where(np.isfinite(truth), figure / truth, 0.0) - 1.0)
+
+
+def percent(which: np.ndarray) -> float | None:
+    return 100.0 * float(np.mean(which)) if which.size else None
+
+
+WITHIN = [
+    Column("terrain"),
+    Column("looks"),
+    *(Column(method, "% within 10 %", "higher") for method in ("facet", "footprint", "profile", "level ground")),
+]
+CAUGHT = [
+    Column("terrain"),
+    Column("looks"),
+    Column("facet off by > 25 %", "looks"),
+    Column("of these caught", "%", "higher"),
+    Column("facet within 10 %", "looks"),
+    Column("of these flagged", "%", "lower"),
+    Column("sent to samples", "%", "lower"),
+    Column("facet trusted: off, median", "%", "lower"),
+    Column("95th percentile", "%", "lower"),
+    Column("footprint trusted: off, median", "%", "lower"),
+    Column("95th percentile", "%", "lower"),
+]
+
+
+def within_row(name: str, all_of: Judged) -> list[Any]:
+    figures = (all_of.signs.facet, all_of.signs.footprint, all_of.signs.profile, all_of.level)
+    return [name, all_of.truth.size, *(percent(off(np.asarray(x), all_of.truth) <= RIGHT) for x in figures)]
+
+
+def caught_row(name: str, all_of: Judged) -> list[Any]:
+    trust = np.asarray(verdict.trust_of(all_of.signs))
+    miss = off(np.asarray(all_of.signs.facet), all_of.truth)
+    wrong, right, flagged = miss > WRONG, miss <= RIGHT, trust != Trust.facet
+    row = [name, trust.size, int(wrong.sum()), percent(flagged[wrong]), int(right.sum()), percent(flagged[right])]
+    row.append(percent(trust == Trust.samples))
+    for method, figure in ((Trust.facet, all_of.signs.facet), (Trust.footprint, all_of.signs.footprint)):
+        missed = 100.0 * off(np.asarray(figure), all_of.truth)[trust == method]
+        row += [float(np.quantile(missed, share)) if missed.size else None for share in (0.5, 0.95)]
+    return row
+
+
+def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
+    """(agreement asked for, % caught, % flagged wrongly, % sent to samples), with that in height in proportion."""
+    miss, kept = off(np.asarray(all_of.signs.facet), all_of.truth), (verdict.AGREEMENT, verdict.AGREEMENT_UP)
+    rows = []
+    try:
+        for level in LEVELS:
+            verdict.AGREEMENT, verdict.AGREEMENT_UP = level, level * kept[1] / kept[0]
+            trust = np.asarray(verdict.trust_of(all_of.signs))
+            flagged, shares = trust != Trust.facet, (miss > WRONG, miss <= RIGHT)
+            caught, wrongly = (percent(flagged[share]) or 0.0 for share in shares)
+            rows.append((level, caught, wrongly, percent(trust == Trust.samples) or 0.0))
+    finally:
+        verdict.AGREEMENT, verdict.AGREEMENT_UP = kept
+    return rows
+
+
+def study(targets: int, samples: int, output: pathlib.Path | None) -> list[Table]:
+    """Verdicts on every terrain against samples."""
+    found: dict[str, Judged] = {}
+    for number, (name, dems) in enumerate(terrains().items()):
+        parts = [judged(dem, targets, samples, seed=100 * number + k) for k, dem in enumerate(dems)]
+        found[name] = joined(parts)
+        print(f"{name}: {found[name].truth.size} looks", file=sys.stderr, flush=True)
+    held_out = joined([part for name, part in found.items() if "set on" not in name])
+    found = {"all held out": held_out} | found
+    within = Table("Circular errors at 90 % against samples", WITHIN)
+    within.rows = [within_row(name, part) for name, part in found.items()]
+    caught = Table("Verdicts: linear propagation over the facet, trusted or flagged", CAUGHT)
+    caught.rows = [caught_row(name, part) for name, part in found.items()]
+    caught.notes.append(f"goals: at least 90 % caught, at most 20 % flagged wrongly; {samples} samples a look")
+    columns = [Column("agreement", "of a logarithm"), Column("caught", "%", "higher")]
+    columns += [Column("flagged wrongly", "%", "lower"), Column("sent to samples", "%", "lower")]
+    rates = trade_off(held_out)
+    if output is not None:
+        draw(rates, output)
+    return [within, caught, Table("All held out: catches against false flags", columns, [list(row) for row in rates])]
+
+
+def draw(rates: list[tuple[float, float, float, float]], output: pathlib.Path) -> None:
+    """The trade-off as a figure."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    levels, caught, wrongly, _ = zip(*rates, strict=True)
+    figure, axes = plt.subplots(figsize=(5.0, 4.0), layout="constrained")
+    axes.plot(wrongly, caught, "o-")
+    for level, x, y in zip(levels, wrongly, caught, strict=True):
+        axes.annotate(f"{level:g}", (x, y), textcoords="offset points", xytext=(5, -9), fontsize=8)
+    axes.axhline(90.0, color="grey", lw=0.8)
+    axes.axvline(20.0, color="grey", lw=0.8)
+    axes.set(xlabel="flagged of those within 10 %, %", ylabel="caught of those off by more than 25 %, %")
+    figure.savefig(output, dpi=150)
+
+
+# Coverage.
+
+
+class Measured(NamedTuple):
+    """A simulated measurement: its pose, and the error of its terrain, m; whether it and the truth are fixes.
+
+    `facet` and `footprint` are circular errors stated at 90 %, `away` how far the truth lies from the measured fix, m.
+    """
+
+    pose: jaxgeo.Pose
+    raised: Any
+    is_case: Any
+    facet: Any
+    footprint: Any
+    trust: Any
+    away: Any
+
+
+@eqx.filter_jit
+@eqx.filter_vmap(in_axes=(0, 0, 0, 0, None))
+def measured(pose: jaxgeo.Pose, pixel: Any, scale: Any, key: Any, terrain: Dem) -> Measured:
+    """What is measured with drawn errors in a true pose and over a terrain that is true, and what is stated of it."""
+    true, model = look_from(pose, terrain, pixel), errors(scale)
+    error = model.factor() @ jax.random.normal(key, (model.size,))
+    moved = look_from(model.moved(true, error).pose, raised_by(terrain, error[-1]), pixel)
+    aim, truth = moved.aim(FIRST_HIT), true.ground(FIRST_HIT)
+    signs = verdict.signs_of(moved, aim, model)[0]
+    miss = aim.R_ecef_from_enu.T @ (truth.ecef - aim.p_ecef)
+    is_case = counts_as_fix(aim.fix.status) & counts_as_fix(truth.status)
+    trust, away = verdict.trust_of(signs), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)
+    return Measured(moved.pose, error[-1], is_case, signs.facet, signs.footprint, trust, away)
+
+
+def raised_by(terrain: Dem, height: Any) -> Dem:
+    return eqx.tree_at(lambda dem: dem.field, terrain, ConstantField(jnp.asarray(height)))
+
+
+def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
+    """(trust, whether the truth lies within the CE90 stated about the measured fix) of simulated measurements.
+
+    The pixel is any of the image: a look at a chosen point of the ground would know where ridges are.
+    """
+    drawn, terrain = cases(terrain, count, seed), terrain.with_field(ConstantField(jnp.asarray(0.0)))
+    pixels = np.random.default_rng(seed + 1).uniform(0.0, 2.0 * PIXEL, (count, 2))
+    keys = jax.random.split(jax.random.key(seed), count)
+    found = measured(drawn.pose, jnp.asarray(pixels), jnp.asarray(drawn.scale), keys, terrain)
+    found = jax.tree.map(np.asarray, found)
+    radius = np.where(found.trust == Trust.facet, found.facet, found.footprint)
+    for i in np.flatnonzero(found.is_case & (found.trust == Trust.samples)):
+        known = raised_by(terrain, found.raised[i])
+        drawn_again = sampled(item(found.pose, i), drawn.scale[i], known, i, samples, pixels[i])
+        radius[i] = drawn_again.circular_error(0.9).value
+    return np.stack([found.trust, found.away <= radius], axis=1)[found.is_case]
+
+
+def coverage(targets: int, samples: int) -> Table:
+    """How often the truth lies within the stated circle, for classes of made-up terrain."""
+    columns = [Column("terrain"), Column("cases"), Column("truth within CE90", "%"), Column("from", "%")]
+    columns += [Column("to", "%"), Column("by the facet", "%"), Column("by the footprint", "%")]
+    columns += [Column("by samples", "%"), Column("sent to samples", "%", "lower")]
+    table = Table("Coverage of CE90 stated at the measured state", columns)
+    table.notes.append("from, to: 95 % interval of a binomial share (Clopper and Pearson 1934); goal: 88 to 92 %")
+    for number, name in enumerate(("smooth", "hilly", "mountainous")):
+        dems = [made_up(*kind) for kind in MADE_UP[name]]
+        parts = [covered(dem, -(-targets // len(dems)), samples, 1000 + 10 * number + k) for k, dem in enumerate(dems)]
+        trust, inside = np.concatenate(parts).T
+        by_trust = [percent(inside[trust == method]) for method in Trust]
+        low, high = (100.0 * x for x in binomial_interval(int(inside.sum()), inside.size))
+        sent = percent(trust == Trust.samples)
+        table.rows.append([name, inside.size, percent(inside), low, high, *by_trust, sent])
+        print(table.rows[-1], file=sys.stderr, flush=True)
+    return table
+
+
+def binomial_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper and Pearson's interval of a share."""
+    aside = 0.5 * (1.0 - confidence)
+    low = scipy.special.betaincinv(hits, count - hits + 1, aside) if hits else 0.0
+    high = scipy.special.betaincinv(hits + 1, count - hits, 1.0 - aside) if hits < count else 1.0
+    return float(low), float(high)
+
+
+def main() -> None:
+    """Judge, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--coverage", action="store_true", help="how often the truth lies within the stated circle")
+    parser.add_argument("--targets", type=int, help="looks at each terrain (60), or cases of each class (1000)")
+    parser.add_argument("--samples", type=int, default=8192, help="of a look")
+    parser.add_argument("--output", type=pathlib.Path, help="a PNG of the trade-off")
+    options = parser.parse_args()
+    if options.coverage:
+        tables = [coverage(options.targets or 1000, options.samples)]
+    else:
+        tables = study(options.targets or 60, options.samples, options.output)
+    for table in tables:
+        print(table.markdown())
+
+
+if __name__ == "__main__":
+    main()

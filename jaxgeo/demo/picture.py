@@ -1,0 +1,137 @@
+"""The demonstration's pictures."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Any, BinaryIO
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.demo.made import VIEW, Demo
+from jaxgeo.earth import Geodetic
+from jaxgeo.sensor import FrameCamera
+from jaxgeo.terrain import Dem
+
+
+def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
+    """Map, view, section, and how sure one of the fixes is, in one picture. Needs matplotlib.
+
+    `picture_format` is one of matplotlib's, such as "png"; left out, it is taken from the name of the file.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(
+        {"font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left"}
+    ):
+        figure = Figure(figsize=(15.0, 14.0), layout="constrained")
+        FigureCanvasAgg(figure)
+        ground, errors = figure.subfigures(2, 1, height_ratios=[8.6, 5.4])
+        grid = ground.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
+        _draw_map(demo, ground.add_subplot(grid[:, 0]))
+        _draw_view(demo, ground.add_subplot(grid[0, 1]))
+        _draw_section(demo, ground.add_subplot(grid[1, 1]))
+        cloud, shares = errors.subplots(1, 2, width_ratios=[1.0, 0.8])
+        _draw_errors(demo, cloud)
+        _draw_budget(demo, shares)
+        figure.savefig(target, dpi=110, format=picture_format)
+
+
+def _draw_map(demo: Demo, ax: Any) -> None:
+    from jaxgeo import plot
+
+    plot.map_axes(ax, demo.dem)
+    plot.hillshade(demo.dem, ax)
+    handles = [
+        plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera, along its heading"),
+        plot.footprint(demo.outline, ax, label="footprint of the image"),
+        plot.sight_lines(demo.centre, demo.fix, ax),
+        plot.fixes(demo.fix, ax, label="fixes"),
+        plot.hidden_ground(demo.dem, demo.hidden, ax, label="in the image, but behind terrain"),
+    ]
+    plot.scale_bar(ax)
+    plot.north_arrow(ax)
+    ax.legend(handles=handles, loc="upper left", framealpha=0.92, fontsize=10.5)
+    ax.set_title("Where each pixel lies")
+
+
+def _draw_view(demo: Demo, ax: Any) -> None:
+    """The ground as the camera sees it: far at the top, flight to the left."""
+    from jaxgeo import plot
+
+    camera = demo.sensor.camera
+    assert isinstance(camera, FrameCamera)
+    relief = plot.shaded_relief(demo.dem)[..., :3]
+    rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(jnp.ravel, demo.view.position))).reshape(*VIEW, 2)
+    found = np.asarray(np.all(np.isfinite(rowcol), axis=-1))
+    image = np.where(found[..., None], _sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
+    distance = np.asarray(demo.view.slant_range)
+    haze = np.clip((distance - np.nanmin(distance)) / (np.nanmax(distance) - np.nanmin(distance)), 0.0, 1.0)
+    image = image + (np.array([0.86, 0.91, 0.97]) - image) * 0.45 * np.nan_to_num(haze)[..., None]
+    ax.imshow(
+        image, origin="lower", extent=(-0.5, camera.height - 0.5, -0.5, camera.width - 0.5), interpolation="bilinear"
+    )
+    ax.plot(demo.uv[:, 1], demo.uv[:, 0], "o", color=plot.FIX, markeredgecolor="white", markersize=5.5)
+    ax.set_xlabel("row (against the flight), pixels")
+    ax.set_ylabel("column (outwards), pixels")
+    ax.set_title("What the camera sees, ray by ray")
+
+
+def _sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
+    """Colours between the posts, bilinear."""
+    first = np.clip(np.floor(rowcol).astype(int), 0, np.array(image.shape[:2]) - 2)
+    row, col = first[..., 0], first[..., 1]
+    r, c = np.moveaxis(np.clip(rowcol - first, 0.0, 1.0)[..., None], 2, 0)
+    near, far = (
+        image[row, col] * (1 - c) + image[row, col + 1] * c,
+        image[row + 1, col] * (1 - c) + image[row + 1, col + 1] * c,
+    )
+    return near * (1 - r) + far * r
+
+
+def _draw_section(demo: Demo, ax: Any) -> None:
+    from jaxgeo import plot
+
+    distance, sight, ground, hidden = demo.section
+    km = distance / 1000.0
+    known = np.isfinite(ground)
+    floor = np.nanmin(ground) - 200.0
+    ax.fill_between(km[known], floor, ground[known], color="#b9a283", linewidth=0.0)
+    shadow = np.where(hidden & known, ground, np.nan)
+    ax.plot(km, shadow, color=plot.HIDDEN, linewidth=4.0, solid_capstyle="butt", label="hidden ground")
+    hit = int(np.argmax(known & (sight <= ground))) or len(km) - 1
+    ax.plot(km[: hit + 1], sight[: hit + 1], color=plot.SIGHT, linewidth=1.8, label="line of sight")
+    ax.plot(km[hit], ground[hit], "o", color=plot.FIX, markeredgecolor="white", markersize=8, label="fix")
+    reach = float(demo.axis.slant_range[0])
+    ax.set_xlim(0.0, np.max(km[known]))
+    ax.set_ylim(floor, 1.06 * np.max(sight))
+    ax.set_xlabel("distance on the ground, km")
+    ax.set_ylabel("height above WGS 84, m")
+    ax.grid(alpha=0.3)
+    ax.legend(loc="upper right", framealpha=0.92, fontsize=10.5)
+    ax.set_title(f"Under the optical axis: slant range {reach / 1000.0:.2f} km")
+
+
+@jax.jit
+def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
+    return jax.vmap(dem.rowcol_at)(positions)
+
+
+def _draw_errors(demo: Demo, ax: Any) -> None:
+    from jaxgeo import plot
+
+    compared, trusted = demo.errors.comparison, demo.errors.accuracy
+    shown = {name: compared.propagations[name] for name in ("linear, facet", "linear, footprint")}
+    handles = plot.error_cloud(compared, ax, dem=demo.dem, propagations=shown, jumped=compared.beyond_gap)
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), framealpha=0.92, fontsize=10.0)
+    ax.set_title(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}")
+
+
+def _draw_budget(demo: Demo, ax: Any) -> None:
+    from jaxgeo import plot
+
+    plot.budget_bars(demo.errors.budget, ax)
+    ax.set_title("Where its errors come from")

@@ -1,0 +1,57 @@
+"""Pictures: each function draws records on matplotlib axes, and returns what a legend or a colour bar needs.
+
+Nothing here keeps a state. Maps are in degrees of longitude and latitude; `map_axes` prepares axes so that a kilometre
+is as long north as east. Pictures of errors are in m east and north of the fix that they belong to.
+"""
+
+try:
+    import matplotlib  # noqa: F401
+except ImportError as error:
+    raise ImportError("jaxgeo.plot draws with matplotlib: pip install 'jaxgeo[plot]'") from error
+
+from jaxgeo.plot.accuracy import accuracy_map, budget_bars
+from jaxgeo.plot.cloud import error_cloud
+from jaxgeo.plot.maps import (
+    EDGE,
+    FIX,
+    HIDDEN,
+    MOST_POSTS,
+    RELIEF,
+    SIGHT,
+    camera,
+    fixes,
+    footprint,
+    hidden_ground,
+    hillshade,
+    lonlat_deg,
+    map_axes,
+    north_arrow,
+    post_positions,
+    scale_bar,
+    shaded_relief,
+    sight_lines,
+)
+
+__all__ = [
+    "EDGE",
+    "FIX",
+    "HIDDEN",
+    "MOST_POSTS",
+    "RELIEF",
+    "SIGHT",
+    "accuracy_map",
+    "budget_bars",
+    "camera",
+    "error_cloud",
+    "fixes",
+    "footprint",
+    "hidden_ground",
+    "hillshade",
+    "lonlat_deg",
+    "map_axes",
+    "north_arrow",
+    "post_positions",
+    "scale_bar",
+    "shaded_relief",
+    "sight_lines",
+]

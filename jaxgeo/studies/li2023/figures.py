@@ -1,0 +1,176 @@
+"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Callable
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from jaxgeo.plot import EDGE, FIX, SIGHT
+from jaxgeo.studies.li2023 import printed
+from jaxgeo.studies.li2023.inclination import Inclination
+from jaxgeo.studies.li2023.pointing import GRID, Pointing
+from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
+from jaxgeo.studies.li2023.report import Report
+from jaxgeo.studies.li2023.sheets import groups
+
+QUIET, BAND = "#9db7d5", "#f1e3c6"
+STYLE: dict[Any, Any] = {
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+}
+STYLE |= {"axes.spines.top": False, "axes.spines.right": False}
+SHOWN_SIGMAS = (10.0, 50.0, 100.0, 150.0, 190.0)  # m
+MOST_POINTS = 4000  # of a cloud
+LOOKS = {
+    "linear": ("#8a8a8a", "o"),
+    "linear, facet": ("#c9b27c", "D"),
+    "linear, footprint": (SIGHT, "s"),
+    "sampled": (EDGE, "o"),
+}
+LOG_TICKS = (70.0, 100.0, 200.0, 500.0, 1000.0)  # m
+LEVEL_AT = {"linear": -0.28, "sampled": -0.14}
+FRACTAL_AT = {"linear, facet": 0.04, "linear, footprint": 0.18, "sampled": 0.32}
+
+
+def write(report: Report, folder: pathlib.Path) -> None:
+    """All pictures into a folder."""
+    pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
+        "pointing.png": (lambda figure: draw_pointing(report.pointing[0], figure), (10.0, 4.0)),
+        "inclination.png": (lambda figure: draw_inclination(report.inclination, figure), (10.0, 4.4)),
+        "positions.png": (lambda figure: draw_positions(report.positions, figure), (10.0, 4.8)),
+    }
+    with mpl.rc_context(STYLE):
+        for name, (draw, size) in pictures.items():
+            figure = Figure(figsize=size, layout="constrained")
+            FigureCanvasAgg(figure)
+            draw(figure)
+            figure.savefig(folder / name, dpi=160)
+
+
+def draw_pointing(found: Pointing, figure: Figure) -> None:
+    """Fig. 12: how the pointing errors are distributed, and the shares that the paper states."""
+    left, right = figure.subplots(1, 2)
+    low, high = printed.LOS_BAND
+    claim = f"{low}° to {high}°: {found.in_band[0]:.0%}, printed > 50 %"
+    left.axvspan(low, high, color=BAND, zorder=0, label=claim)
+    left.hist(
+        found.angles,
+        bins=GRID[::2].tolist(),
+        density=True,
+        color=QUIET,
+        alpha=0.8,
+        label=f"{found.angles.size} samples",
+    )
+    left.plot(GRID[:-1] + 0.5 * np.diff(GRID), np.diff(found.chance) / np.diff(GRID), color=SIGHT, label="linear")
+    left.axvline(found.linear_rms, color=EDGE, linewidth=1.0, label=f"RMS {found.linear_rms:.4f}°")
+    left.axvline(printed.LOS_RMS, color=FIX, linewidth=1.0, linestyle="--", label=f"RMS printed {printed.LOS_RMS}°")
+    left.set(
+        xlabel="pointing error, °", ylabel="density, 1/°", title="Distribution of the pointing error", xlim=(0.0, 0.25)
+    )
+    left.legend(frameon=False, fontsize=9)
+    right.plot(GRID, 100.0 * found.chance, color=SIGHT, label="linear")
+    right.plot(np.sort(found.angles), np.linspace(0.0, 100.0, found.angles.size), ":", color=EDGE, label="sampled")
+    for limit, share in printed.LOS_WITHIN.items():
+        ours = f"{found.linear_within[limit]:.2%}"
+        right.plot(
+            [limit], [100.0 * share], "o", color=FIX, label=f"printed {share:.2%} below {limit:.2f}°, linear {ours}"
+        )
+    right.set(
+        xlabel="pointing error, °",
+        ylabel="share below, %",
+        title="Share below an angle",
+        xlim=(0.0, 0.25),
+        ylim=(0, 101),
+    )
+    right.legend(frameon=False, fontsize=9, loc="lower right")
+
+
+def draw_inclination(found: Inclination, figure: Figure) -> None:
+    """Fig. 5: lines over the frame angle, and the map over both."""
+    left, right = figure.subplots(1, 2)
+    shades = np.linspace(0.35, 0.95, len(SHOWN_SIGMAS))
+    for sigma, shade in zip(SHOWN_SIGMAS, shades, strict=True):
+        row = int(np.argmin(np.abs(found.sigmas - sigma)))
+        colour = mpl.colormaps["Blues"](shade)
+        left.plot(found.frames, found.full[row], color=colour)
+        left.plot(found.frames, found.height_only[row], color=colour, linestyle="--", linewidth=1.0)
+        left.text(found.frames[-1] + 0.3, found.full[row, -1], f"{sigma:.0f} m", va="center", fontsize=9)
+    left.plot([], [], color=EDGE, label="height and the ten angles of Table 1")
+    left.plot([], [], color=EDGE, linestyle="--", linewidth=1.0, label="height alone")
+    left.set(xlabel="outer frame angle, °", ylabel="RMS of the position, m", title="RMS, by the error of height")
+    left.set(xlim=(found.frames[0], found.frames[-1] + 2.0), ylim=(0.0, None))
+    left.set_xticks(ticks := np.arange(60.0, found.frames[-1] + 0.1, 3.0))
+    left.legend(frameon=False, loc="upper left")
+    filled = right.contourf(found.frames, found.sigmas, found.full, levels=np.arange(0.0, 1001.0, 100.0), cmap="Blues")
+    levels = [50.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0, 900.0]
+    lines = right.contour(found.frames, found.sigmas, found.full, levels=levels, colors=EDGE, linewidths=0.7)
+    right.clabel(lines, fmt="%.0f m", fontsize=8)
+    figure.colorbar(filled, ax=right, label="RMS of the position, m")
+    right.set(xlabel="outer frame angle, °", ylabel="σ of height, m", title="RMS with all errors", xticks=ticks)
+
+
+def draw_positions(found: list[Accuracy], figure: Figure) -> None:
+    """Table 3: every prediction beside the printed one, and what the printed circle of the plain holds."""
+    left, right = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
+    _draw_rms(found, left)
+    plain = {one.method: one for one in found if (one.terrain, one.ground) == ("plain", LEVEL_GROUND)}
+    _draw_circles(plain["linear"], plain["sampled"].errors_enu, right)
+
+
+def _draw_rms(found: list[Accuracy], ax: Any) -> None:
+    """RMS by terrain: what is printed, ours on level and made-up ground, and the error against a map."""
+    seen: set[str] = set()
+    for base, (name, row) in enumerate(printed.TERRAINS.items()):
+        first = {"label": "printed"} if base == 0 else {}
+        ax.plot([base - 0.4, base + 0.4], [row.rms, row.rms], color=FIX, linewidth=2.0, zorder=1, **first)
+        first = {"label": "actual error against a map"} if base == 0 else {}
+        ax.plot([base - 0.4], [row.actual], "*", color=FIX, markersize=13, zorder=3, **first)
+        ours = {key: group for key, group in groups(found).items() if key[0] == name}
+        for (_, ground, method), group in ours.items():
+            offset = LEVEL_AT.get(method, 0.0) if ground == LEVEL_GROUND else FRACTAL_AT[method]
+            colour, marker = LOOKS[method]
+            rms = np.array([one.rms for one in group])
+            label = f"{method}, {'level' if ground == 'level' else 'made-up terrain'}"
+            face = "white" if ground == LEVEL_GROUND else colour
+            jitter = np.linspace(-0.035, 0.035, rms.size) if rms.size > 1 else np.zeros(1)
+            ax.plot(
+                base + offset + jitter, rms, marker, color=colour, markersize=3.5, alpha=0.5 if rms.size > 1 else 0.0
+            )
+            style = {"markerfacecolor": face, "markersize": 7.0, "linestyle": "none", "zorder": 4}
+            shown = {} if label in seen else {"label": label}
+            ax.plot([base + offset], [np.median(rms)], marker, color=colour, **style, **shown)
+            seen.add(label)
+    ax.set_xticks(range(len(printed.TERRAINS)), list(printed.TERRAINS))
+    ax.set(ylabel="m (logarithmic)", title="RMS of the position (small: single places)", xlim=(-0.55, 2.5))
+    ax.set(yscale="log", ylim=(70.0, 3000.0), yticks=LOG_TICKS, yticklabels=[f"{tick:.0f}" for tick in LOG_TICKS])
+    ax.minorticks_off()
+    ax.legend(frameon=False, fontsize=8.5, loc="upper left")
+
+
+def _draw_circles(cloud: Accuracy, errors: np.ndarray | None, ax: Any) -> None:
+    """Linear radii over a cloud of samples."""
+    errors = np.zeros((0, 3)) if errors is None else errors[:MOST_POINTS]
+    ax.plot(errors[:, 0], errors[:, 1], ".", color=QUIET, markersize=2.0, zorder=0, rasterized=True)
+    actual = printed.TERRAINS[cloud.terrain].actual
+    circles = [
+        (cloud.ce50, SIGHT, "-", f"CE50 {cloud.ce50:.1f} m"),
+        (cloud.rms_over_1_2, EDGE, "--", f"RMS / 1.2 {cloud.rms_over_1_2:.1f} m holds {cloud.held:.1%}"),
+        (cloud.ce90, SIGHT, ":", f"CE90 {cloud.ce90:.1f} m"),
+        (actual, FIX, "-", f"actual error {actual} m; {cloud.beyond:.0%} lie beyond"),
+    ]
+    for radius, colour, line, label in circles:
+        ax.add_patch(Circle((0.0, 0.0), radius, fill=False, color=colour, linestyle=line, linewidth=1.5))
+        ax.plot([], [], color=colour, linestyle=line, label=label)
+    reach = 1.65 * cloud.ce90
+    ax.set(xlabel="east, m", ylabel="north, m", title=f"The {cloud.terrain}: circles", aspect="equal")
+    ax.set(xlim=(-reach, reach), ylim=(-reach, 1.75 * reach))
+    ax.legend(frameon=False, fontsize=8.5, loc="upper left")

@@ -1,0 +1,212 @@
+"""How sure the targets of Li et al. (2023) are: Table 3, over level ground and over made-up terrain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxgeo.earth import Geodetic
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Shot
+from jaxgeo.studies.li2023 import printed
+from jaxgeo.studies.li2023.targets import metres_per_radian
+from jaxgeo.studies.scenes import fractal_posts, tangent_dem
+from jaxgeo.terrain import AbstractTerrain, Dem
+from jaxgeo.uncertainty import Facet, Footprint, presets, propagate, sample
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.metrics import circular_error, circular_probability
+from jaxgeo.uncertainty.slopes import AbstractSlope
+
+LEVEL_GROUND = "level"
+RMS_SLOPES = {"hill": math.radians(8.0), "mountain": math.radians(22.0)}  # of the made-up terrains
+SPACING = 30.0  # m, of the posts of ASTER GDEM V2
+MIDDLE = 2500.0  # m from the terrain's middle: no place lies farther out, for what errs has to find ground too
+LEVEL = 5.0  # m: the ground at a place is as high as the printed target to this
+NEAR = 60.0  # m: a place is in sight if the fix is no farther from it
+MOST_TRIED = 300  # places
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """How sure one fix is: RMS about the nominal fix in m along each axis and in space, and what it is made into.
+
+    `rms_over_1_2` is what the paper prints as "circular error probable", `held` the share that its circle truly holds;
+    `ce50` and `ce90` are the true radii on the level plane, in m, and `beyond` is the chance of an error there larger
+    than the one that the paper found against a map. `found` is the share of samples with a fix (1 if it
+    was not sampled), whose moments are those of the samples with a fix; in radii and shares the others count as
+    infinitely far.
+    """
+
+    terrain: str
+    ground: str
+    method: str
+    place: int
+    lat_deg: float
+    lon_deg: float
+    north: float
+    east: float
+    height: float
+    rms: float
+    rms_over_1_2: float
+    ce50: float
+    ce90: float
+    held: float
+    beyond: float
+    found: float
+    cov_enu: np.ndarray
+    errors_enu: np.ndarray | None = None
+
+
+def over_level_ground(*, samples: int, key: Array) -> list[Accuracy]:
+    """The three rows of Table 3 on level ground at the heights of the printed targets: linear, and sampled."""
+    rows = []
+    for number, (name, row) in enumerate(printed.TERRAINS.items()):
+        ground, shot = printed.level_ground(row.target[2]), printed.shot_of(row)
+        rows.append(_linear((name, LEVEL_GROUND), "linear", shot, ground, Facet()))
+        rows.append(_drawn((name, LEVEL_GROUND), shot, ground, samples, jax.random.fold_in(key, number)))
+    return rows
+
+
+def over_fractal_ground(
+    *,
+    samples: int,
+    key: Array,
+    places: int = 12,
+    size: int = 601,
+    seed: int = 1,
+    names: Sequence[str] = tuple(RMS_SLOPES),
+) -> list[Accuracy]:
+    """Hill and mountain over made-up fractal terrain of a stated rms slope, at several places of it.
+
+    At each the ground is as high as the printed target, and the aircraft is moved sideways so that its line of sight
+    comes down there. The errors are propagated with the slope of the facet under the fix, with that of the footprint,
+    and sampled.
+    """
+    rows = []
+    for name in names:
+        dem = fractal_ground(name, size=size, seed=seed)
+        what = (name, fractal_name(name))
+        for place, shot in enumerate(shots_in_sight(name, dem, places=places, seed=seed)):
+            rows.append(_linear(what, "linear, facet", shot, dem, Facet(), place))
+            rows.append(_linear(what, "linear, footprint", shot, dem, Footprint(), place))
+            rows.append(_drawn(what, shot, dem, samples, jax.random.fold_in(key, place), place))
+    return rows
+
+
+def fractal_name(name: str) -> str:
+    """What the ground of a row is called."""
+    return f"made-up, rms slope {math.degrees(RMS_SLOPES[name]):.0f}°"
+
+
+def fractal_ground(name: str, *, size: int, seed: int) -> Dem:
+    """Made-up terrain about the printed target of a row, whose height is its mean."""
+    target = printed.target_of(printed.TERRAINS[name])
+    posts = fractal_posts(size, spacing=SPACING, rms_slope=RMS_SLOPES[name], seed=seed)
+    centre = Geodetic(lat=target.lat, lon=target.lon, height=0.0)
+    return tangent_dem(posts - posts.mean() + float(target.height), SPACING, centre)
+
+
+def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
+    """Shots of a row, moved sideways so as to see ground as high as the printed target, near the terrain's middle.
+
+    Raises `ValueError` if too few such places are in sight.
+    """
+    row = printed.TERRAINS[name]
+    shot, shots = printed.shot_of(row), []
+    level = _fix(shot, printed.level_ground(row.target[2]))
+    along_meridian, along_parallel = metres_per_radian(printed.target_of(row))
+    for lat, lon in _places(dem, row.target[2], seed):
+        if len(shots) == places:
+            return shots
+        position = shot.pose.position
+        where = (position.lat + lat - level.position.lat, position.lon + lon - level.position.lon)
+        moved = eqx.tree_at(lambda shot: (shot.pose.position.lat, shot.pose.position.lon), shot, where)
+        fix = _fix(moved, dem)
+        north, east = (fix.position.lat - lat) * along_meridian, (fix.position.lon - lon) * along_parallel
+        if bool(fix.ok) and math.hypot(north, east) <= NEAR:
+            shots.append(moved)
+    if len(shots) < places:
+        raise ValueError(
+            f"{places} places of the {name} are asked for, but only {len(shots)} are in sight; ask for fewer."
+        )
+    return shots
+
+
+def _places(dem: Dem, height: float, seed: int) -> list[list[float]]:
+    """Latitude and longitude in rad of posts in a terrain's middle that are about as high as asked, shuffled."""
+    posts = np.asarray(dem.posts)
+    rowcol = np.argwhere(np.abs(posts - height) <= LEVEL)
+    rowcol = rowcol[np.all(np.abs(rowcol - (np.array(posts.shape) - 1) / 2.0) <= MIDDLE / SPACING, axis=1)]
+    rowcol = np.random.default_rng([seed, 11]).permutation(rowcol)[:MOST_TRIED]
+    x, y, z = np.asarray(jax.vmap(dem.grid.normal)(jnp.asarray(rowcol, jnp.float64))).T
+    return np.stack([np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)], axis=1).tolist()
+
+
+def _fix(shot: Shot, terrain: AbstractTerrain) -> Fix:
+    return Look.of(printed.sensor(), shot, printed.UV, terrain).aim(FIRST_HIT).fix
+
+
+def _linear(
+    what: tuple[str, str], method: str, shot: Shot, terrain: AbstractTerrain, slope: AbstractSlope, place: int = 0
+) -> Accuracy:
+    model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
+    found = propagate(printed.sensor(), shot, printed.UV, terrain, model, slope=slope)
+    cov, bias = np.asarray(found.cov_enu), np.asarray(found.bias_enu)
+    squares = np.diag(cov) + bias**2
+    marks = np.array([np.sqrt(squares.sum()) / 1.2, printed.TERRAINS[what[0]].actual])
+    ce50, ce90 = np.asarray(circular_error(cov[:2, :2], np.array([0.5, 0.9]), bias[:2])).tolist()
+    held, within = np.asarray(circular_probability(cov[:2, :2], marks, bias[:2])).tolist()
+    return _accuracy(what, method, place, found.fix.position, squares, (ce50, ce90, held, 1.0 - within, 1.0), cov)
+
+
+def _drawn(
+    what: tuple[str, str], shot: Shot, terrain: AbstractTerrain, samples: int, key: Array, place: int = 0
+) -> Accuracy:
+    model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
+    keep = place == 0
+    found = sample(
+        printed.sensor(), shot, printed.UV, terrain, model, key=key, count=samples, figures=("CE",), keep=keep
+    )
+    squares = np.diag(found.cov_enu) + found.mean_enu**2
+    held = float(np.mean(found.radii["CE"] <= np.sqrt(squares.sum()) / 1.2))
+    beyond = float(np.mean(found.radii["CE"] > printed.TERRAINS[what[0]].actual))
+    ce50, ce90 = (found.circular_error(p).value for p in (0.5, 0.9))
+    figures = (ce50, ce90, held, beyond, found.found / found.count)
+    return _accuracy(what, "sampled", place, found.fix.position, squares, figures, found.cov_enu, found.errors_enu)
+
+
+def _accuracy(
+    what: tuple[str, str],
+    method: str,
+    place: int,
+    position: Geodetic,
+    squares: np.ndarray,
+    figures: tuple[float, ...],
+    cov_enu: np.ndarray,
+    errors_enu: np.ndarray | None = None,
+) -> Accuracy:
+    """A record from mean squares in m2 along east, north and up."""
+    east, north, height = np.sqrt(squares).tolist()
+    along_meridian, along_parallel = metres_per_radian(position)
+    rms = float(np.sqrt(squares.sum()))
+    return Accuracy(
+        *(*what, method, place),
+        lat_deg=math.degrees(north / along_meridian),
+        lon_deg=math.degrees(east / along_parallel),
+        north=north,
+        east=east,
+        height=height,
+        rms=rms,
+        rms_over_1_2=rms / 1.2,
+        **dict(zip(("ce50", "ce90", "held", "beyond", "found"), figures, strict=True)),
+        cov_enu=cov_enu,
+        errors_enu=errors_enu,
+    )

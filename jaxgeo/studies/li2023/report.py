@@ -1,0 +1,88 @@
+"""The whole study: its records, tables and pictures."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxgeo.studies.li2023 import printed, sheets
+from jaxgeo.studies.li2023.inclination import Inclination, fig_5
+from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
+from jaxgeo.studies.li2023.positions import Accuracy, over_fractal_ground, over_level_ground
+from jaxgeo.studies.li2023.tables import Sheet
+from jaxgeo.studies.li2023.targets import Target, table_2
+from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
+
+SAMPLES = 50_000
+PLACES = 12
+FRAMES = np.arange(60.0, 79.0).tolist()  # deg
+SIGMAS = np.linspace(*printed.FIG_5_SIGMAS, 19).tolist()
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that the study finds."""
+
+    pointing: list[Pointing]
+    inclination: Inclination
+    targets: list[Target]
+    positions: list[Accuracy]
+    tilts: list[Tilt]
+
+
+def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Report:
+    """The study, with so many samples for each row of a table; on made-up terrain they are shared among its places.
+
+    Raises `ValueError` for a number of samples or places that is not positive.
+    """
+    for name, number, least in (("samples", samples, 2), ("places", places, 1)):
+        if number < least:
+            raise ValueError(f"{name} must be at least {least}; got {number}.")
+    keys = jax.random.split(jax.random.key(seed), 4)
+    plain = printed.TERRAINS["plain"]
+    level = f"level flight, {plain.outer:.2f}°"
+    return Report(
+        pointing=[
+            pointing_errors("plain of Table 2", printed.shot_of(plain), samples=samples, key=keys[0]),
+            pointing_errors(level, printed.level_shot(plain.outer), samples=samples, key=keys[1]),
+        ],
+        inclination=fig_5(FRAMES, SIGMAS),
+        targets=table_2(),
+        positions=[
+            *over_level_ground(samples=samples, key=keys[2]),
+            *over_fractal_ground(samples=-(-samples // places), key=keys[3], places=places),
+        ],
+        tilts=implied_tilts(),
+    )
+
+
+def sheets_of(report: Report) -> list[Sheet]:
+    """The study's tables, in the order of the paper."""
+    return [
+        sheets.pointing_sheet(report.pointing),
+        sheets.inclination_sheet(report.inclination),
+        sheets.targets_sheet(report.targets),
+        sheets.positions_sheet(report.positions),
+        sheets.circles_sheet(report.positions),
+        sheets.tilts_sheet(report.tilts),
+    ]
+
+
+def write_tables(report: Report, folder: pathlib.Path) -> None:
+    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    tables = sheets_of(report)
+    for sheet in (*tables, sheets.places_sheet(report.positions)):
+        with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
+            sheet.write_csv(stream)
+    text = "# Li et al. (2023)\n\n" + "\n".join(sheet.to_markdown() for sheet in tables)
+    (folder / "tables.md").write_text(text, encoding="utf-8")
+
+
+def write_pictures(report: Report, folder: pathlib.Path) -> None:
+    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.li2023 import figures  # only who wants pictures needs matplotlib
+
+    figures.write(report, folder)

@@ -1,0 +1,57 @@
+"""Tables of the study: each one list of rows, for the screen, for a spreadsheet and for a text."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TextIO
+
+from rich import box
+from rich.table import Table
+
+Cell = str | float | None
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table: `columns` with their formats (of `format`, "" for words), rows of cells, and a note on what they are."""
+
+    name: str
+    title: str
+    columns: dict[str, str]
+    rows: Sequence[Sequence[Cell]]
+    note: str = ""
+
+    def texts(self) -> list[list[str]]:
+        """The cells as they are shown; a number that there is not is a dash."""
+        formats = list(self.columns.values())
+        return [[_shown(cell, spec) for cell, spec in zip(row, formats, strict=True)] for row in self.rows]
+
+    def to_rich(self) -> Table:
+        """For the screen."""
+        table = Table(title=self.title, caption=self.note, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table.title_justify = table.caption_justify = "left"
+        for name, spec in self.columns.items():
+            table.add_column(name, justify="right" if spec else "left")
+        for row in self.texts():
+            table.add_row(*row)
+        return table
+
+    def to_markdown(self) -> str:
+        """For a text."""
+        head = [list(self.columns), ["---:" if spec else "---" for spec in self.columns.values()]]
+        lines = ["| " + " | ".join(row) + " |" for row in head + self.texts()]
+        return "\n".join([f"## {self.title}", "", *lines, "", self.note, ""])
+
+    def write_csv(self, stream: TextIO) -> None:
+        """For a spreadsheet, with all digits."""
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(self.rows)
+
+
+def _shown(cell: Cell, spec: str) -> str:
+    if cell is None:
+        return "–"
+    return format(cell, spec) if spec else str(cell)

@@ -1,0 +1,192 @@
+"""Monte Carlo: the same samples however they are computed, failures that count, and intervals that stop it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo import ConstantHeight, Pose, Shot, Status
+from jaxgeo.uncertainty import ErrorModel, Sobol, propagate, sample, sources
+from tests.support import looks
+
+KEY = jax.random.key(11)
+CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=5000.0, width=801, height=601)
+SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
+GROUND = ConstantHeight(0.0)
+MODEL = ErrorModel((sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1),))
+
+
+def shot(elevation_deg: float, height: float = 3000.0) -> Shot:
+    return Shot(Pose.from_degrees(lat=45.0, lon=7.0, height=height, heading=30.0, pitch=elevation_deg))
+
+
+SCENE = (SENSOR, shot(-30.0), (400.0, 300.0), GROUND, MODEL)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    return sample(*SCENE, key=KEY, count=3000, chunk=1000, keep=True)
+
+
+@pytest.mark.parametrize("chunk", [1000, 1700, 100_000])
+def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: int) -> None:
+    other = sample(*SCENE, key=KEY, count=3000, chunk=chunk, keep=True)
+    np.testing.assert_allclose(other.errors_enu, drawn.errors_enu, atol=1e-8)  # m: programs round differently
+    assert other.circular_error(0.9) == pytest.approx(drawn.circular_error(0.9), abs=1e-8)
+
+
+def test_another_key_gives_others(drawn) -> None:
+    other = sample(*SCENE, key=jax.random.key(12), count=3000, chunk=1000, keep=True)
+    assert not np.any(other.errors_enu == drawn.errors_enu)
+
+
+def test_fewer_samples_are_the_first_of_more(drawn) -> None:
+    fewer = sample(*SCENE, key=KEY, count=1500, chunk=1000, keep=True)
+    np.testing.assert_array_equal(fewer.errors_enu, drawn.errors_enu[:1500])
+
+
+def test_figures_are_those_of_the_samples(drawn) -> None:
+    errors = drawn.errors_enu
+    np.testing.assert_allclose(drawn.mean_enu, errors.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(drawn.cov_enu, np.cov(errors.T), atol=1e-6)
+    radii = np.sort(np.hypot(errors[:, 0], errors[:, 1]))
+    quantile = drawn.circular_error(0.9)
+    assert quantile.value == pytest.approx(radii[2699], abs=1e-9)
+    assert quantile.low < quantile.value < quantile.high
+    assert quantile.conditional == quantile.value
+    assert quantile.share == 1.0
+    assert drawn.linear_error(0.5).value == pytest.approx(np.sort(np.abs(errors[:, 2]))[1499], abs=1e-9)
+
+
+def test_errors_about_the_mean(drawn) -> None:
+    about = sample(*SCENE, key=KEY, count=3000, chunk=1000, keep=True, about_mean=True)
+    np.testing.assert_allclose(about.errors_enu.mean(axis=0), 0.0, atol=1e-8)
+    np.testing.assert_allclose(about.mean_enu, drawn.mean_enu, atol=1e-8)
+    np.testing.assert_allclose(about.cov_enu, drawn.cov_enu, atol=1e-6)
+
+
+@pytest.mark.parametrize("share_lost, least, most", [(0.05, 0.02, 0.09), (0.3, 0.2, 0.4)])
+def test_samples_without_a_fix_count_as_infinitely_far(share_lost: float, least: float, most: float) -> None:
+    """A line of sight just below the horizon: some of those drawn pass above it."""
+    horizon = -math.degrees(math.acos(6.37e6 / (6.37e6 + 3000.0)))
+    sigmas = {0.05: 1.9, 0.3: 0.6}[share_lost]
+    result = sample(
+        SENSOR, shot(horizon - 0.1 * sigmas), (400.0, 300.0), GROUND, MODEL, key=KEY, count=3000, chunk=1000
+    )
+    lost = 1.0 - result.found / result.count
+    assert least < lost < most
+    assert result.statuses[Status.rises_away] == result.count - result.found
+    high = result.circular_error(0.9)
+    assert math.isinf(high.value) == (lost > 0.1)
+    assert high.share == pytest.approx(1.0 - lost)
+    assert math.isfinite(high.conditional)
+    low = result.circular_error(0.5)
+    assert math.isfinite(low.value)
+    assert low.value > low.conditional
+
+
+@pytest.mark.slow
+def test_every_sample_lost() -> None:
+    """None comes down on the terrain: figures are infinite, moments unknown, and all of them are counted."""
+    model = ErrorModel((sources.Position.from_ned(north=1e6, east=1e6, down=1.0),))
+    scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), model)
+    result = sample(*scene, key=KEY, count=64, chunk=64)
+    assert result.found == 0
+    assert sum(result.statuses.values()) == 64
+    assert Status.hit not in result.statuses
+    quantile = result.circular_error(0.5)
+    assert quantile.value == quantile.high == math.inf
+    assert math.isnan(quantile.conditional)
+    assert quantile.share == 0.0
+    assert np.all(np.isnan(result.cov_enu))
+
+
+def test_sampling_stops_when_it_is_sure_enough(drawn) -> None:
+    sure = sample(*SCENE, key=KEY, count=200_000, chunk=1000, half_width=0.03)
+    quantile = sure.circular_error(0.9)
+    assert 1000 < sure.count < 60_000
+    assert 0.5 * (quantile.high - quantile.low) <= 0.03 * quantile.value
+    assert sum(sure.statuses.values()) == sure.count == len(sure.radii["CE"])
+
+
+def test_sobol_points_in_any_chunks() -> None:
+    first, second = (
+        sample(*SCENE, key=KEY, count=16 * 128, draws=Sobol(), chunk=chunk, keep=True) for chunk in (500, 100_000)
+    )
+    np.testing.assert_allclose(first.errors_enu, second.errors_enu, atol=1e-8)
+    assert first.circular_error(0.5).low < first.circular_error(0.5).value < first.circular_error(0.5).high
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"count": 0}, "count must be a whole number of samples"),
+        ({"count": -5}, "count"),
+        ({"chunk": 0}, "chunk"),
+        ({"count": 100, "draws": Sobol()}, "multiple of the 16 scrambles"),
+        ({"figures": ("CEP",)}, "figures are CE, LE, SE"),
+        ({"confidence": 1.0}, "confidence"),
+        ({"half_width": -0.1}, "half_width"),
+    ],
+)
+def test_requests_that_make_no_sense(options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        sample(*SCENE, key=KEY, **options)
+
+
+def test_no_fix_no_samples() -> None:
+    with pytest.raises(ValueError, match="rises_away"):
+        sample(SENSOR, shot(20.0), (400.0, 300.0), GROUND, MODEL, key=KEY)
+
+
+@pytest.mark.slow
+def test_the_same_samples_on_one_two_and_four_devices(tmp_path) -> None:
+    """Each in a process of its own, since a process has its devices from the start."""
+    program = (
+        "import json, sys, jax\n"
+        "jax.config.update('jax_enable_x64', True)\n"
+        "from tests.uncertainty.test_sampled import KEY, SCENE\n"
+        "from tests.support import looks\n"
+        "from jaxgeo.uncertainty import sample\n"
+        "scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources())\n"
+        "result = [sample(*s, key=KEY, count=2000, chunk=800, keep=True).errors_enu.tolist() for s in (SCENE, scene)]\n"
+        "print(json.dumps([jax.device_count(), result]))\n"
+    )
+    results = {}
+    for devices in (1, 2, 4):
+        flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "XLA_FLAGS": flags},
+        )
+        count, errors = json.loads(done.stdout.splitlines()[-1])
+        assert count == devices
+        results[devices] = [np.array(part) for part in errors]
+    for devices in (2, 4):
+        for one, other in zip(results[1], results[devices], strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-7)  # m
+
+
+@pytest.mark.slow
+def test_another_search_gives_the_same_where_the_crossing_is_one() -> None:
+    """Bisection in a `lax.while_loop`, under `vmap` and derivatives, against the first hit, where nothing can hide."""
+    scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources())
+    first, other = (
+        (propagate(*scene, search=search), sample(*scene, key=KEY, count=4000, chunk=4000, search=search, keep=True))
+        for search in (jaxgeo.FirstHit(), jaxgeo.Bisection())
+    )
+    np.testing.assert_allclose(other[0].cov_enu, first[0].cov_enu, atol=1e-9 * np.abs(first[0].cov_enu).max())
+    assert other[1].statuses == first[1].statuses
+    np.testing.assert_allclose(other[1].errors_enu, first[1].errors_enu, atol=2e-8)  # m: what ECEF can tell, oblique
+    assert other[1].circular_error(0.9).value == pytest.approx(first[1].circular_error(0.9).value, rel=1e-9)

@@ -1,0 +1,164 @@
+"""Error sources and models: what they refuse, how they hang together, and what published tables they hold."""
+
+from __future__ import annotations
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo import ConstantHeight, Gimbal
+from jaxgeo.uncertainty import EachShot, ErrorModel, InTime, presets, propagate, sources
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import checked_model
+from tests.support import looks
+
+LEVEL = ConstantHeight(120.0)
+LOOK = Look.of(looks.sensor(), looks.shot(), looks.UV, LEVEL)
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    "source, message",
+    [
+        (sources.Attitude(jnp.array([0.1, -0.2, 0.3])), "sigma of pitch must not be negative; got"),
+        (sources.Attitude(jnp.array([0.1, NAN, 0.3])), "must be finite"),
+        (sources.Attitude(jnp.array([0.1, math.inf, 0.3])), "must be finite"),
+        (sources.Attitude(jnp.array([0.1, 0.2])), "one number for each of heading, pitch, roll"),
+        (sources.Attitude(jnp.ones(3), 2.0 * jnp.eye(3)), "ones on its diagonal"),
+        (sources.Attitude(jnp.ones(3), 2.0 * jnp.ones((3, 3)) - jnp.eye(3)), "not positive semi-definite"),
+        (sources.Attitude(jnp.ones(3), sharing=InTime(-1.0)), "duration of InTime"),
+        (sources.Attitude(jnp.ones(3), sharing=InTime(1.0, alpha=2.0)), "alpha of InTime"),
+        (sources.TimeTag.from_seconds(0.1), "velocity_ned"),
+        (sources.Refraction.from_kelvin_and_pascal(temperature=1.0, pressure=1.0), "atmosphere"),
+        (sources.GimbalAngles.from_degrees(yaw=1.0, pitch=1.0), "outer, inner"),
+        (sources.Distortion.from_coefficients(k9=1.0), "no coefficient k9"),
+        (sources.TerrainField.of_variograms(gaussian=[(1.0, 100.0)]), "TerrainField is one of the posts of a Dem"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(source: sources.AbstractSource, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        propagate(looks.sensor(), looks.shot(), looks.UV, LEVEL, ErrorModel((source,)))
+
+
+def test_a_level_gimbal_has_no_boresight_against_the_body() -> None:
+    sensor = jaxgeo.Sensor(looks.sensor().camera, Gimbal.three_axis(), jaxgeo.Mount.forward())
+    shot = jaxgeo.Shot(looks.pose(), jnp.array([1.5, -0.8, 0.0]))
+    with pytest.raises(ValueError, match="CameraMounting"):
+        propagate(sensor, shot, looks.UV, LEVEL, (sources.Boresight.from_degrees(heading=1, pitch=1, roll=1),))
+
+
+@pytest.mark.parametrize(
+    "errors, message",
+    [
+        ("attitude", "must be a jaxgeo ErrorModel or a tuple"),
+        ((sources.Attitude,), r"Did you mean Attitude\(...\)"),
+        ((3.0,), "no error source known here"),
+    ],
+)
+def test_unknown_sources_are_refused(errors, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        checked_model(errors, LOOK)
+
+
+def test_no_source_at_all() -> None:
+    with pytest.raises(ValueError, match="no source"):
+        checked_model((), LOOK)
+
+
+@pytest.mark.parametrize(
+    "covariance, message",
+    [
+        (np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), "lowest eigenvalue is -1"),
+        (np.array([[1.0, 0.5, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]]), r"must be symmetric; entry \(0, 1\)"),
+        (np.array([[1.0, NAN], [NAN, 1.0]]), "finite"),
+        (np.ones((2, 3)), "square"),
+    ],
+)
+def test_covariances_that_are_none(covariance: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        sources.Position.from_covariance(covariance)
+
+
+def test_a_covariance_goes_in_and_comes_out() -> None:
+    covariance = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, -2.0], [0.0, -2.0, 0.0 + 4.0 / 9.0 + 1.0]])
+    source = sources.Position.from_covariance(covariance, sharing=EachShot())
+    np.testing.assert_allclose(source.covariance(), covariance, atol=1e-12)
+    factor = ErrorModel((source,)).factor()
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12)
+
+
+def test_a_singular_covariance_has_a_factor() -> None:
+    """Two axes that err alike: one number drives both."""
+    covariance = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    factor = ErrorModel((sources.Position.from_covariance(covariance),)).factor()
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12)
+
+
+def test_a_block_of_sources_is_one() -> None:
+    correlation = np.eye(6) + 0.4 * (np.ones((6, 6)) - np.eye(6))
+    block = sources.Correlated.of(
+        sources.Attitude.from_degrees(heading=0.1, pitch=0.2, roll=0.3),
+        sources.Position.from_ned(north=1.0, east=2.0, down=3.0),
+        correlation=correlation,
+        sharing=EachShot(),
+    )
+    covariance = np.asarray(block.covariance())
+    np.testing.assert_allclose(np.sqrt(np.diagonal(covariance))[3:], [1.0, 2.0, 3.0])
+    assert covariance[0, 5] == pytest.approx(0.4 * math.radians(0.1) * 3.0)
+    assert block.axes[0] == "attitude: heading"
+    assert len(block.axes) == 6
+    with pytest.raises(ValueError, match="no part of a block"):
+        sources.Correlated.of(
+            sources.TerrainField.of_variograms(gaussian=[(1.0, 9.0)]), correlation=np.eye(33), sharing=EachShot()
+        )
+
+
+@pytest.mark.slow
+def test_a_field_over_the_ground_has_its_variograms() -> None:
+    dem = looks.dem()
+    look = Look.of(looks.sensor(), looks.shot(), looks.UV, dem)
+    aim = look.aim(jaxgeo.FirstHit())
+    field = sources.TerrainField.of_variograms(gaussian=[(2.0, 100.0)], spherical=[(1.0, 300.0)], nodes=9)
+    placed = field.at(look, aim)
+    covariance = np.asarray(placed.covariance())
+    np.testing.assert_allclose(np.diagonal(covariance), 5.0)
+    # Nodes are 25 m apart, a quarter of the shortest length.
+    share = 50.0 / 300.0
+    expected = 4.0 * math.exp(-(0.5**2)) + 1.0 - 1.5 * share + 0.5 * share**3
+    assert covariance[4, 6] == pytest.approx(expected, rel=1e-9)
+    np.testing.assert_allclose(placed.place[4], aim.p_ecef, atol=1e-9)
+    rowcol, _ = dem.over(placed.place[8])
+    np.testing.assert_allclose(placed.rowcol + 8.0 * placed.step, rowcol, atol=1e-4)
+    factor = ErrorModel((placed,)).factor()
+    np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({}, "needs variograms"),
+        ({"gaussian": [(1.0, -5.0)]}, "positive"),
+        ({"gaussian": [(1.0, 5.0)], "nodes": 8}, "odd number"),
+        ({"spherical": [(1.0,)]}, "needs variograms"),
+    ],
+)
+def test_fields_that_are_none(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        sources.TerrainField.of_variograms(**arguments)
+
+
+def test_published_tables() -> None:
+    li = presets.li_2023(terrain_height=20.0)
+    degrees = np.rad2deg(np.concatenate([source.sigma for source in li.sources[:4]]))
+    np.testing.assert_allclose(degrees, [0.05, 0.02, 0.02, 0.02, 0.02, 0.03, 0.01, 0.01, 0.01, 0.01])
+    assert li.axes[-1] == "terrain height: height"
+    assert li.size == 11
+    post = presets.pos_av_310("RTX post-processed")
+    np.testing.assert_allclose(np.rad2deg(post.sources[2].sigma), [0.035, 0.015, 0.015])
+    np.testing.assert_allclose(post.sources[0].sigma, [0.1, 0.1, 0.2])
+    assert {presets.pos_av_310(name).size for name in presets.POS_AV_310} == {9}
+    with pytest.raises(ValueError, match="must be one of SPS, RTX"):
+        presets.pos_av_310("GPS")

@@ -1,0 +1,111 @@
+"""What is told of a fix without samples: where it agrees with them, and when it asks for them."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo import ConstantHeight, Geodetic, Pose, Shot
+from jaxgeo.studies.scenes import tangent_dem
+from jaxgeo.uncertainty import ErrorModel, Trust, accuracy, compare, propagate, sample, sources
+
+CENTRE = Geodetic.from_degrees(lat=46.0, lon=8.0, height=0.0)
+CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=20_000.0, width=401, height=401)
+SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
+UV = (200.0, 200.0)
+KEY = jax.random.key(0)
+SIZE, SPACING = 129, 30.0
+MODEL = ErrorModel(
+    (
+        sources.Attitude.from_degrees(heading=0.03, pitch=0.03, roll=0.03),
+        sources.Position.from_ned(north=2.0, east=2.0, down=3.0),
+        sources.TerrainHeight.from_metres(3.0),
+    )
+)
+
+
+def ground(kind: str) -> np.ndarray:
+    """Heights in m: a plain, a plain with a crest across the look, or a sawtooth of rows far shorter than an error."""
+    row = np.arange(SIZE)[:, None] * np.ones((1, SIZE))
+    heights = {
+        "plain": 100.0 + 0.0 * row,
+        "crest": 100.0 + 120.0 * np.exp(-(((row - SIZE // 2) / 4.0) ** 2)),
+        "sawtooth": 100.0 + 6.0 * (row % 2),
+    }
+    return heights[kind]
+
+
+def shot_at(rows_ahead: float) -> Shot:
+    """From 12 km to the south, 2.5 km up, looking north at a place so many rows north of the middle."""
+    camera = Geodetic.from_degrees(lat=46.0 - math.degrees(12_000.0 / 6.367e6), lon=8.0, height=2600.0)
+    north = math.degrees(rows_ahead * SPACING / 6.367e6)
+    point = Geodetic.from_degrees(lat=46.0 + north, lon=8.0, height=100.0)
+    return Shot(Pose.looking_at(position=camera, point=point))
+
+
+@pytest.fixture(scope="module")
+def dem():
+    return tangent_dem(ground("plain"), SPACING, CENTRE)
+
+
+# The crest, 240 m wide and 120 m high, hides some 450 m behind it. Rows go south: looking north is towards row 0.
+CASES = [
+    ("plain", 0.0, Trust.facet),
+    ("sawtooth", 0.4, Trust.footprint),
+    ("crest", 18.6, Trust.samples),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
+def test_the_method_fits_the_ground(dem, kind: str, rows_ahead: float, expected: Trust) -> None:
+    scene = (SENSOR, shot_at(rows_ahead), UV, dem.with_posts(ground(kind)), MODEL)
+    result = accuracy(*scene, key=KEY, count=4096)
+    drawn = sample(*scene, key=jax.random.key(9), count=4096)
+    assert result.trust is expected, str(result)
+    truth = drawn.circular_error(0.9)
+    assert 0.93 * truth.low <= result.circular <= 1.07 * truth.high, (str(result), truth)
+    assert (result.sampled is not None) == (expected is Trust.samples)
+    assert f"CE90 {result.circular:.4g} m" in str(result)
+    assert result.because in str(result)
+
+
+@pytest.mark.slow
+def test_a_crest_is_seen_to_make_lines_of_sight_jump(dem) -> None:
+    scene = (SENSOR, shot_at(18.6), UV, dem.with_posts(ground("crest")), MODEL)
+    signs = accuracy(*scene, key=KEY, count=4096).signs
+    comparison = compare(*scene, key=KEY, count=4096)
+    assert 0.02 < float(signs.jumps) < 0.98
+    assert float(signs.jumps) == pytest.approx(comparison.jumped, abs=0.03)
+    assert comparison.valid == ()
+    assert "jump" in comparison.verdict
+    assert str(comparison).count("x") >= 4
+
+
+@pytest.mark.slow
+def test_on_a_plain_the_samples_bear_every_method_out(dem) -> None:
+    comparison = compare(SENSOR, shot_at(0.0), UV, dem, MODEL, key=KEY, count=4096, digits=1)
+    assert {"linear, facet", "linear, footprint", "sigma points"} <= set(comparison.valid), str(comparison)
+    assert comparison.jumped == comparison.failed == 0.0
+
+
+def test_constant_height_needs_no_samples() -> None:
+    result = accuracy(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL)
+    assert result.trust is Trust.facet
+    linear = propagate(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL)
+    assert result.circular == pytest.approx(float(linear.circular_error(0.9)), rel=1e-9)
+    half = accuracy(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL, probability=0.5)
+    assert half.circular < result.circular
+    assert str(half).startswith("CE50")
+
+
+def test_no_fix_is_said() -> None:
+    up = Shot(Pose(CENTRE.__class__.from_degrees(lat=46.0, lon=8.0, height=3000.0), 0.0, 0.5, 0.0))
+    with pytest.raises(ValueError, match="no fix to be sure of: rises_away"):
+        accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL, probability=1.5)
