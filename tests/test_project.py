@@ -9,6 +9,7 @@ import re
 import tomllib
 
 import numpy as np
+import pytest
 
 
 def code_blocks(text: str, language: str) -> list[str]:
@@ -16,7 +17,7 @@ def code_blocks(text: str, language: str) -> list[str]:
 
 
 def test_the_example_of_the_readme_runs(project_root: pathlib.Path) -> None:
-    (example,) = code_blocks((project_root / "README.md").read_text(), "python")
+    example, _ = code_blocks((project_root / "README.md").read_text(), "python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 15
     names: dict = {}
     printed = io.StringIO()
@@ -27,6 +28,17 @@ def test_the_example_of_the_readme_runs(project_root: pathlib.Path) -> None:
     # Turning the heading swings the fix about the aircraft: by its horizontal distance, along a circle on flat ground.
     swing = float(np.linalg.norm(names["metres_per_radian"]))
     assert swing > 0.99 * float(fix.slant_range) * np.sin(np.deg2rad(72.0))
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_readme_run_one_after_the_other(project_root: pathlib.Path) -> None:
+    names: dict = {}
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        for example in code_blocks((project_root / "README.md").read_text(), "python"):
+            exec(example, names)
+    for expected in ("CE90", "by linear propagation", "linear, footprint", "100000 samples", "attitude: heading"):
+        assert expected in printed.getvalue()
 
 
 def test_the_readme_gives_two_commands(project_root: pathlib.Path) -> None:

@@ -29,7 +29,8 @@ def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str 
     ):
         figure = Figure(figsize=(15.0, 14.0), layout="constrained")
         FigureCanvasAgg(figure)
-        ground, errors = figure.subfigures(2, 1, height_ratios=[8.6, 5.4])
+        parts: Any = figure.subfigures(2, 1, height_ratios=[8.6, 5.4])
+        ground, errors = parts
         grid = ground.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
         _draw_map(demo, ground.add_subplot(grid[:, 0]))
         _draw_view(demo, ground.add_subplot(grid[0, 1]))
@@ -126,7 +127,7 @@ def _draw_errors(demo: Demo, ax: Any) -> None:
     compared, trusted = demo.errors.comparison, demo.errors.accuracy
     shown = {name: compared.propagations[name] for name in ("linear, facet", "linear, footprint")}
     handles = plot.error_cloud(compared, ax, dem=demo.dem, propagations=shown, jumped=compared.beyond_gap)
-    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), framealpha=0.92, fontsize=10.0)
+    ax.figure.legend(handles=handles, loc="outside lower left", ncols=5, framealpha=0.92, fontsize=10.0)
     ax.set_title(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}")
 
 
