@@ -51,6 +51,7 @@ def fixes(mountains, rays):
     return jax.jit(both)(rays, mountains)
 
 
+@pytest.mark.slow
 def test_a_bent_ray_meets_the_first_ground_on_its_bent_way(mountains, rays, fixes):
     _, bent = fixes
     met = np.asarray(bent.found)
@@ -100,7 +101,7 @@ def a_view() -> tuple[Sensor, Shot]:
     return sensor, Shot(pose)
 
 
-@pytest.mark.parametrize("terrain", ["mountains", "constant"])
+@pytest.mark.parametrize("terrain", [pytest.param("mountains", marks=pytest.mark.slow), "constant"])
 def test_pixel_to_ground_to_pixel(terrain, mountains):
     sensor, shot = a_view()
     ground = mountains if terrain == "mountains" else jaxgeo.ConstantHeight(300.0)
@@ -125,6 +126,7 @@ def test_pixel_to_ground_to_pixel(terrain, mountains):
     assert np.all((raised > 1.0) & (raised < 20.0))  # px, down the image: without air it would be seen lower
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_air_and_the_pose_over_terrain(mountains, rays, fixes):
     _, bent = fixes
     steady = int(np.argmin(np.where(np.asarray(bent.ok), np.asarray(bent.incidence_surface), np.inf)))

@@ -278,6 +278,7 @@ def test_no_partial_output_is_left(tmp_path: pathlib.Path, shots_file) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "shots.csv"]
 
 
+@pytest.mark.slow
 def test_demo_shows_a_table_and_a_picture(tmp_path: pathlib.Path) -> None:
     picture, scene = tmp_path / "demo.png", tmp_path / "scene.toml"
     result = run("demo", "--output", picture, "--write-scene", scene)

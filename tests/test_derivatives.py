@@ -99,6 +99,7 @@ def test_the_jacobian_equals_central_differences_and_forward_equals_reverse(forw
     assert error.max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_second_derivative_equals_differences_of_the_first(forward):
     hit, x, dem, J = forward
     moving, step = steps_for(J, 0.1)
@@ -180,6 +181,7 @@ def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_rays_do():
     assert alive.tolist() == [int(code) == Status.hit for code in status]
 
 
+@pytest.mark.slow
 def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_shots_are(over_terrain):  # noqa: F811
     sensor, shot, dem = over_terrain
     uv = jnp.array([[2000.0, 1500.0], [-900.0, 10.0], [2000.0, jnp.nan], [2000.0, 1500.0], [2000.0, 1500.0]])
@@ -203,6 +205,7 @@ def test_the_gradient_of_a_masked_mean_is_finite_whatever_the_shots_are(over_ter
         assert np.all(np.isfinite(leaf))
 
 
+@pytest.mark.slow
 def test_nested_maps_and_maps_over_terrains():
     dems = [small_dem(rough(seed)) for seed in range(3)]
     rays = stack([local_ray(e, 0, 500, azimuth=30, elevation=-60) for e in (-40, 0, 40, 55)], 4)

@@ -284,6 +284,7 @@ def test_lines_of_a_steady_pushbroom_lie_as_far_apart_as_the_platform_flies():
 NADIR = {"focal_length": 0.05, "pixel_pitch": 5e-6, "width": 2000, "height": 1200, "line_time": 2e-3}
 
 
+@pytest.mark.slow
 def test_points_no_row_sees_are_told_from_those_beside_the_image_and_outside_the_records():
     shot = Shot(Pose.from_degrees(lat=50.0, lon=8.0, height=1000.0))
     flight = Trajectory.steady(shot, velocity_ned=[60.0, 0.0, 0.0], before=1.0, after=4.0)
@@ -414,6 +415,7 @@ def test_through_the_air_in_motion():
     assert np.all(np.asarray(apart) < 1e-6)
 
 
+@pytest.mark.slow
 def test_the_sweep_as_one_frame_is_far_off():
     """What ignoring the motion costs: metres per row that the platform flies and turns after the shot."""
     sensor, flight, _ = SCENES["sweep"]

@@ -7,13 +7,14 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
-from jaxgeo.status import Status
+from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.look import Look
@@ -77,7 +78,7 @@ def accuracy(
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     aim = look.aim(search)
-    if not bool(aim.fix.found):
+    if not bool(counts_as_fix(jnp.asarray(aim.fix.status))):
         status = Status(int(aim.fix.status))
         raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
     signs, facet, footprint = signs_of(look, aim, model)

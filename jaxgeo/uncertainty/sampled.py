@@ -144,7 +144,7 @@ def sample(
     model = checked_model(errors, look)
     _check_request(count, chunk, draws, figures, confidence, half_width)
     plan = _plan(look, look.aim(search), model, draws, search, key)
-    if not bool(plan.aim.fix.found):
+    if not bool(counts_as_fix(jnp.asarray(plan.aim.fix.status))):
         status = Status(int(plan.aim.fix.status))
         raise ValueError(f"there is no fix whose errors could be drawn: {status.name}: {status.message}")
     devices = list(jax.devices() if devices is None else devices)
@@ -194,7 +194,8 @@ def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> tuple[Float[Array, "
     """Misses in m and statuses of the samples of these numbers."""
 
     def one(number: Int[Array, ""]) -> tuple[Vector3, Int8[Array, ""]]:
-        error = plan.factor @ plan.draws.standard_normal(plan.key, number, plan.model.size)
+        drawn = plan.draws.standard_normal(plan.key, number, plan.model.size)
+        error = jnp.sum(plan.factor * drawn[None, :], axis=1)  # a product of matrices would round by its batch
         return plan.model.miss(plan.look, plan.aim, error, plan.search)
 
     return jax.vmap(one)(numbers)

@@ -109,6 +109,7 @@ def test_the_bending_is_smooth_where_the_formula_changes():
     assert np.max(np.abs(second)) < 5e-7  # m
 
 
+@pytest.mark.slow
 def test_derivatives_by_pressure_and_temperature_equal_differences():
     ray = level_ray(12e3, np.deg2rad(74.0))
 

@@ -60,6 +60,7 @@ def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
         assert off(SENSOR, steered.at(time), (900.0, 800.0), point()) < 1e-6
 
 
+@pytest.mark.slow
 def test_looking_at_through_the_air_aims_above_the_point():
     pose = START.pose
     straight, bent = (SENSOR.looking_at(pose, point(), atmosphere=air) for air in (None, AIR))

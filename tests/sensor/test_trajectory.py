@@ -132,6 +132,7 @@ def test_a_frame_camera_on_a_trajectory_is_its_shot():
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-8)
 
 
+@pytest.mark.slow
 def test_derivatives_by_time_velocity_rates_and_every_knot_equal_differences():
     trajectory = flown(1.0, **given_rates(1.0))
     ground = ConstantHeight(200.0)

@@ -171,6 +171,7 @@ def test_an_empty_batch_is_empty():
     assert fix.status.shape == (0,)
 
 
+@pytest.mark.slow
 def test_a_ray_that_skims_a_plain_and_one_over_several_tracks_are_met_where_geometry_says():
     """Level ground at 100 m: rays just below the horizon sink into it after some 16, 54 and 81 km."""
     lat, lon = 47.0, 11.0

@@ -212,6 +212,7 @@ def test_forward_agrees_with_reverse_and_second_derivatives_are_differences(deri
     np.testing.assert_allclose(hessian[0], differences, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_a_bias_moves_the_hit_on_a_plain_by_the_tangent_of_the_incidence(derivatives):
     plain_ground, sights = small_dem(np.full_like(POSTS, 300.0)), slanted()
     jacobians = derivatives(stacked([sum_of(0.0, None)] * 3), sights, plain_ground)

@@ -18,6 +18,7 @@ WRONG_DISTANCE = 1e-3  # m
 TIE = 1e-6  # m of height
 
 
+@pytest.mark.slow
 def test_every_ray_over_rough_mountains_meets_the_same_ground_as_an_exhaustive_walk(mountains):
     assert median_slope_deg(mountains.numpy.posts, mountains.numpy.spacing) == pytest.approx(20.0, abs=1.0)
     fix = jax.jit(jax.vmap(intersect, in_axes=(0, None)))(mountains.rays, mountains.dem)

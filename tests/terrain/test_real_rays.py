@@ -53,6 +53,7 @@ def test_the_published_hits_are_met_to_two_millimetres(ventoux, original):
     assert np.linalg.norm(cautious.ecef - hit, axis=1)[~touches_void & ~over_void].max() < 2e-3
 
 
+@pytest.mark.slow
 def test_another_file_of_the_same_ground_differs_by_its_resampling(ventoux, original, jaxgeo_test_data):
     """The UTM file was resampled to 90 m from the same heights: its bilinear surface is another one.
 

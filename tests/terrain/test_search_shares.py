@@ -43,6 +43,7 @@ def test_posts_have_the_stated_slope_and_the_formula_of_the_reference() -> None:
     np.testing.assert_allclose(posts, reference, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_outcome_shares_over_mountains() -> None:
     """256 rays, so one standard deviation of a share is up to 3 points."""
     rows = rows_of(make_scene("mountain", rays=256, size=1001, **MOUNTAIN), CHEAP)
