@@ -148,16 +148,10 @@ def device(kind: str, precision: str, rays: list[int], repeats: int, budget_s: f
 
 def _search(precision: str) -> Any:
     """The first-hit search in that precision. Raises `SystemExit` in words if it has no such choice."""
-    import dataclasses
-
     import jaxgeo
 
-    names = {f.name for f in dataclasses.fields(jaxgeo.FirstHit)}
     if precision == "float64":
         return jaxgeo.FirstHit()
-    for name in ("precision", "dtype"):
-        if name in names:
-            return jaxgeo.FirstHit(**{name: np.dtype(precision)})
     raise SystemExit(f"FirstHit has no choice of precision: {precision} searching does not exist yet")
 
 

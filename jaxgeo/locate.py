@@ -21,7 +21,7 @@ from jaxgeo._doors import (
     pixel_of_shot,
     thrown,
 )
-from jaxgeo._numerics import all_finite, finite_or, safe_angle, safe_norm, tree_where
+from jaxgeo._numerics import all_finite, dot, finite_or, safe_angle, safe_norm, tree_where
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
@@ -185,7 +185,7 @@ def located_anywhere(
     """`locate` of checked input, for a pixel that may lie beside the image, as a measured one may; and the bracket."""
     ray, status = _line_of_sight(sensor, shot, time, pixel)
     status = status_where(status == Status.outside_image, Status.hit, status)
-    return _intersect_and_bracket(ray, status, terrain, search, air)
+    return met_by(ray, status, terrain, search, air)
 
 
 @jax.jit
@@ -237,13 +237,16 @@ def _project(
 def _intersect(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> Fix:
-    return _intersect_and_bracket(ray, status, terrain, search, air)[0]
+    return met_by(ray, status, terrain, search, air)[0]
 
 
-def _intersect_and_bracket(
+def met_by(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> tuple[Fix, Bracket]:
-    """Search, polish and describe; `status` is what is already known to be wrong with the straight ray."""
+    """The fix of a ray, and its bracket: search, polish and describe.
+
+    `status` is what is already known to be wrong with the straight ray.
+    """
     terrain, is_sound = terrain.made_safe()
     air, air_is_sound = _sound(air)
     length = safe_norm(jnp.where(jnp.isfinite(ray.direction), ray.direction, 0.0))
@@ -255,7 +258,7 @@ def _intersect_and_bracket(
 
     searched = terrain.bracket(ray, search)
     status = first_failure(status, searched.status)
-    found = _has_point(status)
+    found = has_point(status)
     bracket = tree_where(found, searched, jax.tree.map(jnp.zeros_like, searched))
     ray = tree_where(found, ray, stand_in.through(air))
     distance = polish(ray, terrain, bracket)
@@ -267,6 +270,26 @@ def _intersect_and_bracket(
     slant_range = _straight_distance(ray, distance)
     fix = Fix(position, p_ecef, slant_range, incidence, incidence_surface, slope, status)
     return _mask(fix, found), searched
+
+
+def touched_by(
+    ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch
+) -> tuple[Vector3, StatusCode]:
+    """(the point in ECEF m, or the ray's origin where there is none; the status) of `met_by`, without derivatives.
+
+    For crowds of straight rays and a search that comes so near that one step on the exact map is the last.
+    """
+    is_valid = all_finite(ray) & (jnp.abs(dot(ray.direction, ray.direction) - 1.0) <= UNIT_TOLERANCE)
+    status = first_failure(status, status_where(is_valid, Status.hit, Status.invalid_input.code))
+    ray = tree_where(status == Status.hit, Ray(ray.origin, ray.direction), terrain.safe_ray())
+    bracket = terrain.bracket(ray, search)
+    status = first_failure(status, bracket.status)
+    value, gradient = jax.value_and_grad(terrain.clearance)(ray.at(bracket.near), bracket.cell)
+    slope = dot(gradient, ray.direction)
+    step = jnp.where(slope < 0.0, value / jnp.where(slope < 0.0, slope, -1.0), 0.0)
+    grazes = slope * slope < NEAR_TANGENT**2 * dot(gradient, gradient)
+    status = status_where(grazes & (status == Status.hit), Status.near_tangent, status)
+    return ray.at(bracket.near - step), status
 
 
 def _line_of_sight(sensor: Sensor, shot: Shot | Trajectory, time: Scalar, uv: Pixel) -> tuple[Ray, StatusCode]:
@@ -298,7 +321,8 @@ def _surface_angles(ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracke
     return safe_angle(gradient, up), safe_angle(-ray.heading_at(distance), gradient)
 
 
-def _has_point(status: StatusCode) -> Flag:
+def has_point(status: StatusCode) -> Flag:
+    """Whether a fix of this status has coordinates."""
     return (
         (status == Status.hit)
         | (status == Status.near_tangent)
@@ -323,7 +347,7 @@ def _visibility(
     line = (p_ecef if air is None else apparent_point(origin, p_ecef, air)) - origin
     distance, straight = safe_norm(line), safe_norm(p_ecef - origin)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
-    fix, bracket = _intersect_and_bracket(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT, air)
+    fix, bracket = met_by(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT, air)
     met = fix.status
     ahead = jnp.where(fix.found, straight - fix.slant_range, distance - bracket.lower)
     is_nearer = ahead > tolerance

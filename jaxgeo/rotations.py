@@ -2,33 +2,62 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import jax.numpy as jnp
 
-from jaxgeo._numerics import cross, product, safe_norm, safe_sqrt
+from jaxgeo._numerics import cross, matrix, product, safe_norm, safe_sqrt, sine_and_cosine
 from jaxgeo._typing import Matrix3, Scalar, Vector3
+
+Components: TypeAlias = tuple[Scalar, Scalar, Scalar]
 
 
 def Rx(angle: Scalar) -> Matrix3:
     """Rotation by `angle` rad about the first axis."""
     c, s, zero, one = _parts(angle)
-    return jnp.stack([one, zero, zero, zero, c, -s, zero, s, c]).reshape(3, 3)
+    return matrix([[one, zero, zero], [zero, c, -s], [zero, s, c]])
 
 
 def Ry(angle: Scalar) -> Matrix3:
     """Rotation by `angle` rad about the second axis."""
     c, s, zero, one = _parts(angle)
-    return jnp.stack([c, zero, s, zero, one, zero, -s, zero, c]).reshape(3, 3)
+    return matrix([[c, zero, s], [zero, one, zero], [-s, zero, c]])
 
 
 def Rz(angle: Scalar) -> Matrix3:
     """Rotation by `angle` rad about the third axis."""
     c, s, zero, one = _parts(angle)
-    return jnp.stack([c, -s, zero, s, c, zero, zero, zero, one]).reshape(3, 3)
+    return matrix([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+
+
+def about_x(angle: Scalar, v: Components) -> Components:
+    """`Rx(angle)` times a vector, both by their components: a crowd of matrices takes longer to make than to use."""
+    s, c = sine_and_cosine(angle)
+    return v[0], c * v[1] - s * v[2], s * v[1] + c * v[2]
+
+
+def about_y(angle: Scalar, v: Components) -> Components:
+    """`Ry(angle)` times a vector (see `about_x`)."""
+    s, c = sine_and_cosine(angle)
+    return c * v[0] + s * v[2], v[1], c * v[2] - s * v[0]
+
+
+def about_z(angle: Scalar, v: Components) -> Components:
+    """`Rz(angle)` times a vector (see `about_x`)."""
+    s, c = sine_and_cosine(angle)
+    return c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
 
 
 def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
     """`Rz(heading) Ry(pitch) Rx(roll)`: with angles of a body (forward, right, down), `R_ned_from_body`."""
-    return product(product(Rz(heading), Ry(pitch)), Rx(roll))
+    (sh, ch), (sp, cp), (sr, cr) = (sine_and_cosine(jnp.asarray(angle)) for angle in (heading, pitch, roll))
+    forward, right, down = [ch, sh], [-sh, ch], [ch * sp, sh * sp]
+    return matrix(
+        [
+            *([cp * a, cr * b + sr * c, cr * c - sr * b] for a, b, c in zip(forward, right, down, strict=True)),
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
@@ -50,7 +79,7 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     """Rotation about `rotation` by its length in rad (Rodrigues), smooth at zero."""
     x, y, z = rotation
     zero = jnp.zeros_like(x)
-    K = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    K = matrix([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
     squared = jnp.sum(rotation**2)
     small = squared < 1e-8
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pathlib
 import subprocess
@@ -11,6 +12,7 @@ import jax
 import pytest
 
 PROJECT = pathlib.Path(__file__).resolve().parents[1]
+gc.set_threshold(100_000, 20, 20)  # tracing makes and keeps so many small things that looking for cycles takes its time
 
 # The package itself changes no JAX setting; jaxgeo may not be imported here, before pytest switches its checks on.
 jax.config.update("jax_enable_x64", True)

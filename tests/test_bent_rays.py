@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -45,10 +46,13 @@ def rays() -> Ray:
 
 @pytest.fixture(scope="module")
 def fixes(mountains, rays):
-    def both(rays, dem):
-        return [jax.vmap(lambda ray, air=air: jaxgeo.intersect(ray, dem, atmosphere=air))(rays) for air in (None, AIR)]
+    """Through air so thin that nothing bends, which no other program has to be compiled for, and through air."""
 
-    return jax.jit(both)(rays, mountains)
+    @jax.jit
+    def hit(rays, air, dem):
+        return jax.vmap(lambda ray: jaxgeo.intersect(ray, dem, atmosphere=air))(rays)
+
+    return [hit(rays, air, mountains) for air in (eqx.tree_at(lambda a: a.sea_level_pressure, AIR, 1e-6), AIR)]
 
 
 @pytest.mark.slow
@@ -110,17 +114,15 @@ def test_pixel_to_ground_to_pixel(terrain, mountains):
     def there_and_back(uv, ground):
         fix = jaxgeo.locate(sensor, shot, uv, ground, atmosphere=AIR)
         seen = jaxgeo.project(sensor, shot, fix.position, terrain=ground, atmosphere=AIR)
-        again = jaxgeo.locate(sensor, shot, seen.uv, ground, atmosphere=AIR)
         measured = jaxgeo.at_range(sensor, shot, uv, fix.slant_range, atmosphere=AIR)
         straight = jaxgeo.project(sensor, shot, fix.position)
-        return fix, seen, again, measured, straight
+        return fix, seen, measured, straight
 
-    fix, seen, again, measured, straight = jax.jit(jax.vmap(there_and_back, (0, None)))(uv, ground)
+    fix, seen, measured, straight = jax.jit(jax.vmap(there_and_back, (0, None)))(uv, ground)
     ok = np.asarray(fix.ok)
     assert np.mean(ok) > 0.9
     assert np.all(np.asarray(seen.status)[ok] == Status.hit)
     np.testing.assert_allclose(np.asarray(seen.uv)[ok], np.asarray(uv)[ok], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(np.asarray(again.ecef)[ok], np.asarray(fix.ecef)[ok], rtol=0, atol=1e-6)
     np.testing.assert_allclose(np.asarray(measured.ecef)[ok], np.asarray(fix.ecef)[ok], rtol=0, atol=1e-7)
     raised = np.asarray(straight.uv - uv)[ok, 1]
     assert np.all((raised > 1.0) & (raised < 20.0))  # px, down the image: without air it would be seen lower
@@ -157,7 +159,7 @@ def test_air_that_is_not_finite_is_told_and_poisons_no_gradient():
         fix = jax.vmap(lambda p: locate(Atmosphere(sea_level_pressure=p)))(airs.sea_level_pressure)
         return jnp.sum(jnp.where(fix.ok, fix.ecef[:, 0], 0.0)), fix.status
 
-    gradient, status = jax.grad(mean_height, has_aux=True)(jnp.array([1e5, jnp.nan, 1.1e5]))
+    gradient, status = jax.jit(jax.grad(mean_height, has_aux=True))(jnp.array([1e5, jnp.nan, 1.1e5]))
     assert [Status(int(s)) for s in status] == [Status.hit, Status.invalid_input, Status.hit]
     assert np.all(np.isfinite(gradient))
     assert float(gradient[1]) == 0.0

@@ -9,6 +9,7 @@ import os
 import pathlib
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from typer.testing import CliRunner
 
 from jaxgeo._destination import destination
 from jaxgeo.cli import app
-from jaxgeo.demo import scene_file
+from jaxgeo.demo import Demo, scene_file
+from jaxgeo.earth import Geodetic
+from jaxgeo.fix import Fix
 from jaxgeo.io import undulation
 from jaxgeo.io.tables import FIX_COLUMNS
 from jaxgeo.status import Status
@@ -293,17 +296,47 @@ def test_demo_shows_a_table_and_a_picture(tmp_path: pathlib.Path) -> None:
     assert float(np.std(pixels[..., :3])) > 0.1
 
 
-def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Path, monkeypatch) -> None:
+@pytest.mark.slow
+def test_nothing_of_the_demo_but_its_picture_needs_matplotlib(tmp_path: pathlib.Path, monkeypatch) -> None:
+    without_matplotlib(monkeypatch)
+    assert_table_and_hint(run("demo", "--output", tmp_path / "demo.png"), tmp_path)
+
+
+def without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    result = run("demo", "--output", tmp_path / "demo.png")
+
+
+def assert_table_and_hint(result, folder: pathlib.Path) -> None:
     assert result.exit_code == 1, "the table is there, the picture is not"
     assert result.stdout.count("hit") == 20
     assert "picture:" not in result.stdout
     assert "pip install 'jaxgeo[plot]'" in result.stderr
     assert "Traceback" not in result.output
-    assert list(tmp_path.iterdir()) == []
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def made() -> Demo:
+    """All of a demonstration that the table needs, without the work."""
+    count = 20
+    position = Geodetic(lat=np.full(count, 0.63), lon=np.full(count, -1.47), height=np.full(count, 300.0))
+    number = np.ones(count)
+    fix = Fix(position, np.zeros((count, 3)), number, number, number, number, np.full(count, Status.hit, np.int8))
+    errors = SimpleNamespace(number=7, comparison="every method", accuracy="circles", budget="shares")
+    made = object.__new__(Demo)
+    vars(made).update(title="Somewhere", uv=np.zeros((count, 2)), fix=fix, errors=errors)
+    return made
+
+
+def test_demo_without_matplotlib_shows_the_table_and_a_hint(tmp_path: pathlib.Path, monkeypatch, made: Demo) -> None:
+    without_matplotlib(monkeypatch)
+    monkeypatch.setattr("jaxgeo.demo.make_demo", lambda: made)
+    result = run("demo", "--output", tmp_path / "demo.png")
+    assert_table_and_hint(result, tmp_path)
+    for words in ("Somewhere", "fix 7", "every method", "circles", "shares"):
+        assert words in result.stdout
 
 
 def test_help_says_what_demo_does_without_matplotlib() -> None:

@@ -15,6 +15,7 @@ from jaxgeo._numerics import (
     safe_angle,
     safe_norm,
     safe_sqrt,
+    sine_and_cosine,
     tree_where,
 )
 
@@ -87,6 +88,20 @@ def test_tree_where_chooses_leaf_by_leaf():
     found = jax.vmap(lambda c: tree_where(c, a, b))(jnp.array([True, False]))
     np.testing.assert_array_equal(found["x"], [[1, 1], [0, 0]])
     np.testing.assert_array_equal(found["y"], [1, 0])
+
+
+def test_sine_and_cosine_to_the_last_digit_with_derivatives():
+    angle = np.concatenate([np.linspace(-7.0, 7.0, 3001), np.arange(-9, 10) * np.pi / 4.0, [-9e4, 1e5, 1e-300]])
+    sine, cosine = jax.jit(sine_and_cosine)(jnp.asarray(angle))
+    np.testing.assert_allclose(sine, np.sin(angle), rtol=0.0, atol=3e-16)
+    np.testing.assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=3e-16)
+    first, second = (
+        jax.vmap(f)(jnp.asarray(angle))
+        for f in (jax.grad(lambda x: sine_and_cosine(x)[0]), jax.grad(jax.grad(lambda x: sine_and_cosine(x)[1])))
+    )
+    np.testing.assert_allclose(first, cosine, rtol=0.0, atol=3e-16)
+    np.testing.assert_allclose(second, -np.asarray(cosine), rtol=0.0, atol=3e-16)
+    assert not np.any(np.isfinite(sine_and_cosine(jnp.array([np.nan, np.inf]))))
 
 
 @pytest.mark.parametrize("value", [1e-15, 0.0, -1e-15])

@@ -1,7 +1,8 @@
-"""Files to records and back: elevation models, vertical datums, scenes, tables. Only this room knows PROJ and GDAL."""
+"""Files to records and back: elevation models, vertical datums, scenes, tables, maps. Only io knows PROJ and GDAL."""
 
 from __future__ import annotations
 
+from jaxgeo.io.accuracy_map import write_accuracy_map
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.io.errors import DemError, VerticalDatumError
@@ -21,4 +22,5 @@ __all__ = [
     "read_dem",
     "read_dem_and_report",
     "undulation",
+    "write_accuracy_map",
 ]

@@ -49,7 +49,8 @@ def budget_bars(budget: Budget, ax: Axes, *, most: int = MOST_BARS) -> BarContai
     style: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "va": "center", "ha": "right", "fontsize": 9}
     for y, (_, _, without) in enumerate(shown):
         ax.text(1.14, y, f"{without:.2f}", **style)
-    ax.text(1.14, -0.9, f"{figure} without, m", **style)
+    above = {**style, "transform": ax.transAxes, "va": "bottom"}
+    ax.text(1.14, 1.01, f"{figure} without, m", **above)
     ax.set_title(f"{figure} {budget.circular_error:.2f} m", loc="left")
     return bars
 

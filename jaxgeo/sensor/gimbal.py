@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
 from jaxgeo._numerics import product
-from jaxgeo._typing import Flag, Matrix3
-from jaxgeo.rotations import Rx, Ry, Rz
+from jaxgeo._typing import Flag, Matrix3, Vector3
+from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 Readings: TypeAlias = Float[Array, " axes"]
@@ -31,6 +31,7 @@ else:
     LimitsField: TypeAlias = Num[ArrayLike, "... axes 2"]
 
 _ROTATIONS = {"x": Rx, "y": Ry, "z": Rz}
+_TURNS = {"x": about_x, "y": about_y, "z": about_z}
 _RIGHT_ANGLE = math.pi / 2.0
 
 
@@ -162,6 +163,13 @@ class Gimbal(eqx.Module):
         for axis, angle in zip(self.axes, angles, strict=True):
             R = product(R, _ROTATIONS[axis](angle))
         return R
+
+    def to_base(self, readings: ReadingsLike, v_head: Vector3) -> Vector3:
+        """A vector in the axes of the head, in those of the base: turned axis by axis, without a matrix."""
+        x, y, z = v_head[0], v_head[1], v_head[2]
+        for axis, angle in zip(reversed(self.axes), reversed(self.angles(readings)), strict=True):
+            x, y, z = _TURNS[axis](angle, (x, y, z))
+        return jnp.stack([x, y, z])
 
     def inside_limits(self, readings: ReadingsLike) -> Flag:
         """Whether every reading lies within its limits, bounds included."""

@@ -57,6 +57,22 @@ class Sensor(eqx.Module):
         lever = turned(station.R_ecef_from_body, mount.lever_body) + turned(R_ecef_from_head, mount.lever_head)
         return Sight(station.p_ecef + lever, product(R_ecef_from_head, mount.R_head_from_camera))
 
+    def line(self, station: Station, direction_camera: Vector3) -> tuple[Vector3, Vector3]:
+        """(perspective centre in ECEF m, a direction of the camera in ECEF): as by `sight`, but vector by vector.
+
+        Quicker where every line has a shot of its own; many lines from one shot are turned by the one matrix.
+        """
+        mount = as_float64(self.mount, "mount")
+
+        def to_ecef(v_head: Vector3) -> Vector3:
+            v_base = self.gimbal.to_base(station.gimbal_readings, v_head)
+            if self.gimbal.reference == "level":
+                return turned(station.R_ecef_from_level, v_base)
+            return turned(station.R_ecef_from_body, turned(mount.R_body_from_base, v_base))
+
+        lever = turned(station.R_ecef_from_body, mount.lever_body) + to_ecef(mount.lever_head)
+        return station.p_ecef + lever, to_ecef(turned(mount.R_head_from_camera, direction_camera))
+
     def R_ned_from_camera(self, shot: Shot) -> Matrix3:
         """Orientation of the camera (right, down, forward) in north-east-down at the position of the pose."""
         R_ned_from_ecef = R_ecef_from_ned(as_float64(shot.pose.position, "shot.pose.position")).T

@@ -53,7 +53,7 @@ class ConstantHeight(AbstractTerrain):
         status = status_where(ahead, Status.hit, Status.rises_away.code)
         status = status_where(below, Status.camera_below_terrain, status)
         distance = jnp.where(ahead, near, 0.0)
-        return Bracket(distance, distance, jnp.zeros(2, jnp.int32), status)
+        return Bracket(distance, distance, distance, jnp.zeros(2, jnp.int32), status)
 
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
         del cell

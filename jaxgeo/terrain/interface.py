@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 class Bracket(eqx.Module):
     """Where along a ray the surface is crossed, found without gradients.
 
-    `lower` and `upper` are ranges in m, `cell` the (row, col) of the cell's first post, `status` an int8 `Status`.
-    Where there is no crossing the ranges are zero and the cell is (0, 0).
+    It lies between the ranges `lower` and `upper` in m, as far as the search can tell at `near`; `cell` is the
+    (row, col) of the cell's first post, `status` an int8 `Status`. Where there is no crossing the ranges are zero and
+    the cell is (0, 0).
     """
 
     lower: ScalarField
     upper: ScalarField
+    near: ScalarField
     cell: Int[Array, "... 2"]
     status: StatusField
 

@@ -26,7 +26,8 @@ def polish(ray: Ray, terrain: AbstractTerrain, bracket: Bracket) -> Scalar:
     """
     world = (ray, terrain, bracket.cell)
     frozen = jax.lax.stop_gradient(world)
-    root = _newton_in_bracket(lambda s: _clearance(s, frozen), bracket.lower - SLACK, bracket.upper + SLACK)
+    lower, upper = bracket.lower - SLACK, bracket.upper + SLACK
+    root = _newton_in_bracket(lambda s: _clearance(s, frozen), lower, upper, bracket.near)
     return implicit_root(_clearance, jax.lax.stop_gradient(root), world)
 
 
@@ -35,8 +36,8 @@ def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, jax.Array]) 
     return terrain.clearance(ray.at(distance), cell)
 
 
-def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upper: Scalar) -> Scalar:
-    """The root of a decreasing crossing: positive clearance at `lower`, negative at `upper`."""
+def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upper: Scalar, near: Scalar) -> Scalar:
+    """The root of a decreasing crossing: positive clearance at `lower`, negative at `upper`; it begins `near` it."""
 
     def unfinished(state: tuple[Scalar, Scalar, Scalar, Flag, jax.Array]) -> Flag:
         _, _, _, is_exact, count = state
@@ -52,6 +53,5 @@ def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upp
         is_near = jnp.abs(following - root) <= CLOSE_ENOUGH
         return low, high, jnp.where(is_there & ~is_near, root, following), is_there | is_near, count + 1
 
-    start = 0.5 * (lower + upper)
-    state = (lower, upper, start, jnp.isnan(start), jnp.asarray(0))
+    state = (lower, upper, near, jnp.isnan(near), jnp.asarray(0))
     return jax.lax.while_loop(unfinished, refine, state)[2]

@@ -12,6 +12,8 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.dem import Dem
 
+LONGEST_TRACK = 40_000.0  # m: over more a quartic is not true enough
+TRACK_TOLERANCE = 1e-6  # m; one of a bent ray errs by some 5e-7
 COEFFICIENTS = 5  # of a quartic
 _DROPPED = 16.0 / (25.0 * 5.0**0.5)  # largest |tau (tau^2 - 1)^2| on [-1, 1]
 

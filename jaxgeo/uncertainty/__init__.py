@@ -2,6 +2,8 @@
 
 from jaxgeo.uncertainty import metrics, presets, sources
 from jaxgeo.uncertainty.accuracy import Accuracy, accuracy
+from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map, accuracy_of_pixels
+from jaxgeo.uncertainty.assess import NO_FIX, Assessment, assess
 from jaxgeo.uncertainty.budget import Budget, budget
 from jaxgeo.uncertainty.compare import Comparison, compare
 from jaxgeo.uncertainty.design import Design, InverseCost, Outcome, certified_design, design
@@ -19,8 +21,11 @@ from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
 from jaxgeo.uncertainty.verdict import Signs, Trust
 
 __all__ = [
+    "NO_FIX",
     "AbstractDraws",
     "Accuracy",
+    "AccuracyMap",
+    "Assessment",
     "Budget",
     "Comparison",
     "Design",
@@ -46,6 +51,9 @@ __all__ = [
     "SobolIndices",
     "Trust",
     "accuracy",
+    "accuracy_map",
+    "accuracy_of_pixels",
+    "assess",
     "budget",
     "certified_design",
     "circular_error",

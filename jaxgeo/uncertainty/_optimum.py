@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.optimize
+import scipy  # loads its parts when they are asked for
 from jaxtyping import Bool, Float
 
 from jaxgeo._typing import Scalar

@@ -7,22 +7,22 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
-from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.sampled import Sampled, sample
+from jaxgeo.uncertainty.sampled import CHUNK, Sampled, sample
 from jaxgeo.uncertainty.verdict import Signs, Trust, signs_of, trust_of
 
 SAMPLES = 20_000
+RANDOM = Random()
 
 
 class Accuracy(eqx.Module):
@@ -64,31 +64,32 @@ def accuracy(
     atmosphere: Atmosphere | None = None,
     key: Any = None,
     count: int = SAMPLES,
+    draws: AbstractDraws = RANDOM,
+    chunk: int = CHUNK,
 ) -> Accuracy:
     """How sure the fix is that `locate` gives with the same arguments.
 
     What lies about the fix is looked at first, without a sample: the slope of the facet against that of the footprint,
     the profile of the ground along the look with its ridges and unseen gaps, edges and voids within reach. If linear
     propagation over the facet agrees with them, that is the answer; if not, but that over the footprint does, that one;
-    if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out). Raises as
-    `propagate`, and `ValueError` for a probability outside (0, 1) and where there is no fix.
+    if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out; `draws` and
+    `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a probability outside (0, 1) and where there
+    is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and `assess`.
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     aim = look.aim(search)
-    if not bool(counts_as_fix(jnp.asarray(aim.fix.status))):
-        status = Status(int(aim.fix.status))
-        raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
+    aim.require_fix()
     signs, facet, footprint = signs_of(look, aim, model)
     trust = Trust(int(trust_of(signs)))
     because = _reason(signs, trust)
     if trust is Trust.samples:
         key = jax.random.key(0) if key is None else key
-        drawn = sample(
-            sensor, shot, uv, terrain, model, key=key, count=count, time=time, search=search, atmosphere=atmosphere
-        )
+        how: dict[str, Any] = {"key": key, "count": count, "draws": draws, "chunk": chunk}
+        given: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
+        drawn = sample(sensor, shot, uv, terrain, model, **how, **given)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         circular, linear, spherical = (door(probability).value for door in doors)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)

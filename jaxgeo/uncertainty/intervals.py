@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.special
+import scipy  # loads its parts when they are asked for
 
 LEAST_SCRAMBLES = 16
 

@@ -13,21 +13,29 @@ from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64
 from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
-from jaxgeo._numerics import implicit_root, safe_norm, tree_where
+from jaxgeo._numerics import implicit_root, safe_norm, tree_where, turned
 from jaxgeo._typing import Matrix3, PixelField, Scalar, ScalarField, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
-from jaxgeo.locate import FIRST_HIT, located_anywhere
+from jaxgeo.locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
-from jaxgeo.sensor.platform import Pose
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.sensor.platform import Pose, Station
+from jaxgeo.status import Status, counts_as_fix, status_where
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
 KNOTS = 8  # of a trajectory about an exposure, within which an error of its time leaves a look
+
+
+class Sightline(NamedTuple):
+    """A line of sight as the sensor gives it, straight, and whether it does."""
+
+    ray: Ray
+    status: StatusCode
 
 
 class Aim(NamedTuple):
@@ -43,6 +51,27 @@ class Aim(NamedTuple):
     cell: Int[Array, "2"]
     direction_enu: Vector3
     R_ecef_from_enu: Matrix3
+
+    def missed_by(
+        self, line: Sightline, terrain: AbstractTerrain, air: Atmosphere | None, search: AbstractSearch
+    ) -> tuple[Vector3, StatusCode]:
+        """(offset of the fix of a line of sight from this one in east, north, up here, m; status)."""
+        ray, status = line
+        if isinstance(search, FirstHit) and isinstance(terrain, Dem) and air is None:
+            p_ecef, status = touched_by(ray, status, terrain, search)
+            found = has_point(status)
+        else:
+            fix, _ = met_by(ray, status, terrain, search, air)
+            p_ecef, found, status = fix.ecef, fix.found, jnp.asarray(fix.status)
+        offset = jnp.where(found, p_ecef - self.p_ecef, 0.0)
+        return turned(self.R_ecef_from_enu.T, offset), status
+
+    def require_fix(self) -> None:
+        """Raise `ValueError` unless there is a fix, of a look that is not traced, whose ground is the first met."""
+        code = jnp.asarray(self.fix.status)
+        if not bool(counts_as_fix(code)):
+            status = Status(int(code))
+            raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
 
 
 class Look(eqx.Module):
@@ -108,9 +137,19 @@ class Look(eqx.Module):
 
     def miss(self, aim: Aim, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
         """(offset of this look's fix from `aim` in east, north, up there in m, status)."""
-        fix = self.ground(search)
-        offset = jnp.where(fix.found, fix.ecef, aim.p_ecef) - aim.p_ecef
-        return aim.R_ecef_from_enu.T @ offset, jnp.asarray(fix.status)
+        return aim.missed_by(self.sightline(), self.terrain, self.air, search)
+
+    def sightline(self) -> Sightline:
+        """The line of sight of a look whose numbers are finite, whether or not the pixel lies on the image.
+
+        Those that are not leave a ray that is not, which is invalid input to any search.
+        """
+        if isinstance(self.motion, Shot):
+            direction_camera, status = self.sensor.camera.ray(self.uv)
+            origin, direction = self.sensor.line(Station.of(self.motion), direction_camera)
+        else:
+            origin, direction, status = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
+        return Sightline(Ray(origin, direction), status_where(status == Status.outside_image, Status.hit, status))
 
     @property
     def pose(self) -> Pose:

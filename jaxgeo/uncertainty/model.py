@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -14,6 +15,8 @@ from jaxgeo._typing import StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
+
+Root: TypeAlias = Float[Array, "..."]
 
 
 class ErrorModel(eqx.Module):
@@ -53,12 +56,22 @@ class ErrorModel(eqx.Module):
             total = total.at[place, place].set(source.covariance())
         return total
 
+    def roots(self) -> tuple[Root, ...]:
+        """A root of every source's covariance, which may be singular: a vector where its axes are independent."""
+        return tuple(_root(source) for source in self.sources)
+
     def factor(self) -> Covariance:
-        """L, with L z ~ N(0, covariance) for standard normal z; a covariance may be singular."""
+        """L, with L z ~ N(0, covariance) for standard normal z: the roots, put together."""
         total = jnp.zeros((self.size, self.size))
-        for source, place in self.parts():
-            total = total.at[place, place].set(_square_root(source))
+        for root, (_, place) in zip(self.roots(), self.parts(), strict=True):
+            total = total.at[place, place].set(jnp.diag(root) if root.ndim == 1 else root)
         return total
+
+    def drawn(self, roots: tuple[Root, ...], normal: Error) -> Error:
+        """The error vector L z of a standard normal vector z: as by `factor`, but without its zeros."""
+        return jnp.concatenate(
+            [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
+        )
 
     def moved(self, look: Look, error: Error) -> Look:
         """The look with errors in it."""
@@ -90,7 +103,9 @@ def checked_model(errors: object, look: Look) -> ErrorModel:
     if isinstance(sources, AbstractSource):
         sources = (sources,)
     if not isinstance(sources, tuple | list):
-        raise TypeError(f"errors must be a jaxgeo ErrorModel or a tuple of error sources; got {type(errors).__name__}.")
+        got = f"the class {errors.__name__}: did you forget its arguments?" if isinstance(errors, type) else None
+        got = got or f"{type(errors).__name__}."
+        raise TypeError(f"errors must be a jaxgeo ErrorModel or a tuple of error sources; got {got}")
     for number, source in enumerate(sources):
         if not isinstance(source, AbstractSource):
             hint = f" Did you mean {source.__name__}(...)?" if isinstance(source, type) else ""
@@ -105,9 +120,14 @@ def checked_model(errors: object, look: Look) -> ErrorModel:
     return model
 
 
-def _square_root(source: AbstractSource) -> Float[Array, "n n"]:
-    """A root of a source's covariance: diagonal where its axes are independent."""
+def _root(source: AbstractSource) -> Root:
+    """A root of a source's covariance: the diagonal of one where its axes are independent."""
     if source.correlation is None and len(source.sigma_axes) == len(source.axes):
-        return jnp.diag(jnp.asarray(source.sigma))
+        return jnp.asarray(source.sigma)
     values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(source.covariance()))
     return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # what varies most comes first
+
+
+def _times_root(root: Root, normal: Error) -> Error:
+    # a product of matrices would round by its batch
+    return root * normal if root.ndim == 1 else jnp.sum(root * normal[None, :], axis=1)

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._typing import Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, one_ahead, planned
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.intervals import (
     Interval,
@@ -28,7 +26,7 @@ from jaxgeo.uncertainty.intervals import (
     scramble_quantile,
     scrambled_interval,
 )
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 
 CHUNK = 65_536
@@ -95,18 +93,6 @@ class Sampled(eqx.Module):
         return Quantile(float(value), float(low), float(high), float(conditional), self.found / self.count)
 
 
-class Plan(NamedTuple):
-    """What is sampled and how, once and for all chunks."""
-
-    look: Look
-    aim: Aim
-    model: ErrorModel
-    factor: Float[Array, "axes axes"]
-    draws: AbstractDraws
-    search: AbstractSearch
-    key: Any
-
-
 def sample(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -143,10 +129,9 @@ def sample(
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     _check_request(count, chunk, draws, figures, confidence, half_width)
-    plan = _plan(look, look.aim(search), model, draws, search, key)
-    if not bool(counts_as_fix(jnp.asarray(plan.aim.fix.status))):
-        status = Status(int(plan.aim.fix.status))
-        raise ValueError(f"there is no fix whose errors could be drawn: {status.name}: {status.message}")
+    aim = look.aim(search)
+    aim.require_fix()
+    plan = planned(look, aim, model, draws, search, key)
     devices = list(jax.devices() if devices is None else devices)
     centre = np.zeros(3)
     if about_mean:
@@ -173,59 +158,6 @@ def _check_request(
         raise ValueError(f"half_width must be a positive share of the first of the figures; got {half_width!r}.")
 
 
-@eqx.filter_jit
-def _plan(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any) -> Plan:
-    model = model.at(look, aim)
-    factor = model.factor()
-    if isinstance(draws, Sobol):
-        jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
-        factor = factor @ _leading_first(jacobian @ factor)
-    return Plan(look, aim, model, factor, draws, search, key)
-
-
-def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
-    """A rotation of standard normal vectors after which the first of them move the fix the most."""
-    sound = jnp.all(jnp.isfinite(swept))
-    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
-    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
-
-
-def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]:
-    """Misses in m and statuses of the samples of these numbers."""
-
-    def one(number: Int[Array, ""]) -> tuple[Vector3, Int8[Array, ""]]:
-        drawn = plan.draws.standard_normal(plan.key, number, plan.model.size)
-        error = jnp.sum(plan.factor * drawn[None, :], axis=1)  # a product of matrices would round by its batch
-        return plan.model.miss(plan.look, plan.aim, error, plan.search)
-
-    return jax.vmap(one)(numbers)
-
-
-@eqx.filter_jit
-def _drawn(
-    plan: Plan, first: Int[Array, ""], centre: Vector3, size: int, devices: tuple[Any, ...]
-) -> tuple[Float[Array, "samples 3"], Int8[Array, " samples"], Float[Array, "3 samples"]]:
-    """(errors about the centre, statuses, radii for CE, LE and SE) of a chunk, spread over the devices."""
-    numbers = first + jnp.arange(size)
-    if len(devices) == 1:
-        miss, status = _misses(plan, numbers)
-    else:
-        everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
-        spread = jax.shard_map(
-            _misses,
-            mesh=Mesh(np.array(devices), ("samples",)),
-            in_specs=(everywhere, in_turn),
-            out_specs=in_turn,
-            check_vma=False,
-        )
-        miss, status = spread(plan, numbers)
-    found = counts_as_fix(status)
-    error = miss - centre[None, :]
-    across = error[:, 0] ** 2 + error[:, 1] ** 2
-    radii = jnp.stack([jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2)])
-    return jnp.where(found[:, None], error, jnp.nan), status, jnp.where(found, radii, jnp.inf)
-
-
 def _gather(
     plan: Plan,
     count: int,
@@ -241,26 +173,12 @@ def _gather(
     """Draw chunk after chunk, and keep what was asked for."""
     scrambles = plan.draws.scrambles if isinstance(plan.draws, Sobol) else 0
     tally = _Tally(count, figures, keep)
-    for first, size, padded in _chunks(count, chunk, len(devices), max(scrambles, 1), progress):
-        drawn = _drawn(plan, jnp.asarray(first), jnp.asarray(centre), padded, tuple(devices))
-        error, status, radii = (np.asarray(part) for part in drawn)
-        tally.add(first, error, status, radii, size)
+    parts = chunks(count, chunk, len(devices), max(scrambles, 1), progress)
+    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), tuple(devices)):
+        tally.add(first, size, drawn)
         if half_width is not None and tally.is_sharp(half_width, confidence, scrambles):
             break
     return tally.result(plan.aim.fix, centre, scrambles, confidence)
-
-
-def _chunks(count: int, chunk: int, devices: int, unit: int, progress: bool) -> Iterator[tuple[int, int, int]]:
-    """(first sample, number of samples, the same padded to one size that goes into devices and scrambles)."""
-    unit = int(np.lcm(devices, unit))
-    size = -(-min(chunk, count) // unit) * unit
-    parts = [(first, min(size, count - first), size) for first in range(0, count, size)]
-    if not progress:
-        yield from parts
-        return
-    from rich.progress import track  # only who wants to see it needs it
-
-    yield from track(parts, description="sampling")
 
 
 class _Tally:
@@ -274,19 +192,18 @@ class _Tally:
         self.radii = {figure: np.empty(count) for figure in figures}
         self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if keep else None
 
-    def add(self, first: int, error: np.ndarray, status: np.ndarray, radii: np.ndarray, size: int) -> None:
-        error, status, radii = error[:size], status[:size], radii[:, :size]
-        found = np.isfinite(radii[0])
-        known = error[found]
+    def add(self, first: int, size: int, drawn: Drawn) -> None:
+        codes = np.asarray(drawn.codes)
         self.count += size
-        self.found += int(found.sum())
-        self.sum += known.sum(axis=0)
-        self.squares += known.T @ known
-        self.codes += np.bincount(status, minlength=len(Status))
+        self.found += int(codes[np.asarray(counts_as_fix(jnp.arange(len(Status))))].sum())
+        self.sum += np.asarray(drawn.total)
+        self.squares += np.asarray(drawn.squares)
+        self.codes += codes
         for figure, kept in self.radii.items():
-            kept[first : first + size] = radii[FIGURES.index(figure)]
+            kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]
         if self.kept is not None:
-            self.kept[0][first : first + size], self.kept[1][first : first + size] = error, status
+            for all_, some in zip(self.kept, (drawn.errors, drawn.statuses), strict=True):
+                all_[first : first + size] = np.asarray(some)[:size]
 
     def is_sharp(self, half_width: float, confidence: float, scrambles: int) -> bool:
         """Whether the first figure's interval at 90 % is narrow enough; asked each time a quarter more is there."""

@@ -10,17 +10,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
+import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxgeo._typing import Flag, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
-from jaxgeo.status import Status
+from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.budget import source_names
+from jaxgeo.uncertainty.bundle import misses
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.look import Aim, Look
@@ -156,9 +156,7 @@ def sobol_indices(
     model = checked_model(errors, look)
     _check_request(count, draws, confidence, resamples, chunk)
     plan = planned(look, look.aim(search), model)
-    if not bool(plan.aim.fix.found):
-        status = Status(int(plan.aim.fix.status))
-        raise ValueError(f"there is no fix whose errors could be drawn: {status.name}: {status.message}")
+    plan.aim.require_fix()
     names, members = groups_of(model, by_axis)
     push = lambda normals: misses_of(plan, normals, search)  # noqa: E731
     misses, found = evaluated(push, draws, key, members, count, min(chunk, count))
@@ -262,11 +260,11 @@ def misses_of(
 ) -> tuple[Float[Array, "rows 3"], Bool[Array, " rows"]]:
     """(misses in m for standard normal errors, whether there is a fix)."""
 
-    def one(normal: Float[Array, " axes"]) -> tuple[Vector3, Flag]:
-        miss, status = plan.model.miss(plan.look, plan.aim, plan.factor @ normal, search)
-        return miss, (status == Status.hit) | (status == Status.near_tangent)
+    def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
+        return jnp.sum(plan.factor * normal[None, :], axis=1)  # a product of matrices would round by its batch
 
-    return jax.vmap(one)(normals)
+    miss, status = misses(plan.model, plan.look, plan.aim, search, error_of, normals)
+    return miss, counts_as_fix(status)
 
 
 @eqx.filter_jit

@@ -52,10 +52,12 @@ class Signs(NamedTuple):
 def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagation, Propagation]:
     """The signs, and the propagations by facet and footprint that they were read from."""
     facet, footprint = (propagated(look, aim, model, slope) for slope in (FACET, FOOTPRINT))
-    across, up = ((_circular(one), _linear(one)) for one in (facet, footprint))
     zero, one = jnp.asarray(0.0), jnp.asarray(1.0)
     grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
-    (facet_ce, facet_le), (footprint_ce, footprint_le) = across, up
+    cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # both at once: what inverts the integral is compiled once
+    bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
+    facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
+    facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
     if not isinstance(look.terrain, Dem):
         signs = Signs(facet_ce, facet_ce, facet_ce, facet_le, facet_le, facet_le, zero, zero, one / zero, grazing, one)
         return signs, facet, footprint
@@ -74,14 +76,6 @@ def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagatio
         footprint.surface.known,
     )
     return signs, facet, footprint
-
-
-def _circular(one: Propagation) -> Scalar:
-    return circular_error(one.cov_enu[:2, :2], 0.9, one.bias_enu[:2])
-
-
-def _linear(one: Propagation) -> Scalar:
-    return linear_error(one.cov_enu[2, 2], 0.9, one.bias_enu[2])
 
 
 class Trust(enum.IntEnum):

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.platform import Station
 from jaxgeo.status import Status
 
 SIZE = {"focal_px": (9000.0, 9100.0), "width": 8000, "height": 6000}
@@ -86,6 +87,10 @@ def test_rays_are_the_product_of_the_frames_and_project_undoes_them(name):
         origin_literal, direction_literal = literal(sensor, one(shots, index), uv[index])
         np.testing.assert_allclose(origin[index], origin_literal, rtol=0, atol=2e-9)
         np.testing.assert_allclose(direction[index], direction_literal, rtol=0, atol=2e-15)
+        direction_camera, _ = sensor.camera.ray(uv[index])
+        by_vectors = sensor.line(Station.of(one(shots, index)), direction_camera)
+        np.testing.assert_allclose(by_vectors[0], origin[index], rtol=0, atol=2e-9)
+        np.testing.assert_allclose(by_vectors[1], direction[index], rtol=0, atol=2e-15)
 
 
 def test_a_level_gimbal_takes_only_its_lever_from_the_attitude():

@@ -37,31 +37,37 @@ def pose_of(p_ecef, R_ecef_from_body):
     return Pose(position, *heading_pitch_roll_from_R(R_ecef_from_ned(position).T @ R_ecef_from_body))
 
 
+@jax.jit
 def knots_at(times):
     p, R, readings = jax.vmap(motion)(times)
     return jax.vmap(pose_of)(p, R), readings
 
 
+def times_of(interval: float) -> jax.Array:
+    """Nine knots about 4 s: always as many, so that nothing is compiled twice."""
+    return 4.0 + interval * jnp.arange(-4.0, 5.0)
+
+
 def flown(interval: float, **given) -> Trajectory:
-    times = jnp.arange(0.0, 8.0 + 1e-9, interval)
-    poses, readings = knots_at(times)
-    return Trajectory.from_knots(times, poses, readings, **given)
+    poses, readings = knots_at(times_of(interval))
+    return Trajectory.from_knots(times_of(interval), poses, readings, **given)
 
 
-def errors(trajectory: Trajectory) -> tuple[float, float, float]:
+@jax.jit
+def errors(trajectory: Trajectory) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Largest errors of position in m, attitude and readings in rad, between the knots and away from the ends."""
-    times = jnp.linspace(2.0, 6.0, 173)
+    times = jnp.linspace(trajectory.times[2], trajectory.times[6], 173)
     p, R, readings = jax.vmap(motion)(times)
     shots = jax.vmap(trajectory.at)(times)
     R_found = jax.vmap(lambda pose: R_ecef_from_ned(pose.position) @ pose.R_ned_from_body)(shots.pose)
     apart = jax.vmap(lambda a, b: jnp.linalg.norm(rotation_vector_from_R(a.T @ b)))(R, R_found)
     away = jnp.linalg.norm(jax.vmap(WGS84.to_ecef)(shots.pose.position) - p, axis=1)
-    return float(jnp.max(away)), float(jnp.max(apart)), float(jnp.max(jnp.abs(shots.gimbal_readings - readings)))
+    return jnp.max(away), jnp.max(apart), jnp.max(jnp.abs(shots.gimbal_readings - readings))
 
 
 def test_every_knot_is_met():
     trajectory = flown(0.5)
-    for k in (0, 1, 7, 16):
+    for k in (0, 1, 4, 8):
         shot = trajectory.at(trajectory.times[k])
         pose = jax.tree.map(lambda x, k=k: x[k], trajectory.poses)
         np.testing.assert_allclose(WGS84.to_ecef(shot.pose.position), WGS84.to_ecef(pose.position), rtol=0, atol=5e-9)
@@ -79,14 +85,15 @@ def test_the_interpolation_is_of_third_order():
 
 def given_rates(interval: float) -> dict:
     """What an inertial system would say at the knots."""
-    times = jnp.arange(0.0, 8.0 + 1e-9, interval)
 
+    @jax.jit
+    @jax.vmap
     def one(t):
         (p, R, _), (v, turn, _) = jax.jvp(motion, (t,), (jnp.ones_like(t),))
         spin = R.T @ turn
         return R_ecef_from_ned(WGS84.to_geodetic(p)).T @ v, jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
 
-    velocity, rates = jax.vmap(one)(times)
+    velocity, rates = one(times_of(interval))
     return {"velocity_ned": velocity, "body_rates": rates}
 
 
@@ -99,7 +106,7 @@ def test_with_velocities_and_rates_it_is_of_fourth_order():
 
 def test_velocity_and_rates_are_those_of_the_motion_and_have_no_steps():
     trajectory = flown(0.25)
-    for t in (2.0, 3.1, 4.25 - 1e-9, 4.25 + 1e-9):
+    for t in (3.5, 3.9, 4.25 - 1e-9, 4.25 + 1e-9):
         (p, R, _), (v, turn, _) = jax.jvp(motion, (jnp.asarray(t),), (jnp.asarray(1.0),))
         spin = R.T @ turn
         expected = R_ecef_from_ned(WGS84.to_geodetic(p)).T @ v
@@ -114,10 +121,10 @@ def test_velocity_and_rates_are_those_of_the_motion_and_have_no_steps():
 
 def test_a_steady_turn_is_exact():
     """About one axis at one rate, in intervals of 0.9 rad."""
-    times = jnp.arange(5.0)
+    times = jnp.arange(9.0)
     axis = jnp.array([0.3, -0.5, 0.6])
     R = jax.vmap(lambda t: R_START @ R_from_rotation_vector(t * axis))(times)
-    poses = jax.vmap(pose_of)(jnp.broadcast_to(START, (5, 3)), R)
+    poses = jax.vmap(pose_of)(jnp.broadcast_to(START, (9, 3)), R)
     shot = Trajectory.from_knots(times, poses).at(2.37)
     found = R_ecef_from_ned(shot.pose.position) @ shot.pose.R_ned_from_body
     np.testing.assert_allclose(found, R_START @ R_from_rotation_vector(2.37 * axis), rtol=0, atol=1e-13)
@@ -127,8 +134,9 @@ def test_a_frame_camera_on_a_trajectory_is_its_shot():
     trajectory, ground = flown(0.5), ConstantHeight(200.0)
     pose = jax.tree.map(lambda x: x[5], trajectory.poses)
     still = Shot(pose, trajectory.gimbal_readings[5], trajectory.times[5])
+    hit = jax.jit(lambda shot, uv: locate(SENSOR, shot, uv, ground).ecef)
     for uv in ((0.0, 0.0), (999.5, 749.5)):
-        a, b = (locate(SENSOR, shot, uv, ground).ecef for shot in (still, trajectory.at(trajectory.times[5])))
+        a, b = (hit(shot, jnp.array(uv)) for shot in (still, trajectory.at(trajectory.times[5])))
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-8)
 
 
@@ -177,7 +185,7 @@ def test_before_and_after_there_is_nothing():
         fixes = jax.vmap(lambda t: locate(SENSOR, trajectory.at(t), (10.0, 10.0), ground))(times)
         return jnp.sum(jnp.where(fixes.ok, fixes.slant_range, 0.0)), fixes.status
 
-    gradient, status = jax.grad(total, has_aux=True)(jnp.array([-1e-6, 0.0, 4.0, 8.0, 8.0 + 1e-6, jnp.nan]))
+    gradient, status = jax.jit(jax.grad(total, has_aux=True))(jnp.array([-1e-6, 0.0, 4.0, 8.0, 8.0 + 1e-6, jnp.nan]))
     names = [Status(int(s)) for s in status]
     assert names == [Status.invalid_input, *[Status.hit] * 3, *[Status.invalid_input] * 2]
     assert np.all(np.isfinite(gradient))

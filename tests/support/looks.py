@@ -9,6 +9,7 @@ import numpy as np
 from jaxgeo import (
     Atmosphere,
     BrownConrady,
+    ConstantHeight,
     FrameCamera,
     Gimbal,
     Mount,
@@ -18,7 +19,7 @@ from jaxgeo import (
     Trajectory,
 )
 from jaxgeo.sensor import boresight_from_degrees
-from jaxgeo.uncertainty import ErrorModel, InTime, sources
+from jaxgeo.uncertainty import EachShot, ErrorModel, InTime, sources
 from tests.support.scenes import rough, small_dem
 
 UV = (700.0, 420.0)
@@ -112,3 +113,34 @@ def steps(model: ErrorModel) -> jax.Array:
     sizes = {"rad": 1e-6, "m": 1e-3, "m/s": 1e-3, "s": 1e-5, "px": 1e-3, "1": 1e-5, "K and Pa": 1e-1}
     parts = [part for source in model.sources for part in getattr(source, "parts", (source,))]
     return jnp.concatenate([jnp.full(len(part.axes), sizes[part.unit]) for part in parts])
+
+
+# A look at level ground with a block of correlated sources, for budgets and what is made of them.
+LEVEL_UV, LEVEL = (1200.0, 1600.0), ConstantHeight(100.0)
+
+
+def level_sensor() -> Sensor:
+    """A plain camera on a two-axis gimbal."""
+    camera = FrameCamera.from_pixels(focal_px=10_000.0, width=2400, height=3200)
+    return Sensor(camera, Gimbal.two_axis(), Mount.nadir())
+
+
+def level_shot(outer: float = 60.0) -> Shot:
+    """From 3 km above the level ground, so many deg off nadir."""
+    pose = Pose.from_degrees(lat=47.0, lon=11.0, height=3100.0, heading=160.0, pitch=3.0)
+    return Shot(pose, level_sensor().gimbal.readings_from_degrees(outer=outer, inner=5.0))
+
+
+def level_errors() -> ErrorModel:
+    """Independent angles and height, and a block of position and pixel."""
+    place = sources.Position.from_ned(north=1.0, east=2.0, down=3.0)
+    pixel = sources.PixelMeasurement.from_pixels(column=4.0, row=2.0)
+    correlation = 0.6 * jnp.eye(5) + 0.4
+    return ErrorModel(
+        (
+            sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
+            sources.GimbalAngles.from_degrees(outer=0.02, inner=0.01),
+            sources.Correlated.of(place, pixel, correlation=correlation, sharing=EachShot()),
+            sources.TerrainHeight.from_metres(5.0),
+        )
+    )

@@ -22,9 +22,10 @@ TIE = 1e-6  # m of height
 def test_every_ray_over_rough_mountains_meets_the_same_ground_as_an_exhaustive_walk(mountains):
     assert median_slope_deg(mountains.numpy.posts, mountains.numpy.spacing) == pytest.approx(20.0, abs=1.0)
     fix = jax.jit(jax.vmap(intersect, in_axes=(0, None)))(mountains.rays, mountains.dem)
-    expected = np.array([walked.distance for walked in mountains.walked])
-    closest = np.array([walked.closest for walked in mountains.walked])
-    doubles = sum(walked.crossings == 2 for walked in mountains.walked)
+    every = mountains.walked(mountains.rays.origin.shape[0])
+    expected = np.array([walked.distance for walked in every])
+    closest = np.array([walked.closest for walked in every])
+    doubles = sum(walked.crossings == 2 for walked in every)
     away = np.abs(np.asarray(fix.slant_range) - expected)
     differs = ~(away <= WRONG_DISTANCE)
     ties = np.flatnonzero(differs & (closest <= TIE))
@@ -37,12 +38,12 @@ def test_every_ray_over_rough_mountains_meets_the_same_ground_as_an_exhaustive_w
 
 
 def test_bisection_finds_a_crossing_but_not_always_the_first(mountains):
-    rays = jax.tree.map(lambda x: x[:1600], mountains.rays)
+    rays = jax.tree.map(lambda x: x[:200], mountains.rays)
     fix = jax.jit(jax.vmap(lambda ray, dem: intersect(ray, dem, search=Bisection()), in_axes=(0, None)))(
         rays, mountains.dem
     )
     distance = np.asarray(fix.slant_range)
-    first = np.array([walked.distance for walked in mountains.walked[:1600]])
+    first = np.array([walked.distance for walked in mountains.walked(200)])
     beyond = distance - first
     assert np.all(beyond > -WRONG_DISTANCE)
     print(
@@ -182,19 +183,35 @@ def test_the_point_found_lies_on_the_ray_and_on_the_surface(name):
         np.testing.assert_allclose(ray.origin + distance * ray.direction, ecef, rtol=0, atol=2e-9)
 
 
+PADDED = [local_ray(0, 0, 300, azimuth=a, elevation=-50) for a in (0, 90, 180, 270)] + [local_ray(200, 0, 300)]
+
+
+def padded(posts: np.ndarray, grid: TangentGrid, with_: float) -> Dem:
+    """The same ground with rows and columns more, which do not count."""
+    more = np.full((SIZE, SIZE), with_)
+    more[: posts.shape[0], : posts.shape[1]] = posts
+    return Dem.from_array(more, grid, extent=posts.shape)
+
+
+@pytest.mark.slow
 def test_padding_does_not_change_the_answer():
     posts = rough(7)[:12, :9]
-    padded = np.full((SIZE, SIZE), -500.0)
-    padded[:12, :9] = posts
     centre = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
     grid = TangentGrid.centred(centre, spacing=(30.0, 30.0), shape=posts.shape)
-    rays = [local_ray(0, 0, 300, azimuth=a, elevation=-50) for a in (0, 90, 180, 270)] + [local_ray(200, 0, 300)]
-    plain, larger = (
-        hit(rays, Dem.from_array(posts, grid)),
-        hit(rays, Dem.from_array(padded, grid, extent=posts.shape)),
-    )
+    plain, larger = hit(PADDED, Dem.from_array(posts, grid)), hit(PADDED, padded(posts, grid, -500.0))
     np.testing.assert_array_equal(plain.status, larger.status)
     np.testing.assert_allclose(plain.slant_range, larger.slant_range, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("with_", [-500.0, 150.0, 1000.0, np.nan])
+def test_what_lies_in_the_padding_is_no_ground(with_):
+    """Within its extent it is the larger terrain, and beyond it there is nothing."""
+    posts = rough(7)
+    dem = small_dem(posts)
+    plain, larger = hit(PADDED, dem), hit(PADDED, padded(posts[:15, :14], dem.grid, with_))
+    assert np.all(plain.ok)
+    assert [Status(int(code)) for code in larger.status] == [Status.hit] * 4 + [Status.ray_misses_terrain]
+    np.testing.assert_allclose(plain.slant_range[:4], larger.slant_range[:4], rtol=0, atol=5e-9)
 
 
 BISECTED = {
@@ -240,7 +257,8 @@ def test_a_void_ceiling_below_all_ground_is_reached():
 @pytest.mark.parametrize("lon, lat", [(0.0, 0.0), (90.0, 10.0), (-150.0, -80.0), (20.0, 89.0)])
 def test_a_grid_of_the_whole_earth_is_met_everywhere(lon, lat):
     affine = (30.0, 0.0, -180.0, 0.0, -30.0, 90.0)
-    dem = Dem.from_array(np.full((7, 13), 100.0), GeographicGrid.from_affine(affine, (7, 13)))
+    posts = np.full((9, 13), 100.0)  # the last two rows do not count
+    dem = Dem.from_array(posts, GeographicGrid.from_affine(affine, (7, 13)), extent=(7, 13))
     origin = WGS84.to_ecef(Geodetic.from_degrees(lat=lat, lon=lon, height=5000.0))
     up, _ = WGS84.normal_and_height(origin)
     fix = hit([Ray(origin, -up)], dem)
@@ -250,9 +268,10 @@ def test_a_grid_of_the_whole_earth_is_met_everywhere(lon, lat):
 
 def test_a_track_that_bends_over_a_line_of_posts_and_back_is_settled_on_each_side():
     """Quarter-degree cells at 60 degrees north, a valley along a parallel: straight lines bulge over it by metres."""
-    step, posts = 0.25, np.zeros((9, 9))
+    step, posts = 0.25, np.zeros((9, 13))  # of the shape above, so that nothing new is compiled
     posts[3] = posts[5] = 6000.0
-    dem = Dem.from_array(posts, GeographicGrid.from_affine((step, 0, -4 * step, 0, -step, 60 + 4 * step), posts.shape))
+    grid = GeographicGrid.from_affine((step, 0, -4 * step, 0, -step, 60 + 4 * step), (9, 9))
+    dem = Dem.from_array(posts, grid, extent=(9, 9))
     rng = np.random.default_rng(4)
     centre = Geodetic.from_degrees(lat=60.0, lon=0.0, height=0.0)
     R, rays = np.asarray(R_ecef_from_enu(centre)), []

@@ -153,8 +153,9 @@ def test_exhaustive_search_takes_every_step_down_to_eps(k: float) -> None:
 
 
 def first_height(dem: Dem, ray: Ray, search=None) -> float:
-    """Height of the point found by `intersect`."""
-    distance, status = located(jax.tree.map(lambda x: x[None], ray), dem, FirstHit() if search is None else search)
+    """Height of the point found by `intersect`, in a batch of the one size."""
+    batch = jax.tree.map(lambda x: jnp.broadcast_to(x, (BATCH, *x.shape)), ray)
+    distance, status = located(batch, dem, FirstHit() if search is None else search)
     assert status[0] == Status.hit
     return float(dem.over(ray.at(distance[0]))[1])
 

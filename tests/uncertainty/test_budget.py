@@ -10,44 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
-from jaxgeo.uncertainty import EachShot, ErrorModel, propagate
+from jaxgeo.uncertainty import ErrorModel, propagate
 from jaxgeo.uncertainty.budget import ROUGHNESS, budget, sigma_names, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.slopes import Surface
 from jaxgeo.uncertainty.sources import (
-    Attitude,
-    Correlated,
-    GimbalAngles,
-    PixelMeasurement,
-    Position,
     TerrainField,
     TerrainHeight,
 )
+from tests.support import looks
 
-UV, GROUND = (1200.0, 1600.0), ConstantHeight(100.0)
-
-
-def a_sensor() -> Sensor:
-    camera = FrameCamera.from_pixels(focal_px=10_000.0, width=2400, height=3200)
-    return Sensor(camera, Gimbal.two_axis(), Mount.nadir())
-
-
-def a_shot(outer: float = 60.0) -> Shot:
-    pose = Pose.from_degrees(lat=47.0, lon=11.0, height=3100.0, heading=160.0, pitch=3.0)
-    return Shot(pose, a_sensor().gimbal.readings_from_degrees(outer=outer, inner=5.0))
-
-
-def some_errors() -> ErrorModel:
-    place, pixel = Position.from_ned(north=1.0, east=2.0, down=3.0), PixelMeasurement.from_pixels(column=4.0, row=2.0)
-    correlation = 0.6 * jnp.eye(5) + 0.4
-    return ErrorModel(
-        (
-            Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
-            GimbalAngles.from_degrees(outer=0.02, inner=0.01),
-            Correlated.of(place, pixel, correlation=correlation, sharing=EachShot()),
-            TerrainHeight.from_metres(5.0),
-        )
-    )
+UV, GROUND = looks.LEVEL_UV, looks.LEVEL
+a_sensor, a_shot, some_errors = looks.level_sensor, looks.level_shot, looks.level_errors
 
 
 def propagated(errors: ErrorModel, outer: float = 60.0):

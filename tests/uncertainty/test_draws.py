@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import scipy.special
 import scipy.stats.qmc
+from jax.extend.random import threefry_2x32
 
 from jaxgeo.uncertainty import sobol
-from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol, _centred, normal_quantile
+from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol, _centred, normal_quantile, threefry
 
 KEY = jax.random.key(7)
 DRAWS = [Random(), Sobol()]
@@ -157,6 +158,12 @@ def test_the_quantile_inverts_the_normal_distribution() -> None:
     np.testing.assert_allclose(normal_quantile(below), expected, rtol=1e-14, atol=0.0)
     np.testing.assert_array_equal(normal_quantile(-below), -normal_quantile(below))
     assert normal_quantile(jnp.asarray(0.0)) == 0.0
+
+
+def test_words_are_those_of_the_generator_behind_the_keys() -> None:
+    key, counter = jax.random.key_data(KEY), jnp.arange(2**31 - 4, 2**31 + 4, dtype=jnp.uint32)
+    first, second = jax.jit(threefry)(key, counter[:4], counter[4:])
+    np.testing.assert_array_equal(jnp.concatenate([first, second]), threefry_2x32(key, counter))
 
 
 def test_no_bits_give_an_end() -> None:

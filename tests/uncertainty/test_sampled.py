@@ -8,13 +8,16 @@ import os
 import subprocess
 import sys
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import ConstantHeight, Pose, Shot, Status
-from jaxgeo.uncertainty import ErrorModel, Sobol, propagate, sample, sources
+from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
+from jaxgeo.uncertainty import ErrorModel, Random, Sobol, compare, propagate, sample, sources
+from jaxgeo.uncertainty.bundle import with_beam
+from jaxgeo.uncertainty.look import Look
 from tests.support import looks
 
 KEY = jax.random.key(11)
@@ -91,6 +94,39 @@ def test_samples_without_a_fix_count_as_infinitely_far(share_lost: float, least:
     low = result.circular_error(0.5)
     assert math.isfinite(low.value)
     assert low.value > low.conditional
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moves_ground", [False, True])
+def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
+    """On rough ground, where the crowd is told where to begin; one of its own by one of its own."""
+    pointing = sources.Attitude.from_degrees(heading=0.3, pitch=0.3, roll=0.3)
+    ground = (sources.TerrainHeight.from_metres(4.0),) if moves_ground else ()
+    model = ErrorModel((pointing, *ground))
+    scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem())
+    drawn = sample(*scene, model, key=KEY, count=96, keep=True)
+    look = Look.of(*scene)
+    aim = look.aim(FirstHit())
+
+    @jax.jit
+    def miss(look, aim, number):
+        error = model.factor() @ Random().standard_normal(KEY, number, model.size)
+        return model.miss(look, aim, error, FirstHit())
+
+    misses, statuses = jax.vmap(miss, in_axes=(None, None, 0))(look, aim, np.arange(96))
+    np.testing.assert_array_equal(statuses, drawn.codes)
+    found = np.asarray(statuses) == Status.hit
+    assert np.mean(found) > 0.5
+    np.testing.assert_allclose(drawn.errors_enu[found], np.asarray(misses)[found], atol=2e-8)
+
+
+@pytest.mark.parametrize("model", [MODEL, ErrorModel((sources.TerrainHeight.from_metres(4.0),))])
+def test_crowds_are_told_where_to_begin_whatever_errs(model: ErrorModel) -> None:
+    """Also if nothing moves the ground, or nothing but the ground moves: it can be traced."""
+    look = Look.of(looks.sensor(), looks.shot(), looks.UV, looks.dem())
+    aim = eqx.filter_eval_shape(look.aim, FirstHit())
+    found = eqx.filter_eval_shape(with_beam, FirstHit(), model, look, aim)
+    assert found.beam.start.shape == ()
 
 
 @pytest.mark.slow
@@ -187,3 +223,20 @@ def test_another_search_gives_the_same_where_the_crossing_is_one() -> None:
     assert other[1].statuses == first[1].statuses
     np.testing.assert_allclose(other[1].errors_enu, first[1].errors_enu, atol=2e-8)  # m: what ECEF can tell, oblique
     assert other[1].circular_error(0.9).value == pytest.approx(first[1].circular_error(0.9).value, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_comparison_with_another_search_says_the_same_where_the_crossing_is_one() -> None:
+    scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources())
+    first, other = (
+        compare(*scene, key=KEY, count=2000, chunk=2000, search=search)
+        for search in (jaxgeo.FirstHit(), jaxgeo.Bisection())
+    )
+    for name, linear in first.propagations.items():
+        cov = other.propagations[name].cov_enu
+        np.testing.assert_allclose(cov, linear.cov_enu, atol=1e-9 * np.abs(linear.cov_enu).max(), err_msg=name)
+    for row, another in zip(first.rows, other.rows, strict=True):
+        assert another.values == pytest.approx(row.values, rel=1e-7), row.method  # samples and sigma points round
+    for row, another in zip(first.rows[:3], other.rows[:3], strict=True):
+        assert another.values == pytest.approx(row.values, rel=1e-9), row.method
+    assert [q.value for q in other.quantiles] == pytest.approx([q.value for q in first.quantiles], rel=1e-9)

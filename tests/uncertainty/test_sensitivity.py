@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.uncertainty import EachShot, ErrorModel, Random, Sobol, propagate
+from jaxgeo.uncertainty import ErrorModel, Random, Sobol, propagate
 from jaxgeo.uncertainty.budget import budget, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.sensitivity import (
@@ -24,36 +23,20 @@ from jaxgeo.uncertainty.sensitivity import (
     sobol_estimate,
     sobol_indices,
 )
-from jaxgeo.uncertainty.sources import Attitude, Correlated, GimbalAngles, PixelMeasurement, Position, TerrainHeight
+from tests.support import looks
 
-UV, GROUND, ROWS = (1200.0, 1600.0), ConstantHeight(100.0), 512
+UV, GROUND = looks.LEVEL_UV, looks.LEVEL
+a_sensor, a_shot = looks.level_sensor, looks.level_shot
+
+ROWS = 512
 A, B = 7.0, 0.1  # of Ishigami's function
 CAUSED = {1: 0.5 * (1.0 + B * np.pi**4 / 5.0) ** 2, 2: A**2 / 8.0, 13: B**2 * np.pi**8 * (1.0 / 18.0 - 1.0 / 50.0)}
 FIRST = np.array([CAUSED[1], CAUSED[2], 0.0]) / sum(CAUSED.values())
 TOTAL = np.array([CAUSED[1] + CAUSED[13], CAUSED[2], CAUSED[13]]) / sum(CAUSED.values())
 
 
-def a_sensor() -> Sensor:
-    camera = FrameCamera.from_pixels(focal_px=10_000.0, width=2400, height=3200)
-    return Sensor(camera, Gimbal.two_axis(), Mount.nadir())
-
-
-def a_shot(outer: float = 60.0) -> Shot:
-    pose = Pose.from_degrees(lat=47.0, lon=11.0, height=3100.0, heading=160.0, pitch=3.0)
-    return Shot(pose, a_sensor().gimbal.readings_from_degrees(outer=outer, inner=5.0))
-
-
 def some_errors(scale: float = 1.0) -> ErrorModel:
-    place, pixel = Position.from_ned(north=1.0, east=2.0, down=3.0), PixelMeasurement.from_pixels(column=4.0, row=2.0)
-    correlation = 0.6 * jnp.eye(5) + 0.4
-    errors = ErrorModel(
-        (
-            Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
-            GimbalAngles.from_degrees(outer=0.02, inner=0.01),
-            Correlated.of(place, pixel, correlation=correlation, sharing=EachShot()),
-            TerrainHeight.from_metres(5.0),
-        )
-    )
+    errors = looks.level_errors()
     return with_sigmas(errors, scale * sigmas_of(errors))
 
 

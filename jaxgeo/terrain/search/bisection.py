@@ -42,7 +42,7 @@ class Bisection(AbstractSearch):
         status = status_where(~reach.exists, Status.rises_away, status)
         status = status_where(is_buried(ray, dem), Status.camera_below_terrain, status)
         status = status_where(~reach.is_near, Status.ray_misses_terrain, status)
-        return Bracket(lower, upper, cell, status)
+        return Bracket(lower, upper, 0.5 * (lower + upper), cell, status)
 
 
 def _bisect(ray: Ray, dem: Dem, start: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:

@@ -22,6 +22,7 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import happened, has_entered, march_all
 from jaxgeo.terrain.search.walk import Stretch, advance, is_passing, must_settle, place, position_of
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 LARGE_BLOCK = 4096  # rays of the first pass at a time: their tracks stay in a core's cache
 SMALL_BLOCK = 2048
+FEW = 256  # rays of a beam that are left after the first pass, at a time
 BUNDLE = 32  # neighbours that look for a common start
 STRIDE = 8  # finest intervals that a march settles before the ray may skip again
 NO_SPREAD = (0.0, 0.0, 0.0)
@@ -51,20 +53,29 @@ Rays = Float[Array, " rays"]
 Codes = Int32[Array, " rays"]
 
 
-def walk_all(ray: Ray, reach: Reach, ground: Ground) -> tuple[Walker, Track]:
+def walk_all(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None = None) -> tuple[Walker, Track]:
     """Walk every ray (leading axis) to its first event or to its end; the track is the one of the event."""
     count = reach.start.shape[0]
     if count > SMALL_BLOCK:
-        store, waiting, left = _first_pass(ray, reach, ground)
+        store, waiting, left = _first_pass(ray, reach, ground, beam)
     else:
-        walker = jax.vmap(Walker.at_start)(reach)
-        store = Store.of(walker, no_tracks(reach.start))
+        store = Store.of(*_at_start(ray, reach, ground, beam))
+        walker, _ = store.unpacked()
         waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
-    store = _rounds(store, waiting, left, ray, reach, ground)
+    store = _rounds(store, waiting, left, ray, reach, ground, SMALL_BLOCK if beam is None else FEW)
     return store.unpacked()
 
 
-def _first_pass(ray: Ray, reach: Reach, ground: Ground) -> tuple[Store, Int[Array, " list"], Index]:
+def _at_start(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
+    """Every ray at the start of its reach and in need of a track, or at that of the beam, with one."""
+    walker = jax.vmap(Walker.at_start)(reach)
+    if beam is None or ray.bending is not None:
+        return walker, no_tracks(reach.start)
+    is_of_beam = ground.each(beam.holds, ray)
+    return jax.vmap(Walker.within, (0, 0, 0, 0, None))(walker, ray, reach, is_of_beam, beam)
+
+
+def _first_pass(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
     """Every ray once, in blocks that lie together; and who is not done. The last block is filled up."""
     count = reach.start.shape[0]
     blocks = -(-count // LARGE_BLOCK)
@@ -79,9 +90,11 @@ def _first_pass(ray: Ray, reach: Reach, ground: Ground) -> tuple[Store, Int[Arra
         first = number * size
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         (here_ray, here_reach), here = jax.tree.map(part, (ray, reach)), ground.of_rays(part)
-        walker = jax.vmap(Walker.at_start)(here_reach)
-        walker, track = _with_new_tracks(walker, no_tracks(here_reach.start), here_ray, ground.shared, here_reach)
-        walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
+        walker, track = _at_start(here_ray, here_reach, here, beam)
+        few = 0 if beam is None else size // 8  # outside a beam, which wait for the rounds
+        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_reach, few)
+        if beam is None:
+            walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
         walker = _one_round(walker, track, here, here_reach.end, few=size // 8)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
@@ -96,10 +109,12 @@ def _first_pass(ray: Ray, reach: Reach, ground: Ground) -> tuple[Store, Int[Arra
     return jax.tree.map(lambda x: x[:, :count], store), waiting[:count], left
 
 
-def _rounds(store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, ground: Ground) -> Store:
-    """Go through the list again and again until nobody is left."""
+def _rounds(
+    store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, ground: Ground, most: int
+) -> Store:
+    """Go through the list again and again, in blocks of `most` rays, until nobody is left."""
     count = reach.start.shape[0]
-    size = min(SMALL_BLOCK, max(64, 1 << (count - 1).bit_length()))
+    size = min(most, max(64, 1 << (count - 1).bit_length()))
     waiting = jnp.pad(waiting, (0, size))
 
     def block(number, state):
@@ -191,8 +206,10 @@ def _march_in_lanes(
     return tau, news, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
 
 
-def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker, Track]:
-    """New tracks for those rays of a block that ask for one.
+def _with_new_tracks(
+    walker: Walker, track: Track, ray: Ray, dem: Dem, reach: Reach, few: int = 0
+) -> tuple[Walker, Track]:
+    """New tracks for those rays of a block that ask for one, if they are more than a few.
 
     The condition also keeps the tracks from being made anew in every kernel that looks at them.
     """
@@ -201,7 +218,7 @@ def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, reach: Re
         after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, reach)
         return after, jax.vmap(tree_where)(walker.fresh, fresh, track)
 
-    return jax.lax.cond(jnp.any(walker.fresh & ~walker.is_over), made, lambda: (walker, track))
+    return jax.lax.cond(jnp.sum(walker.fresh & ~walker.is_over) > few, made, lambda: (walker, track))
 
 
 def _listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:

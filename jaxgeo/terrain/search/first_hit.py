@@ -16,6 +16,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
+from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.crowd import STRIDE, Walker, walk_all
 from jaxgeo.terrain.search.ground import Ground, fits_together
 from jaxgeo.terrain.search.march import (
@@ -51,42 +52,47 @@ class FirstHit(AbstractSearch):
 
     Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out; also where
     each has a field of its own (`Dem.with_field`). Terrains that differ in more are searched one after the other.
+
+    A `beam` changes no answer but in its last digits: rays within it are known to have nothing before its start.
     """
 
+    beam: Beam | None = None
+
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
-        return _first_hit(ray, dem)
+        return _first_hit(ray, dem, jax.lax.stop_gradient(self.beam))
 
 
 @custom_vmap
-def _first_hit(ray: Ray, dem: Dem) -> Bracket:
-    brackets = _first_hits(jax.tree.map(lambda x: x[None], ray), Ground.common(dem))
+def _first_hit(ray: Ray, dem: Dem, beam: Beam | None) -> Bracket:
+    brackets = _first_hits(jax.tree.map(lambda x: x[None], ray), Ground.common(dem), beam)
     return jax.tree.map(lambda x: x[0], brackets)
 
 
 @_first_hit.def_vmap
-def _(axis_size, in_batched, ray: Ray, dem: Dem):
-    ray_batched, dem_batched = in_batched
+def _(axis_size, in_batched, ray: Ray, dem: Dem, beam: Beam | None):
+    ray_batched, dem_batched, beam_batched = in_batched
     ray = _broadcast(ray, ray_batched, axis_size)
+    beam = None if any(jax.tree.leaves(beam_batched)) else beam
     if fits_together(dem_batched):
-        brackets = _first_hits(ray, Ground.of(dem, dem_batched))
+        brackets = _first_hits(ray, Ground.of(dem, dem_batched), beam)
     else:
         brackets = _one_terrain_each(_first_hit, axis_size, ray, dem, dem_batched)
     return brackets, jax.tree.map(lambda _: True, brackets)
 
 
 @custom_vmap
-def _first_hits(rays: Ray, ground: Ground) -> Bracket:
+def _first_hits(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
     """Brackets of many rays (leading axis); more than `AT_ONCE` go in parts."""
     count = rays.origin.shape[0]
     parts = -(-count // AT_ONCE)
     size = -(-count // parts) if count else 0
     if parts <= 1:
-        return _search(rays, ground) if count else jax.vmap(lambda _: _nothing())(rays.origin)
+        return _search(rays, ground, beam) if count else jax.vmap(lambda _: _nothing())(rays.origin)
 
     def part(start: Int[Array, ""], found: Bracket) -> Bracket:
         first = jnp.minimum(start * size, count - size)
         pick = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
-        new = _search(jax.tree.map(pick, rays), ground.of_rays(pick))
+        new = _search(jax.tree.map(pick, rays), ground.of_rays(pick), beam)
         return jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice_in_dim(all_, some, first, 0), found, new)
 
     nothing = nothing_like(jnp.where(jnp.isfinite(rays.origin[0, 0]), rays.origin[0, 0], 0.0))
@@ -95,14 +101,15 @@ def _first_hits(rays: Ray, ground: Ground) -> Bracket:
 
 
 @_first_hits.def_vmap
-def _(axis_size, in_batched, rays: Ray, ground: Ground):
+def _(axis_size, in_batched, rays: Ray, ground: Ground, beam: Beam | None):
     """A batch of batches is one larger batch."""
-    ray_batched, ground_batched = in_batched
+    ray_batched, ground_batched, beam_batched = in_batched
+    beam = None if any(jax.tree.leaves(beam_batched)) else beam
     rays = _broadcast(rays, ray_batched, axis_size)
     if fits_together(ground_batched.shared):
         count = rays.origin.shape[1]
         flat = lambda x: x.reshape(axis_size * count, *x.shape[2:])  # noqa: E731
-        together = _first_hits(jax.tree.map(flat, rays), _flat_ground(ground, ground_batched, axis_size, count))
+        together = _first_hits(jax.tree.map(flat, rays), _flat_ground(ground, ground_batched, axis_size, count), beam)
         brackets = jax.tree.map(lambda x: x.reshape(axis_size, count, *x.shape[1:]), together)
     else:
         brackets = _one_terrain_each(_first_hits, axis_size, rays, ground, ground_batched)
@@ -131,21 +138,21 @@ def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem | Ground, dem_
 
     def one(number):
         own = [x[number] if is_batched else x for x, is_batched in zip(leaves, flags, strict=True)]
-        return search(jax.tree.map(lambda x: x[number], rays), jax.tree.unflatten(structure, own))
+        return search(jax.tree.map(lambda x: x[number], rays), jax.tree.unflatten(structure, own), None)
 
     return jax.lax.map(one, jnp.arange(axis_size))
 
 
-def _search(rays: Ray, ground: Ground) -> Bracket:
+def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
     reach = ground.each(reach_of, rays)
-    walker, track = walk_all(rays, reach, ground)
+    walker, track = walk_all(rays, reach, ground, beam)
     brackets = ground.each(_as_bracket, walker, track, reach)
     begins_low = reach.exists & reach.is_near & (reach.start == 0.0)
 
     def with_buried() -> Bracket:
         buried = begins_low & ground.each(is_buried, rays)
         status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
-        return Bracket(brackets.lower, brackets.upper, brackets.cell, status)
+        return eqx.tree_at(lambda b: b.status, brackets, status)
 
     return jax.lax.cond(jnp.any(begins_low), with_buried, lambda: brackets)
 
@@ -167,6 +174,7 @@ def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket
     return Bracket(
         lower=jnp.where(met, lower, 0.0),
         upper=jnp.where(met, jnp.maximum(lower, upper), 0.0),
+        near=jnp.where(met, track.range_at(root), 0.0),
         cell=jnp.where(met, cell, 0),
         status=jnp.where(met, status_of(walker.news), without),
     )
@@ -196,4 +204,4 @@ def _root(track: Track, dem: Dem, cell: Int[Array, "2"], begin: Scalar, end: Sca
 
 def _nothing() -> Bracket:
     zero = jnp.asarray(0.0)
-    return Bracket(zero, zero, jnp.zeros(2, jnp.int32), Status.not_converged.code)
+    return Bracket(zero, zero, zero, jnp.zeros(2, jnp.int32), Status.not_converged.code)

@@ -85,7 +85,7 @@ class AbstractStudiedSearch(AbstractSearch):
         run = self.run(ray, dem)
         has_point = (run.status == Status.hit) | (run.status == Status.hits_void)
         distance = jnp.where(has_point, run.distance, 0.0)
-        return Bracket(distance, distance, jnp.where(has_point, run.cell, 0), run.status)
+        return Bracket(distance, distance, distance, jnp.where(has_point, run.cell, 0), run.status)
 
 
 def _status(done: Search, dem: Dem) -> StatusCode:

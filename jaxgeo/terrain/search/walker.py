@@ -10,19 +10,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from jaxgeo._numerics import tree_where
-from jaxgeo._typing import FlagField, Index, IndexField, Scalar, ScalarField
+from jaxgeo._typing import Flag, FlagField, Index, IndexField, Scalar, ScalarField
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
-from jaxgeo.terrain.search.march import happened
+from jaxgeo.terrain.search.beam import Beam
+from jaxgeo.terrain.search.march import happened, news_of
 from jaxgeo.terrain.search.walk import FINEST, Stretch, must_settle, place, position_of
-from jaxgeo.terrain.track import Quartic, Track, make_track
+from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track, make_track
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-LONGEST_TRACK = 40_000.0  # m: over more a quartic is not true enough
 SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
-TRACK_TOLERANCE = 1e-6  # m; one of a bent ray errs by some 5e-7
 MOST_TRACKS = 4096
 
 
@@ -50,6 +49,23 @@ class Walker(eqx.Module):
         length = jnp.minimum(reach.end - reach.start, LONGEST_TRACK)
         is_over = ~(reach.exists & reach.is_near)
         return cls(reach.start, length, -jnp.ones_like(length), zero, zero, zero, ~no, no, is_over)
+
+    def within(self, ray: Ray, reach: Reach, is_of_beam: Flag, beam: Beam) -> tuple[Walker, Track]:
+        """This ray, or, if it is of a beam whose start lies farther on its way, one that begins there; its track."""
+        begins = is_of_beam & reach.exists & reach.is_near & (beam.start > reach.start)
+        track = beam.track(ray)
+        there = Walker(
+            passed=beam.start,
+            length=beam.length,
+            tau=self.tau,
+            tracks=self.tracks,
+            here=first_place(Stretch.of(track)),
+            news=news_of(begins, ~begins),
+            fresh=~begins,
+            begun=begins,
+            is_over=self.is_over,
+        )
+        return tree_where(begins, there, self), track
 
 
 def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker, Track]:

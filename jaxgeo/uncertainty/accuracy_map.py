@@ -1,0 +1,253 @@
+"""How sure fixes are all over the ground of an image, or over an area seen from a pose: in blocks of bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_array, as_float64, check_is
+from jaxgeo._doors import check_latitude, observation
+from jaxgeo._typing import IndexField, PixelField, ScalarField, StatusField
+from jaxgeo.earth import Atmosphere, Geodetic
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+from jaxgeo.status import Status, count_statuses, counts_as_fix
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
+from jaxgeo.uncertainty.assess import NO_FIX
+from jaxgeo.uncertainty.draws import AbstractDraws, Random
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.metrics.exact import check_probability
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.places import (
+    Place,
+    Request,
+    World,
+    aimed,
+    chosen,
+    in_parts,
+    joined,
+    judged_at,
+    middles_of_cells,
+    on_image,
+    placed,
+    spread,
+    with_samples,
+)
+from jaxgeo.uncertainty.sampled import CHUNK
+from jaxgeo.uncertainty.verdict import Signs, Trust
+
+BLOCK = 128  # places judged at once: some 100 MB
+SAMPLES = 2000  # a place, whose figures then are good to some 3 %
+RANDOM = Random()
+
+
+class AccuracyMap(eqx.Module):
+    """How sure the fixes of many places are; all arrays have the shape of what was asked for.
+
+    `circular`, `linear` and `spherical` are radii in m that hold the truth with a `probability`, by the method that
+    `trust` names (codes of `Trust`): infinite where too many samples leave no fix, NaN where samples are needed but
+    were not drawn (`count` 0), and where there is no fix. There `trust` is `NO_FIX`, -1, and `status` (int8) says why:
+    `outside_image`, `hidden_by_terrain`, `hits_void` or `leaves_terrain` for ground that is not known, or what the line
+    of sight met before. `position` is the ground in rad and m, `uv` (..., 2) the pixel that sees it, in px; `failed`
+    the share of samples without a fix, NaN where none were drawn. `signs` are what was looked at to choose the method.
+    From a pose, `readings` (..., axes) in rad put the optical axis on each place, NaN where the gimbal does not reach
+    it, `is_out_of_reach`, whose status is `invalid_input`.
+    """
+
+    position: Geodetic
+    uv: PixelField
+    status: StatusField
+    trust: IndexField
+    circular: ScalarField
+    linear: ScalarField
+    spherical: ScalarField
+    failed: ScalarField
+    signs: Signs
+    probability: float
+    count: int
+    readings: Any = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of every array, but for the axes of `uv` and `readings`."""
+        return jnp.shape(self.status)
+
+    @property
+    def has_fix(self) -> Any:
+        """Where there is a fix to be sure of."""
+        return jnp.asarray(self.trust) != NO_FIX
+
+    @property
+    def is_out_of_reach(self) -> Any:
+        """Where the gimbal cannot look, from a pose."""
+        if self.readings is None:
+            return jnp.zeros(self.shape, bool)
+        is_known = jnp.isfinite(jnp.asarray(self.position.height))
+        return is_known & jnp.any(jnp.isnan(self.readings), axis=-1)
+
+    def meaning(self, status: Status) -> str:
+        """What a status says of a place on this map."""
+        if status is Status.invalid_input and bool(jnp.any(self.is_out_of_reach)):
+            return "The gimbal cannot look there within its limits."
+        return status.message
+
+    def __str__(self) -> str:
+        percent, places = f"{100.0 * self.probability:g}", int(jnp.size(self.status))
+        known = self.circular[jnp.isfinite(self.linear) | jnp.isinf(self.linear)]
+        lines = [f"{int(jnp.sum(self.has_fix))} of {places} places have a fix."]
+        if known.size:
+            low, high = (float(jnp.quantile(known, share, method="higher")) for share in (0.5, 0.9))
+            lines[0] += f" CE{percent} up to {low:.3g} m in half of those with figures, {high:.3g} m in nine tenths."
+        for one in Trust:
+            here = self.trust == one
+            drawn = f", {self.count} each" if self.count else ", not drawn"
+            words = one.words + (drawn if one is Trust.samples else "")
+            lines.append(f"  {int(jnp.sum(here)):8d}  {words}")
+        for status, number in count_statuses(self.status[~self.has_fix]).items():
+            lines.append(f"  {number:8d}  {status.name}: {self.meaning(status)}")
+        return "\n".join(lines)
+
+
+def accuracy_map(
+    sensor: Sensor,
+    shot: Shot | Trajectory | Pose,
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    ground: Geodetic | None = None,
+    *,
+    step: int = 1,
+    probability: float = 0.9,
+    count: int = SAMPLES,
+    key: Any = None,
+    draws: AbstractDraws = RANDOM,
+    chunk: int = CHUNK,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    block: int = BLOCK,
+    progress: bool = False,
+) -> AccuracyMap:
+    """How sure a fix on each place of the ground is: in an image, or with the gimbal pointed at it from a pose.
+
+    With a `shot` (or a trajectory and the `time` of the image) each place has the figures that `accuracy` gives of the
+    pixel that sees it; with a `Pose` in its place, those of the optical axis, turned there as by `Sensor.looking_at`.
+    What is not seen has no figures but a status, also where the fix of the pixel is other ground, by more than 0.1 m:
+    `hidden_by_terrain`. `ground` are latitudes and longitudes in rad of any one shape; the height is the terrain's. By
+    default they are the middles of every `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, `count` are
+    drawn, all with one `key` (`jax.random.key(0)` if left out), so that neighbours differ by their ground alone; with a
+    `count` of 0 there are no figures. `block` places are judged at a time, `chunk` samples drawn, which bounds the
+    memory; no number depends on either. `progress` shows bars. Raises as `accuracy`, but not for lack of a fix.
+    """
+    world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
+    request = _request(probability, count, key, draws, chunk, search, block)
+    ground = _cells(terrain, step) if ground is None else ground
+    check_is(ground, Geodetic, "ground", "Make one with Geodetic.from_degrees(lat=, lon=, height=0.0).")
+    check_latitude(ground, "ground")
+    lat, lon = jnp.broadcast_arrays(*as_float64((ground.lat, ground.lon), "ground"))
+    if not lat.size:
+        raise ValueError(f"ground must hold positions; got shape {lat.shape}.")
+    parts = in_parts((lat.reshape(-1), lon.reshape(-1)), 8 * request.block, "where it is seen", progress)
+    places = joined([placed(*part, world) for part in parts], lat.size)
+    return _mapped(places, lat.shape, request, world, model, progress)
+
+
+def accuracy_of_pixels(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[Any],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    probability: float = 0.9,
+    count: int = SAMPLES,
+    key: Any = None,
+    draws: AbstractDraws = RANDOM,
+    chunk: int = CHUNK,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    block: int = BLOCK,
+    progress: bool = False,
+) -> AccuracyMap:
+    """How sure the fix of each of many pixels (..., 2) = (column, row) of one image is.
+
+    Each has the figures that `accuracy` gives of it, and its fix as `position`; a pixel beside the image has none. All
+    else as for `accuracy_map`.
+    """
+    if isinstance(shot, Pose):
+        raise TypeError("shot must be a Shot, or a Trajectory: from a Pose alone a pixel sees nothing yet.")
+    world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
+    request = _request(probability, count, key, draws, chunk, search, block)
+    pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
+    if pixels.shape[-1:] != (2,) or not pixels.size:
+        raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
+    places = on_image(pixels.reshape(-1, 2), world.sensor)
+    return _mapped(places, pixels.shape[:-1], request, world, model, progress)
+
+
+def _mapped(
+    places: Place, shape: tuple[int, ...], request: Request, world: World, model: ErrorModel, progress: bool
+) -> AccuracyMap:
+    """The map of places (n,): those on the image are looked at, those with a fix judged, and sampled if need be."""
+    count = places.uv.shape[0]
+    index, some = chosen(places, jnp.asarray(places.status) == Status.hit)
+    parts = in_parts(some, request.block, "where lines of sight come down", progress)
+    aims, met = joined([aimed(part, world, request.search) for part in parts], some.uv.shape[0])
+    status = jnp.asarray(places.status).at[index].set(met)
+    position = spread(aims.fix.position, index, count) if places.ground is None else places.ground
+    within, (some, aims, met) = chosen((some, aims, met), counts_as_fix(met))
+    parts = in_parts((some, aims, met), request.block, "how sure that is", progress)
+    answers = joined([judged_at(*part, world, model, request) for part in parts], some.uv.shape[0])
+    answers = with_samples(answers, some, world, model, request, progress)
+    trust, figures, signs = spread(answers, index.at[within].get(mode="fill", fill_value=count), count)
+    shaped = lambda tree: jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), tree)  # noqa: E731
+    of_all: Any = shaped((position, places.uv, status, trust, *figures, signs))
+    last: dict[str, Any] = {"probability": float(request.probability), "count": request.count}
+    return AccuracyMap(*of_all, **last, readings=shaped(places.readings))
+
+
+def _world(
+    sensor: Any, shot: Any, terrain: Any, errors: Any, time: Any, search: Any, atmosphere: Any
+) -> tuple[World, ErrorModel]:
+    """All that places have in common, in float64, refused here if it cannot be used for any of them."""
+    check_is(sensor, Sensor, "sensor")
+    if isinstance(shot, Pose) and not sensor.gimbal.axes:
+        raise ValueError("From a Pose the gimbal is turned to each place, but this sensor's has no axes: give a Shot.")
+    given = Shot(shot, sensor.gimbal.neutral_readings()) if isinstance(shot, Pose) else shot
+    sensor, motion, moment = observation(sensor, given, time)
+    moment = moment if isinstance(motion, Trajectory) else None
+    some = Look.of(sensor, motion, (0.0, 0.0), terrain, time=moment, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, some)
+    motion = motion.pose if isinstance(shot, Pose) and isinstance(motion, Shot) else motion
+    return World(sensor, motion, moment, some.terrain, some.air), model
+
+
+def _request(probability: Any, count: Any, key: Any, draws: Any, chunk: Any, search: Any, block: Any) -> Request:
+    level = check_probability(probability)
+    if jnp.ndim(level) != 0:
+        raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}.")
+    for value, name, least in ((count, "count", 0), (chunk, "chunk", 1), (block, "block", 1)):
+        if not isinstance(value, Integral) or value < least:
+            raise ValueError(f"{name} must be a whole number, {least} or more; got {value!r}.")
+    check_is(draws, AbstractDraws, "draws")
+    key = jax.random.key(0) if key is None else key
+    return Request(level, int(count), key, draws, int(chunk), search, int(block))
+
+
+def _cells(terrain: Any, step: Any) -> Geodetic:
+    """The middles of every `step`-th cell of a `Dem`."""
+    if not isinstance(terrain, Dem):
+        raise ValueError(
+            f"ground must be named: a {type(terrain).__name__} has no cells. Make positions with "
+            "Geodetic.from_degrees(lat=, lon=, height=0.0)."
+        )
+    if not isinstance(step, Integral) or step < 1:
+        raise ValueError(f"step must be a whole number of cells, 1 or more; got {step!r}.")
+    rows, cols = (jnp.arange(0, int(posts) - 1, int(step)) for posts in jnp.asarray(terrain.extent))
+    return middles_of_cells(terrain, rows, cols)

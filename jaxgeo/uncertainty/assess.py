@@ -1,0 +1,105 @@
+"""What can be said of a fix without a sample, one look at a time: for crowds of pixels and for maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, ScalarField, Vector3Field
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import counts_as_fix
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+from jaxgeo.uncertainty.metrics.exact import check_probability
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.verdict import Signs, Trust, signs_of, trust_of
+
+NO_FIX = -1  # in place of a `Trust`, where there is no fix to trust
+
+
+class Assessment(eqx.Module):
+    """How sure a fix is, as far as that can be told without a sample: radii in m that hold the truth.
+
+    `circular` on the level plane, `linear` in height, `spherical` in space, by the linear propagation that `trust`
+    names; NaN where that is `Trust.samples`, which are not drawn here, and where there is no fix: `trust` is `NO_FIX`
+    (-1) then, and `fix.status` says why. `signs` are what was looked at.
+    """
+
+    fix: Fix
+    circular: ScalarField
+    linear: ScalarField
+    spherical: ScalarField
+    trust: IndexField
+    signs: Signs
+
+
+def assess(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    uv: ArrayLike | Sequence[ArrayLike],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    probability: ArrayLike = 0.9,
+    time: ArrayLike | None = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+) -> Assessment:
+    """What `accuracy` says with the same arguments, but for its samples: under `jit` and `vmap`, and never raising.
+
+    Of the fix, that is: one that is not there, or whose ground is not known to be the first that was met, has its
+    status and NaN. For many pixels `jax.vmap(assess, in_axes=(None, None, 0, None, None))`, or `accuracy_of_pixels`,
+    which bounds the memory and draws samples where they are needed. Raises as `propagate`, and `ValueError` for a
+    probability outside (0, 1).
+    """
+    level = check_probability(probability)
+    if jnp.ndim(level) != 0:
+        raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}. Use jax.vmap.")
+    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return _assessed(look, checked_model(errors, look), level, search)
+
+
+class Judged(NamedTuple):
+    """The linear propagation that is trusted at a fix, if one is: covariance in m2 and bias in m, east, north, up."""
+
+    trust: IndexField
+    cov_enu: Matrix3Field
+    bias_enu: Vector3Field
+    signs: Signs
+
+
+def judged(look: Look, aim: Aim, model: ErrorModel) -> Judged:
+    """Which method the signs of a look trust."""
+    signs, facet, footprint = signs_of(look, aim, model)
+    trust = trust_of(signs)
+    take = lambda a, b: jnp.where(trust == Trust.footprint, b, a)  # noqa: E731
+    cov, bias = take(facet.cov_enu, footprint.cov_enu), take(facet.bias_enu, footprint.bias_enu)
+    return Judged(jnp.where(counts_as_fix(jnp.asarray(aim.fix.status)), trust, NO_FIX), cov, bias, signs)
+
+
+def linear_figures(one: Judged, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
+    """Circular, linear and spherical error of one or many; NaN where linear propagation is not trusted."""
+    is_linear = (one.trust == Trust.facet) | (one.trust == Trust.footprint)
+    cov, bias = one.cov_enu, one.bias_enu
+    radii = (
+        circular_error(cov[..., :2, :2], probability, bias[..., :2]),
+        linear_error(cov[..., 2, 2], probability, bias[..., 2]),
+        spherical_error(cov, probability, bias),
+    )
+    circular, linear, spherical = (jnp.where(is_linear, radius, jnp.nan) for radius in radii)
+    return circular, linear, spherical
+
+
+@eqx.filter_jit
+def _assessed(look: Look, model: ErrorModel, probability: Scalar, search: AbstractSearch) -> Assessment:
+    aim = look.aim(search)
+    one = judged(look, aim, model)
+    return Assessment(aim.fix, *linear_figures(one, probability), one.trust, one.signs)

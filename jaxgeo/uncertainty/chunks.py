@@ -1,0 +1,142 @@
+"""What is sampled, and the drawing of it chunk by chunk, on all devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from jaxtyping import Array, Float, Int, Int8
+
+from jaxgeo._typing import Vector3
+from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.terrain import AbstractSearch
+from jaxgeo.uncertainty.bundle import Misses, misses, with_beam
+from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel, Root
+
+
+class Plan(NamedTuple):
+    """What is sampled and how, once and for all chunks."""
+
+    look: Look
+    aim: Aim
+    model: ErrorModel
+    roots: tuple[Root, ...]
+    turn: Float[Array, "axes axes"] | None
+    draws: AbstractDraws
+    search: AbstractSearch
+    key: Any
+
+
+@eqx.filter_jit
+def planned(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any) -> Plan:
+    model = model.at(look, aim)
+    turn = None
+    if isinstance(draws, Sobol):
+        jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
+        turn = _leading_first(jacobian @ model.factor())
+    return Plan(look, aim, model, model.roots(), turn, draws, with_beam(search, model, look, aim), key)
+
+
+def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
+    """A rotation of standard normal vectors after which the first of them move the fix the most."""
+    sound = jnp.all(jnp.isfinite(swept))
+    _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
+    return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
+
+
+def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
+    """Misses in m and statuses of the samples of these numbers."""
+
+    def error_of(number: Int[Array, ""]) -> Float[Array, " axes"]:
+        normal = plan.draws.standard_normal(plan.key, number, plan.model.size)
+        if plan.turn is not None:
+            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # a product of matrices would round by its batch
+        return plan.model.drawn(plan.roots, normal)
+
+    return misses(plan.model, plan.look, plan.aim, plan.search, error_of, numbers)
+
+
+class Drawn(NamedTuple):
+    """A chunk: how many samples have each status, sums over those with a fix of the errors about the centre in m and of
+    their products, and of each sample the radii in m for CE, LE and SE, its error and its status."""
+
+    codes: Int[Array, " statuses"]
+    total: Float[Array, "3"]
+    squares: Float[Array, "3 3"]
+    radii: tuple[Float[Array, " samples"], ...]
+    errors: Float[Array, "samples 3"]
+    statuses: Int8[Array, " samples"]
+
+
+@eqx.filter_jit
+def drawn_chunk(
+    plan: Plan,
+    part: tuple[Int[Array, ""], Int[Array, ""]],
+    centre: Vector3,
+    size: int,
+    devices: tuple[Any, ...],
+) -> Drawn:
+    """The chunk of a `part`, (first sample, how many), spread over the devices and filled up to `size` samples."""
+    first, count = part
+    numbers = first + jnp.arange(size)
+    if len(devices) == 1:
+        miss, status = _misses(plan, numbers)
+    else:
+        everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
+        spread = jax.shard_map(
+            _misses,
+            mesh=Mesh(np.array(devices), ("samples",)),
+            in_specs=(everywhere, in_turn),
+            out_specs=in_turn,
+            check_vma=False,
+        )
+        miss, status = spread(plan, numbers)
+    is_asked = jnp.arange(size) < count
+    found = counts_as_fix(status)
+    error = miss - centre[None, :]
+    across = error[:, 0] ** 2 + error[:, 1] ** 2
+    radii = (jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2))
+    known = jnp.where((found & is_asked)[:, None], error, 0.0)
+    return Drawn(
+        codes=jnp.stack([jnp.sum(is_asked & (status == code)) for code in Status]),
+        total=jnp.sum(known, axis=0),
+        squares=known.T @ known,
+        radii=tuple(jnp.where(found, radius, jnp.inf) for radius in radii),
+        errors=jnp.where(found[:, None], error, jnp.nan),
+        statuses=status,
+    )
+
+
+def one_ahead(
+    plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...]
+) -> Iterator[tuple[int, int, Drawn]]:
+    """(first sample, number of samples, what was drawn) of chunk after chunk; the next is drawn meanwhile."""
+    waiting = None
+    for first, size, padded in parts:
+        part = jnp.asarray(first), jnp.asarray(size)
+        drawn = drawn_chunk(plan, part, centre, padded, devices)
+        if waiting is not None:
+            yield waiting
+        waiting = first, size, drawn
+    if waiting is not None:
+        yield waiting
+
+
+def chunks(count: int, chunk: int, devices: int, unit: int, progress: bool) -> Iterator[tuple[int, int, int]]:
+    """(first sample, number of samples, the same padded to one size that goes into devices and scrambles)."""
+    unit = int(np.lcm(devices, unit))
+    size = -(-min(chunk, count) // unit) * unit
+    parts = [(first, min(size, count - first), size) for first in range(0, count, size)]
+    if not progress:
+        yield from parts
+        return
+    from rich.progress import track  # only who wants to see it needs it
+
+    yield from track(parts, description="sampling")

@@ -1,0 +1,229 @@
+"""The places of a map of accuracy: where each is seen, and what can be said of it, in blocks of one size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Int8
+
+from jaxgeo._numerics import all_finite, safe_norm, tree_where
+from jaxgeo._typing import Scalar, StatusCode
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic
+from jaxgeo.locate import project
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
+from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
+from jaxgeo.uncertainty.draws import AbstractDraws
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.sampled import sample
+from jaxgeo.uncertainty.verdict import Signs, Trust
+
+T = TypeVar("T")
+SAME_GROUND = 0.1  # m by which the fix of a place's pixel may be off it
+NEAREST_HEIGHT = 3  # rounds to the height of a terrain that is no `Dem`
+_linear_figures = jax.jit(linear_figures)
+
+
+class World(NamedTuple):
+    """What all places have in common; `motion` is a pose where the gimbal is pointed at each of them."""
+
+    sensor: Sensor
+    motion: Shot | Trajectory | Pose
+    time: Scalar | None
+    terrain: AbstractTerrain
+    air: Atmosphere | None
+
+    def seen_from(self, readings: Any) -> Shot | Trajectory:
+        """The shot, or that from the pose with the gimbal's readings for a place."""
+        return Shot(self.motion, readings) if isinstance(self.motion, Pose) else self.motion
+
+    def look(self, place: Place, search: AbstractSearch) -> Look:
+        """The look at a place."""
+        motion = self.seen_from(place.readings)
+        options: dict[str, Any] = {"time": self.time, "search": search, "atmosphere": self.air}
+        return Look.of(self.sensor, motion, place.uv, self.terrain, **options)
+
+
+class Place(NamedTuple):
+    """A pixel, and why it sees nothing unless `hit`; the ground it is to see, and readings, if there are any."""
+
+    uv: Float[Array, "... 2"]
+    status: Int8[Array, "..."]
+    ground: Geodetic | None = None
+    readings: Float[Array, "... axes"] | None = None
+
+
+class Request(NamedTuple):
+    """What is asked of every place, and how."""
+
+    probability: Scalar
+    count: int
+    key: Any
+    draws: AbstractDraws
+    chunk: int
+    search: AbstractSearch
+    block: int
+
+
+class Answers(NamedTuple):
+    """Which method is trusted at places, its circular, linear and spherical errors in m with the share of samples that
+    have no fix, and the signs."""
+
+    trust: Int[Array, " places"]
+    figures: tuple[Float[Array, " places"], ...]
+    signs: Signs
+
+
+@eqx.filter_jit
+def placed(lat: Float[Array, " places"], lon: Float[Array, " places"], world: World) -> Place:
+    """Places on the ground, and the pixels that see them if nothing hides them."""
+    return jax.vmap(_placed, in_axes=(0, 0, None))(lat, lon, world)
+
+
+@eqx.filter_jit
+def on_image(uv: Float[Array, "places 2"], sensor: Sensor) -> Place:
+    """Pixels as places; those that lie beside the image, or the lens's field, have that status."""
+    return Place(uv, jax.vmap(sensor.camera.ray)(uv)[1])
+
+
+@eqx.filter_jit
+def aimed(places: Place, world: World, search: AbstractSearch) -> tuple[Aim, Int8[Array, " places"]]:
+    """Where the pixels' lines of sight come down, and the status of the fix of the place."""
+
+    def one(place: Place) -> tuple[Aim, StatusCode]:
+        aim = world.look(place, search).aim(search)
+        status = jnp.asarray(aim.fix.status)
+        if place.ground is not None:
+            off = safe_norm(jnp.where(aim.fix.found, aim.fix.ecef - WGS84.to_ecef(place.ground), 0.0))
+            is_other = counts_as_fix(status) & (off > SAME_GROUND)
+            status = status_where(is_other, Status.hidden_by_terrain, status)
+        return aim, first_failure(place.status, status)
+
+    return jax.vmap(one)(places)
+
+
+def judged_at(
+    places: Place, aims: Aim, met: Int8[Array, " places"], world: World, model: ErrorModel, request: Request
+) -> Answers:
+    """What can be said without samples of places whose status is `met`."""
+    one = _judged(places, aims, met, world, model, request.search)
+    return Answers(one.trust, (*_linear_figures(one, request.probability), jnp.full(met.shape, jnp.nan)), one.signs)
+
+
+def with_samples(
+    answers: Answers, places: Place, world: World, model: ErrorModel, request: Request, progress: bool
+) -> Answers:
+    """The answers with the figures of samples where these are needed."""
+    index = jnp.flatnonzero(answers.trust == Trust.samples)
+    if not request.count or not index.size:
+        return answers
+    options = {"key": request.key, "count": request.count, "draws": request.draws, "chunk": request.chunk}
+    options |= {"time": world.time, "search": request.search, "atmosphere": world.air}
+    level, rows = float(request.probability), []
+    for number in with_bar(index.tolist(), index.size, "sampling", progress):
+        place = _taken(places, jnp.asarray(number))
+        motion = world.seen_from(place.readings)
+        drawn = sample(world.sensor, motion, place.uv, world.terrain, model, **options)
+        doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
+        rows.append([*(door(level).value for door in doors), 1.0 - drawn.found / drawn.count])
+    filled = (old.at[index].set(new) for old, new in zip(answers.figures, jnp.asarray(rows).T, strict=True))
+    return answers._replace(figures=tuple(filled))
+
+
+@eqx.filter_jit
+def middles_of_cells(dem: Dem, rows: Int[Array, " rows"], cols: Int[Array, " cols"]) -> Geodetic:
+    """Positions (rows, cols) of the middles of cells, at height zero."""
+    rowcol = jnp.stack(jnp.meshgrid(rows + 0.5, cols + 0.5, indexing="ij"), axis=-1)
+    x, y, z = jnp.moveaxis(jax.vmap(jax.vmap(dem.grid.normal))(rowcol), -1, 0)
+    return Geodetic(lat=jnp.arctan2(z, jnp.sqrt(x * x + y * y)), lon=jnp.arctan2(y, x), height=jnp.zeros_like(z))
+
+
+def in_parts(lanes: T, size: int, words: str, progress: bool) -> Iterator[T]:
+    """Lanes (n, ...) in parts of one size, a power of two at most if there are few; the last lane fills up the last."""
+    count = jax.tree.leaves(lanes)[0].shape[0]
+    size = min(size, 1 << (count - 1).bit_length())
+    numbers = (jnp.minimum(first + jnp.arange(size), count - 1) for first in range(0, count, size))
+    for part in with_bar(numbers, -(-count // size), words, progress):
+        yield _taken(lanes, part)
+
+
+@eqx.filter_jit
+def joined(parts: Sequence[T], count: int) -> T:
+    """Parts put together again, without what they were filled up with."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+def chosen(lanes: T, here: Bool[Array, " lanes"]) -> tuple[Int[Array, " some"], T]:
+    """The lanes for which something is true, and their numbers; if there is none, the first, under no lane's number."""
+    index = jnp.flatnonzero(here)
+    if not index.size:
+        return jnp.full(1, here.size), _taken(lanes, jnp.zeros(1, int))
+    return index, _taken(lanes, index)
+
+
+@eqx.filter_jit
+def spread(values: T, index: Int[Array, " some"], count: int) -> T:
+    """Numbers of some of `count` places among all of them, NaN elsewhere; for whole numbers, -1."""
+
+    def among(leaf: Array) -> Array:
+        blank = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else -1
+        return jnp.full((count, *leaf.shape[1:]), blank, leaf.dtype).at[index].set(leaf)
+
+    return jax.tree.map(among, values)
+
+
+def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> Iterable[Any]:
+    """The items, with a bar on the screen if it is asked for."""
+    if not progress:
+        return items
+    from rich.progress import track  # only who wants to see it needs it
+
+    return track(items, description=words, total=count)
+
+
+@eqx.filter_jit
+def _judged(places: Place, aims: Aim, met: Array, world: World, model: ErrorModel, search: AbstractSearch) -> Judged:
+    one = jax.vmap(lambda place, aim: judged(world.look(place, search), aim, model))(places, aims)
+    return one._replace(trust=jnp.where(counts_as_fix(met), one.trust, NO_FIX))
+
+
+def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:
+    ground, unknown = _ground(lat, lon, world.terrain)
+    stand_in = tree_where(unknown == Status.hit, ground, Geodetic(lat=ground.lat, lon=ground.lon, height=0.0))
+    if not isinstance(world.motion, Pose):
+        seen = project(world.sensor, world.motion, stand_in, time=world.time, atmosphere=world.air)
+        return Place(jnp.asarray(seen.uv), first_failure(unknown, jnp.asarray(seen.status)), ground)
+    readings = world.sensor.looking_at(world.motion, stand_in, atmosphere=world.air).gimbal_readings
+    uv, status = world.sensor.camera.project(world.sensor.camera.axis())
+    reached = status_where(all_finite(readings), Status.hit, Status.invalid_input.code)
+    return Place(uv, first_failure(unknown, reached, status), ground, readings)
+
+
+def _ground(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geodetic, StatusCode]:
+    """The point of the terrain at a latitude and longitude; NaN for its height, and why, where it is not known."""
+    is_place = jnp.isfinite(lat) & jnp.isfinite(lon)
+    level = Geodetic(lat=jnp.where(is_place, lat, 0.0), lon=jnp.where(is_place, lon, 0.0), height=jnp.zeros_like(lat))
+    if isinstance(terrain, Dem):
+        height = terrain.height_at(level)
+        inside = terrain.contains(terrain.rowcol_at(level))
+        status = status_where(inside, Status.hits_void, Status.leaves_terrain.code)
+        status = status_where(jnp.isfinite(height), Status.hit, status)
+    else:
+        height, status = level.height, Status.hit.code
+        for _ in range(NEAREST_HEIGHT):
+            point = WGS84.to_ecef(Geodetic(lat=level.lat, lon=level.lon, height=height))
+            height = height - terrain.clearance(point, jnp.zeros(2, jnp.int32))
+    status = jnp.where(is_place, status, Status.invalid_input.code)
+    height = jnp.where(status == Status.hit, height, jnp.nan)
+    return Geodetic(lat=level.lat, lon=level.lon, height=height), status
+
+
+@eqx.filter_jit
+def _taken(lanes: Any, numbers: Int[Array, "..."]) -> Any:
+    return jax.tree.map(lambda leaf: leaf[numbers], lanes)
