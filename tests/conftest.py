@@ -21,7 +21,7 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 # What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
-# comes to hang on how one compiler does. The slow tests run what users run.
+# comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
 QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 
 
@@ -30,7 +30,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--slow") or "XLA_FLAGS" in os.environ:
+    if "XLA_FLAGS" in os.environ:
         return
     os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE
     probe = subprocess.run([sys.executable, "-c", "import jax; jax.devices()"], capture_output=True, check=False)

@@ -86,6 +86,7 @@ def test_a_pixel_on_the_command_line_is_the_same_fix(shots_file) -> None:
     assert {name: alone[name] for name in FIX_COLUMNS} == {name: in_table[name] for name in FIX_COLUMNS}
 
 
+@pytest.mark.slow
 def test_air_in_the_scene_moves_the_fix(tmp_path: pathlib.Path) -> None:
     """By some metres here, towards the camera: 5 km up, 72 degrees off nadir."""
     scene = tmp_path / "scene.toml"

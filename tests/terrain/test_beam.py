@@ -75,7 +75,7 @@ def test_no_answer_changes(dem, rays, plain, beam, held):
 
 
 def test_one_that_is_of_no_use_changes_nothing_either(dem, rays, plain, beam):
-    found = brackets(*rays, dem, FirstHit(eqx.tree_at(lambda b: b.start, beam, jnp.asarray(0.0))))
+    found = brackets(*rays, dem, FirstHit(eqx.tree_at(lambda b: b.start, beam, jnp.zeros_like(beam.start))))
     np.testing.assert_array_equal(found.status, plain.status)
     np.testing.assert_allclose(found.near, plain.near, rtol=0.0, atol=1e-6)
 

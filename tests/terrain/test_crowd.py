@@ -38,6 +38,7 @@ def test_a_part_of_a_batch_is_answered_like_the_whole(mountains, together, count
     assert_same(part, jax.tree.map(lambda x: x[:count], together))
 
 
+@pytest.mark.slow
 def test_a_part_in_small_blocks_many_rounds_and_bundles_is_answered_like_the_whole(mountains, together, monkeypatch):
     """The sizes of blocks are read when a number of rays is first traced, so no other test has as many."""
     count, made = 700, []

@@ -198,7 +198,7 @@ def test_forward_agrees_with_reverse_and_second_derivatives_are_differences(deri
     fields = stacked([sum_of(2.0, seed) for seed in (11, 12, 13)])
     forward = jax.jit(jax.vmap(jax.jacfwd(hit_of), in_axes=(0, 0, None)))(fields, sights, dem)
     reverse = derivatives(fields, sights, dem)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-9), forward, reverse)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-8), forward, reverse)
 
     def by_bias(bias, field, ray):
         return hit_of(SumField(ConstantField(bias), field.b), ray, dem)
