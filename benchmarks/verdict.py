@@ -53,7 +53,7 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[verdict.Sign
     look, model = look_from(pose, terrain), errors(scale)
     aim = look.aim(FIRST_HIT)
     level = propagated(look, aim, model, Level()).circular_error(0.9)
-    return verdict.signs_of(look, aim, model)[0], level, counts_as_fix(aim.fix.status)
+    return verdict.surveyed(look, aim, model).signs, level, counts_as_fix(aim.fix.status)
 
 
 def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
@@ -199,7 +199,7 @@ def measured(pose: jaxgeo.Pose, pixel: Any, scale: Any, key: Any, terrain: Dem) 
     error = model.factor() @ jax.random.normal(key, (model.size,))
     moved = look_from(model.moved(true, error).pose, raised_by(terrain, error[-1]), pixel)
     aim, truth = moved.aim(FIRST_HIT), true.ground(FIRST_HIT)
-    signs = verdict.signs_of(moved, aim, model)[0]
+    signs = verdict.surveyed(moved, aim, model).signs
     miss = aim.R_ecef_from_enu.T @ (truth.ecef - aim.p_ecef)
     is_case = counts_as_fix(aim.fix.status) & counts_as_fix(truth.status)
     trust, away = verdict.trust_of(signs), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)

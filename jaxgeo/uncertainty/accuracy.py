@@ -18,8 +18,8 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.sampled import CHUNK, Sampled, sample
-from jaxgeo.uncertainty.verdict import Signs, Trust, signs_of, trust_of
+from jaxgeo.uncertainty.sampled import CHUNK, Sampled, sampled_at
+from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
 
 SAMPLES = 20_000
 RANDOM = Random()
@@ -82,14 +82,12 @@ def accuracy(
     model = checked_model(errors, look)
     aim = look.aim(search)
     aim.require_fix()
-    signs, facet, footprint = signs_of(look, aim, model)
+    signs, facet, footprint, _ = surveyed(look, aim, model)
     trust = Trust(int(trust_of(signs)))
     because = _reason(signs, trust)
     if trust is Trust.samples:
         key = jax.random.key(0) if key is None else key
-        how: dict[str, Any] = {"key": key, "count": count, "draws": draws, "chunk": chunk}
-        given: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
-        drawn = sample(sensor, shot, uv, terrain, model, **how, **given)
+        drawn = sampled_at(look, model, search, aim, key=key, count=count, draws=draws, chunk=chunk)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         circular, linear, spherical = (door(probability).value for door in doors)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)

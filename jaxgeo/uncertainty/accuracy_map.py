@@ -204,7 +204,7 @@ def _mapped(
     within, (some, aims, met) = chosen((some, aims, met), counts_as_fix(met))
     parts = in_parts((some, aims, met), request.block, "how sure that is", progress)
     answers = joined([judged_at(*part, world, model, request) for part in parts], some.uv.shape[0])
-    answers = with_samples(answers, some, world, model, request, progress)
+    answers = with_samples(answers, some, aims, world, model, request, progress)
     trust, figures, signs = spread(answers, index.at[within].get(mode="fill", fill_value=count), count)
     shaped = lambda tree: jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), tree)  # noqa: E731
     of_all: Any = shaped((position, places.uv, status, trust, *figures, signs))

@@ -20,7 +20,7 @@ from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.verdict import Signs, Trust, signs_of, trust_of
+from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
 
 NO_FIX = -1  # in place of a `Trust`, where there is no fix to trust
 
@@ -78,7 +78,7 @@ class Judged(NamedTuple):
 
 def judged(look: Look, aim: Aim, model: ErrorModel) -> Judged:
     """Which method the signs of a look trust."""
-    signs, facet, footprint = signs_of(look, aim, model)
+    signs, facet, footprint, _ = surveyed(look, aim, model)
     trust = trust_of(signs)
     take = lambda a, b: jnp.where(trust == Trust.footprint, b, a)  # noqa: E731
     cov, bias = take(facet.cov_enu, footprint.cov_enu), take(facet.bias_enu, footprint.bias_enu)

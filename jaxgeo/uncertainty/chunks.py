@@ -39,8 +39,7 @@ def planned(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, searc
     model = model.at(look, aim)
     turn = None
     if isinstance(draws, Sobol):
-        jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
-        turn = _leading_first(jacobian @ model.factor())
+        turn = _leading_first(model.sweep(look, aim).facet @ model.factor())
     return Plan(look, aim, model, model.roots(), turn, draws, with_beam(search, model, look, aim), key)
 
 

@@ -15,15 +15,15 @@ from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation, propagated
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.profile import profile_of
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, sampled_at
 from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
-from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
+from jaxgeo.uncertainty.slopes import Level
+from jaxgeo.uncertainty.verdict import surveyed
 
 FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))
 RANDOM = Random()
@@ -117,12 +117,11 @@ def compare(
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
-    given: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
-    drawn = sample(sensor, shot, uv, terrain, model, key=key, count=count, draws=draws, keep=True, **given, **sampling)
     aim = look.aim(search)
-    footprint = propagated(look, aim, model, Footprint())
+    drawn = sampled_at(look, model, search, aim, key=key, count=count, draws=draws, keep=True, **sampling)
+    _, facet, footprint, profile = surveyed(look, aim, model)
     methods = {
-        "linear, facet": propagated(look, aim, model, Facet()),
+        "linear, facet": facet,
         "linear, footprint": footprint,
         "linear, level ground": propagated(look, aim, model, Level()),
         "second order": second_moments(look, aim, model),
@@ -135,8 +134,7 @@ def compare(
         validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
         rows.append(Row(name, values, validity))
     beyond = np.zeros(drawn.count, bool)
-    if isinstance(look.terrain, Dem) and drawn.errors_enu is not None:
-        profile = profile_of(look, aim, footprint.model, footprint.surface.normal)
+    if profile is not None and drawn.errors_enu is not None:
         ahead = np.asarray(aim.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
         beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))

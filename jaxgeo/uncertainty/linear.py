@@ -17,7 +17,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.look import Aim, Look, Sweep
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, along_plane
@@ -92,12 +92,16 @@ def propagate(
 def propagated(look: Look, aim: Aim, model: ErrorModel, slope: AbstractSlope) -> Propagation:
     """`propagate` of checked input, about what it aims at."""
     model = model.at(look, aim)
-    cov_error = model.covariance()
-    jacobian = jax.jacfwd(lambda error: model.near_miss(look, aim, error))(jnp.zeros(model.size))
+    return swept_over(look, aim, model, model.sweep(look, aim), slope)
+
+
+def swept_over(look: Look, aim: Aim, model: ErrorModel, sweep: Sweep, slope: AbstractSlope) -> Propagation:
+    """The propagation of a model that is `at` a look, whose derivatives are known."""
+    cov_error, jacobian = model.covariance(), sweep.facet
     surface = Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
     bias, extra = jnp.zeros(3), jnp.zeros((3, 3))
     if not isinstance(slope, Facet):
-        spread = spread_of(look, aim, model, cov_error)
+        spread = Spread(sweep.line, sweep.ground, cov_error)
         surface = slope.surface(look.terrain, aim, facet_normal(look, aim), spread)
         jacobian = spread.on(surface, aim.direction_enu)
         along = aim.direction_enu / along_plane(surface.normal, aim.direction_enu)
@@ -105,13 +109,6 @@ def propagated(look: Look, aim: Aim, model: ErrorModel, slope: AbstractSlope) ->
     known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731
     cov_enu = jacobian @ cov_error @ jacobian.T + extra
     return Propagation(aim.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, aim, model)
-
-
-def spread_of(look: Look, aim: Aim, model: ErrorModel, cov_error: Float[Array, "axes axes"]) -> Spread:
-    """How errors move the line of sight at the fix's range, and the terrain at the fix."""
-
-    ray, height = jax.jacfwd(lambda error: model.moved(look, error).swept(aim))(jnp.zeros(model.size))
-    return Spread(ray, height, cov_error)
 
 
 def facet_normal(look: Look, aim: Aim) -> Vector3:

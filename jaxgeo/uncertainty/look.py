@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import as_float64
 from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
@@ -29,6 +29,7 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
 KNOTS = 8  # of a trajectory about an exposure, within which an error of its time leaves a look
+FARTHER = 1000.0  # m
 
 
 class Sightline(NamedTuple):
@@ -36,6 +37,18 @@ class Sightline(NamedTuple):
 
     ray: Ray
     status: StatusCode
+
+
+class Sweep(NamedTuple):
+    """Offsets from an `Aim` in east, north, up there, m: of the point where a line of sight meets the surface of the
+    same cell (`facet`), and of its points at the same range (`line`) and `FARTHER` behind it; and how far the terrain
+    at the fix lies above it, m. What the error ellipse is made of, before and after a slope turns it.
+    """
+
+    facet: Float[Array, "3 *axes"]
+    line: Float[Array, "3 *axes"]
+    farther: Float[Array, "3 *axes"]
+    ground: Float[Array, "*axes"]
 
 
 class Aim(NamedTuple):
@@ -125,15 +138,15 @@ class Look(eqx.Module):
 
         The derivatives, of every order, of `miss` where nothing has moved yet: the search only chose the cell.
         """
+        return self.sweep(aim).facet
+
+    def sweep(self, aim: Aim) -> Sweep:
+        """Where this look's line of sight passes the fix of `aim`."""
         ray = self._ray()
         distance = implicit_root(_clearance, aim.distance, (ray, self.terrain, aim.cell))
-        return aim.R_ecef_from_enu.T @ (ray.at(distance) - aim.p_ecef)
-
-    def swept(self, aim: Aim) -> tuple[Vector3, Scalar]:
-        """(offset from `aim` of the point of this look's line of sight at the same range, m; how far the terrain there
-        lies above it, m): what the error ellipse is made of before any slope turns it."""
-        offset = self._ray().at(aim.distance) - aim.p_ecef
-        return aim.R_ecef_from_enu.T @ offset, -self.terrain.clearance(aim.p_ecef, aim.cell)
+        offset = lambda distance: aim.R_ecef_from_enu.T @ (ray.at(distance) - aim.p_ecef)  # noqa: E731
+        ground = -self.terrain.clearance(aim.p_ecef, aim.cell)
+        return Sweep(offset(distance), offset(aim.distance), offset(aim.distance + FARTHER), ground)
 
     def miss(self, aim: Aim, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
         """(offset of this look's fix from `aim` in east, north, up there in m, status)."""

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import as_float64
 from jaxgeo._typing import StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.look import Aim, Look, Sweep
 from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
 
 Root: TypeAlias = Float[Array, "..."]
@@ -86,6 +86,10 @@ class ErrorModel(eqx.Module):
     def near_miss(self, look: Look, aim: Aim, error: Error) -> Vector3:
         """`miss` for errors that leave the fix in its cell: its derivatives at no error."""
         return self.moved(look, error).near_miss(aim)
+
+    def sweep(self, look: Look, aim: Aim) -> Sweep:
+        """Derivatives by the error vector, at no error, of how a look's line of sight passes its fix."""
+        return jax.jacfwd(lambda error: self.moved(look, error).sweep(aim))(jnp.zeros(self.size))
 
     def check(self, look: Look) -> None:
         """Raise as the sources do for numbers that are none, and for what has no part in this look."""

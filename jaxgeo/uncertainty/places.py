@@ -21,7 +21,7 @@ from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.sampled import sample
+from jaxgeo.uncertainty.sampled import sampled_at
 from jaxgeo.uncertainty.verdict import Signs, Trust
 
 T = TypeVar("T")
@@ -39,13 +39,9 @@ class World(NamedTuple):
     terrain: AbstractTerrain
     air: Atmosphere | None
 
-    def seen_from(self, readings: Any) -> Shot | Trajectory:
-        """The shot, or that from the pose with the gimbal's readings for a place."""
-        return Shot(self.motion, readings) if isinstance(self.motion, Pose) else self.motion
-
     def look(self, place: Place, search: AbstractSearch) -> Look:
         """The look at a place."""
-        motion = self.seen_from(place.readings)
+        motion = Shot(self.motion, place.readings) if isinstance(self.motion, Pose) else self.motion
         options: dict[str, Any] = {"time": self.time, "search": search, "atmosphere": self.air}
         return Look.of(self.sensor, motion, place.uv, self.terrain, **options)
 
@@ -117,19 +113,17 @@ def judged_at(
 
 
 def with_samples(
-    answers: Answers, places: Place, world: World, model: ErrorModel, request: Request, progress: bool
+    answers: Answers, places: Place, aims: Aim, world: World, model: ErrorModel, request: Request, progress: bool
 ) -> Answers:
     """The answers with the figures of samples where these are needed."""
     index = jnp.flatnonzero(answers.trust == Trust.samples)
     if not request.count or not index.size:
         return answers
     options = {"key": request.key, "count": request.count, "draws": request.draws, "chunk": request.chunk}
-    options |= {"time": world.time, "search": request.search, "atmosphere": world.air}
     level, rows = float(request.probability), []
     for number in with_bar(index.tolist(), index.size, "sampling", progress):
-        place = _taken(places, jnp.asarray(number))
-        motion = world.seen_from(place.readings)
-        drawn = sample(world.sensor, motion, place.uv, world.terrain, model, **options)
+        look, aim = _look_and_aim(places, aims, jnp.asarray(number), world, request.search)
+        drawn = sampled_at(look, model, request.search, aim, **options)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         rows.append([*(door(level).value for door in doors), 1.0 - drawn.found / drawn.count])
     filled = (old.at[index].set(new) for old, new in zip(answers.figures, jnp.asarray(rows).T, strict=True))
@@ -191,6 +185,15 @@ def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> It
 def _judged(places: Place, aims: Aim, met: Array, world: World, model: ErrorModel, search: AbstractSearch) -> Judged:
     one = jax.vmap(lambda place, aim: judged(world.look(place, search), aim, model))(places, aims)
     return one._replace(trust=jnp.where(counts_as_fix(met), one.trust, NO_FIX))
+
+
+@eqx.filter_jit
+def _look_and_aim(
+    places: Place, aims: Aim, number: Int[Array, ""], world: World, search: AbstractSearch
+) -> tuple[Look, Aim]:
+    """The look at one of the places, and where it comes down."""
+    place, aim = _taken((places, aims), number)
+    return world.look(place, search), aim
 
 
 def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:

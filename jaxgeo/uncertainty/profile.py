@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
@@ -13,8 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import Dem
-from jaxgeo.uncertainty.look import Aim, Look
-from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.look import FARTHER, Aim, Sweep
 
 NODES = 512  # places before the fix, and as many behind it
 NEAREST = 0.25  # of a cell: how far the nearest of them lie from it
@@ -95,32 +93,26 @@ class Profile(NamedTuple):
         return jnp.where(1.0 - self.fails >= probability, radius, jnp.inf)
 
 
-@eqx.filter_jit
-def profile_of(look: Look, aim: Aim, model: ErrorModel, normal: Vector3) -> Profile:
-    """The profile of a look over a `Dem`, of a model that is `at` it; without derivatives.
+def profile_of(dem: Dem, aim: Aim, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3) -> Profile:
+    """The profile of a look over a terrain, whose derivatives by its errors are known; without derivatives itself.
 
     An error of the line of sight, or of the terrain's height, lifts the one over the other by as many sigmas all the
     way; across the look the ground rises as the plane of a `normal` (its last component 1) does.
     """
-    look, aim, model, normal = jax.lax.stop_gradient((look, aim, model, normal))
-    assert isinstance(look.terrain, Dem)
-    cov_error = model.covariance()
+    dem, aim, sweep, cov_error, normal = jax.lax.stop_gradient((dem, aim, sweep, cov_error, normal))
     level = jnp.sqrt(aim.direction_enu[0] ** 2 + aim.direction_enu[1] ** 2)
     plumb = level < FLAT
     along = jnp.where(plumb, jnp.array([1.0, 0.0]), aim.direction_enu[:2] / jnp.where(plumb, 1.0, level))
     level = jnp.maximum(level, FLAT)
     fall = -aim.direction_enu[2] / level
-    ground, cell = _ground(look.terrain, aim, level)
+    ground, cell = _ground(dem, aim, level)
 
-    here, height = jax.jacfwd(lambda error: model.moved(look, error).swept(aim))(jnp.zeros(model.size))
-    farther = aim._replace(distance=aim.distance + 1000.0)
-    there, _ = jax.jacfwd(lambda error: model.moved(look, error).swept(farther))(jnp.zeros(model.size))
     to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
-    turn = (to_lift(there) - to_lift(here)) / 1000.0
+    turn = (to_lift(sweep.farther) - to_lift(sweep.line)) / FARTHER
     to_side = jnp.stack([-along[1], along[0]])
-    aside = to_side @ here[:2]
+    aside = to_side @ sweep.line[:2]
     rise_aside = -(normal[:2] @ to_side) * aside
-    lift = (to_lift(here) - height - rise_aside)[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
+    lift = (to_lift(sweep.line) - sweep.ground - rise_aside)[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
     sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
 
     levels = ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
@@ -128,7 +120,7 @@ def profile_of(look: Look, aim: Aim, model: ErrorModel, normal: Vector3) -> Prof
     jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > GAP * cell)
     at_fix = lift[NODES] / sigma[NODES]
     across, across_sigma = _given_lift(aside, at_fix, cov_error)
-    up, up_sigma = _given_lift(height + rise_aside, at_fix, cov_error)
+    up, up_sigma = _given_lift(sweep.ground + rise_aside, at_fix, cov_error)
     return Profile(
         ahead=jnp.where(fell, ahead, jnp.inf),
         across=across * levels,

@@ -26,7 +26,7 @@ from jaxgeo.uncertainty.intervals import (
     scramble_quantile,
     scrambled_interval,
 )
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 
 CHUNK = 65_536
@@ -127,9 +127,45 @@ def sample(
     samples that does not go into Sobol's scrambles.
     """
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, look)
+    return sampled_at(
+        look,
+        checked_model(errors, look),
+        search,
+        key=key,
+        count=count,
+        draws=draws,
+        about_mean=about_mean,
+        figures=figures,
+        half_width=half_width,
+        confidence=confidence,
+        keep=keep,
+        chunk=chunk,
+        devices=devices,
+        progress=progress,
+    )
+
+
+def sampled_at(
+    look: Look,
+    model: ErrorModel,
+    search: AbstractSearch,
+    aim: Aim | None = None,
+    *,
+    key: Any,
+    count: int,
+    draws: AbstractDraws,
+    about_mean: bool = False,
+    figures: Sequence[str] = FIGURES,
+    half_width: float | None = None,
+    confidence: float = 0.95,
+    keep: bool = False,
+    chunk: int = CHUNK,
+    devices: Sequence[Any] | None = None,
+    progress: bool = False,
+) -> Sampled:
+    """`sample` of a checked look and model, about what it aims at if that is known already."""
     _check_request(count, chunk, draws, figures, confidence, half_width)
-    aim = look.aim(search)
+    aim = look.aim(search) if aim is None else aim
     aim.require_fix()
     plan = planned(look, aim, model, draws, search, key)
     devices = list(jax.devices() if devices is None else devices)

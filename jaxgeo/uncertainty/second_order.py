@@ -109,8 +109,8 @@ def second_moments(look: Look, aim: Aim, model: ErrorModel) -> Moments:
     model = model.at(look, aim)
     factor, zero = model.factor(), jnp.zeros(model.size)
     miss = lambda z: model.near_miss(look, aim, factor @ z)  # noqa: E731
-    jacobian = jax.jacfwd(miss)(zero)
-    hessian = jax.jacfwd(jax.jacfwd(miss))(zero)
+    with_itself = lambda z: (jax.jacfwd(miss)(z),) * 2  # noqa: E731
+    hessian, jacobian = jax.jacfwd(with_itself, has_aux=True)(zero)
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
     cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
     known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731

@@ -11,11 +11,11 @@ from jaxtyping import Array, Int
 
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.terrain import Dem
-from jaxgeo.uncertainty.linear import FACET, Propagation, propagated
+from jaxgeo.uncertainty.linear import FACET, Propagation, swept_over
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics import circular_error, linear_error
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.profile import profile_of
+from jaxgeo.uncertainty.profile import Profile, profile_of
 from jaxgeo.uncertainty.slopes import Footprint
 
 FOOTPRINT = Footprint()
@@ -48,10 +48,22 @@ class Signs(NamedTuple):
     known: Scalar
 
 
+class Surveyed(NamedTuple):
+    """The signs of a fix, and what they were read from: linear propagation over its facet and its footprint, and the
+    profile of the ground, where it has one."""
+
+    signs: Signs
+    facet: Propagation
+    footprint: Propagation
+    profile: Profile | None
+
+
 @eqx.filter_jit
-def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagation, Propagation]:
-    """The signs, and the propagations by facet and footprint that they were read from."""
-    facet, footprint = (propagated(look, aim, model, slope) for slope in (FACET, FOOTPRINT))
+def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
+    """What can be known of how sure a fix is without samples."""
+    model = model.at(look, aim)
+    sweep = model.sweep(look, aim)
+    facet, footprint = (swept_over(look, aim, model, sweep, slope) for slope in (FACET, FOOTPRINT))
     zero, one = jnp.asarray(0.0), jnp.asarray(1.0)
     grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
     cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # both at once: what inverts the integral is compiled once
@@ -60,8 +72,8 @@ def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagatio
     facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
     if not isinstance(look.terrain, Dem):
         signs = Signs(facet_ce, facet_ce, facet_ce, facet_le, facet_le, facet_le, zero, zero, one / zero, grazing, one)
-        return signs, facet, footprint
-    profile = profile_of(look, aim, facet.model, footprint.surface.normal)
+        return Surveyed(signs, facet, footprint, None)
+    profile = profile_of(look.terrain, aim, sweep, facet.cov_error, footprint.surface.normal)
     signs = Signs(
         facet_ce,
         footprint_ce,
@@ -75,7 +87,7 @@ def signs_of(look: Look, aim: Aim, model: ErrorModel) -> tuple[Signs, Propagatio
         grazing,
         footprint.surface.known,
     )
-    return signs, facet, footprint
+    return Surveyed(signs, facet, footprint, profile)
 
 
 class Trust(enum.IntEnum):
