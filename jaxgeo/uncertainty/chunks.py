@@ -13,7 +13,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
 from jaxgeo._typing import Vector3
-from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.bundle import Misses, misses, with_beam
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
@@ -63,10 +63,9 @@ def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
 
 
 class Drawn(NamedTuple):
-    """A chunk: how many samples have each status, sums over those with a fix of the errors about the centre in m and of
-    their products, and of each sample the radii in m for CE, LE and SE, its error and its status."""
+    """A chunk: sums over the samples with a fix of their errors about the centre in m and of the products of these, and
+    of each sample the radii in m for CE, LE and SE, its error and its status."""
 
-    codes: Int[Array, " statuses"]
     total: Float[Array, "3"]
     squares: Float[Array, "3 3"]
     radii: tuple[Float[Array, " samples"], ...]
@@ -104,7 +103,6 @@ def drawn_chunk(
     radii = (jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2))
     known = jnp.where((found & is_asked)[:, None], error, 0.0)
     return Drawn(
-        codes=jnp.stack([jnp.sum(is_asked & (status == code)) for code in Status]),
         total=jnp.sum(known, axis=0),
         squares=known.T @ known,
         radii=tuple(jnp.where(found, radius, jnp.inf) for radius in radii),

@@ -69,6 +69,8 @@ class ErrorModel(eqx.Module):
 
     def drawn(self, roots: tuple[Root, ...], normal: Error) -> Error:
         """The error vector L z of a standard normal vector z: as by `factor`, but without its zeros."""
+        if all(root.ndim == 1 for root in roots):
+            return jnp.concatenate(roots) * normal  # one after the other they would be short loops, and slow
         return jnp.concatenate(
             [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
         )

@@ -229,7 +229,7 @@ class _Tally:
         self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if keep else None
 
     def add(self, first: int, size: int, drawn: Drawn) -> None:
-        codes = np.asarray(drawn.codes)
+        codes = np.bincount(np.asarray(drawn.statuses)[:size], minlength=len(Status))
         self.count += size
         self.found += int(codes[np.asarray(counts_as_fix(jnp.arange(len(Status))))].sum())
         self.sum += np.asarray(drawn.total)
