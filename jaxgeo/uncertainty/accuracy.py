@@ -18,7 +18,7 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.sampled import CHUNK, Sampled, sampled_at
+from jaxgeo.uncertainty.sampled import CHUNK, Sampled, Sampling, sampled_at
 from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
 
 SAMPLES = 20_000
@@ -87,7 +87,7 @@ def accuracy(
     because = _reason(signs, trust)
     if trust is Trust.samples:
         key = jax.random.key(0) if key is None else key
-        drawn = sampled_at(look, model, search, aim, key=key, count=count, draws=draws, chunk=chunk)
+        drawn = sampled_at(look, model, search, Sampling(key, count, draws, chunk=chunk), aim)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         circular, linear, spherical = (door(probability).value for door in doors)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)

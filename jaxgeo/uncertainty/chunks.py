@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
 from jaxgeo._typing import Vector3
@@ -34,13 +34,22 @@ class Plan(NamedTuple):
     key: Any
 
 
-@eqx.filter_jit
 def planned(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any) -> Plan:
+    """The plan of a look; its terrain does not go through a program, which would give back a copy."""
+    model, roots, turn, search = _prepared(look, aim, model, draws, search)
+    return Plan(look, aim, model, roots, turn, draws, search, key)
+
+
+@eqx.filter_jit
+def _prepared(
+    look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
+) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:
+    """(the model at the look, its roots, a turn for points of Sobol, the search with a beam)."""
     model = model.at(look, aim)
     turn = None
     if isinstance(draws, Sobol):
         turn = _leading_first(model.sweep(look, aim).facet @ model.factor())
-    return Plan(look, aim, model, model.roots(), turn, draws, with_beam(search, model, look, aim), key)
+    return model, model.roots(), turn, with_beam(search, model, look, aim)
 
 
 def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
@@ -90,7 +99,7 @@ def drawn_chunk(
         everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
         spread = jax.shard_map(
             _misses,
-            mesh=Mesh(np.array(devices), ("samples",)),
+            mesh=_mesh(devices),
             in_specs=(everywhere, in_turn),
             out_specs=in_turn,
             check_vma=False,
@@ -111,10 +120,16 @@ def drawn_chunk(
     )
 
 
+def _mesh(devices: tuple[Any, ...]) -> Mesh:
+    return Mesh(np.array(devices), ("samples",))
+
+
 def one_ahead(
     plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...]
 ) -> Iterator[tuple[int, int, Drawn]]:
     """(first sample, number of samples, what was drawn) of chunk after chunk; the next is drawn meanwhile."""
+    # once, not with every chunk: the terrain may be large
+    plan, centre = eqx.filter_shard((plan, centre), NamedSharding(_mesh(devices), PartitionSpec()))
     waiting = None
     for first, size, padded in parts:
         part = jnp.asarray(first), jnp.asarray(size)

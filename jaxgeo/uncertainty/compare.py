@@ -20,7 +20,7 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation, propagated
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, sampled_at
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, Sampling, sampled_at
 from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.slopes import Level
 from jaxgeo.uncertainty.verdict import surveyed
@@ -118,7 +118,7 @@ def compare(
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     aim = look.aim(search)
-    drawn = sampled_at(look, model, search, aim, key=key, count=count, draws=draws, keep=True, **sampling)
+    drawn = sampled_at(look, model, search, Sampling(key, count, draws, keep=True, **sampling), aim)
     _, facet, footprint, profile = surveyed(look, aim, model)
     methods = {
         "linear, facet": facet,

@@ -21,7 +21,7 @@ from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.sampled import sampled_at
+from jaxgeo.uncertainty.sampled import Sampling, sampled_at
 from jaxgeo.uncertainty.verdict import Signs, Trust
 
 T = TypeVar("T")
@@ -119,11 +119,11 @@ def with_samples(
     index = jnp.flatnonzero(answers.trust == Trust.samples)
     if not request.count or not index.size:
         return answers
-    options = {"key": request.key, "count": request.count, "draws": request.draws, "chunk": request.chunk}
+    sampling = Sampling(request.key, request.count, request.draws, chunk=request.chunk)
     level, rows = float(request.probability), []
     for number in with_bar(index.tolist(), index.size, "sampling", progress):
-        look, aim = _look_and_aim(places, aims, jnp.asarray(number), world, request.search)
-        drawn = sampled_at(look, model, request.search, aim, **options)
+        place, aim = _taken((places, aims), jnp.asarray(number))
+        drawn = sampled_at(world.look(place, request.search), model, request.search, sampling, aim)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         rows.append([*(door(level).value for door in doors), 1.0 - drawn.found / drawn.count])
     filled = (old.at[index].set(new) for old, new in zip(answers.figures, jnp.asarray(rows).T, strict=True))
@@ -185,15 +185,6 @@ def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> It
 def _judged(places: Place, aims: Aim, met: Array, world: World, model: ErrorModel, search: AbstractSearch) -> Judged:
     one = jax.vmap(lambda place, aim: judged(world.look(place, search), aim, model))(places, aims)
     return one._replace(trust=jnp.where(counts_as_fix(met), one.trust, NO_FIX))
-
-
-@eqx.filter_jit
-def _look_and_aim(
-    places: Place, aims: Aim, number: Int[Array, ""], world: World, search: AbstractSearch
-) -> tuple[Look, Aim]:
-    """The look at one of the places, and where it comes down."""
-    place, aim = _taken((places, aims), number)
-    return world.look(place, search), aim
 
 
 def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:

@@ -127,94 +127,75 @@ def sample(
     samples that does not go into Sobol's scrambles.
     """
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return sampled_at(
-        look,
-        checked_model(errors, look),
-        search,
-        key=key,
-        count=count,
-        draws=draws,
-        about_mean=about_mean,
-        figures=figures,
-        half_width=half_width,
-        confidence=confidence,
-        keep=keep,
-        chunk=chunk,
-        devices=devices,
-        progress=progress,
-    )
+    given = (key, count, draws, about_mean, figures, half_width, confidence, keep, chunk, devices, progress)
+    return sampled_at(look, checked_model(errors, look), search, Sampling(*given))
+
+
+class Sampling(NamedTuple):
+    """What is drawn, how, and what is kept of it: see `sample`."""
+
+    key: Any
+    count: int
+    draws: AbstractDraws = RANDOM
+    about_mean: bool = False
+    figures: Sequence[str] = FIGURES
+    half_width: float | None = None
+    confidence: float = 0.95
+    keep: bool = False
+    chunk: int = CHUNK
+    devices: Sequence[Any] | None = None
+    progress: bool = False
+
+    @property
+    def scrambles(self) -> int:
+        """Of Sobol's points; 0 of independent draws."""
+        return self.draws.scrambles if isinstance(self.draws, Sobol) else 0
+
+    def check(self) -> None:
+        """Raise `ValueError` or `TypeError` for what cannot be done."""
+        for value, name in ((self.count, "count"), (self.chunk, "chunk")):
+            if not isinstance(value, int | np.integer) or value < 1:
+                raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
+        if not isinstance(self.draws, AbstractDraws):
+            raise TypeError(f"draws must be Random() or Sobol(); got {type(self.draws).__name__}.")
+        if self.scrambles and self.count % self.scrambles:
+            raise ValueError(f"count must be a multiple of the {self.scrambles} scrambles of Sobol; got {self.count}.")
+        unknown = [figure for figure in self.figures if figure not in FIGURES]
+        if unknown:
+            raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"confidence must lie between 0 and 1; got {self.confidence!r}.")
+        width = self.half_width
+        if width is not None and (not width > 0.0 or not self.figures):
+            raise ValueError(f"half_width must be a positive share of the first of the figures; got {width!r}.")
 
 
 def sampled_at(
-    look: Look,
-    model: ErrorModel,
-    search: AbstractSearch,
-    aim: Aim | None = None,
-    *,
-    key: Any,
-    count: int,
-    draws: AbstractDraws,
-    about_mean: bool = False,
-    figures: Sequence[str] = FIGURES,
-    half_width: float | None = None,
-    confidence: float = 0.95,
-    keep: bool = False,
-    chunk: int = CHUNK,
-    devices: Sequence[Any] | None = None,
-    progress: bool = False,
+    look: Look, model: ErrorModel, search: AbstractSearch, sampling: Sampling, aim: Aim | None = None
 ) -> Sampled:
     """`sample` of a checked look and model, about what it aims at if that is known already."""
-    _check_request(count, chunk, draws, figures, confidence, half_width)
+    sampling.check()
     aim = look.aim(search) if aim is None else aim
     aim.require_fix()
-    plan = planned(look, aim, model, draws, search, key)
-    devices = list(jax.devices() if devices is None else devices)
+    plan = planned(look, aim, model, sampling.draws, search, sampling.key)
     centre = np.zeros(3)
-    if about_mean:
-        centre = _gather(plan, count, chunk, devices, centre, (), None, confidence, False, progress).mean_enu
-    return _gather(plan, count, chunk, devices, centre, tuple(figures), half_width, confidence, keep, progress)
+    if sampling.about_mean:
+        centre = _gather(plan, sampling._replace(figures=(), half_width=None, keep=False), centre).mean_enu
+    return _gather(plan, sampling, centre)
 
 
-def _check_request(
-    count: int, chunk: int, draws: AbstractDraws, figures: Sequence[str], confidence: float, half_width: float | None
-) -> None:
-    for value, name in ((count, "count"), (chunk, "chunk")):
-        if not isinstance(value, int | np.integer) or value < 1:
-            raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
-    if not isinstance(draws, AbstractDraws):
-        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
-    if isinstance(draws, Sobol) and count % draws.scrambles:
-        raise ValueError(f"count must be a multiple of the {draws.scrambles} scrambles of Sobol; got {count}.")
-    unknown = [figure for figure in figures if figure not in FIGURES]
-    if unknown:
-        raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence must lie between 0 and 1; got {confidence!r}.")
-    if half_width is not None and (not half_width > 0.0 or not figures):
-        raise ValueError(f"half_width must be a positive share of the first of the figures; got {half_width!r}.")
-
-
-def _gather(
-    plan: Plan,
-    count: int,
-    chunk: int,
-    devices: list[Any],
-    centre: np.ndarray,
-    figures: tuple[str, ...],
-    half_width: float | None,
-    confidence: float,
-    keep: bool,
-    progress: bool,
-) -> Sampled:
+def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
     """Draw chunk after chunk, and keep what was asked for."""
-    scrambles = plan.draws.scrambles if isinstance(plan.draws, Sobol) else 0
-    tally = _Tally(count, figures, keep)
-    parts = chunks(count, chunk, len(devices), max(scrambles, 1), progress)
-    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), tuple(devices)):
+    devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
+    tally = _Tally(sampling.count, tuple(sampling.figures), sampling.keep)
+    unit = max(sampling.scrambles, 1)
+    parts = chunks(sampling.count, sampling.chunk, len(devices), unit, sampling.progress)
+    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices):
         tally.add(first, size, drawn)
-        if half_width is not None and tally.is_sharp(half_width, confidence, scrambles):
+        width = sampling.half_width
+        if width is not None and tally.is_sharp(width, sampling.confidence, sampling.scrambles):
             break
-    return tally.result(plan.aim.fix, centre, scrambles, confidence)
+    return tally.result(plan.aim.fix, centre, sampling.scrambles, sampling.confidence)
 
 
 class _Tally:

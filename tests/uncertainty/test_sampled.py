@@ -17,6 +17,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
 from jaxgeo.uncertainty import ErrorModel, Random, Sobol, compare, propagate, sample, sources
 from jaxgeo.uncertainty.bundle import with_beam
+from jaxgeo.uncertainty.chunks import planned
 from jaxgeo.uncertainty.look import Look
 from tests.support import looks
 
@@ -44,6 +45,12 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
     other = sample(*SCENE, key=KEY, count=3000, chunk=chunk, keep=True)
     np.testing.assert_allclose(other.errors_enu, drawn.errors_enu, atol=1e-8)  # m: programs round differently
     assert other.circular_error(0.9) == pytest.approx(drawn.circular_error(0.9), abs=1e-8)
+
+
+def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
+    look = Look.of(*SCENE[:4])
+    plan = planned(look, look.aim(FirstHit()), MODEL, Random(), FirstHit(), KEY)
+    assert plan.look is look
 
 
 def test_another_key_gives_others(drawn) -> None:
