@@ -20,7 +20,7 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation, propagated
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.sampled import Quantile, Sampled, Sampling, sampled_at
+from jaxgeo.uncertainty.sampled import CHUNK, Quantile, Sampled, Sampling, sampled_at
 from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.slopes import Level
 from jaxgeo.uncertainty.verdict import surveyed
@@ -106,19 +106,21 @@ def compare(
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
-    **sampling: Any,
+    chunk: int = CHUNK,
+    devices: Sequence[Any] | None = None,
+    progress: bool = False,
 ) -> Comparison:
     """Linear propagation by facet, footprint and level ground, second order, sigma points and samples of one fix.
 
-    Arguments and errors as for `sample`, whose others (`chunk`, `devices`, `progress`) go through; `digits` are the
-    significant digits that a figure is to be good for.
+    Arguments and errors as for `sample`; `digits` are the significant digits that a figure is to be good for.
     """
     if not 1 <= digits <= 6:
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     aim = look.aim(search)
-    drawn = sampled_at(look, model, search, Sampling(key, count, draws, keep=True, **sampling), aim)
+    sampling = Sampling(key, count, draws, keep=True, chunk=chunk, devices=devices, progress=progress)
+    drawn = sampled_at(look, model, search, sampling, aim)
     _, facet, footprint, profile = surveyed(look, aim, model)
     methods = {
         "linear, facet": facet,

@@ -156,6 +156,11 @@ class Sampling(NamedTuple):
         for value, name in ((self.count, "count"), (self.chunk, "chunk")):
             if not isinstance(value, int | np.integer) or value < 1:
                 raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
+        if not isinstance(self.key, jax.Array):
+            raise TypeError(f"key must be one of jax.random.key(seed); got {self.key!r}.")
+        devices = self.devices
+        if devices is not None and not (len(devices) and all(isinstance(one, jax.Device) for one in devices)):
+            raise ValueError(f"devices must be some of jax.devices(), or None for all of them; got {devices!r}.")
         if not isinstance(self.draws, AbstractDraws):
             raise TypeError(f"draws must be Random() or Sobol(); got {type(self.draws).__name__}.")
         if self.scrambles and self.count % self.scrambles:

@@ -178,11 +178,14 @@ def test_sobol_points_in_any_chunks() -> None:
         ({"figures": ("CEP",)}, "figures are CE, LE, SE"),
         ({"confidence": 1.0}, "confidence"),
         ({"half_width": -0.1}, "half_width"),
+        ({"devices": []}, "devices must be some of"),
+        ({"devices": "cpu"}, "devices must be some of"),
+        ({"key": 3}, "key must be one of"),
     ],
 )
 def test_requests_that_make_no_sense(options: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        sample(*SCENE, key=KEY, **options)
+    with pytest.raises((ValueError, TypeError), match=message):
+        sample(*SCENE, **{"key": KEY, **options})
 
 
 def test_no_fix_no_samples() -> None:
