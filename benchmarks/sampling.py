@@ -27,6 +27,7 @@ from peers import numpy_sampling
 
 import jaxgeo
 from jaxgeo.uncertainty import ErrorModel, Footprint, Random, Sobol, presets, sources
+from jaxgeo.uncertainty.sampled import CHUNK
 
 DEVICES = 2
 jax.config.update("jax_num_cpu_devices", DEVICES)  # before anything asks JAX for its devices
@@ -180,7 +181,7 @@ def memory(counts: tuple[int, ...]) -> list[Table]:
 def memory_of(count: int) -> list[int]:
     """Bytes at the peak over those held before: while samples are drawn, and while a quantile is asked for."""
     dem = jaxgeo.io.example_dem()
-    sampled(dem, 131_072, figures=("CE",))
+    sampled(dem, 2 * CHUNK, figures=("CE",))
     before = measuring.resident()
     measuring.reset_peak()
     drawn = jaxgeo.uncertainty.sample(SENSOR, SHOT, PIXEL, dem, ERRORS, key=KEY, count=count, figures=("CE",))

@@ -11,6 +11,7 @@ from jaxgeo._numerics import (
     all_finite,
     finite_or,
     implicit_root,
+    logarithm,
     newton_or_half,
     safe_angle,
     safe_norm,
@@ -130,3 +131,26 @@ def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, hi
 )
 def test_a_step_out_of_the_bracket_is_replaced_by_halving(value, slope, expected):
     assert float(newton_or_half(*(jnp.asarray(x) for x in (1.0, 9.0, 3.0, value, slope)), slack=1e-9)[2]) == expected
+
+
+@pytest.mark.parametrize("middle", [0.0, 1.2, -3.1, 80.0])
+def test_sine_and_cosine_of_angles_near_each_other(middle):
+    """By a few terms about the first; just too far apart for that, by the series of any."""
+    for width in (1e-3, 0.0624, 0.07):
+        angle = middle + np.random.default_rng(2).uniform(0.0, width, 1024)
+        angle[0], angle[-1] = middle, middle + width
+        sine, cosine = jax.jit(jax.vmap(sine_and_cosine))(jnp.asarray(angle))
+        np.testing.assert_allclose(sine, np.sin(angle), rtol=0.0, atol=3e-16)
+        np.testing.assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=3e-16)
+
+
+def test_logarithm_to_the_last_digit():
+    x = np.concatenate(
+        [
+            np.random.default_rng(3).uniform(0.0, 3.0, 4000),
+            2.0 ** np.arange(-900.0, 900.0),
+            1.0 - 2.0 ** -np.arange(2.0, 53.0),
+        ]
+    )
+    np.testing.assert_allclose(jax.jit(logarithm)(jnp.asarray(x)), np.log(x), rtol=3e-16, atol=0.0)
+    assert logarithm(jnp.asarray(1.0)) == 0.0

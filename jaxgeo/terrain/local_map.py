@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,6 +29,21 @@ _PLACES = np.array(list(itertools.product(_NODES, repeat=3)))
 _MONOMIALS = np.stack([np.prod(_PLACES**power, axis=1) for power in POWERS], axis=1)
 _FIT = np.linalg.pinv(_MONOMIALS)
 _BEYOND = 4.0  # times what the expansion misses at the nodes: what it may miss between and behind them
+
+
+class Line(NamedTuple):
+    """A ray through a box: its ranges in m in the middle of the first axis and from there to the end; and on either
+    other axis where in the box it is there, and how far it comes from there to the end."""
+
+    middle: Scalar
+    half: Scalar
+    second: tuple[Scalar, Scalar]
+    third: tuple[Scalar, Scalar]
+
+    @property
+    def across(self) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """Both other axes."""
+        return self.second, self.third
 
 
 class LocalMap(eqx.Module):
@@ -58,34 +74,49 @@ class LocalMap(eqx.Module):
         metres = jnp.stack([*dem.grid.cell_size(), jnp.asarray(1.0)])
         return cls(middle, axes, half, coefficients.T.at[:, 0].add(centre), _BEYOND * jnp.max(missed * metres))
 
-    def track(self, ray: Ray, start: Scalar, end: Scalar) -> Track:
-        """The track of a ray within the box between two ranges in m."""
-        middle, half = 0.5 * (start + end), 0.5 * (end - start)
-        away = [p - q for p, q in zip(ray.components_at(middle), self.middle, strict=True)]
-        line = [
-            [dot(axis, away) / size, half * dot(axis, ray.direction) / size]
-            for axis, size in zip(self.axes, self.half, strict=True)
-        ]
-        terms: dict[tuple[int, ...], list[Scalar]] = {(0, 0, 0): [jnp.asarray(1.0)]}
-        for power in POWERS[1:]:
-            axis = next(number for number, exponent in enumerate(power) if exponent)
-            lower = tuple(exponent - (number == axis) for number, exponent in enumerate(power))
-            terms[power] = _times(terms[lower], line[axis])
-        row, col, height = (_combined(terms, coefficients) for coefficients in self.coefficients)
-        return Track(row, col, height, middle, half, jnp.asarray(self.error))
+    def line(self, ray: Ray) -> Line:
+        """A ray from one end of the box to the other."""
+        away = [p - q for p, q in zip(ray.origin, self.middle, strict=True)]
+        first, *others = self.axes
+        along = dot(first, ray.direction)
+        middle, half = -dot(first, away) / along, self.half[0] / along
+        across = []
+        for axis, size in zip(others, self.half[1:], strict=True):
+            slope = dot(axis, ray.direction)
+            across.append(((dot(axis, away) + middle * slope) / size, half * slope / size))
+        return Line(middle, half, *across)
+
+    def track(self, line: Line) -> Track:
+        """The track of a ray from one end of the box to the other, along its first axis; tau runs with that."""
+        row, col, height = (_along(line.across, coefficients) for coefficients in self.coefficients)
+        return Track(row, col, height, line.middle, line.half, jnp.asarray(self.error))
+
+    def slopes(self, extent: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+        """Derivatives of row, column and height by the three coordinates in the box's middle, and bounds of their sizes
+        where no coordinate is farther from it than the `extent` (1 is the box's end)."""
+        powers = np.asarray(POWERS)
+        lowered = np.maximum(powers[:, None, :] - np.eye(3, dtype=int), 0)  # by the coordinate of the derivative
+        sizes = powers * jnp.prod(extent[None, None, :] ** jnp.asarray(lowered), axis=-1)
+        linear = np.array([POWERS.index(power) for power in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
+        return self.coefficients[:, linear], jnp.abs(self.coefficients) @ sizes
 
 
-def _times(polynomial: list[Scalar], linear: list[Scalar]) -> list[Scalar]:
+def _along(across: Sequence[tuple[Scalar, Scalar]], coefficients: Float[Array, " powers"]) -> Quartic:
+    """The polynomial of the three coordinates along a line, of which the first is tau, the others linear in it."""
+    total = [jnp.asarray(0.0)] * (DEGREE + 1)
+    terms: dict[tuple[int, int], list[Scalar]] = {(0, 0): [jnp.asarray(1.0)]}
+    for number, (ahead, *power) in enumerate(POWERS):
+        j, k = power
+        if (j, k) not in terms:
+            terms[j, k] = _times(terms[j - 1, k], across[0]) if j else _times(terms[j, k - 1], across[1])
+        for place, part in enumerate(terms[j, k], ahead):
+            total[place] = total[place] + coefficients[number] * part
+    c0, c1, c2, c3 = total
+    return Quartic(c0, c1, c2, c3, jnp.zeros_like(c0))
+
+
+def _times(polynomial: list[Scalar], linear: tuple[Scalar, Scalar]) -> list[Scalar]:
     """The product of a polynomial and a linear one, by coefficients from the lowest power up."""
     a, b = linear
     inner = [low * b + high * a for low, high in itertools.pairwise(polynomial)]
     return [polynomial[0] * a, *inner, polynomial[-1] * b]
-
-
-def _combined(terms: dict[tuple[int, ...], list[Scalar]], coefficients: Float[Array, " powers"]) -> Quartic:
-    total = [jnp.asarray(0.0)] * (DEGREE + 1)
-    for number, term in enumerate(terms.values()):
-        for k, part in enumerate(term):
-            total[k] = total[k] + coefficients[number] * part
-    c0, c1, c2, c3 = total
-    return Quartic(c0, c1, c2, c3, jnp.zeros_like(c0))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -19,13 +19,15 @@ from jaxgeo.uncertainty.look import Aim, Look, Sightline
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sources.base import Error
 
-BLOCK = 1024  # lines of sight: what they are made of stays in a core's cache
+BLOCK = 2048  # lines of sight: what they are made of stays in a core's cache
+LANES = 64  # a block is so many times some lines, or the search would fill up its own
 PART = 4096  # of them that are searched together, which bounds the memory
-TRIALS = 256
-WIDER = 1.25  # than the trials' farthest: some four sigmas, so that hardly any draw lies outside
+TRIALS = 1024
+WIDER = 1.5  # than the trials' farthest: some four sigmas, so that hardly any draw lies outside
 LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: for rounding, where nothing spreads
 
-Misses = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
+Stages: TypeAlias = Sequence[Callable[[Any], Any]]
+Misses: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
 
 
 def misses(
@@ -33,17 +35,19 @@ def misses(
     look: Look,
     aim: Aim,
     search: AbstractSearch,
-    error_of: Callable[[Any], Error],
+    stages: Stages,
     each: Array,
 ) -> Misses:
-    """`ErrorModel.miss` in m, and statuses, of the errors that `error_of` makes of each of many (leading axis).
+    """`ErrorModel.miss` in m, and statuses, of the errors that `stages`, one after the other, make of each of many
+    (leading axis).
 
-    All errors are drawn, then all lines of sight made, then all searched for their ground: left to itself, the compiler
-    would have an error drawn again wherever it is looked at, and the chain of rotations gone through again.
+    All go through the first stage, then all through the next, then all lines of sight are made, then all searched for
+    their ground: left to itself, the compiler would have an error drawn again wherever it is looked at, and the chain
+    of rotations gone through again.
     """
 
     def some(each: Array) -> Misses:
-        lines, own, common = _lines(model, look, error_of, each)
+        lines, own, common = _lines(model, look, stages, each)
 
         def miss(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
             terrain, air = eqx.combine(own, common)
@@ -51,7 +55,7 @@ def misses(
 
         return jax.vmap(miss)(lines, own)
 
-    return _in_blocks(some, each, PART)
+    return _in_parts(some, each)
 
 
 def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -> AbstractSearch:
@@ -66,7 +70,7 @@ def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -
     def error_of(number: Int[Array, ""]) -> Error:
         return model.drawn(roots, Random().standard_normal(key, number, model.size))
 
-    lines, own, common = _lines(model, look, error_of, jnp.arange(TRIALS))
+    lines, own, common = _lines(model, look, (error_of,), jnp.arange(TRIALS))
     ray, _ = look.sightline()
     farthest = lambda all_, middle: jnp.max(jnp.linalg.norm(all_ - middle[None, :], axis=1))  # noqa: E731
     rises = jax.vmap(lambda _, own: _rise(eqx.combine(own, common)[0]))(lines.status, own)
@@ -75,7 +79,7 @@ def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -
     return FirstHit(Beam.about(ray, aim.distance, look.terrain, spread))
 
 
-def _lines(model: ErrorModel, look: Look, error_of: Callable[[Any], Error], each: Array) -> tuple[Sightline, Any, Any]:
+def _lines(model: ErrorModel, look: Look, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
     """(lines of sight, what the errors move of the ground that each comes down on, what all have in common)."""
     given = {id(leaf) for leaf in jax.tree.leaves(_ground(look))}
     example = _ground(model.moved(look, jnp.zeros(model.size)))
@@ -85,8 +89,7 @@ def _lines(model: ErrorModel, look: Look, error_of: Callable[[Any], Error], each
         moved = model.moved(look, error)
         return moved.sightline(), eqx.filter(_ground(moved), is_moved)
 
-    errors = _in_blocks(jax.vmap(error_of), each, BLOCK)
-    lines, own = _in_blocks(jax.vmap(line), errors, BLOCK)
+    lines, own = _in_turn((*stages, line), each)
     return lines, own, eqx.filter(example, is_moved, inverse=True)
 
 
@@ -100,11 +103,34 @@ def _ground(look: Look) -> tuple[AbstractTerrain, Atmosphere | None]:
     return look.terrain, look.air
 
 
-def _in_blocks(function: Callable[[Any], Any], each: Array, largest: int) -> Any:
-    """A function of many (leading axis), in blocks of one size, one after the other."""
+def _in_turn(stages: Stages, each: Array) -> Any:
+    """What stages, one after the other, make of each of many (leading axis), in blocks; between them the last axis
+    counts."""
+    blocks, count = _blocks(each, BLOCK)
+    *others, last = stages
+    axis = 0
+    for stage in others:
+        blocks = jax.lax.map(jax.vmap(stage, in_axes=axis, out_axes=-1), blocks)
+        axis = -1
+    return _joined(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), count)
+
+
+def _in_parts(function: Callable[[Array], Any], each: Array) -> Any:
+    """A function of many (leading axis), in parts of one size, one after the other."""
+    parts, count = _blocks(each, PART)
+    return _joined(jax.lax.map(function, parts), count)
+
+
+def _blocks(each: Array, largest: int) -> tuple[Array, int]:
+    """Blocks of one size, the last one filled up; and how many there were."""
     count, shape = each.shape[0], each.shape[1:]
     blocks = max(-(-count // largest), 1)
     size = -(-count // blocks)
+    size = min(largest, LANES * -(-size // LANES))
     filled = jnp.concatenate([each, jnp.broadcast_to(each[-1:], (blocks * size - count, *shape))])
-    answers = jax.lax.map(function, filled.reshape(blocks, size, *shape))
-    return jax.tree.map(lambda x: x.reshape(blocks * size, *x.shape[2:])[:count], answers)
+    return filled.reshape(blocks, size, *shape), count
+
+
+def _joined(blocks: Any, count: int) -> Any:
+    """The first so many of what lies in blocks."""
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:count], blocks)

@@ -16,7 +16,7 @@ from jaxgeo._typing import Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.bundle import Misses, misses, with_beam
-from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
+from jaxgeo.uncertainty.draws import AbstractDraws, Sobol, normal_quantile
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, Root
 
@@ -62,21 +62,24 @@ def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
 def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
     """Misses in m and statuses of the samples of these numbers."""
 
-    def error_of(number: Int[Array, ""]) -> Float[Array, " axes"]:
-        normal = plan.draws.standard_normal(plan.key, number, plan.model.size)
+    def centred_of(number: Int[Array, ""]) -> Float[Array, " axes"]:
+        return plan.draws.centred(plan.key, number, plan.model.size)
+
+    def error_of(centred: Float[Array, " axes"]) -> Float[Array, " axes"]:
+        normal = normal_quantile(centred)
         if plan.turn is not None:
             normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # a product of matrices would round by its batch
         return plan.model.drawn(plan.roots, normal)
 
-    return misses(plan.model, plan.look, plan.aim, plan.search, error_of, numbers)
+    return misses(plan.model, plan.look, plan.aim, plan.search, (centred_of, error_of), numbers)
 
 
 class Drawn(NamedTuple):
-    """A chunk: sums over the samples with a fix of their errors about the centre in m and of the products of these, and
-    of each sample the radii in m for CE, LE and SE, its error and its status."""
+    """A chunk: sums, device by device, over the samples with a fix of their errors about the centre in m and of the
+    products of these; and of each sample the radii in m for CE, LE and SE, its error and its status."""
 
-    total: Float[Array, "3"]
-    squares: Float[Array, "3 3"]
+    total: Float[Array, "devices 3"]
+    squares: Float[Array, "devices 3 3"]
     radii: tuple[Float[Array, " samples"], ...]
     errors: Float[Array, "samples 3"]
     statuses: Int8[Array, " samples"]
@@ -91,29 +94,33 @@ def drawn_chunk(
     devices: tuple[Any, ...],
 ) -> Drawn:
     """The chunk of a `part`, (first sample, how many), spread over the devices and filled up to `size` samples."""
-    first, count = part
-    numbers = first + jnp.arange(size)
     if len(devices) == 1:
-        miss, status = _misses(plan, numbers)
-    else:
-        everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
-        spread = jax.shard_map(
-            _misses,
-            mesh=_mesh(devices),
-            in_specs=(everywhere, in_turn),
-            out_specs=in_turn,
-            check_vma=False,
-        )
-        miss, status = spread(plan, numbers)
-    is_asked = jnp.arange(size) < count
+        return _drawn(plan, part, centre, jnp.arange(size))
+    everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
+    spread = jax.shard_map(
+        _drawn,
+        mesh=_mesh(devices),
+        in_specs=(everywhere, everywhere, everywhere, in_turn),
+        out_specs=in_turn,
+        check_vma=False,
+    )
+    return spread(plan, part, centre, jnp.arange(size))
+
+
+def _drawn(
+    plan: Plan, part: tuple[Int[Array, ""], Int[Array, ""]], centre: Vector3, places: Int[Array, " samples"]
+) -> Drawn:
+    """What one device draws of a chunk: the samples at these places of it. No device waits for another one's sums."""
+    first, count = part
+    miss, status = _misses(plan, first + places)
     found = counts_as_fix(status)
     error = miss - centre[None, :]
     across = error[:, 0] ** 2 + error[:, 1] ** 2
     radii = (jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2))
-    known = jnp.where((found & is_asked)[:, None], error, 0.0)
+    known = jnp.where((found & (places < count))[:, None], error, 0.0)
     return Drawn(
-        total=jnp.sum(known, axis=0),
-        squares=known.T @ known,
+        total=jnp.sum(known, axis=0)[None, :],
+        squares=(known.T @ known)[None, :, :],
         radii=tuple(jnp.where(found, radius, jnp.inf) for radius in radii),
         errors=jnp.where(found[:, None], error, jnp.nan),
         statuses=status,
@@ -129,7 +136,8 @@ def one_ahead(
 ) -> Iterator[tuple[int, int, Drawn]]:
     """(first sample, number of samples, what was drawn) of chunk after chunk; the next is drawn meanwhile."""
     # once, not with every chunk: the terrain may be large
-    plan, centre = eqx.filter_shard((plan, centre), NamedSharding(_mesh(devices), PartitionSpec()))
+    arrays, rest = eqx.partition((plan, centre), eqx.is_array)
+    plan, centre = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(devices), PartitionSpec())), rest)
     waiting = None
     for first, size, padded in parts:
         part = jnp.asarray(first), jnp.asarray(size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt32
 
 from jaxgeo._checks import concrete, require_x64
+from jaxgeo._numerics import logarithm
 from jaxgeo._typing import IndexField, Numbers
 from jaxgeo.uncertainty import sobol
 
-Vector = Float[Array, " size"]
+Vector: TypeAlias = Float[Array, " size"]
 
 
 OWN = 0x6A617867  # folded into a key, so that nobody else draws these numbers with it
@@ -24,25 +25,28 @@ ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 class AbstractDraws(eqx.Module):
     """Where the standard normal vectors of a sampling come from."""
 
-    @abc.abstractmethod
     def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
         """Sample number `index`, counted from 0: `size` independent standard normal numbers.
 
-        The same for the same key and index, alone or under `vmap`, in whatever chunks; another device's or compiler's
-        logarithm may differ in the last digit. Its first numbers do not change when `size` grows. None is infinite:
-        they lie within 8.13 of zero. Raises `ValueError` for an index out of range and for a key other than JAX's usual
-        kind, whose numbers change under `vmap`.
+        The same for the same key and index, alone or under `vmap`, in whatever chunks. Its first numbers do not change
+        when `size` grows. None is infinite: they lie within 8.13 of zero. Raises `ValueError` for an index out of range
+        and for a key other than JAX's usual kind, whose numbers change under `vmap`.
         """
+        return normal_quantile(self.centred(key, index, size))
+
+    @abc.abstractmethod
+    def centred(self, key: Any, index: IndexField, size: int) -> Vector:
+        """The probabilities, less 1/2, that `standard_normal` makes its numbers of; with the errors that it raises."""
 
 
 class Random(AbstractDraws):
     """Independent draws, for up to 2^32 samples."""
 
-    def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
+    def centred(self, key: Any, index: IndexField, size: int) -> Vector:
         _check(key, index, size, 2**32)
         own = jax.random.key_data(jax.random.fold_in(key, OWN))
         sample = jnp.full(size, jnp.asarray(index).astype(jnp.uint32))
-        return normal_quantile(_centred(*threefry(own, sample, jnp.arange(size, dtype=jnp.uint32))))
+        return _centred(*threefry(own, sample, jnp.arange(size, dtype=jnp.uint32)))
 
 
 class Sobol(AbstractDraws):
@@ -60,14 +64,14 @@ class Sobol(AbstractDraws):
         if not isinstance(self.scrambles, int) or self.scrambles < 1:
             raise ValueError(f"scrambles must be a whole number of at least 1; got {self.scrambles!r}.")
 
-    def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
+    def centred(self, key: Any, index: IndexField, size: int) -> Vector:
         _check(key, index, size, self.scrambles * 2**32)
         directions = jnp.asarray(sobol.direction_numbers(size))
         index = jnp.asarray(index)
         point = sobol.sobol_point((index // self.scrambles).astype(jnp.uint32), directions)
         shift, factor, filling = self._seeds(key, size)[index % self.scrambles]
         digits = sobol.scrambled(point, shift, factor)
-        return normal_quantile(_centred(sobol.mirrored(digits), sobol.mixed(digits ^ filling)))
+        return _centred(sobol.mirrored(digits), sobol.mixed(digits ^ filling))
 
     def _seeds(self, key: Any, size: int) -> UInt32[Array, "scrambles 3 size"]:
         """Random words of all scrambles: under `vmap` over the index they are drawn only once."""
@@ -136,7 +140,7 @@ def normal_quantile(centred: Numbers) -> Numbers:
     """
     middle = jnp.abs(centred) <= 0.425
     tail = jnp.where(middle, 0.5, 0.5 - jnp.abs(centred))
-    depth = jnp.sqrt(-jnp.log(tail))
+    depth = jnp.sqrt(-logarithm(tail))
     far = depth > 5.0
     x = jnp.where(middle, 0.180625 - centred * centred, depth - jnp.where(far, 5.0, 1.6))
     above, below = jnp.zeros_like(x), jnp.zeros_like(x)

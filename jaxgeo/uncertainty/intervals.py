@@ -9,6 +9,8 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 
 LEAST_SCRAMBLES = 16
+MANY = 65_536  # errors, from which on not all are put in order
+SAMPLE = 16_384
 
 
 class Interval(NamedTuple):
@@ -45,11 +47,11 @@ def quantile_interval(errors: Any, probability: float, confidence: float = 0.95)
     # Rounding up must not be led astray by a product that is a whole number but for its last bit.
     rank = max(1, math.ceil(probability * errors.size * (1.0 - 2.0**-50)))
     inside = sorted({max(low, 1), rank, min(high, errors.size)})
-    ordered = np.partition(errors, [k - 1 for k in inside])
+    ordered = dict(zip(inside, _ordered(errors, [k - 1 for k in inside]), strict=True))
     return Interval(
-        float(ordered[rank - 1]),
-        float(ordered[low - 1]) if low >= 1 else 0.0,
-        float(ordered[high - 1]) if high <= errors.size else math.inf,
+        ordered[rank],
+        ordered[low] if low >= 1 else 0.0,
+        ordered[high] if high <= errors.size else math.inf,
     )
 
 
@@ -66,11 +68,11 @@ def scramble_quantile(errors: Any, probability: float) -> float:
     rank = min(max(probability * errors.size + 0.5, 1.0), float(errors.size))
     below = math.floor(rank)
     above = min(below + 1, errors.size)
-    ordered = np.partition(errors, sorted({below - 1, above - 1}))
+    lower, upper = _ordered(errors, [below - 1, above - 1])
     weight = rank - below
     if weight < 1e-9:  # an infinite neighbour without weight has no say
-        return float(ordered[below - 1])
-    return float((1.0 - weight) * ordered[below - 1] + weight * ordered[above - 1])
+        return lower
+    return (1.0 - weight) * lower + weight * upper
 
 
 def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
@@ -106,6 +108,36 @@ def relative_half_width(interval: Interval) -> float:
     if half == 0.0:
         return 0.0
     return half / interval.estimate if interval.estimate > 0.0 else math.inf
+
+
+def _ordered(errors: np.ndarray, ranks: list[int]) -> list[float]:
+    """The errors of these ranks, counted from 0, in rising order.
+
+    Of many, only those are put in order that lie where a sample of them says that the ranks are (Floyd and Rivest 1975,
+    "Expected time bounds for selection"): there is no copy of all, and it takes a fifth of the time. If the sample was
+    wrong, which the count of those below tells, all are.
+    """
+    count = errors.size
+    if count >= MANY:
+        sample = np.sort(errors[:: count // SAMPLE])
+        about = np.array([ranks[0], ranks[-1]]) * (sample.size / count)
+        low, high = (about + 4.0 * np.sqrt(sample.size) * np.array([-1.0, 1.0])).astype(int)
+        least = sample[low] if low >= 0 else -math.inf
+        most = sample[high] if high < sample.size else math.inf
+        below, between = 0, []
+        for first in range(0, count, MANY):
+            some = errors[first : first + MANY]
+            below += int(np.count_nonzero(some < least))
+            between.append(some[(some >= least) & (some <= most)])
+        near = np.concatenate(between)
+        if below <= ranks[0] and ranks[-1] - below < near.size:
+            return _ordered_of_all(near, [rank - below for rank in ranks])
+    return _ordered_of_all(errors, ranks)
+
+
+def _ordered_of_all(errors: np.ndarray, ranks: list[int]) -> list[float]:
+    ordered = np.partition(errors, sorted(set(ranks)))
+    return [float(ordered[rank]) for rank in ranks]
 
 
 def _binomial_quantile(share: float, count: int, probability: float) -> int:

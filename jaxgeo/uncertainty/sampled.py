@@ -29,7 +29,8 @@ from jaxgeo.uncertainty.intervals import (
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 
-CHUNK = 65_536
+CHUNK = 250_000  # goes into round numbers of samples without a rest
+BETWEEN_LOOKS = 50_000  # samples at most, from one look at how sharp an interval is to the next
 RANDOM = Random()
 FIGURES = ("CE", "LE", "SE")
 
@@ -117,8 +118,8 @@ def sample(
 ) -> Sampled:
     """Errors of the fix that `locate` gives with the same arguments, drawn `count` times.
 
-    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (samples at a time,
-    which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`, whose
+    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (the most samples at a
+    time, which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`, whose
     points are turned so that the directions that matter most come first. 8 bytes a sample are kept for each of the
     `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the interval of the first figure at 90
     % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at `count` samples at the latest.
@@ -194,7 +195,8 @@ def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
     tally = _Tally(sampling.count, tuple(sampling.figures), sampling.keep)
     unit = max(sampling.scrambles, 1)
-    parts = chunks(sampling.count, sampling.chunk, len(devices), unit, sampling.progress)
+    chunk = sampling.chunk if sampling.half_width is None else min(sampling.chunk, BETWEEN_LOOKS)
+    parts = chunks(sampling.count, chunk, len(devices), unit, sampling.progress)
     for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices):
         tally.add(first, size, drawn)
         width = sampling.half_width
@@ -218,8 +220,8 @@ class _Tally:
         codes = np.bincount(np.asarray(drawn.statuses)[:size], minlength=len(Status))
         self.count += size
         self.found += int(codes[np.asarray(counts_as_fix(jnp.arange(len(Status))))].sum())
-        self.sum += np.asarray(drawn.total)
-        self.squares += np.asarray(drawn.squares)
+        self.sum += np.asarray(drawn.total).sum(axis=0)
+        self.squares += np.asarray(drawn.squares).sum(axis=0)
         self.codes += codes
         for figure, kept in self.radii.items():
             kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]

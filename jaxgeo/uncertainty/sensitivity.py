@@ -263,7 +263,7 @@ def misses_of(
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # a product of matrices would round by its batch
 
-    miss, status = misses(plan.model, plan.look, plan.aim, search, error_of, normals)
+    miss, status = misses(plan.model, plan.look, plan.aim, search, (error_of,), normals)
     return miss, counts_as_fix(status)
 
 

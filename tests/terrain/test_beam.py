@@ -122,7 +122,7 @@ def test_its_map_is_true_within_its_box(beam, dem):
     def missed(turn, share):
         direction = MIDDLE.direction + turn
         ray = Ray(MIDDLE.origin, direction / jnp.linalg.norm(direction))
-        track = beam.track(ray)
+        track, _ = beam.track(ray, jnp.asarray(0.0))
         rowcol, height = dem.over(ray.at(track.range_at(share)))
         row, col, above = track.at(share)
         return jnp.stack([SPACING * (row - rowcol[0]), SPACING * (col - rowcol[1]), above - height])
@@ -130,3 +130,34 @@ def test_its_map_is_true_within_its_box(beam, dem):
     turns, shares = rng.uniform(-2e-3, 2e-3, (200, 3)), rng.uniform(-1.0, 1.0, 200)
     worst = float(jnp.max(jnp.abs(jax.vmap(missed)(jnp.asarray(turns), jnp.asarray(shares)))))
     assert worst <= float(beam.map.error) < 1e-6
+
+
+def test_nothing_is_before_what_each_of_its_rays_is_told(rays, plain, beam, held):
+    """Where the bin that it is of says that it may begin lies before its hit, and for most not by much."""
+    track, clear_to = jax.vmap(beam.track)(rays[0], jnp.asarray(rays[1]))
+    begins = np.asarray(track.middle + track.half * clear_to)[held]
+    met = np.asarray(plain.near)[held]
+    assert np.all(begins < met)
+    ahead = np.asarray(track.middle - track.half)[held]
+    assert np.median((met - begins) / (met - ahead)) < 0.5
+
+
+@pytest.mark.parametrize("elevation", [-89.99, -30.0])
+@pytest.mark.parametrize("spread", [Spread(1e-3, 2e-2, 1e-3), Spread(60.0, 1e-3, 20.0)])
+def test_it_may_be_wide_or_point_straight_down(dem, elevation, spread):
+    """Rays all over the spread, some at its very edge, and some whose ground is lowered by more than it may rise."""
+    middle = local_ray(-300.0, -200.0, 2500.0, azimuth=45.0, elevation=elevation)
+    rng = np.random.default_rng(11)
+    away, turn = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in rng.normal(size=(2, 2100, 3)))
+    far = rng.uniform(0.0, 1.0, (2100, 1)) ** 0.2
+    origin = np.asarray(middle.origin) + 0.999 * spread.origin * far * away
+    direction = np.asarray(middle.direction) + 0.9 * spread.direction * rng.permutation(far) * turn
+    rise = rng.uniform(-5.0, 0.999, 2100) * spread.rise
+    rays = Ray(jnp.asarray(origin), jnp.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True)))
+    plain = brackets(rays, rise, dem, FirstHit())
+    beam = beam_about(middle, jnp.median(plain.near), dem, spread)
+    found = brackets(rays, rise, dem, FirstHit(beam))
+    np.testing.assert_array_equal(found.status, plain.status)
+    np.testing.assert_allclose(found.near, plain.near, rtol=0.0, atol=1e-6)
+    assert beam.start > 0.0
+    assert np.all(jax.vmap(lambda r, h: beam.holds(r, dem.with_field(ConstantField(h))))(rays, jnp.asarray(rise)))

@@ -16,6 +16,7 @@ import scipy.stats
 
 from jaxgeo.uncertainty.draws import Sobol
 from jaxgeo.uncertainty.intervals import (
+    SAMPLE,
     Interval,
     order_ranks,
     quantile_interval,
@@ -172,3 +173,23 @@ def test_relative_half_width() -> None:
 def test_mistakes_are_named(call, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("kind", ["spread", "sorted", "failed", "alike"])
+@pytest.mark.parametrize("probability", [1e-5, 0.5, 0.9, 0.99999])
+def test_ranks_of_many_errors_are_those_of_all(kind: str, probability: float) -> None:
+    """Also where a sample of them misleads: every so many lies elsewhere, or all are the same."""
+    errors = np.random.default_rng(4).exponential(size=200_001)
+    if kind == "sorted":
+        errors = np.sort(errors)
+        errors[:: errors.size // SAMPLE] *= 1e3
+    elif kind == "failed":
+        errors[errors > 2.0] = np.inf
+    elif kind == "alike":
+        errors[:] = 3.0
+    estimate, low, high = quantile_interval(errors, probability)
+    ordered = np.sort(errors)
+    first, last = order_ranks(errors.size, probability)
+    assert estimate == ordered[int(np.ceil(probability * errors.size)) - 1]
+    assert low == (ordered[first - 1] if first >= 1 else 0.0)
+    assert high == (ordered[last - 1] if last <= errors.size else np.inf)

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxgeo._numerics import cross, dot
-from jaxgeo._typing import Flag, Matrix3, Scalar, ScalarField, Vector3, Vector3Field
+from jaxgeo._typing import Flag, Matrix3, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain.local_map import LocalMap
+from jaxgeo.terrain.local_map import Line, LocalMap
 from jaxgeo.terrain.search.base import CEILING_MARGIN, reach_of
+from jaxgeo.terrain.search.walk import Stretch, clear_ahead
 from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Track
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 PLACES = 1024  # along the cone at which the ground below it is looked at
 BENT = 1.1  # how much wider than by its slope at one point a grid's map may be taken to be within the cone
+BINS = 32  # on either axis across the cone
+LEAST_DEEPENING = 0.2  # m of height by m: a ray that falls more steeply gains little by being told its rise
 WIDEST = 20  # dyadic level of cells: no terrain has more
 
 
@@ -33,8 +37,8 @@ class Spread(NamedTuple):
 
 
 class Beam(eqx.Module):
-    """A cone about a ray, clear of all ground up to the range `start` in m; its rays are likely to come down within
-    `length` m from there.
+    """A cone about a ray, clear of all ground up to the range `start` in m; its rays are likely to come down within the
+    box of its `map`.
 
     A ray from within `spread.origin` m of the `apex` that turns from the `axis` by no more than `spread.direction` has
     nothing before it up to `start`, has come over the grid from above, and may begin to look there. Any other walks
@@ -45,8 +49,8 @@ class Beam(eqx.Module):
     axis: Vector3Field
     spread: Spread
     start: ScalarField
-    length: ScalarField
     map: LocalMap
+    ahead: Ahead
 
     @classmethod
     def about(cls, ray: Ray, distance: Scalar, dem: Dem, spread: Spread) -> Beam:
@@ -63,11 +67,16 @@ class Beam(eqx.Module):
         is_covered = (first == 0.0) | (_lowest(ray, dem, spread, first) > dem.ceiling + spread.rise)
         start = jnp.where(is_covered & ahead[0], first + step * (jnp.sum(ahead) - 1), 0.0)
         length = 2.0 * (distance - start + jnp.max(dem.grid.cell_size()))
-        radius = _radius(spread, start + length)
-        half = jnp.stack([0.5 * length + radius, radius, radius])
-        local = LocalMap.about(dem, ray.at(start + 0.5 * length), _frame(ray.direction), half)
+        # where along the axis every ray has come to at the latest when its range is the start
+        least = 1.0 - 0.5 * spread.direction**2
+        near = start * least - spread.origin
+        radius = _radius(spread, (near + length + spread.origin) / least)
+        half = jnp.stack([0.5 * length, radius, radius])
+        local = LocalMap.about(dem, ray.at(near + 0.5 * length), _frame(ray), half)
+        far = near + 0.5 * length
         is_of_use = (start > 0.0) & (length < LONGEST_TRACK) & (local.error < TRACK_TOLERANCE)
-        return cls(ray.origin, ray.direction, spread, jnp.where(is_of_use, start, 0.0), length, local)
+        ahead = Ahead.of(local, spread, far, dem)
+        return cls(ray.origin, ray.direction, spread, jnp.where(is_of_use, start, 0.0), local, ahead)
 
     def holds(self, ray: Ray, dem: Dem) -> Flag:
         """Whether a ray over this terrain, with a field of its own, is of the cone."""
@@ -77,17 +86,71 @@ class Beam(eqx.Module):
         rise = dem.rise
         return inside & (self.start > 0.0) & (True if rise is None else rise <= self.spread.rise)
 
-    def track(self, ray: Ray) -> Track:
-        """The track of a ray of the cone from the start on."""
-        return self.map.track(ray, self.start, self.start + self.length)
+    def track(self, ray: Ray, rise: Scalar) -> tuple[Track, Scalar]:
+        """The track of a ray of the cone whose ground is raised by so many m at most, and the tau up to which nothing
+        is before it."""
+        line = self.map.line(ray)
+        return self.map.track(line), self.ahead.clear_to(line, rise)
 
 
-def _frame(axis: Vector3) -> Matrix3:
-    """Unit vectors along an axis and across it, by row."""
+class Ahead(eqx.Module):
+    """How far along a box nothing is before rays, by where in its middle they are (`clear`, by tau).
+
+    A ray over ground that is raised is as near to it as one that lies `lowered` times that (box's third axis, per m)
+    deeper over ground that is not; `rise` in m bounds it, `reach` is how far such rays lie from the axis.
+    """
+
+    clear: Float[Array, "bins bins"]
+    lowered: ScalarField
+    rise: ScalarField
+    reach: ScalarField
+
+    @classmethod
+    def of(cls, local: LocalMap, spread: Spread, far: Scalar, dem: Dem) -> Ahead:
+        """Found by walking for all rays of a bin at once, along the one in its middle; the box is `far` m away."""
+        widening = local.half[0] / far
+        deepening = local.slopes(jnp.ones(3))[0][2, 2]
+        deepens = deepening > LEAST_DEEPENING * local.half[2]
+        lowered = jnp.where(deepens, 1.0 / jnp.where(deepens, deepening, 1.0), 0.0)
+        raised = lowered * spread.rise
+        reach = 1.0 + raised
+        _, most = local.slopes((1.0 + widening) * jnp.stack([jnp.ones_like(reach), jnp.ones_like(reach), reach]))
+        # how far from the ray in a bin's middle others of it are, on either axis, but for what goes with their rise;
+        # those from beside the apex widen differently
+        width = jnp.stack([1.0 / BINS, reach / BINS])
+        beside = spread.origin / local.half[1:] + spread.origin / jnp.maximum(far - spread.origin, 1e-9)
+        apart = width + widening * (width + beside)
+        away = apart + jnp.stack([0.0, (1.0 + widening) * raised])
+        row, col = (most[k, 1:] @ away for k in (0, 1))
+        bend = most[2, 2] - jnp.abs(deepening) + widening * most[2, 2]
+        height = most[2, 1:] @ apart + bend * raised + jnp.abs(deepening * lowered - 1.0) * spread.rise
+        spreads = tuple((1.001 * x + 1e-3).astype(jnp.float32) for x in (row, col, height))
+
+        def clear_to(second: Scalar, third: Scalar) -> Scalar:
+            line = Line(far, local.half[0], (second, widening * second), (third, widening * third))
+            return clear_ahead(Stretch.of(local.track(line)), dem, spreads)
+
+        middles = (2.0 * jnp.arange(BINS) + 1.0) / BINS - 1.0
+        over = jax.vmap(jax.vmap(clear_to, (None, 0)), (0, None))
+        return cls(over(middles, reach * middles), lowered, spread.rise, reach)
+
+    def clear_to(self, line: Line, rise: Scalar) -> Scalar:
+        """The tau up to which nothing is before a ray within the box whose ground is raised by so many m at most."""
+        deep = (line.third[0] - self.lowered * jnp.maximum(rise, -self.rise)) / self.reach
+        second, third = ((0.5 * BINS * (x + 1.0)).astype(jnp.int32) for x in (line.second[0], deep))
+        return self.clear.at[jnp.clip(second, 0, BINS - 1), jnp.clip(third, 0, BINS - 1)].get(mode="promise_in_bounds")
+
+
+def _frame(ray: Ray) -> Matrix3:
+    """Unit vectors by row: along a ray, to its side, and upwards across it; some others if it goes straight down."""
+    axis = ray.direction
+    up = ray.origin / jnp.linalg.norm(ray.origin)
+    side = jnp.stack(cross(axis, up))
+    is_level = jnp.linalg.norm(side) > 1e-3
     least = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
-    across = jnp.stack(cross(axis, least))
-    across = across / jnp.linalg.norm(across)
-    return jnp.stack([axis, across, jnp.stack(cross(axis, across))])
+    side = jnp.where(is_level, side, jnp.stack(cross(axis, least)))
+    side = side / jnp.linalg.norm(side)
+    return jnp.stack([axis, side, jnp.stack(cross(side, axis))])
 
 
 def _radius(spread: Spread, distance: Scalar) -> Scalar:

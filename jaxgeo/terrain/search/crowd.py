@@ -19,18 +19,26 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 
 from jaxgeo._numerics import tree_where
-from jaxgeo._typing import Flag, Index
+from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import happened, has_entered, march_all
-from jaxgeo.terrain.search.walk import Stretch, advance, is_passing, must_settle, place, position_of
+from jaxgeo.terrain.search.walk import (
+    Stretch,
+    advance,
+    clear_ahead,
+    is_passing,
+    must_settle,
+    place,
+    place_at,
+    position_of,
+)
 from jaxgeo.terrain.search.walker import (
     Store,
     Walker,
     after_track,
-    first_place,
     new_track,
     no_tracks,
     nothing_like,
@@ -72,7 +80,12 @@ def _at_start(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tupl
     if beam is None or ray.bending is not None:
         return walker, no_tracks(reach.start)
     is_of_beam = ground.each(beam.holds, ray)
-    return jax.vmap(Walker.within, (0, 0, 0, 0, None))(walker, ray, reach, is_of_beam, beam)
+    rise = ground.each(_rise, reach)
+    return jax.vmap(Walker.within, (0, 0, 0, 0, 0, None))(walker, ray, reach, is_of_beam, rise, beam)
+
+
+def _rise(reach: Reach, dem: Dem) -> Scalar:
+    return jnp.zeros_like(reach.start) if dem.rise is None else jnp.broadcast_to(dem.rise, reach.start.shape)
 
 
 def _first_pass(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
@@ -250,16 +263,9 @@ def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
     quartics = lambda s: (s.track.row, s.track.col, s.headroom)  # noqa: E731
     spreads = tuple(spread(all_, first) for all_, first in zip(quartics(stretch), quartics(leader), strict=True))
 
-    def move(here: Int[Array, " bundles"]) -> Int[Array, " bundles"]:
-        return jax.vmap(lambda here, stretch, spread: advance(here, stretch, dem, jnp.asarray(True), spread))(
-            here, leader, spreads
-        )
-
-    here = jax.lax.while_loop(lambda here: jnp.any(is_passing(here, leader)), move, jax.vmap(first_place)(leader))
-    clear_to = jnp.repeat(leader.tau(position_of(here)), BUNDLE, total_repeat_length=walker.here.shape[0])
-    position = jnp.floor((clear_to + 1.0) / stretch.unit).astype(jnp.int32)
-    level = jnp.clip(31 - jax.lax.clz(position & -position), 0, 2)
-    return eqx.tree_at(lambda w: w.here, walker, jnp.where(position > 0, place(position, level), walker.here))
+    tau = jax.vmap(lambda stretch, spread: clear_ahead(stretch, dem, spread))(leader, spreads)
+    clear_to = jnp.repeat(tau, BUNDLE, total_repeat_length=walker.here.shape[0])
+    return eqx.tree_at(lambda w: w.here, walker, jax.vmap(place_at, (0, 0, None))(stretch, clear_to, 2))
 
 
 def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> Walker:

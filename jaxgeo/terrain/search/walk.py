@@ -106,6 +106,29 @@ def is_passing(here: Indices, stretch: Stretch) -> Flags:
     return ~must_settle(here) & (position_of(here) < stretch.count)
 
 
+def first_place(stretch: Stretch) -> Index:
+    """A quarter of the track, for all of it is never clear: it begins just below the ceiling."""
+    return place(jnp.zeros_like(stretch.finest), jnp.maximum(stretch.finest - 2, 0))
+
+
+def place_at(stretch: Stretch, tau: ScalarLike, longest: int) -> Index:
+    """Where to go on from `tau`: with intervals of up to 2^`longest` of the finest or, with -1, to settle one.
+
+    The first place, if it is none behind that.
+    """
+    position = jnp.floor((tau + 1.0) / stretch.unit).astype(jnp.int32)
+    level = jnp.clip(31 - jax.lax.clz(position & -position), min(0, longest), longest)
+    return jnp.where(position > 0, place(position, level), first_place(stretch))
+
+
+def clear_ahead(stretch: Stretch, dem: Dem, spread: tuple[ScalarLike, ScalarLike, ScalarLike]) -> ScalarLike:
+    """The tau up to which nothing is before tracks over the grid that are no farther off one than `spread`."""
+    over = jnp.asarray(True)
+    move = lambda here: advance(here, stretch, dem, over, spread)  # noqa: E731
+    here = jax.lax.while_loop(lambda here: is_passing(here, stretch), move, first_place(stretch))
+    return stretch.tau(position_of(here))
+
+
 def advance(
     here: Index, stretch: Stretch, dem: Dem, entered: Flag, spread: tuple[ScalarLike, ScalarLike, ScalarLike]
 ) -> Index:

@@ -15,7 +15,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.march import happened, news_of
-from jaxgeo.terrain.search.walk import FINEST, Stretch, must_settle, place, position_of
+from jaxgeo.terrain.search.walk import FINEST, Stretch, first_place, must_settle, place, place_at, position_of
 from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track, make_track
 
 if TYPE_CHECKING:
@@ -50,16 +50,16 @@ class Walker(eqx.Module):
         is_over = ~(reach.exists & reach.is_near)
         return cls(reach.start, length, -jnp.ones_like(length), zero, zero, zero, ~no, no, is_over)
 
-    def within(self, ray: Ray, reach: Reach, is_of_beam: Flag, beam: Beam) -> tuple[Walker, Track]:
+    def within(self, ray: Ray, reach: Reach, is_of_beam: Flag, rise: Scalar, beam: Beam) -> tuple[Walker, Track]:
         """This ray, or, if it is of a beam whose start lies farther on its way, one that begins there; its track."""
         begins = is_of_beam & reach.exists & reach.is_near & (beam.start > reach.start)
-        track = beam.track(ray)
+        track, clear_to = beam.track(ray, rise)
         there = Walker(
-            passed=beam.start,
-            length=beam.length,
+            passed=track.middle - track.half,
+            length=2.0 * track.half,
             tau=self.tau,
             tracks=self.tracks,
-            here=first_place(Stretch.of(track)),
+            here=place_at(Stretch.of(track), clear_to, -1),
             news=news_of(begins, ~begins),
             fresh=~begins,
             begun=begins,
@@ -94,11 +94,6 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker,
         is_over=(walker.tracks >= MOST_TRACKS) | (from_origin & ~reach.from_near),
     )
     return tree_where(walker.fresh & ~walker.is_over, after, walker), track
-
-
-def first_place(stretch: Stretch) -> Index:
-    """A quarter of the track, for all of it is never clear: it begins just below the ceiling."""
-    return place(jnp.zeros_like(stretch.finest), jnp.maximum(stretch.finest - 2, 0))
 
 
 def after_track(walker: Walker, stretch: Stretch, end: Scalar) -> Walker:
