@@ -6,7 +6,8 @@ from typing import TypeAlias
 
 import jax.numpy as jnp
 
-from jaxgeo._numerics import cross, matrix, product, safe_norm, safe_sqrt, sine_and_cosine
+from jaxgeo._elementary import sine_and_cosine
+from jaxgeo._numerics import cross, matrix, product, safe_norm, safe_sqrt
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 
 Components: TypeAlias = tuple[Scalar, Scalar, Scalar]

@@ -9,7 +9,7 @@ import pytest
 
 # In order from the ground up. Rooms on one floor do not import each other.
 FLOORS = [
-    ["_typing", "_checks", "_numerics", "status", "least_squares"],
+    ["_typing", "_checks", "_elementary", "_numerics", "status", "least_squares"],
     ["earth", "rotations"],
     ["sensor", "terrain"],
     ["fix"],

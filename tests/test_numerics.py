@@ -11,12 +11,10 @@ from jaxgeo._numerics import (
     all_finite,
     finite_or,
     implicit_root,
-    logarithm,
     newton_or_half,
     safe_angle,
     safe_norm,
     safe_sqrt,
-    sine_and_cosine,
     tree_where,
 )
 
@@ -91,33 +89,6 @@ def test_tree_where_chooses_leaf_by_leaf():
     np.testing.assert_array_equal(found["y"], [1, 0])
 
 
-def test_sine_and_cosine_to_the_last_digit_with_derivatives():
-    angle = np.concatenate([np.linspace(-7.0, 7.0, 3001), np.arange(-9, 10) * np.pi / 4.0, [-9e4, 1e5, 1e-300]])
-    sine, cosine = jax.jit(sine_and_cosine)(jnp.asarray(angle))
-    np.testing.assert_allclose(sine, np.sin(angle), rtol=0.0, atol=3e-16)
-    np.testing.assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=3e-16)
-    first, second = (
-        jax.vmap(f)(jnp.asarray(angle))
-        for f in (jax.grad(lambda x: sine_and_cosine(x)[0]), jax.grad(jax.grad(lambda x: sine_and_cosine(x)[1])))
-    )
-    np.testing.assert_allclose(first, cosine, rtol=0.0, atol=3e-16)
-    np.testing.assert_allclose(second, -np.asarray(cosine), rtol=0.0, atol=3e-16)
-    assert not np.any(np.isfinite(sine_and_cosine(jnp.array([np.nan, np.inf]))))
-
-
-@pytest.mark.parametrize("strange", [0.0, 3e7, np.nan, -np.inf])
-def test_sine_and_cosine_of_a_crowd_among_whom_one_is_strange(strange):
-    angle = np.append(np.random.default_rng(0).uniform(-9.0, 9.0, 2047), strange)
-    with np.errstate(invalid="ignore"):
-        expected = np.sin(angle), np.cos(angle)
-    both = lambda x: jax.jvp(sine_and_cosine, (x,), (jnp.ones_like(x),))  # noqa: E731
-    found, slopes = jax.jit(jax.vmap(both))(jnp.asarray(angle))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-16)
-    np.testing.assert_allclose(slopes, (expected[1], -expected[0]), rtol=0.0, atol=3e-16)
-    by_row = jax.vmap(jax.vmap(sine_and_cosine))(jnp.asarray(angle).reshape(2, 1024))
-    np.testing.assert_allclose(np.reshape(by_row, (2, -1)), expected, rtol=0.0, atol=3e-16)
-
-
 @pytest.mark.parametrize("value", [1e-15, 0.0, -1e-15])
 @pytest.mark.parametrize("low, high", [(1.0, 9.0), (3.0, 9.0), (1.0, 3.0), (3.0, 3.0)])
 def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, high):
@@ -131,26 +102,3 @@ def test_a_root_met_again_is_kept_whatever_sign_rounding_gives_it(value, low, hi
 )
 def test_a_step_out_of_the_bracket_is_replaced_by_halving(value, slope, expected):
     assert float(newton_or_half(*(jnp.asarray(x) for x in (1.0, 9.0, 3.0, value, slope)), slack=1e-9)[2]) == expected
-
-
-@pytest.mark.parametrize("middle", [0.0, 1.2, -3.1, 80.0])
-def test_sine_and_cosine_of_angles_near_each_other(middle):
-    """By a few terms about the first; just too far apart for that, by the series of any."""
-    for width in (1e-3, 0.0624, 0.07):
-        angle = middle + np.random.default_rng(2).uniform(0.0, width, 1024)
-        angle[0], angle[-1] = middle, middle + width
-        sine, cosine = jax.jit(jax.vmap(sine_and_cosine))(jnp.asarray(angle))
-        np.testing.assert_allclose(sine, np.sin(angle), rtol=0.0, atol=3e-16)
-        np.testing.assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=3e-16)
-
-
-def test_logarithm_to_the_last_digit():
-    x = np.concatenate(
-        [
-            np.random.default_rng(3).uniform(0.0, 3.0, 4000),
-            2.0 ** np.arange(-900.0, 900.0),
-            1.0 - 2.0 ** -np.arange(2.0, 53.0),
-        ]
-    )
-    np.testing.assert_allclose(jax.jit(logarithm)(jnp.asarray(x)), np.log(x), rtol=3e-16, atol=0.0)
-    assert logarithm(jnp.asarray(1.0)) == 0.0

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, require_x64
+from jaxgeo._elementary import arctangent
 from jaxgeo._numerics import safe_sqrt, times
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
@@ -91,8 +92,8 @@ class GeographicGrid(AbstractGrid):
         c, s = jnp.cos(lon0), jnp.sin(lon0)
         x, y = c * x + s * y, c * y - s * x
         at_pole = (x == 0.0) & (y == 0.0)
-        lon = jnp.arctan2(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
-        lat = jnp.arctan2(z, safe_sqrt(x * x + y * y))
+        lon = arctangent(jnp.where(at_pole, 0.0, y), jnp.where(at_pole, 1.0, x))
+        lat = arctangent(z, safe_sqrt(x * x + y * y))
         return self._from_reference(lon, lat - lat0)
 
     def normal(self, rowcol: RowCol) -> Vector3:

@@ -16,7 +16,7 @@ from jaxgeo._typing import Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.bundle import Misses, misses, with_beam
-from jaxgeo.uncertainty.draws import AbstractDraws, Sobol, normal_quantile
+from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, Root
 
@@ -62,16 +62,15 @@ def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
 def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
     """Misses in m and statuses of the samples of these numbers."""
 
-    def centred_of(number: Int[Array, ""]) -> Float[Array, " axes"]:
-        return plan.draws.centred(plan.key, number, plan.model.size)
+    *others, last = plan.draws.stages(plan.key, plan.model.size)
 
-    def error_of(centred: Float[Array, " axes"]) -> Float[Array, " axes"]:
-        normal = normal_quantile(centred)
+    def error_of(numbers: Any) -> Float[Array, " axes"]:
+        normal = last(numbers)
         if plan.turn is not None:
             normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # a product of matrices would round by its batch
         return plan.model.drawn(plan.roots, normal)
 
-    return misses(plan.model, plan.look, plan.aim, plan.search, (centred_of, error_of), numbers)
+    return misses(plan.model, plan.look, plan.aim, plan.search, (*others, error_of), numbers)
 
 
 class Drawn(NamedTuple):

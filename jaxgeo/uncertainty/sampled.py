@@ -118,11 +118,11 @@ def sample(
 ) -> Sampled:
     """Errors of the fix that `locate` gives with the same arguments, drawn `count` times.
 
-    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (the most samples at a
-    time, which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`, whose
-    points are turned so that the directions that matter most come first. 8 bytes a sample are kept for each of the
-    `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the interval of the first figure at 90
-    % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at `count` samples at the latest.
+    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (the most samples at
+    a time, which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`,
+    whose points are turned so that the directions that matter most come first. 8 bytes a sample are kept for each of
+    the `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the interval of the first figure
+    at 90 % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at `count` samples at the latest.
     `about_mean` counts errors about their mean, for which all is drawn twice; `keep` returns the samples themselves.
     Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that is not there, or a number of
     samples that does not go into Sobol's scrambles.
