@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._typing import Scalar, StatusCode, Vector3
+from jaxgeo._typing import Flags, Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.search.beam import Beam, Spread
@@ -30,14 +30,7 @@ Stages: TypeAlias = Sequence[Callable[[Any], Any]]
 Misses: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
 
 
-def misses(
-    model: ErrorModel,
-    look: Look,
-    aim: Aim,
-    search: AbstractSearch,
-    stages: Stages,
-    each: Array,
-) -> Misses:
+def misses(model: ErrorModel, look: Look, aim: Aim, search: AbstractSearch, stages: Stages, each: Array) -> Misses:
     """`ErrorModel.miss` in m, and statuses, of the errors that `stages`, one after the other, make of each of many
     (leading axis).
 
@@ -45,17 +38,25 @@ def misses(
     their ground: left to itself, the compiler would have an error drawn again wherever it is looked at, and the chain
     of rotations gone through again.
     """
+    lines, own, common = _lines(model, look, stages, each)
 
-    def some(each: Array) -> Misses:
-        lines, own, common = _lines(model, look, stages, each)
+    def miss(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
+        terrain, air = eqx.combine(own, common)
+        return aim.missed_by(line, terrain, air, search)
 
-        def miss(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
-            terrain, air = eqx.combine(own, common)
-            return aim.missed_by(line, terrain, air, search)
+    return jax.vmap(miss)(lines, own)
 
-        return jax.vmap(miss)(lines, own)
 
-    return _in_parts(some, each)
+def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -> tuple[Any, Any]:
+    """A function of many (leading axis), in parts of one size, one after the other, which bound the memory.
+
+    It gets a part, and which of that are not there only to fill it up. It returns what is kept of each, which is joined
+    again, and what is kept of the part, which gets the parts as leading axis.
+    """
+    parts, count = _blocks(each, PART)
+    is_own = jnp.arange(parts.shape[0] * parts.shape[1]).reshape(parts.shape[:2]) < count
+    of_each, of_part = jax.lax.map(lambda part: function(*part), (parts, is_own))
+    return _joined(of_each, count), of_part
 
 
 def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -> AbstractSearch:
@@ -113,12 +114,6 @@ def _in_turn(stages: Stages, each: Array) -> Any:
         blocks = jax.lax.map(jax.vmap(stage, in_axes=axis, out_axes=-1), blocks)
         axis = -1
     return _joined(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), count)
-
-
-def _in_parts(function: Callable[[Array], Any], each: Array) -> Any:
-    """A function of many (leading axis), in parts of one size, one after the other."""
-    parts, count = _blocks(each, PART)
-    return _joined(jax.lax.map(function, parts), count)
 
 
 def _blocks(each: Array, largest: int) -> tuple[Array, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,10 +13,10 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, Int8
 
-from jaxgeo._typing import Vector3
+from jaxgeo._typing import Flags, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.bundle import Misses, misses, with_beam
+from jaxgeo.uncertainty.bundle import Misses, in_parts, misses, with_beam
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, Root
@@ -74,14 +75,14 @@ def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
 
 
 class Drawn(NamedTuple):
-    """A chunk: sums, device by device, over the samples with a fix of their errors about the centre in m and of the
-    products of these; and of each sample the radii in m for CE, LE and SE, its error and its status."""
+    """A chunk: sums, device by device, over the samples with a fix of the products of (east, north, up, 1), their
+    errors about the centre in m; and of each sample the radii in m for CE, LE and SE, its status and, if asked for, its
+    error."""
 
-    total: Float[Array, "devices 3"]
-    squares: Float[Array, "devices 3 3"]
+    moments: Float[Array, "devices 4 4"]
     radii: tuple[Float[Array, " samples"], ...]
-    errors: Float[Array, "samples 3"]
     statuses: Int8[Array, " samples"]
+    errors: Float[Array, "samples 3"] | None
 
 
 @eqx.filter_jit
@@ -91,13 +92,15 @@ def drawn_chunk(
     centre: Vector3,
     size: int,
     devices: tuple[Any, ...],
+    keep: bool,
 ) -> Drawn:
     """The chunk of a `part`, (first sample, how many), spread over the devices and filled up to `size` samples."""
+    drawn = partial(_drawn, keep)
     if len(devices) == 1:
-        return _drawn(plan, part, centre, jnp.arange(size))
+        return drawn(plan, part, centre, jnp.arange(size))
     everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
     spread = jax.shard_map(
-        _drawn,
+        drawn,
         mesh=_mesh(devices),
         in_specs=(everywhere, everywhere, everywhere, in_turn),
         out_specs=in_turn,
@@ -107,23 +110,29 @@ def drawn_chunk(
 
 
 def _drawn(
-    plan: Plan, part: tuple[Int[Array, ""], Int[Array, ""]], centre: Vector3, places: Int[Array, " samples"]
+    keep: bool,
+    plan: Plan,
+    part: tuple[Int[Array, ""], Int[Array, ""]],
+    centre: Vector3,
+    places: Int[Array, " samples"],
 ) -> Drawn:
     """What one device draws of a chunk: the samples at these places of it. No device waits for another one's sums."""
     first, count = part
-    miss, status = _misses(plan, first + places)
-    found = counts_as_fix(status)
-    error = miss - centre[None, :]
-    across = error[:, 0] ** 2 + error[:, 1] ** 2
-    radii = (jnp.sqrt(across), jnp.abs(error[:, 2]), jnp.sqrt(across + error[:, 2] ** 2))
-    known = jnp.where((found & (places < count))[:, None], error, 0.0)
-    return Drawn(
-        total=jnp.sum(known, axis=0)[None, :],
-        squares=(known.T @ known)[None, :, :],
-        radii=tuple(jnp.where(found, radius, jnp.inf) for radius in radii),
-        errors=jnp.where(found[:, None], error, jnp.nan),
-        statuses=status,
-    )
+
+    def some(places: Int[Array, " part"], is_own: Flags) -> tuple[Any, Any]:
+        miss, status = _misses(plan, first + places)
+        found = counts_as_fix(status)
+        error = miss - centre[None, :]
+        across, up = error[:, 0] ** 2 + error[:, 1] ** 2, error[:, 2]
+        radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
+        radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
+        errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
+        counts = found & is_own & (places < count)
+        known = jnp.where(counts[:, None], jnp.pad(error, ((0, 0), (0, 1)), constant_values=1.0), 0.0)
+        return (radii, status, errors), known.T @ known
+
+    (radii, statuses, errors), moments = in_parts(some, places)
+    return Drawn(moments.sum(axis=0)[None, :, :], radii, statuses, errors)
 
 
 def _mesh(devices: tuple[Any, ...]) -> Mesh:
@@ -131,7 +140,7 @@ def _mesh(devices: tuple[Any, ...]) -> Mesh:
 
 
 def one_ahead(
-    plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...]
+    plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...], keep: bool
 ) -> Iterator[tuple[int, int, Drawn]]:
     """(first sample, number of samples, what was drawn) of chunk after chunk; the next is drawn meanwhile."""
     # once, not with every chunk: the terrain may be large
@@ -140,7 +149,7 @@ def one_ahead(
     waiting = None
     for first, size, padded in parts:
         part = jnp.asarray(first), jnp.asarray(size)
-        drawn = drawn_chunk(plan, part, centre, padded, devices)
+        drawn = drawn_chunk(plan, part, centre, padded, devices, keep)
         if waiting is not None:
             yield waiting
         waiting = first, size, drawn

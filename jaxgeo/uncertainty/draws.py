@@ -17,6 +17,7 @@ from jaxgeo._typing import IndexField, Numbers
 from jaxgeo.uncertainty import sobol
 
 Vector: TypeAlias = Float[Array, " size"]
+Pairs: TypeAlias = tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
 Stage: TypeAlias = Callable[[Any], Any]
 
 
@@ -51,18 +52,18 @@ class Random(AbstractDraws):
     """Independent draws, for up to 2^32 samples: two at a time, by Box and Muller 1958."""
 
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
-        def uniform(index: IndexField) -> tuple[Vector, Vector]:
+        def uniform(index: IndexField) -> Pairs:
             _check(key, index, size, 2**32)
             own = jax.random.key_data(jax.random.fold_in(key, OWN))
             pair = jnp.arange(0, size, 2, dtype=jnp.uint32)
             sample = jnp.full(pair.shape, jnp.asarray(index).astype(jnp.uint32))
             return _centred(*threefry(own, sample, pair)), _centred(*threefry(own, sample, pair + 1))
 
-        def polar(uniform: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+        def polar(uniform: Pairs) -> Pairs:
             centred, turn = uniform
             return jnp.sqrt(-2.0 * logarithm(0.5 + centred)), turn
 
-        def normal(polar: tuple[Vector, Vector]) -> Vector:
+        def normal(polar: Pairs) -> Vector:
             radius, turn = (jnp.repeat(each, 2)[:size] for each in polar)
             return radius * _cosine_and_sine_in_turn(turn)
 

@@ -15,8 +15,9 @@ from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
-from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.bundle import PART
 from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, one_ahead, planned
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.intervals import (
@@ -29,8 +30,8 @@ from jaxgeo.uncertainty.intervals import (
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 
-CHUNK = 250_000  # goes into round numbers of samples without a rest
-BETWEEN_LOOKS = 50_000  # samples at most, from one look at how sharp an interval is to the next
+CHUNK = 62 * PART  # so much that four make a million, and nothing is filled up on one, two or four devices
+BETWEEN_LOOKS = 12 * PART  # samples at most, from one look at how sharp an interval is to the next
 RANDOM = Random()
 FIGURES = ("CE", "LE", "SE")
 
@@ -197,7 +198,7 @@ def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
     unit = max(sampling.scrambles, 1)
     chunk = sampling.chunk if sampling.half_width is None else min(sampling.chunk, BETWEEN_LOOKS)
     parts = chunks(sampling.count, chunk, len(devices), unit, sampling.progress)
-    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices):
+    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices, sampling.keep):
         tally.add(first, size, drawn)
         width = sampling.half_width
         if width is not None and tally.is_sharp(width, sampling.confidence, sampling.scrambles):
@@ -219,9 +220,10 @@ class _Tally:
     def add(self, first: int, size: int, drawn: Drawn) -> None:
         codes = np.bincount(np.asarray(drawn.statuses)[:size], minlength=len(Status))
         self.count += size
-        self.found += int(codes[np.asarray(counts_as_fix(jnp.arange(len(Status))))].sum())
-        self.sum += np.asarray(drawn.total).sum(axis=0)
-        self.squares += np.asarray(drawn.squares).sum(axis=0)
+        moments = np.asarray(drawn.moments).sum(axis=0)
+        self.found += round(moments[3, 3])
+        self.sum += moments[:3, 3]
+        self.squares += moments[:3, :3]
         self.codes += codes
         for figure, kept in self.radii.items():
             kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]

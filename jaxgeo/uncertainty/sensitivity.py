@@ -20,7 +20,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.budget import source_names
-from jaxgeo.uncertainty.bundle import misses
+from jaxgeo.uncertainty.bundle import in_parts, misses
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.look import Aim, Look
@@ -263,7 +263,8 @@ def misses_of(
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # a product of matrices would round by its batch
 
-    miss, status = misses(plan.model, plan.look, plan.aim, search, (error_of,), normals)
+    some = lambda normals, _: (misses(plan.model, plan.look, plan.aim, search, (error_of,), normals), ())  # noqa: E731
+    (miss, status), _ = in_parts(some, normals)
     return miss, counts_as_fix(status)
 
 

@@ -24,7 +24,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground
-from jaxgeo.terrain.search.march import happened, has_entered, march_all
+from jaxgeo.terrain.search.march import March, happened, has_entered, march_all
 from jaxgeo.terrain.search.walk import (
     Stretch,
     advance,
@@ -117,7 +117,7 @@ def _first_pass(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tu
 
     zero = nothing_like(reach.start[0])
     none = zero.astype(jnp.int32)
-    empty = Store(*(jnp.full((rows, whole), value) for rows, value in ((3, zero), (3, none), (15, zero))))
+    empty = Store(*(jnp.full((rows, whole), value) for rows, value in ((4, zero), (3, none), (15, zero))))
     store, waiting, left = jax.lax.fori_loop(0, blocks, block, (empty, jnp.full(whole + size, none), none))
     return jax.tree.map(lambda x: x[:, :count], store), waiting[:count], left
 
@@ -175,21 +175,22 @@ def _stretch_of(track: Track, dem: Dem) -> Stretch:
     return Stretch.of(track, dem.rise)
 
 
-def _march(walker: Walker, stretch: Stretch, ground: Ground, few: Index | int) -> tuple[Rays, Codes, Codes]:
-    """March over the next intervals of every ray that cannot skip them: where the marches end, what they met, and how
-    many intervals they have settled."""
+def _march(walker: Walker, stretch: Stretch, ground: Ground, few: Index | int) -> tuple[March, Codes]:
+    """March over the next intervals of every ray that cannot skip them: the marches at their end, and how many
+    intervals they have settled."""
     first = position_of(walker.here)
     marches = ~walker.fresh & ~walker.is_over & must_settle(walker.here)
     last = jnp.minimum(first + jnp.where(marches, STRIDE, 0), stretch.count)
     begin, end = stretch.tau(first), stretch.tau(last)
     march = march_all(stretch.track, ground, begin, end, walker.news, few)
     settled = jnp.where((march.tau >= end) & ~happened(march.news), last - first, 0)
-    return march.tau, jnp.where((settled > 0) | happened(march.news), march.news, walker.news), settled
+    news = jnp.where((settled > 0) | happened(march.news), march.news, walker.news)
+    return March(march.tau, march.exit, news), settled
 
 
 def _march_in_lanes(
     walker: Walker, stretch: Stretch, ground: Ground, few: Index | int, left: Index
-) -> tuple[Rays, Codes, Codes]:
+) -> tuple[March, Codes]:
     """As `_march`, with as many lanes for each ray as there are: each lane takes the intervals behind the one before.
 
     The rays are the block's first; ray i gets the lanes from i * each on. Before a ray has come over the grid, what it
@@ -208,15 +209,15 @@ def _march_in_lanes(
         mine,
         (jnp.where(must_settle(mine.here), place(first, jnp.full_like(first, -1)), mine.here), mine.is_over | ~is_used),
     )
-    tau, news, settled = _march(there, theirs, ground.of_rays(pick), few)
-    met = jax.lax.cummin(jnp.where(happened(news) & is_used, lane, size), reverse=True)
+    march, settled = _march(there, theirs, ground.of_rays(pick), few)
+    met = jax.lax.cummin(jnp.where(happened(march.news) & is_used, lane, size), reverse=True)
     start = lane * each
     nearest = met.at[start].get(mode="clip")
     has_met = (nearest < start + each) & (start < size)
     source = jnp.where(has_met, nearest, start)
     lanes = jnp.where(has_entered(walker.news), each, 1)
-    tau, news, first = (x.at[source].get(mode="clip") for x in (tau, news, settled))
-    return tau, news, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
+    march, first = jax.tree.map(lambda x: x.at[source].get(mode="clip"), (march, settled))
+    return march, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
 
 
 def _with_new_tracks(

@@ -17,18 +17,16 @@ from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
 from jaxgeo.terrain.search.beam import Beam
-from jaxgeo.terrain.search.crowd import STRIDE, Walker, walk_all
+from jaxgeo.terrain.search.crowd import Walker, walk_all
 from jaxgeo.terrain.search.ground import Ground, fits_together
 from jaxgeo.terrain.search.march import (
     cell_between,
-    cell_exit,
     clearance,
     happened,
     has_entered,
     lowest_clearance,
     status_of,
 )
-from jaxgeo.terrain.search.walk import Stretch
 from jaxgeo.terrain.search.walker import nothing_like
 from jaxgeo.terrain.track import Track
 
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
 ROOM = 2e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
-ROOT_STEPS = 4
+ROOT_STEPS = 3  # and one more on the exact map
 SLACK = 1e-7  # of the piece of track: far more than rounding moves a root, far less than is left to the polish
 TINY = 1e-300
 
@@ -160,9 +158,7 @@ def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
 def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket:
     """The walk's result: where on its track the ray meets the surface, or the status of one that met nothing."""
     met = happened(walker.news)
-    unit = Stretch.of(track).unit
-    begin = walker.tau
-    end = cell_exit(begin, track, jnp.minimum(begin + STRIDE * unit, 1.0))
+    begin, end = walker.tau, walker.exit
     cell = jnp.stack(cell_between(track, begin, end))
     root, below = _root(track, dem, cell, begin, end)
     lower = jnp.maximum(track.range_at(root) - ROOM, track.range_at(begin))

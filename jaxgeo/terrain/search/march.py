@@ -27,9 +27,11 @@ SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than t
 
 
 class March(eqx.Module):
-    """Where in `tau` a ray is on its way from cell to cell, and what it has met so far (see `news_of`)."""
+    """Where in `tau` a ray is on its way from cell to cell, where it leaves the cell that it has settled last, and what
+    it has met so far (see `news_of`)."""
 
     tau: ScalarField
+    exit: ScalarField
     news: IndexField
 
     def is_done(self, end: Numbers) -> Flags:
@@ -69,8 +71,10 @@ def status_of(news: Index) -> StatusCode:
 def step(march: March, track: Track, end: Scalar, dem: Dem) -> March:
     """Settle the cell ahead and go on to the next one; a march that has met an event stays before its cell."""
     exit_ = jax.lax.optimization_barrier(cell_exit(march.tau, track, end))
-    news = jnp.where(march.is_done(end), march.news, _settle(march, track, dem, exit_))
-    return March(jnp.where(happened(news), march.tau, exit_), news)
+    is_done = march.is_done(end)
+    exit_ = jnp.where(is_done, march.exit, exit_)
+    news = jnp.where(is_done, march.news, _settle(march, track, dem, exit_))
+    return March(jnp.where(happened(news), march.tau, exit_), exit_, news)
 
 
 def cell_exit(tau: Scalar, track: Track, end: Scalar) -> Scalar:
@@ -157,4 +161,4 @@ def march_all(
     def many_are_on_the_way(march: March) -> Flag:
         return jnp.sum(~march.is_done(end), dtype=jnp.int32) > few
 
-    return jax.lax.while_loop(many_are_on_the_way, move, March(begin, news))
+    return jax.lax.while_loop(many_are_on_the_way, move, March(begin, begin, news))

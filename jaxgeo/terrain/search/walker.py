@@ -14,7 +14,7 @@ from jaxgeo._typing import Flag, FlagField, Index, IndexField, Scalar, ScalarFie
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
 from jaxgeo.terrain.search.beam import Beam
-from jaxgeo.terrain.search.march import happened, news_of
+from jaxgeo.terrain.search.march import March, happened, news_of
 from jaxgeo.terrain.search.walk import FINEST, Stretch, first_place, must_settle, place, place_at, position_of
 from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track, make_track
 
@@ -29,12 +29,13 @@ class Walker(eqx.Module):
     """Where one ray is on its way: the track it walks from range `passed` on, its place there, and what it has met.
 
     `fresh` asks for a new track; `begun` is false until the first good one; `is_over` says that the walk has ended,
-    by an event in the `news` (see `march.news_of`) just behind `tau`, or without one.
+    by an event in the `news` (see `march.news_of`) between `tau` and `exit`, or without one.
     """
 
     passed: ScalarField
     length: ScalarField
     tau: ScalarField
+    exit: ScalarField
     tracks: IndexField
     here: IndexField
     news: IndexField
@@ -48,7 +49,8 @@ class Walker(eqx.Module):
         no, zero = jnp.zeros_like(reach.exists), jnp.zeros_like(reach.start, dtype=jnp.int32)
         length = jnp.minimum(reach.end - reach.start, LONGEST_TRACK)
         is_over = ~(reach.exists & reach.is_near)
-        return cls(reach.start, length, -jnp.ones_like(length), zero, zero, zero, ~no, no, is_over)
+        begin = -jnp.ones_like(length)
+        return cls(reach.start, length, begin, begin, zero, zero, zero, ~no, no, is_over)
 
     def within(self, ray: Ray, reach: Reach, is_of_beam: Flag, rise: Scalar, beam: Beam) -> tuple[Walker, Track]:
         """This ray, or, if it is of a beam whose start lies farther on its way, one that begins there; its track."""
@@ -58,6 +60,7 @@ class Walker(eqx.Module):
             passed=track.middle - track.half,
             length=2.0 * track.half,
             tau=self.tau,
+            exit=self.exit,
             tracks=self.tracks,
             here=place_at(Stretch.of(track), clear_to, -1),
             news=news_of(begins, ~begins),
@@ -86,6 +89,7 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker,
         passed=jnp.where(from_origin & is_true, 0.0, walker.passed),
         length=jnp.where(good, walker.length, halved),
         tau=walker.tau,
+        exit=walker.exit,
         tracks=walker.tracks + 1,
         here=jnp.where(good, first_place(Stretch.of(track)), walker.here),
         news=walker.news | (good & ~walker.begun & is_inside),
@@ -114,11 +118,12 @@ def after_track(walker: Walker, stretch: Stretch, end: Scalar) -> Walker:
     return tree_where(at_end, after, walker)
 
 
-def take_down(walker: Walker, stretch: Stretch, tau: Scalar, news: Index, settled: Index) -> Walker:
+def take_down(walker: Walker, stretch: Stretch, march: March, settled: Index) -> Walker:
     """What a march has met, or that it has `settled` so many intervals without an event (0 if it is not finished)."""
     beyond = jnp.minimum(position_of(walker.here) + settled, stretch.count)
     onwards = jnp.where(settled > 0, place(beyond, (beyond & 1) ^ 1), walker.here)  # not with a long step, so near
-    after = eqx.tree_at(lambda w: (w.here, w.tau, w.news, w.is_over), walker, (onwards, tau, news, happened(news)))
+    found = onwards, march.tau, march.exit, march.news, happened(march.news)
+    after = eqx.tree_at(lambda w: (w.here, w.tau, w.exit, w.news, w.is_over), walker, found)
     return tree_where(~walker.fresh & ~walker.is_over & must_settle(walker.here), after, walker)
 
 
@@ -128,7 +133,7 @@ def take_down(walker: Walker, stretch: Stretch, tau: Scalar, news: Index, settle
 class Store(eqx.Module):
     """Walkers and their tracks, one column per ray."""
 
-    numbers: Float[Array, "3 rays"]
+    numbers: Float[Array, "4 rays"]
     codes: Int32[Array, "3 rays"]
     polynomials: Float[Array, "15 rays"]
 
@@ -138,14 +143,16 @@ class Store(eqx.Module):
         flags = walker.fresh + 2 * walker.begun + 4 * walker.is_over
         codes = [walker.tracks, walker.here, walker.news * 8 + flags]
         polynomials = jax.tree.leaves((track.row, track.col, track.height))
-        return cls(*(jnp.stack(rows) for rows in ([walker.passed, walker.length, walker.tau], codes, polynomials)))
+        return cls(
+            *(jnp.stack(rows) for rows in ([walker.passed, walker.length, walker.tau, walker.exit], codes, polynomials))
+        )
 
     def unpacked(self) -> tuple[Walker, Track]:
         """The walkers and tracks of a block."""
-        passed, length, tau = self.numbers
+        passed, length, tau, exit_ = self.numbers
         tracks, here, packed = self.codes
         fresh, begun, is_over = ((packed & bit) > 0 for bit in (1, 2, 4))
-        walker = Walker(passed, length, tau, tracks, here, jnp.right_shift(packed, 3), fresh, begun, is_over)
+        walker = Walker(passed, length, tau, exit_, tracks, here, jnp.right_shift(packed, 3), fresh, begun, is_over)
         row, col, height = (Quartic(*self.polynomials[k : k + 5]) for k in (0, 5, 10))
         end = passed + length
         middle, half = 0.5 * (passed + end), 0.5 * (end - passed)
