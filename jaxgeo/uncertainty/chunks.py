@@ -21,6 +21,9 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, Root
 
+_PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
+_PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for i in range(4)])
+
 
 class Plan(NamedTuple):
     """What is sampled and how, once and for all chunks."""
@@ -128,11 +131,21 @@ def _drawn(
         radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
         errors = jnp.where(found[:, None], error, jnp.nan) if keep else None
         counts = found & is_own & (places < count)
-        known = jnp.where(counts[:, None], jnp.pad(error, ((0, 0), (0, 1)), constant_values=1.0), 0.0)
-        return (radii, status, errors), known.T @ known
+        return (radii, status, errors), _moments(error, counts)
 
     (radii, statuses, errors), moments = in_parts(some, places)
     return Drawn(moments.sum(axis=0)[None, :, :], radii, statuses, errors)
+
+
+def _moments(error: Float[Array, "part 3"], counts: Flags) -> Float[Array, "4 4"]:
+    """Sums of the products of (east, north, up, 1) over those that count: all at once, for each would go through the
+    part again."""
+    known = [jnp.where(counts, x, 0.0) for x in (*error.T, jnp.ones(error.shape[0]))]
+    products = [known[i] * known[j] for i, j in _PAIRS]
+    sums = jax.lax.reduce(
+        products, [0.0] * len(products), lambda a, b: [x + y for x, y in zip(a, b, strict=True)], (0,)
+    )
+    return jnp.stack(sums)[_PLACES]
 
 
 def _mesh(devices: tuple[Any, ...]) -> Mesh:
