@@ -7,6 +7,7 @@ import os
 import pathlib
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import jax
 import pytest
@@ -23,6 +24,9 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 # What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
 # comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
 QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+
+
+MOST_RESIDENT = 2_000_000_000  # bytes of a process of tests, of which there may be many
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -44,6 +48,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory_within_bounds() -> Iterator[None]:
+    """After a file of tests that leaves a process large, its compiled programs go, which nobody else calls."""
+    yield
+    if _resident() > MOST_RESIDENT:
+        jax.clear_caches()
+        gc.collect()
+
+
+def _resident() -> int:
+    """Bytes of this process in memory, where that is told."""
+    told = pathlib.Path("/proc/self/statm")
+    return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
 
 
 @pytest.fixture(scope="session")

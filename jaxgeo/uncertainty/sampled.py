@@ -218,13 +218,16 @@ class _Tally:
         self.kept = (np.empty((count, 3)), np.empty(count, np.int8)) if keep else None
 
     def add(self, first: int, size: int, drawn: Drawn) -> None:
-        codes = np.bincount(np.asarray(drawn.statuses)[:size], minlength=len(Status))
+        statuses = np.asarray(drawn.statuses)[:size]
         self.count += size
         moments = np.asarray(drawn.moments).sum(axis=0)
         self.found += round(moments[3, 3])
         self.sum += moments[:3, 3]
         self.squares += moments[:3, :3]
-        self.codes += codes
+        if np.any(statuses):
+            self.codes += np.bincount(statuses, minlength=len(Status))
+        else:  # as most are, and sooner counted
+            self.codes[Status.hit] += size
         for figure, kept in self.radii.items():
             kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]
         if self.kept is not None:

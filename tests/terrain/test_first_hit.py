@@ -200,7 +200,7 @@ def test_padding_does_not_change_the_answer():
     grid = TangentGrid.centred(centre, spacing=(30.0, 30.0), shape=posts.shape)
     plain, larger = hit(PADDED, Dem.from_array(posts, grid)), hit(PADDED, padded(posts, grid, -500.0))
     np.testing.assert_array_equal(plain.status, larger.status)
-    np.testing.assert_allclose(plain.slant_range, larger.slant_range, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(plain.slant_range, larger.slant_range, rtol=0, atol=1e-8)  # another program's rounding
 
 
 @pytest.mark.parametrize("with_", [-500.0, 150.0, 1000.0, np.nan])

@@ -12,7 +12,7 @@ import scipy.stats.qmc
 from jax.extend.random import threefry_2x32
 
 from jaxgeo.uncertainty import sobol
-from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol, _centred, normal_quantile, threefry
+from jaxgeo.uncertainty.draws import OWN, AbstractDraws, Random, Sobol, _centred, normal_quantile, threefry
 
 KEY = jax.random.key(7)
 DRAWS = [Random(), Sobol()]
@@ -164,6 +164,35 @@ def test_words_are_those_of_the_generator_behind_the_keys() -> None:
     key, counter = jax.random.key_data(KEY), jnp.arange(2**31 - 4, 2**31 + 4, dtype=jnp.uint32)
     first, second = jax.jit(threefry)(key, counter[:4], counter[4:])
     np.testing.assert_array_equal(jnp.concatenate([first, second]), threefry_2x32(key, counter))
+
+
+def test_pairs_of_random_numbers_are_those_of_box_and_muller() -> None:
+    """From the words of their counters, 2 k for the radius and 2 k + 1 for the angle; an odd last one by itself."""
+    index, key = 705, jax.random.key_data(jax.random.fold_in(KEY, OWN))
+    counter = jnp.append(jnp.full(6, index, jnp.uint32), jnp.arange(6, dtype=jnp.uint32))
+    high, low = (words.tolist() for words in np.array_split(np.asarray(threefry_2x32(key, counter)), 2))
+    expected = []
+    for k in (0, 2, 4):
+        uniform, turn = (high[i] / 2.0**32 + (low[i] >> 12 | 1) / 2.0**52 for i in (k, k + 1))
+        expected += box_muller(uniform, turn - 0.5)
+    np.testing.assert_allclose(one(Random(), KEY, jnp.asarray(index)), expected, rtol=0.0, atol=4e-15)
+    odd = jax.jit(lambda index: Random().standard_normal(KEY, index, 5))(index)
+    np.testing.assert_allclose(odd, expected[:5], rtol=0.0, atol=4e-15)
+
+
+def box_muller(uniform: float, turn: float) -> list[float]:
+    """Two normal numbers of a probability and an angle in turns, from 40 digits."""
+    with mpmath.workdps(40):
+        radius, angle = mpmath.sqrt(-2 * mpmath.log(mpmath.mpf(uniform))), 2 * mpmath.pi * mpmath.mpf(turn)
+        return [float(radius * mpmath.cos(angle)), float(radius * mpmath.sin(angle))]
+
+
+@pytest.mark.parametrize("centred", [-0.5 + 2.0**-52, 0.5 - 2.0**-52, 2.0**-52, -0.25, 0.25 + 2.0**-52])
+@pytest.mark.parametrize("turn", [-0.5 + 2.0**-52, 0.5 - 2.0**-52, 2.0**-52, -0.25, 0.25 - 2.0**-52, 0.125])
+def test_ends_of_what_may_be_drawn_are_finite_and_true(centred: float, turn: float) -> None:
+    _, polar, normal = Random().stages(KEY, 2)
+    found = jax.jit(lambda *pair: normal(polar(pair)))(jnp.array([centred]), jnp.array([turn]))
+    np.testing.assert_allclose(found, box_muller(0.5 + centred, turn), rtol=1e-15, atol=1e-30)
 
 
 def test_no_bits_give_an_end() -> None:

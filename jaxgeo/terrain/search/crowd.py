@@ -238,8 +238,9 @@ def _with_new_tracks(
 def _listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:
     """The chosen indices, in order, in front; and how many there are."""
     size = index.shape[0]
-    where = jnp.nonzero(chosen, size=size, fill_value=size - 1)[0]
-    return index[where], jnp.sum(chosen, dtype=jnp.int32)
+    count = jnp.cumsum(chosen, dtype=jnp.int32)
+    place = jnp.where(chosen, count - 1, size)
+    return jnp.zeros_like(index).at[place].set(index, mode="drop", unique_indices=True), count[-1]
 
 
 def _columns(x: Array, index: Int[Array, " block"]) -> Array:
