@@ -71,9 +71,14 @@ def copied(dem: Dem) -> Dem:
     return on_a_plane(np.asarray(dem.posts)[:rows, :cols], (down, right), np.asarray(dem.void)[:rows, :cols])
 
 
-def terrains() -> dict[str, list[Dem]]:
+def made_up_of(name: str, fresh: int = 0) -> list[Dem]:
+    """Made-up terrain of a class; with a number of its own, such as nobody has seen before."""
+    return [made_up(slope, seed + fresh) for slope, seed in MADE_UP[name]]
+
+
+def terrains(fresh: int = 0) -> dict[str, list[Dem]]:
     """All terrain by its class; 'set on' is the packaged one, on which thresholds were set."""
-    classes = {name: [made_up(*kind) for kind in kinds] for name, kinds in MADE_UP.items()}
+    classes = {name: made_up_of(name, fresh) for name in MADE_UP}
     for name, file in REAL.items():
         path = pathlib.Path(DATA) / "dem" / file
         if path.exists():

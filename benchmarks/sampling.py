@@ -1,6 +1,6 @@
 """How fast errors are sampled: perturb, locate and count of one pixel on real terrain, beside the same in NumPy.
 
-Run: python benchmarks/sampling.py [--full] [--repeats 5] [--only rates,agreement,doors,memory] [--json out.json]
+Run: python benchmarks/sampling.py [--full] [--repeats 5] [--only rates,agreement,surety,doors,memory] [--json out.json]
 `--full` goes on to 1e7 samples, which takes NumPy minutes. Figures are medians of repeats in turning order.
 """
 
@@ -36,6 +36,7 @@ COUNTS = (10_000, 1_000_000, 10_000_000)
 GOAL = 10.0  # times NumPy
 TIE = 1e-3  # m: hits of the same errors that lie farther apart are ties or mistakes
 SCRAMBLED = 16 * 1024
+GRAZING = {"outer": 80.0, "inner": 8.0}  # degrees: past a ridge, behind which some rays come down far away
 CAMERA = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
 POSE = jaxgeo.Pose.from_degrees(lat=36.318, lon=-84.105, height=5469.0, heading=160.0)
@@ -47,9 +48,10 @@ WITH_FIELD = ErrorModel((*ERRORS.sources[:-1], FIELD))
 KEY = jax.random.key(0)
 
 
-def sampled(dem: jaxgeo.Dem, count: int, errors: ErrorModel = ERRORS, **options: Any) -> Any:
+def sampled(dem: jaxgeo.Dem, count: int, errors: ErrorModel = ERRORS, shot: Any = SHOT, **options: Any) -> Any:
     """Samples of the pixel, and its circular error at 90 %, so that the statistics are timed with the rest."""
-    drawn = jaxgeo.uncertainty.sample(SENSOR, SHOT, PIXEL, dem, errors, key=KEY, count=count, **options)
+    options = {"key": KEY, **options}
+    drawn = jaxgeo.uncertainty.sample(SENSOR, shot, PIXEL, dem, errors, count=count, **options)
     return drawn, drawn.circular_error(0.9)
 
 
@@ -132,6 +134,31 @@ def agreement(dem: jaxgeo.Dem, count: int = 10_000) -> list[Table]:
     return [table]
 
 
+def surety(dem: jaxgeo.Dem, keys: int = 200, truth: int = 4_000_000) -> list[Table]:
+    """How far CE90 of some samples lies from that of very many, and how often its interval holds that."""
+    grazing = jaxgeo.Shot(POSE, SENSOR.gimbal.readings_from_degrees(**GRAZING))
+    columns = [Column("ground"), Column("draws"), Column("samples, mean"), Column("spread of CE90", "%", "lower")]
+    columns += [Column("mean less truth", "%"), Column("intervals that hold it", "%", "higher")]
+    table = Table(f"How sure CE90 is, over {keys} keys", columns)
+    ways: dict[str, dict[str, Any]] = {
+        "random": {"count": SCRAMBLED},
+        "Sobol": {"count": SCRAMBLED, "draws": Sobol()},
+        "random, until its interval is 2 % to either side": {"count": 1_000_000, "half_width": 0.02},
+        "Sobol, until its interval is 2 % to either side": {"count": 1_024_000, "half_width": 0.02, "draws": Sobol()},
+    }
+    for ground, shot in {"a slope": SHOT, "ridges": grazing}.items():
+        _, true = sampled(dem, truth, shot=shot, key=jax.random.key(1_000_000))
+        for name, way in ways.items():
+            runs = [sampled(dem, shot=shot, key=jax.random.key(1 + number), **way) for number in range(keys)]
+            relative = np.array([ce.value for _, ce in runs]) / true.value - 1.0
+            holds = np.array([ce.low <= true.value <= ce.high for _, ce in runs])
+            counts = np.mean([drawn.count for drawn, _ in runs])
+            row = [ground, name, int(counts), 100.0 * relative.std(), 100.0 * relative.mean(), 100.0 * holds.mean()]
+            table.rows.append(row)
+    table.notes.append(f"the truth is that of {truth} samples; intervals are asked to hold 95 %")
+    return [table]
+
+
 def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
     """Warm latency of what is asked about one pixel."""
     from jaxgeo.uncertainty import accuracy, budget, propagate
@@ -194,7 +221,7 @@ def memory_of(count: int) -> list[int]:
 def main() -> None:
     """Measure what was asked for, print it, and write it down."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="rates,agreement,doors,memory")
+    parser.add_argument("--only", default="rates,agreement,surety,doors,memory")
     parser.add_argument("--full", action="store_true", help="up to 1e7 samples")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")
@@ -210,6 +237,7 @@ def main() -> None:
     parts: dict[str, Callable[[], list[Table]]] = {
         "rates": lambda: rates(dem, counts, options.repeats),
         "agreement": lambda: agreement(dem),
+        "surety": lambda: surety(dem),
         "doors": lambda: doors(dem, options.repeats),
         "memory": lambda: memory(COUNTS[1:]),
     }
