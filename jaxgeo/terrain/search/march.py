@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Rays = Float[Array, " rays"]
 
 WALL = 1e-6  # m: a surface without voids is continuous to far less
+NEWTON_STEPS = 2  # within a cell a track is all but straight
 ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
 SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
 
@@ -142,11 +143,10 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     above, below = jnp.floor(now + ON_A_LINE) + 1.0, jnp.ceil(now - ON_A_LINE) - 1.0
     line = jnp.where(then > now, above, below)
     crosses = (then > above) | (then < below)
-    # along the chord, but for what the slope at its beginning says of the bend; then Newton's step
-    per_chord = 1.0 / jnp.where(crosses, then - now, 1.0)
-    share, bend = (line - now) * per_chord, slope * (stop - tau) * per_chord - 1.0
-    crossing = tau + (stop - tau) * jnp.clip(share - bend * share * (1.0 - share), 0.0, 1.0)
-    crossing = crossing - (axis.at(crossing) - line) / jnp.where(crosses, axis.slope(crossing), 1.0)
+    crossing = tau + (stop - tau) * (line - now) / jnp.where(crosses, then - now, 1.0)
+    for _ in range(NEWTON_STEPS):
+        crossing = jnp.clip(crossing, tau, stop)
+        crossing = crossing - (axis.at(crossing) - line) / jnp.where(crosses, axis.slope(crossing), 1.0)
     return jnp.where(crosses, jnp.clip(crossing, tau, stop), stop)
 
 
