@@ -296,3 +296,15 @@ def test_a_track_that_bends_over_a_line_of_posts_and_back_is_settled_on_each_sid
         assert float(jnp.min(before)) > -1e-6
         after = clearance(rays[k], fix.slant_range[k] + jnp.array([0.0, 1e-3]))
         assert abs(float(after[0])) < 1e-6
+
+
+def test_a_ray_that_turns_within_a_hair_of_a_line_of_posts_comes_to_its_end():
+    """Near the pole, where a level ray turns back within a cell: a step to the line may lead to where it began."""
+    posts = np.random.default_rng(0).normal(size=(200, 160)) * 60.0 + 200.0
+    dem = Dem.from_array(posts, GeographicGrid.from_affine((1.0, 0.0, 10.0, 0.0, -0.001, 89.95), posts.shape))
+    origin = jnp.array([-2700.4833732383886, 25920.601217773325, 6357138.646995209])
+    direction = jnp.array([0.9934677367447737, 0.05165107022561921, -0.10175471975178986])
+    bracket = jax.jit(lambda ray: dem.bracket(ray, FirstHit()))(Ray(origin, direction))
+    height = dem.clearance(Ray(origin, direction).at(bracket.near), bracket.cell)
+    assert bracket.status == Status.hit
+    assert abs(float(height)) < 1e-5
