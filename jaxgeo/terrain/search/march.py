@@ -22,6 +22,7 @@ Rays = Float[Array, " rays"]
 
 WALL = 1e-6  # m: a surface without voids is continuous to far less
 NEWTON_STEPS = 2  # within a cell a track is all but straight
+LEAST_STEP = 2.0**-52  # of tau, which changes any in [-1, 1]
 ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
 SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
 
@@ -143,11 +144,14 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     above, below = jnp.floor(now + ON_A_LINE) + 1.0, jnp.ceil(now - ON_A_LINE) - 1.0
     line = jnp.where(then > now, above, below)
     crosses = (then > above) | (then < below)
-    crossing = tau + (stop - tau) * (line - now) / jnp.where(crosses, then - now, 1.0)
+    chord = tau + (stop - tau) * (line - now) / jnp.where(crosses, then - now, 1.0)
+    crossing = chord
     for _ in range(NEWTON_STEPS):
         crossing = jnp.clip(crossing, tau, stop)
         crossing = crossing - (axis.at(crossing) - line) / jnp.where(crosses, axis.slope(crossing), 1.0)
-    return jnp.where(crosses, jnp.clip(crossing, tau, stop), stop)
+    # a step from near a turning point may lead back to the beginning, from where it would lead there again
+    crossing = jnp.where(crossing > tau, crossing, jnp.maximum(chord, tau + LEAST_STEP))
+    return jnp.where(crosses, jnp.minimum(crossing, stop), stop)
 
 
 def march_all(
