@@ -87,7 +87,8 @@ class Sampled(eqx.Module):
         if not 0.0 < probability < 1.0:
             raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
         if figure not in self.radii:
-            raise ValueError(f"{figure} was not asked for: figures are {', '.join(self.radii)}. Sample again with it.")
+            kept = ", ".join(self.radii) or "none"
+            raise ValueError(f"{figure} was not asked for; figures: {kept}. Sample again with it.")
         radii = self.radii[figure]
         value, low, high = _interval(radii, probability, self.confidence, self.scrambles)
         known = radii if self.found == self.count else radii[np.isfinite(radii)]
@@ -120,13 +121,13 @@ def sample(
     """Errors of the fix that `locate` gives with the same arguments, drawn `count` times.
 
     `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (the most samples at
-    a time, which bound the memory) or `devices` (all that JAX has, if left out). `draws` are `Random()` or `Sobol()`,
-    whose points are turned so that the directions that matter most come first. 8 bytes a sample are kept for each of
-    the `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the interval of the first figure
-    at 90 % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at `count` samples at the latest.
-    `about_mean` counts errors about their mean, for which all is drawn twice; `keep` returns the samples themselves.
-    Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that is not there, or a number of
-    samples that does not go into Sobol's scrambles.
+    a time, which bound the memory) or `devices` (all that JAX has, if left out), but for rounding, some 1e-8 m. `draws`
+    are `Random()` or `Sobol()`, whose points are turned so that the directions that matter most come first. 8 bytes a
+    sample are kept for each of the `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the
+    interval of the first figure at 90 % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at
+    `count` samples at the latest. `about_mean` counts errors about their mean, for which all is drawn twice; `keep`
+    returns the samples themselves. Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that
+    is not there, or a number of samples that does not go into Sobol's scrambles.
     """
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     given = (key, count, draws, about_mean, figures, half_width, confidence, keep, chunk, devices, progress)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
+from jaxgeo._numerics import safe_sqrt
 from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, Scalar, ScalarField, StatusCode
 from jaxgeo.status import Status, status_where
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 Rays = Float[Array, " rays"]
 
 WALL = 1e-6  # m: a surface without voids is continuous to far less
-NEWTON_STEPS = 2  # within a cell a track is all but straight
 LEAST_STEP = 2.0**-52  # of tau, which changes any in [-1, 1]
 ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
 SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
@@ -144,13 +144,15 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     above, below = jnp.floor(now + ON_A_LINE) + 1.0, jnp.ceil(now - ON_A_LINE) - 1.0
     line = jnp.where(then > now, above, below)
     crosses = (then > above) | (then < below)
-    chord = tau + (stop - tau) * (line - now) / jnp.where(crosses, then - now, 1.0)
-    crossing = chord
-    for _ in range(NEWTON_STEPS):
-        crossing = jnp.clip(crossing, tau, stop)
-        crossing = crossing - (axis.at(crossing) - line) / jnp.where(crosses, axis.slope(crossing), 1.0)
-    # a step from near a turning point may lead back to the beginning, from where it would lead there again
-    crossing = jnp.where(crossing > tau, crossing, jnp.maximum(chord, tau + LEAST_STEP))
+    # the parabola through both ends with the slope at the first says where; a Newton step does better, or is not taken
+    length, per_rise = stop - tau, 1.0 / jnp.where(crosses, then - now, 1.0)
+    share, start_slope = (line - now) * per_rise, slope * length * per_rise
+    root = safe_sqrt(start_slope * start_slope - 4.0 * (start_slope - 1.0) * share)
+    crossing = tau + length * jnp.minimum(2.0 * share / jnp.maximum(start_slope + root, share), 1.0)
+    beyond = axis.at(crossing) - line
+    better = crossing - beyond / jnp.where(crosses, axis.slope(crossing), 1.0)
+    is_better = (better > tau) & (better < stop) & (jnp.abs(axis.at(better) - line) < jnp.abs(beyond))
+    crossing = jnp.maximum(jnp.where(is_better, better, crossing), tau + LEAST_STEP)
     return jnp.where(crosses, jnp.minimum(crossing, stop), stop)
 
 
