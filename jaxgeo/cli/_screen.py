@@ -1,0 +1,72 @@
+"""What a command shows: messages and counts on stderr, fixes as a table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+
+def tell(message: str) -> None:
+    """A message on stderr, every line of it under the name of the command."""
+    text = "\n".join(f"jaxgeo: {line}" for line in message.splitlines())
+    stderr().print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def stderr() -> Console:
+    """The console of messages, made anew: stderr may have been redirected."""
+    return Console(stderr=True)
+
+
+def progress_bar() -> Progress:
+    """A bar on stderr that goes away when the work is done."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=stderr(), transient=True)
+
+
+def print_counts(counts: dict[str, int], total: int) -> None:
+    """How many pixels have which status, and what each means, on stderr."""
+    from jaxgeo.status import Status
+
+    console = stderr()
+    console.print(f"{total} pixel{'s' if total != 1 else ''}:", highlight=False)
+    for name, count in sorted(counts.items(), key=lambda item: Status[item[0]]):
+        console.print(f"  {count:>7}  {name}: {Status[name].message}", highlight=False, soft_wrap=True)
+
+
+def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
+    """Fixes as a table for the screen, 80 columns wide."""
+    columns = {
+        "u": ("u", ".0f"),
+        "v": ("v", ".0f"),
+        "fix_lat_deg": ("lat, deg", ".6f"),
+        "fix_lon_deg": ("lon, deg", ".6f"),
+        "fix_height_m": ("height", ".2f"),
+        "fix_height_msl_m": ("msl", ".2f"),
+        "slant_range_m": ("range", ".1f"),
+        "incidence_surface_deg": ("inc.", ".1f"),
+        "status": ("status", ""),
+    }
+    caption = (
+        "u, v: column and row; height, msl: m above WGS 84 and above EGM96 mean sea level; "
+        "range: slant range, m; inc.: incidence at the surface, deg"
+    )
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
+    table.caption_justify = "left"
+    for name, (header, _) in columns.items():
+        table.add_column(header, justify="left" if name == "status" else "right", no_wrap=name != "status")
+    for row in rows:
+        cells = [("" if row[name] is None else format(_plain(row[name]), spec)) for name, (_, spec) in columns.items()]
+        table.add_row(*cells, style=None if row["status"] == "hit" else "yellow")
+    return table
+
+
+def _plain(value: Any) -> Any:
+    """A cell of a CSV file as a number, if it is one."""
+    try:
+        return float(value)
+    except ValueError:
+        return value
