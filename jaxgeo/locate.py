@@ -229,7 +229,7 @@ def _project(
     status = status_where(~is_valid, Status.invalid_input, status)
     has_image = (status == Status.hit) | (status == Status.outside_image)
     if terrain is not None:
-        status = first_failure(status, _visibility(origin, p_ecef, terrain, tolerance, air))
+        status = first_failure(status, visibility(origin, p_ecef, terrain, tolerance, air))
     return Projection(jnp.where(has_image, uv, jnp.nan), status)
 
 
@@ -340,7 +340,7 @@ def _mask(fix: Fix, found: Flag) -> Fix:
     return Fix(*numbers, status=fix.status)
 
 
-def _visibility(
+def visibility(
     origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar, air: Atmosphere | None
 ) -> StatusCode:
     """Whether the terrain leaves a point in sight: `hit`, `hidden_by_terrain`, or why it cannot tell."""

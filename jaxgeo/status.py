@@ -35,6 +35,9 @@ class Status(enum.IntEnum):
     hidden_by_terrain = 14
     never_seen = 15
     outside_trajectory = 16
+    outside_gimbal_range = 17
+    crosses_horizon = 18
+    images_apart = 19
 
     @property
     def message(self) -> str:
@@ -65,6 +68,9 @@ _MESSAGES = {
     Status.hidden_by_terrain: "Terrain hides the point from the camera.",
     Status.never_seen: "The point never comes before the line that is being exposed, while the image is taken.",
     Status.outside_trajectory: "The exposure lies before the first or after the last record of the trajectory.",
+    Status.outside_gimbal_range: "The gimbal cannot turn that far: the readings are the nearest within its limits.",
+    Status.crosses_horizon: "The footprint crosses the horizon: a part of the image sees no ground.",
+    Status.images_apart: "The images share no ground across the flight, so that there is nowhere to overlap along it.",
 }
 
 

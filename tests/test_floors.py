@@ -9,7 +9,7 @@ import pytest
 
 # In order from the ground up. Rooms on one floor do not import each other.
 FLOORS = [
-    ["_typing", "_checks", "_elementary", "_numerics", "status", "least_squares"],
+    ["_typing", "_checks", "_elementary", "_numerics", "status", "least_squares", "_destination"],
     ["earth", "rotations"],
     ["sensor", "terrain"],
     ["fix"],
@@ -19,7 +19,7 @@ FLOORS = [
     ["uncertainty"],
     ["adjust"],
     ["coverage", "register"],
-    ["io", "plot", "scale", "_destination"],
+    ["io", "plot", "scale"],
     ["studies", "demo"],
     ["cli", "report", "__main__"],
 ]
@@ -31,12 +31,15 @@ MAY_TALK = {frozenset(pair) for pair in [("_typing", room) for room in FLOORS[0]
     frozenset({"earth", "rotations"}),
 }
 
-HEAVY = {"rasterio", "pyproj"}  # only io/
+HEAVY = {"rasterio", "pyproj", "pyogrio", "shapely"}  # only io/
 NUMPY_ROOMS = {"io", "plot", "demo", "studies", "cli", "report"}
 # Files of the mathematical rooms that may use numpy, each for a reason.
 NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
     "_doors.py": "looks at concrete values before they are traced",
+    "coverage/footprint.py": "puts places into an outline until it is dense enough, outside any trace",
+    "coverage/overlap.py": "the middle of an image, where the axis along the flight is found",
+    "coverage/timing.py": "gathers the times of a plan, outside any trace",
     "fix.py": "puts fixes into plain numbers and words",
     "sensor/_legs.py": "which knots are neighbours, a constant of the program",
     "sensor/camera.py": "constants and checks of records, outside any trace",

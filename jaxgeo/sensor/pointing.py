@@ -1,40 +1,66 @@
-"""Which gimbal readings look at a point."""
+"""Which gimbal readings look at a point of the ground, or along a direction."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
-from jaxgeo._numerics import all_finite, safe_norm
-from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
-from jaxgeo.earth import WGS84, Atmosphere, Geodetic
-from jaxgeo.sensor._newton import solve_2d
+from jaxgeo._checks import as_array, as_float64, check_finite, check_is, check_range, concrete
+from jaxgeo._numerics import all_finite, safe_norm, turned
+from jaxgeo._typing import Pixel, Scalar, StatusCode, Vector3, Vector3Field
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
+from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.sensor._newton import determinant, solve_2d
+from jaxgeo.sensor._reach import FreeAxes, nearest_readings
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Gimbal, Readings
-from jaxgeo.sensor.platform import Pose, Shot
+from jaxgeo.sensor.platform import Pose, Shot, Station
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
-from jaxgeo.status import Status, status_where
+from jaxgeo.status import Status, first_failure, status_where
 
-FreeAxes = Int[Array, " free"]
-FreeAngles = Float[Array, " free"]
-Seen = Callable[[Readings], Vector3]
-World = tuple[
-    Sensor, Pose, Geodetic, Vector3, Atmosphere | None
-]  # and, before the air, the line of sight in the camera
 
-STARTS = 19  # starting angles for each of the two axes that search: odd, so that zero is one; 20 deg apart at most
-MAX_STEPS = 60
+class LineOfSight(eqx.Module):
+    """A direction to look in: `ned`, a vector north-east-down at the position of the pose, of any length."""
+
+    ned: Vector3Field
+
+    @classmethod
+    def from_degrees(cls, *, azimuth: ArrayLike, depression: ArrayLike) -> LineOfSight:
+        """From the true azimuth and the angle below the horizontal, deg; shapes may carry a batch axis.
+
+        Raises `ValueError` for an azimuth beyond +-360 deg and a depression beyond +-90 deg.
+        """
+        check_range(azimuth, "azimuth", "deg", -360.0, 360.0)
+        check_range(depression, "depression", "deg", -90.0, 90.0)
+        given: Any = as_float64((azimuth, depression), "LineOfSight.from_degrees")
+        azimuth, depression = (jnp.deg2rad(angle) for angle in given)
+        level = jnp.cos(depression)
+        return cls(jnp.stack([level * jnp.cos(azimuth), level * jnp.sin(azimuth), jnp.sin(depression)], axis=-1))
+
+    def to_degrees(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """(true azimuth in [0, 360), depression) in deg."""
+        ned: Any = as_float64(self.ned, "line of sight")
+        north, east, down = ned[..., 0], ned[..., 1], ned[..., 2]
+        depression = jnp.rad2deg(jnp.arctan2(down, jnp.hypot(north, east)))
+        return jnp.mod(jnp.rad2deg(jnp.arctan2(east, north)), 360.0), depression
+
+
+Target: TypeAlias = Geodetic | LineOfSight
+# Sensor, pose, target, the line of sight in the camera that is to be brought onto it, and the air.
+World: TypeAlias = tuple[Sensor, Pose, Target, Vector3, Atmosphere | None]
+
+ROUNDS = 3  # the closed form knows no lever arms and no air: each round leaves a hundredth, or a millionth, of them
+NEWTON_STEPS = 3
 TOLERANCE = 1e-9  # rad by which an accepted answer may miss; those that converge miss by some 1e-15
+SINGULAR = 1e-7  # determinant of the axes' turns: nearer, two axes move the line alike, and the least turn is taken
 
 
 def readings_towards(
@@ -46,15 +72,15 @@ def readings_towards(
     air: Atmosphere | None,
 ) -> Readings:
     """Gimbal readings that put the optical axis, or pixel `uv`, on `point`. See `Sensor.looking_at`."""
-    _check_axes(sensor.gimbal)
+    check_axes(sensor.gimbal)
     check_is(pose, Pose, "pose", "Of a Shot or a Trajectory, shot.pose or trajectory.at(time).pose.")
     check_is(point, Geodetic, "point")
-    _check_air(air)
+    check_air(air)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, pose, point, uv, readings, air), "looking_at")
     _check_given(given[1:])
-    found = _search(*given)
-    _raise_unless_reached(sensor.gimbal, found)
+    found = aim(*given)
+    _raise_unless_reached(given, found)
     return _reached(found)
 
 
@@ -67,94 +93,144 @@ def steered(
     air: Atmosphere | None,
 ) -> Trajectory:
     """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""
-    _check_axes(sensor.gimbal)
+    check_axes(sensor.gimbal)
     check_is(trajectory, Trajectory, "trajectory")
     check_is(points, Geodetic, "points")
-    _check_air(air)
+    check_air(air)
     uv, readings = as_array(uv, "uv"), as_array(readings, "readings")
     given: Any = as_float64((sensor, trajectory, points, uv, readings, air), "steered")
     sensor, trajectory, points, uv, start, air = given
     _check_given((trajectory.poses, points, uv, start, air))
-    knots = trajectory.times.shape
-    wrong = [leaf.shape for leaf in jax.tree.leaves(points) if leaf.shape not in ((), knots)]
-    if wrong:
-        raise ValueError(f"points must be one position, or one for each of the {knots[0]} knots; got shape {wrong[0]}.")
-    points = jax.tree.map(lambda x: jnp.broadcast_to(x, knots), points)
-    found = _steer(sensor, trajectory.poses, points, uv, start, air)
+    points = for_each_knot(trajectory, points, "points")
+    found = aim_along(sensor, trajectory.poses, points, uv, start, air)
     readings = jax.vmap(_reached)(found)
     lost = concrete(jnp.any(jnp.isnan(readings), axis=1))
     if lost is not None and np.any(lost):
         knot = int(np.argmax(lost))
-        _raise_unless_reached(sensor.gimbal, jax.tree.map(lambda x: x[knot], found), f"At knot {knot}: ")
+        pose, point, aimed = jax.tree.map(lambda x: x[knot], (trajectory.poses, points, found))
+        _raise_unless_reached((sensor, pose, point, uv, start, air), aimed, f"At knot {knot}: ")
     return trajectory.with_readings(readings)
 
 
+def for_each_knot(trajectory: Trajectory, target: Target, name: str) -> Any:
+    """A target for every knot of a trajectory, of one for all or of as many as there are knots."""
+    knots = trajectory.times.shape[0]
+    items = {"lat": 0, "lon": 0, "height": 0} if isinstance(target, Geodetic) else {"ned": 1}
+    for field, rank in items.items():
+        shape = jnp.shape(getattr(target, field))
+        if shape[: len(shape) - rank] not in ((), (knots,)):
+            raise ValueError(f"{name} must be one position, or one for each of the {knots} knots; got shape {shape}.")
+
+    def spread(x: Array, rank: int) -> Array:
+        return jnp.broadcast_to(x, (knots, *x.shape[x.ndim - rank :]))
+
+    return type(target)(**{field: spread(getattr(target, field), rank) for field, rank in items.items()})
+
+
 @eqx.filter_jit
-def _steer(
+def aim_along(
     sensor: Sensor,
     poses: Pose,
-    points: Geodetic,
+    targets: Target,
     uv: Pixel | None,
     given: Readings | None,
     air: Atmosphere | None,
 ) -> Aimed:
-    """`_search` for every knot, each from the one before."""
-    pose, point = jax.tree.map(lambda x: x[0], (poses, points))
-    first = _search(sensor, pose, point, uv, given, air)
+    """`aim` for every knot, each from the one before, so that axes do not jump."""
+    pose, target = jax.tree.map(lambda x: x[0], (poses, targets))
+    first = aim(sensor, pose, target, uv, given, air)
 
-    def following(before: Readings, knot: tuple[Pose, Geodetic]) -> tuple[Readings, Aimed]:
-        aimed = _search(sensor, *knot, uv, jax.lax.stop_gradient(before), air)
+    def following(before: Readings, knot: tuple[Pose, Target]) -> tuple[Readings, Aimed]:
+        aimed = aim(sensor, *knot, uv, jax.lax.stop_gradient(before), air)
         usable = (aimed.miss < TOLERANCE) & all_finite(aimed.readings)
         return jnp.where(usable, aimed.readings, before), aimed
 
-    return jax.lax.scan(following, first.readings, (poses, points))[1]
+    start = jnp.where(all_finite(first.readings), first.readings, sensor.gimbal.neutral_readings())
+    return jax.lax.scan(following, jax.lax.stop_gradient(start), (poses, targets))[1]
 
 
 class Aimed(NamedTuple):
-    """Readings, the angle in rad by which they miss, whether they are within limits, and the status of the pixel."""
+    """Readings within the limits, the angle in rad by which they miss, and whether and why they do or cannot."""
 
     readings: Readings
     miss: Scalar
-    inside: Flag
     status: StatusCode
 
 
 def _reached(found: Aimed) -> Readings:
-    reached = (found.miss < TOLERANCE) & found.inside & (found.status == Status.hit)
-    return jnp.where(reached, found.readings, jnp.nan)
+    return jnp.where(found.status == Status.hit, found.readings, jnp.nan)
 
 
 @eqx.filter_jit
-def _search(
+def aim(
     sensor: Sensor,
     pose: Pose,
-    point: Geodetic,
+    target: Target,
     uv: Pixel | None,
     given: Readings | None,
     air: Atmosphere | None,
 ) -> Aimed:
+    """Readings that bring the axis, or pixel `uv`, onto a target or, within the limits, nearest to it.
+
+    By closed form for the direction to the target, in rounds, since the perspective centre and the air's part hang on
+    the readings; then Newton on the exact map. Derivatives are those of the implicit function; readings that only come
+    nearest have none.
+    """
     start = sensor.gimbal.neutral_readings() if given is None else given
     sensor.gimbal.angles(start)  # refuses a wrong number of readings
     sight, status = _line_of_sight(sensor, uv)
-    world = (sensor, pose, point, sight, air)
+    world = (sensor, pose, target, sight, air)
+    is_valid = all_finite((sensor.gimbal.sign, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount))
+    is_valid &= all_finite((pose, target, start, air))
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
-
-    def seen(readings: Readings) -> Vector3:
-        return _point_seen(frozen, readings)
-
     free = _free_axes(sensor, pose, sight, frozen_start)
-    if given is None:
-        frozen_start = _best_start(seen, frozen[0].gimbal, frozen_start, free)
-    best = _gauss_newton(seen, frozen_start, free)
-    miss = _angle_off(seen(best))
+    best = _closed_form(frozen, frozen_start, free, given is not None)
+    best = _newton(frozen, best, free)
+    miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
-    root = jnp.where(reached, best, frozen_start)
-    found = _with_derivative(world, start, free, jax.lax.stop_gradient(root))
-    return Aimed(jnp.where(reached, found, best), miss, sensor.gimbal.inside_limits(best), status)
+    found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
+    outcome = status_where(reached, Status.hit, Status.outside_gimbal_range.code)
+    outcome = status_where(~is_valid, Status.invalid_input, first_failure(status, outcome))
+    known = is_valid & ((status == Status.hit) | (status == Status.outside_image))
+    readings = jnp.where(reached, found, jax.lax.stop_gradient(best))
+    return Aimed(jnp.where(known, readings, jnp.nan), jnp.where(known, miss, jnp.nan), outcome)
+
+
+def _closed_form(world: World, start: Readings, free: FreeAxes, from_start: bool) -> Readings:
+    """The gimbal's two axes alone, from where the camera then is and to where the target then seems to be."""
+    sensor, pose, _, sight, _ = world
+    station = Station.of(Shot(pose, start))
+    gimbal, mount = sensor.gimbal, sensor.mount
+    if gimbal.reference == "level":
+        R_ecef_from_base = station.R_ecef_from_level
+    else:
+        R_ecef_from_base = station.R_ecef_from_body @ mount.R_body_from_base
+    sight_head = turned(mount.R_head_from_camera, sight)
+
+    def once_more(_: Any, readings: Readings) -> Readings:
+        wanted = turned(R_ecef_from_base.T, _direction_of_target(world, readings))
+        return nearest_readings(gimbal, start, free, sight_head, wanted, from_start)
+
+    return jax.lax.fori_loop(0, ROUNDS, once_more, start)
+
+
+def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
+    """A few steps on the exact map, within the limits, each taken only if it comes nearer."""
+    low, high = world[0].gimbal.limits[:, 0], world[0].gimbal.limits[:, 1]
+
+    def step(_: Any, state: tuple[Readings, Scalar]) -> tuple[Readings, Scalar]:
+        readings, miss = state
+        seen, J = _seen_and_slope(world, readings, free)
+        trial = jnp.clip(readings.at[free].add(-_least_squares(J, seen)), low, high)
+        trial_miss = _angle_off(_target_seen(world, trial))
+        better = trial_miss < miss
+        return jnp.where(better, trial, readings), jnp.where(better, trial_miss, miss)
+
+    return jax.lax.fori_loop(0, NEWTON_STEPS, step, (start, _angle_off(_target_seen(world, start))))[0]
 
 
 def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCode]:
-    """Direction in the camera frame to bring onto the point; a pixel outside the image will do too."""
+    """Direction in the camera frame to bring onto the target; a pixel outside the image will do too."""
     axis = sensor.camera.axis()
     if uv is None:
         return axis, Status.hit.code
@@ -163,14 +239,35 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
     return jnp.where(status == Status.hit, direction, axis), status
 
 
-def _point_seen(world: World, readings: Readings) -> Vector3:
-    """Unit vector to the point: two components across the line of sight, then the one along it."""
-    sensor, pose, point, sight, air = world
-    p_camera = sensor.sight(Shot(pose, readings)).to_camera(WGS84.to_ecef(point), air)
+def _direction_of_target(world: World, readings: Readings) -> Vector3:
+    """Unit vector in ECEF from the perspective centre to where the target is, or through the air seems to be."""
+    sensor, pose, target, _, air = world
+    if isinstance(target, LineOfSight):
+        direction = R_ecef_from_ned(pose.position) @ target.ned
+    else:
+        centre, p_ecef = sensor.perspective_centre(Shot(pose, readings)), WGS84.to_ecef(target)
+        direction = (p_ecef if air is None else apparent_point(centre, p_ecef, air)) - centre
+    return direction / safe_norm(direction)
+
+
+def _target_seen(world: World, readings: Readings) -> Vector3:
+    """Unit vector to the target: two components across the line of sight, then the one along it."""
+    sensor, pose, _, sight, _ = world
+    direction = turned(sensor.R_ecef_from_camera(Shot(pose, readings)).T, _direction_of_target(world, readings))
     down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
     down = down / safe_norm(down)
-    axes = jnp.stack([jnp.cross(down, sight), down, sight])
-    return axes @ (p_camera / safe_norm(p_camera))
+    return turned(jnp.stack([jnp.cross(down, sight), down, sight]), direction)
+
+
+def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[Pixel, Float[Array, "2 free"]]:
+    """The two components across, and their derivatives by the free axes."""
+
+    def across(angles: Float[Array, " free"]) -> tuple[Pixel, Pixel]:
+        seen = _target_seen(world, readings.at[free].set(angles))[:2]
+        return seen, seen
+
+    J, seen = jax.jacfwd(across, has_aux=True)(readings[free])
+    return seen, J
 
 
 def _angle_off(seen: Vector3) -> Scalar:
@@ -179,51 +276,12 @@ def _angle_off(seen: Vector3) -> Scalar:
 
 def _free_axes(sensor: Sensor, pose: Pose, sight: Vector3, start: Readings) -> FreeAxes:
     """The (at most) two axes that turn the line of sight most at the start, from base to head; others are held."""
+    if len(sensor.gimbal.axes) <= 2:
+        return jnp.arange(len(sensor.gimbal.axes))
     sensor, pose, sight = jax.lax.stop_gradient((sensor, pose, sight))
     turns = jax.jacfwd(lambda readings: sensor.R_ned_from_camera(Shot(pose, readings)) @ sight)(start)
     per_angle = jnp.sum((turns @ jnp.diag(1.0 / sensor.gimbal.gain)) ** 2, axis=0)
     return jnp.sort(jnp.argsort(-per_angle)[:2])
-
-
-def _best_start(seen: Seen, gimbal: Gimbal, start: Readings, free: FreeAxes) -> Readings:
-    """The best of a coarse grid within the limits; of equals, the least turned, and not over head by the inner axis."""
-    half_turn = jnp.pi / jnp.abs(gimbal.gain)
-    low = jnp.maximum(gimbal.limits[:, 0], gimbal.offset - half_turn)[free]
-    high = jnp.minimum(gimbal.limits[:, 1], gimbal.offset + half_turn)[free]
-    fractions = jnp.meshgrid(*[jnp.linspace(0.0, 1.0, STARTS)] * free.shape[0], indexing="ij")
-
-    def candidate(fraction: FreeAngles) -> tuple[Readings, Scalar]:
-        readings = start.at[free].set(low + fraction * (high - low))
-        turned = gimbal.angles(readings)[free]
-        over_head = jnp.maximum(jnp.abs(turned[-1]) - jnp.pi / 2.0, 0.0)
-        return readings, -seen(readings)[2] + 1e-6 * jnp.sum(turned**2) + 10.0 * over_head
-
-    candidates, costs = jax.vmap(candidate)(jnp.stack([f.ravel() for f in fractions], axis=1))
-    return candidates[jnp.argmin(costs)]
-
-
-def _gauss_newton(seen: Seen, start: Readings, free: FreeAxes) -> Readings:
-    """Damped least squares over the free axes on the two components across the line of sight."""
-
-    def moved(change: FreeAngles) -> Vector3:
-        return seen(start.at[free].add(change))
-
-    def body(state):
-        change, miss, damping, count = state
-        J = jax.jacfwd(lambda c: moved(c)[:2])(change)
-        trial = change - _least_squares(J, moved(change)[:2], damping)
-        trial_miss = _angle_off(moved(trial))
-        better = trial_miss < miss
-        damping = jnp.where(better, 1e-3 * damping, jnp.maximum(10.0 * damping, 1e-10))
-        return jnp.where(better, trial, change), jnp.where(better, trial_miss, miss), damping, count + 1
-
-    def unfinished(state) -> Flag:
-        _, miss, damping, count = state
-        return (miss > 1e-15) & (damping < 1e8) & (count < MAX_STEPS)
-
-    stay = jnp.zeros(free.shape[0])
-    state = (stay, _angle_off(moved(stay)), jnp.asarray(1e-6), jnp.asarray(0))
-    return start.at[free].add(jax.lax.while_loop(unfinished, body, state)[0])
 
 
 @jax.custom_jvp
@@ -238,28 +296,34 @@ def _(primals, tangents):
     world, held, free, root = primals
     d_world, d_held, _, _ = tangents
     found = _with_derivative(world, held, free, root)
-    _, d_seen = jax.jvp(lambda w, h: _point_seen(w, h.at[free].set(found[free]))[:2], (world, held), (d_world, d_held))
-    J = jax.jacfwd(lambda angles: _point_seen(world, found.at[free].set(angles))[:2])(found[free])
+    _, d_seen = jax.jvp(lambda w, h: _target_seen(w, h.at[free].set(found[free]))[:2], (world, held), (d_world, d_held))
+    _, J = _seen_and_slope(world, found, free)
     return found, d_held.at[free].set(-_least_squares(J, d_seen))
 
 
-def _least_squares(J: Float[Array, "2 free"], value: Float[Array, "2"], damping: ArrayLike = 0.0) -> FreeAngles:
-    """`x` that makes `J x` nearest to `value`, for one or two unknowns; exact for two without damping."""
+def _least_squares(J: Float[Array, "2 free"], value: Pixel) -> Float[Array, " free"]:
+    """`x` that makes `J x` nearest to `value`, for one or two unknowns; of several, in effect the shortest.
+
+    Where a line of sight lies along an axis, J has but one direction that moves it.
+    """
     if J.shape[1] == 1:
-        return (J.T @ value) / (jnp.sum(J**2) + damping)
-    if isinstance(damping, float) and damping == 0.0:
-        return solve_2d(J, value)
-    return solve_2d(J.T @ J + damping * jnp.eye(2), J.T @ value)
+        return (J.T @ value) / jnp.maximum(jnp.sum(J**2), SINGULAR**2)
+    size = jnp.sum(J**2)
+    singular = jnp.abs(determinant(J)) < SINGULAR * size
+    shortest = solve_2d(J.T @ J + SINGULAR**2 * size * jnp.eye(2), J.T @ value)
+    return jnp.where(singular, shortest, solve_2d(jnp.where(singular, jnp.eye(2), J), value))
 
 
-def _check_axes(gimbal: Gimbal) -> None:
+def check_axes(gimbal: Gimbal) -> None:
+    """Raise `ValueError` for a gimbal that has nothing to turn."""
     if not gimbal.axes:
         raise ValueError(
             "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
         )
 
 
-def _check_air(air: Any) -> None:
+def check_air(air: Any) -> None:
+    """Raise `TypeError` unless this is an atmosphere or none."""
     if air is not None:
         check_is(air, Atmosphere, "atmosphere", "Leave it out for no refraction.")
 
@@ -269,26 +333,43 @@ def _check_given(given: Any) -> None:
         check_finite(leaf, "What looking_at is given (pose, point, uv, readings, atmosphere)", "rad, m, pixels or SI")
 
 
-def _raise_unless_reached(gimbal: Gimbal, found: Aimed, where: str = "") -> None:
-    values = [concrete(x) for x in (*found, gimbal.limits)]
-    if any(value is None for value in values):
+def _raise_unless_reached(given: Any, found: Aimed, where: str = "") -> None:
+    status = concrete(found.status)
+    if status is None or status == Status.hit:
         return
-    readings, missed, within, code, limits = (value.tolist() for value in values)  # pyright: ignore
-    if code != Status.hit:
-        raise ValueError(f"{where}Pixel uv cannot be put on the point. {Status(code).message}")
-    named = ", ".join(f"{n} {math.degrees(r):.4f}" for n, r in zip(gimbal.names, readings, strict=True))
-    if not missed < TOLERANCE:
-        raise ValueError(
-            f"{where}The gimbal cannot look at the point: the best it finds, {named} deg, misses it by "
-            f"{math.degrees(missed):.4g} deg. Check the limits and the pose, or give `readings` to start from."
+    code, gimbal = Status(int(status)), given[0].gimbal
+    if code != Status.outside_gimbal_range:
+        raise ValueError(f"{where}Pixel uv cannot be put on the point. {code.message}")
+    raise ValueError(f"{where}{out_of_range(gimbal, found, _without_limits(given))}")
+
+
+def _without_limits(given: Any) -> Aimed:
+    """What a gimbal without stops would do."""
+    wide = jnp.tile(jnp.array([-4.0, 4.0]) * jnp.pi, (len(given[0].gimbal.axes), 1))
+    wide = wide / jnp.abs(given[0].gimbal.gain)[:, None] + given[0].gimbal.offset[:, None]
+    return aim(eqx.tree_at(lambda sensor: sensor.gimbal.limits, given[0], wide), *given[1:])
+
+
+def out_of_range(gimbal: Gimbal, found: Aimed, free: Aimed) -> str:
+    """Why a gimbal cannot look at a target: `found` within its limits, `free` without any."""
+    missed = math.degrees(float(found.miss))
+    nearest = f"nearest within them it comes at {_named(gimbal, found.readings)} deg, {missed:.4g} deg off"
+    if float(free.miss) >= TOLERANCE:
+        return (
+            f"The gimbal cannot look at the point: the best it finds, {_named(gimbal, found.readings)} deg, misses it "
+            f"by {missed:.4g} deg. Check the pose and which axes there are, or give `readings` to start from."
         )
-    if not within:
-        bounds = ", ".join(
-            f"{n} {math.degrees(low):.4g}..{math.degrees(high):.4g}"
-            for n, (low, high) in zip(gimbal.names, limits, strict=True)
-        )
-        raise ValueError(
-            f"{where}The gimbal would have to go to {named} deg to look at the point, outside its limits, "
-            f"{bounds} deg. "
-            f"Turn the platform, choose another point, or give `readings` to start from."
-        )
+    limits = np.asarray(gimbal.limits)
+    bounds = ", ".join(
+        f"{n} {math.degrees(low):.4g}..{math.degrees(high):.4g}"
+        for n, (low, high) in zip(gimbal.names, limits, strict=True)
+    )
+    return (
+        f"The gimbal would have to go to {_named(gimbal, free.readings)} deg to look at the point, outside its limits, "
+        f"{bounds} deg; {nearest}. Turn the platform, or choose another point."
+    )
+
+
+def _named(gimbal: Gimbal, readings: Readings) -> str:
+    values = np.asarray(readings).tolist()
+    return ", ".join(f"{n} {math.degrees(r):.4f}" for n, r in zip(gimbal.names, values, strict=True))

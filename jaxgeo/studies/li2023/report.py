@@ -12,9 +12,9 @@ from jaxgeo.studies.li2023 import printed, sheets
 from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import Accuracy, over_fractal_ground, over_level_ground
-from jaxgeo.studies.li2023.tables import Sheet
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
+from jaxgeo.studies.sheet import Sheet
 
 SAMPLES = 50_000
 PLACES = 12

@@ -10,9 +10,9 @@ from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.inclination import Inclination
 from jaxgeo.studies.li2023.pointing import Pointing
 from jaxgeo.studies.li2023.positions import Accuracy
-from jaxgeo.studies.li2023.tables import Cell, Sheet
 from jaxgeo.studies.li2023.targets import Target
 from jaxgeo.studies.li2023.tilts import Tilt, printed_rms
+from jaxgeo.studies.sheet import Cell, Sheet
 
 SHOWN_FRAMES = (60.0, 65.0, 70.0, 74.0, 78.0)  # deg
 SHOWN_SIGMAS = (10.0, 20.0, 50.0, 100.0, 150.0, 190.0)  # m

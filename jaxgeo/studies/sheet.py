@@ -1,4 +1,4 @@
-"""Tables of the study: each one list of rows, for the screen, for a spreadsheet and for a text."""
+"""Tables of a study: each one list of rows, for the screen, for a spreadsheet and for a text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TextIO
 from rich import box
 from rich.table import Table
 
-Cell = str | float | None
+Cell = str | int | float | None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,88 @@
+"""An image as planning sees it: a sensor at a moment, and what pixels of it meet on the ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import check_is
+from jaxgeo._doors import observation
+from jaxgeo._typing import ScalarField, Vector3
+from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT, locate
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.terrain import AbstractTerrain
+
+Places = Float[Array, "places 2"]
+
+
+class Exposure(eqx.Module):
+    """An image of a moving sensor: a `Trajectory` and the `time` in s at which it is taken."""
+
+    trajectory: Trajectory
+    time: ScalarField
+
+    @property
+    def shot(self) -> Shot:
+        """The shot at the time of the image."""
+        return self.trajectory.at(self.time)
+
+
+Image = Shot | Exposure
+
+
+def motion_of(image: Image) -> tuple[Shot | Trajectory, Any]:
+    """What `locate` takes as its shot and its time. Raises `TypeError` for anything else than a shot or an exposure."""
+    if isinstance(image, Shot):
+        return image, None
+    check_is(image, Exposure, "image", "Of one moment it is a Shot; of a Trajectory, Exposure(trajectory, time).")
+    return image.trajectory, image.time
+
+
+def checked_image(sensor: Sensor, image: Image) -> tuple[Sensor, Image]:
+    """Sensor and image in float64, checked as at the doors of `locate`."""
+    sensor, motion, time = observation(sensor, *motion_of(image))
+    return sensor, motion if isinstance(motion, Shot) else Exposure(motion, time)
+
+
+def seen_at(
+    sensor: Sensor, image: Image, places: Places, terrain: AbstractTerrain, air: Atmosphere | None = None
+) -> Fix:
+    """What pixels (n, 2) of an image see; edges of the image included."""
+    motion, time = motion_of(image)
+
+    def one(uv: Float[Array, "2"]) -> Fix:
+        return locate(sensor, motion, uv, terrain, time=time, search=FIRST_HIT, atmosphere=air)
+
+    return jax.vmap(one)(places)
+
+
+def platform_ecef(image: Image) -> Vector3:
+    """Where the platform is at the time of the image, ECEF m."""
+    return WGS84.to_ecef((image if isinstance(image, Shot) else image.shot).pose.position)
+
+
+def own_map(image: Image) -> TransverseMercator:
+    """The Gauss-Krueger map about the meridian of the platform: within 30 km of it true to scale to 1.1e-5."""
+    shot = image if isinstance(image, Shot) else image.shot
+    return TransverseMercator.gauss_krueger(shot.pose.position.lon)
+
+
+def on_map(projection: Any, p_ecef: Vector3) -> Float[Array, "2"]:
+    """(easting, northing) in m of a point in ECEF m."""
+    if isinstance(projection, TransverseMercator):  # by the normal, which knows no date line and no pole
+        normal, _ = WGS84.normal_and_height(p_ecef)
+        return jnp.stack(projection.forward_from_normal(normal))
+    position = WGS84.to_geodetic(p_ecef)
+    return jnp.stack(projection.forward(position.lat, position.lon))
+
+
+def image_size(sensor: Sensor) -> tuple[int, int]:
+    """(columns, rows) of the sensor's image."""
+    camera: Any = sensor.camera
+    return camera.width, camera.height

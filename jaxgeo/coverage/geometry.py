@@ -1,0 +1,237 @@
+"""Overlap of oblique strips over level ground, in closed formulas.
+
+Li et al. (2020), "Effect and compensation of overlap influenced by flight parameter of oblique aerial camera". A strip
+is a sweep across the flight; two of them overlap least at their near end, and that is the overlap meant. Angles are in
+rad, lengths in m, times in s; `field_of_view` is the full angle along the flight, `off_nadir` that of the line of sight
+at the near end. An overlap is a share of the frame's length: 1 is the same ground again, below 0 is a gap.
+
+The print writes theta for the angle off nadir up to Eq 28, and for the angle from the horizontal, sin(theta) for
+cos(theta), from Eq 29 on; there it also writes omega for 2 tan(omega/2). Here one angle, off nadir, and the tangent
+serve throughout. Every function takes numbers or arrays, element by element; what is traced is not checked.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxgeo._typing import Numbers
+from jaxgeo.coverage._checks import (
+    checked_field_of_view,
+    checked_finite,
+    checked_off_nadir,
+    checked_overlap,
+    checked_positive,
+)
+
+
+def frame_length(*, height_above_ground: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Length in m of one frame along the flight: 2 H tan(omega/2) / cos(theta) (Eq 1).
+
+    `height_above_ground` in m is that of the camera over the ground it sees. Raises `ValueError` as `overlap_at`.
+    """
+    height = checked_positive(height_above_ground, "height_above_ground", "m")
+    return height * _relative_length(off_nadir, field_of_view)
+
+
+def overlap_of_step(step: Any, length: Any) -> Numbers:
+    """Overlap of two frames of one `length` in m that lie a `step` in m apart (Eq 2).
+
+    Raises `ValueError` for a length that is not positive, or a step that is not finite.
+    """
+    return 1.0 - checked_finite(step, "step", "m") / checked_positive(length, "length", "m")
+
+
+def step_of_overlap(overlap: Any, length: Any) -> Numbers:
+    """Step in m between frames of one `length` in m that overlap so far; the inverse of `overlap_of_step`.
+
+    Raises `ValueError` for an overlap outside [0, 1), or a length that is not positive.
+    """
+    return (1.0 - checked_overlap(overlap)) * checked_positive(length, "length", "m")
+
+
+def overlap_at(*, step: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Overlap after a step in m of the aircraft: 1 - L cos(theta) / (2 H tan(omega/2)) (Eq 20).
+
+    Raises `ValueError` for a height that is not positive, a field of view outside (0, pi), or an angle off nadir
+    outside [0, pi/2).
+    """
+    length = frame_length(height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view)
+    return overlap_of_step(step, length)
+
+
+def along_offset_by_heading(*, heading_change: Any, height_above_ground: Any, off_nadir: Any) -> Numbers:
+    """How far in m the line of sight falls behind when the nose turns: H tan(theta) sin(dlambda) (Eq 17).
+
+    A positive `heading_change` (to the right) takes a camera that looks to the right backwards along the flight; one
+    that looks to the left it takes forwards as far. Raises `ValueError` for a height that is not positive or an angle
+    off nadir outside [0, pi/2).
+    """
+    return _ground_range(height_above_ground, off_nadir) * jnp.sin(_angle(heading_change, "heading_change"))
+
+
+def across_offset_by_heading(*, heading_change: Any, height_above_ground: Any, off_nadir: Any) -> Numbers:
+    """How far in m the line of sight comes nearer to the track when the nose turns: H tan(theta) (1 - cos(dlambda)).
+
+    The equation after Eq 17, which has no number. Raises `ValueError` as `along_offset_by_heading`.
+    """
+    half = 0.5 * _angle(heading_change, "heading_change")
+    return _ground_range(height_above_ground, off_nadir) * 2.0 * jnp.sin(half) ** 2
+
+
+def overlap_change_by_heading(*, heading_change: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Change of the overlap when the nose turns before the second strip (Eq 18).
+
+    sin(theta) sin(dlambda) / (2 tan(omega/2)), for a camera that looks to the right; to the left the sign turns. It is
+    the step along the flight that counts: from some angle on the second frame lies behind the first, and the "overlap"
+    exceeds 1. The height cancels. Table 1 has 0.6553 and 1.0920 for 0.6554 and 1.0923. Raises `ValueError` as
+    `overlap_at`.
+    """
+    theta, change = checked_off_nadir(off_nadir), _angle(heading_change, "heading_change")
+    return jnp.sin(theta) * jnp.sin(change) / _opening(field_of_view)
+
+
+def overlap_change_by_pitch(*, pitch_change: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Change of the overlap when the nose rises before the second strip (Eq 19).
+
+    -cos(theta) tan(dbeta) / (2 tan(omega/2)). Eq 19 is printed without the sign that Table 2 has: nose up moves the
+    second frame on. The entries of Table 2 are 2.155 % larger than the formula gives, for no known reason. Raises
+    `ValueError` as `overlap_at`.
+    """
+    theta, change = checked_off_nadir(off_nadir), _angle(pitch_change, "pitch_change")
+    return -jnp.cos(theta) * jnp.tan(change) / _opening(field_of_view)
+
+
+def overlap_change_by_roll(*, off_nadir_change: Any, off_nadir: Any, overlap: Any) -> Numbers:
+    """Change of a wished overlap when a roll takes the second strip off nadir by so much more (Eq 22).
+
+    (1 - rho0) (1 - cos(theta + dalpha) / cos(theta)): the step stays, the frame grows. The print counts a roll that
+    lifts the line of sight as positive; a camera looking to the right is lifted by the left wing going down. Raises
+    `ValueError` for an overlap outside [0, 1) or an angle off nadir outside [0, pi/2).
+    """
+    theta, change = checked_off_nadir(off_nadir), _angle(off_nadir_change, "off_nadir_change")
+    return (1.0 - checked_overlap(overlap)) * (1.0 - jnp.cos(theta + change) / jnp.cos(theta))
+
+
+def height_change(*, aircraft: Any, ground: Any) -> Numbers:
+    """Change in m of the height above the ground when aircraft and ground rise by so much (Eq 27)."""
+    return checked_finite(aircraft, "aircraft", "m") - checked_finite(ground, "ground", "m")
+
+
+def overlap_change_by_height(*, height_change: Any, height_above_ground: Any) -> Numbers:
+    """Change of the overlap when the height above the ground changes: dH / H (Eq 28).
+
+    It sets the frame's growth against its old length, as if without overlap: `overlap_after_height_change` is the
+    overlap itself. Raises `ValueError` for a height that is not positive.
+    """
+    change = checked_finite(height_change, "height_change", "m")
+    return change / checked_positive(height_above_ground, "height_above_ground", "m")
+
+
+def overlap_after_height_change(*, height_change: Any, height_above_ground: Any, overlap: Any) -> Numbers:
+    """Overlap of frames a step apart that was to give `overlap`, where the height is another: Eqs 1, 2 and 27.
+
+    1 - (1 - rho0) H / (H + dH), exact on level ground. Raises `ValueError` for a height that is not positive, before
+    or after the change, or an overlap outside [0, 1).
+    """
+    before = checked_positive(height_above_ground, "height_above_ground", "m")
+    changed = before + checked_finite(height_change, "height_change", "m")
+    after = checked_positive(changed, "height_above_ground + height_change", "m")
+    return 1.0 - (1.0 - checked_overlap(overlap)) * before / after
+
+
+def period_of_overlap(
+    *, overlap: Any, speed: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any
+) -> Numbers:
+    """Time in s from strip to strip that gives an overlap at a steady `speed` over the ground in m/s (Eq 29).
+
+    2 tan(omega/2) (1 - rho) H / (V cos(theta)). Raises `ValueError` for a speed that is not positive, and as
+    `path_of_overlap`.
+    """
+    path = path_of_overlap(
+        overlap=overlap, height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view
+    )
+    return path / checked_positive(speed, "speed", "m/s")
+
+
+def overlap_of_period(
+    *, period: Any, speed: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any
+) -> Numbers:
+    """Overlap of strips taken every `period` in s at a steady `speed` over the ground in m/s (Eq 30).
+
+    Raises `ValueError` for a period or speed that is not positive, and as `overlap_at`.
+    """
+    path = checked_positive(period, "period", "s") * checked_positive(speed, "speed", "m/s")
+    return overlap_of_path(
+        path=path, height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view
+    )
+
+
+def overlap_change_by_speed(
+    *, speed_change: Any, period: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any
+) -> Numbers:
+    """Change of the overlap when the mean speed between strips changes by so much in m/s (Eq 31).
+
+    -T (dV / H) cos(theta) / (2 tan(omega/2)); the denominator is printed as alpha and is the field's, omega. Raises
+    `ValueError` for a period that is not positive, and as `overlap_at`.
+    """
+    length = frame_length(height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view)
+    return -checked_positive(period, "period", "s") * checked_finite(speed_change, "speed_change", "m/s") / length
+
+
+def overlap_of_path(*, path: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Overlap of strips between which the aircraft flies a `path` in m (Eq 33), whatever its speed (Eq 32).
+
+    Raises `ValueError` as `overlap_at`.
+    """
+    return overlap_at(
+        step=path, height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view
+    )
+
+
+def path_of_overlap(*, overlap: Any, height_above_ground: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Path in m to fly between strips that shall overlap so far (Eq 34).
+
+    Raises `ValueError` for an overlap outside [0, 1), and as `overlap_at`.
+    """
+    length = frame_length(height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view)
+    return step_of_overlap(overlap, length)
+
+
+def overlap_of_velocity_height(*, integral: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Overlap of strips between which speed over height above ground, integrated over time, comes to so much (Eq 35).
+
+    Neither speed nor height need be steady. Raises `ValueError` for an integral that is not finite, a field of view
+    outside (0, pi), or an angle off nadir outside [0, pi/2).
+    """
+    return 1.0 - checked_finite(integral, "integral", "m/m") / _relative_length(off_nadir, field_of_view)
+
+
+def velocity_height_of_overlap(*, overlap: Any, off_nadir: Any, field_of_view: Any) -> Numbers:
+    """The integral over time of speed over height above ground (m/m) at which the next strip is due (Eq 36).
+
+    2 tan(omega/2) (1 - rho) / cos(theta). Raises `ValueError` for an overlap outside [0, 1), a field of view outside
+    (0, pi), or an angle off nadir outside [0, pi/2).
+    """
+    return (1.0 - checked_overlap(overlap)) * _relative_length(off_nadir, field_of_view)
+
+
+def _relative_length(off_nadir: Any, field_of_view: Any) -> Numbers:
+    """Length of a frame over the height above the ground."""
+    return _opening(field_of_view) / jnp.cos(checked_off_nadir(off_nadir))
+
+
+def _opening(field_of_view: Any) -> Numbers:
+    """Width of the field at unit distance, 2 tan(omega/2)."""
+    return 2.0 * jnp.tan(0.5 * checked_field_of_view(field_of_view))
+
+
+def _ground_range(height_above_ground: Any, off_nadir: Any) -> Numbers:
+    """From the aircraft's foot to where the line of sight meets level ground, m."""
+    height = checked_positive(height_above_ground, "height_above_ground", "m")
+    return height * jnp.tan(checked_off_nadir(off_nadir))
+
+
+def _angle(value: Any, name: str) -> Numbers:
+    return checked_finite(value, name, "rad")

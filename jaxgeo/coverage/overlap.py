@@ -1,0 +1,241 @@
+"""How much of the ground one image shares with the next: along the flight at every place across it, and by area."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64, concrete
+from jaxgeo._doors import check_terrain, checked_air
+from jaxgeo._numerics import dot, safe_norm
+from jaxgeo._typing import Scalar, ScalarField, StatusField, Vector3Field
+from jaxgeo.coverage.exposure import Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
+from jaxgeo.earth import Atmosphere, TransverseMercator
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor
+from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
+from jaxgeo.terrain import AbstractTerrain
+
+STATIONS = 33
+PlanePoint = Float[Array, "2"]
+PlanePoints = Float[Array, "stations 2"]
+Along = Literal["columns", "rows"]
+
+
+class Edges(eqx.Module):
+    """The two edges of an image that lie across the flight, on a map: (easting, northing) in m at stations (n, 2).
+
+    `leading` is the one ahead in the direction of flight; stations go from the near end to the far end. `status` is
+    `hit` if all of them see ground.
+    """
+
+    leading: Float[Array, "... stations 2"]
+    trailing: Float[Array, "... stations 2"]
+    status: StatusField
+
+
+class GroundEdges(eqx.Module):
+    """The same edges on the ground: `points` (2, n, 3) in ECEF m, where the `platform` was, and the status."""
+
+    points: Float[Array, "... 2 stations 3"]
+    platform: Vector3Field
+    status: StatusField
+
+
+class Overlap(eqx.Module):
+    """What an image shares with the one before, as shares of the one before's length along the flight.
+
+    `along` (stations,) at places evenly between the `near` end and the `far` end of what both reach, by their distance
+    across the flight, `across` (stations,) in m on the map; below zero there is a gap. `least` is the least of them,
+    `side` the share of the one before's extent across the flight that both reach, `area` that of its area that they
+    share. `step` is the way in m on the map from the middle of the one's near end to that of the other's, along the
+    flight. `status` is that of what sees no ground, and all else then NaN; `images_apart` where there is no place
+    across the flight that both reach: `side` is then negative, `area` zero, and the overlaps along the flight are NaN.
+    """
+
+    near: ScalarField
+    far: ScalarField
+    least: ScalarField
+    along: Float[Array, "... stations"]
+    across: Float[Array, "... stations"]
+    side: ScalarField
+    area: ScalarField
+    step: ScalarField
+    status: StatusField
+
+    @property
+    def ok(self) -> Array:
+        """Whether all of both edges sees ground, and there is a place across the flight that both reach."""
+        return jnp.asarray(self.status) == Status.hit
+
+
+def overlap(
+    sensor: Sensor,
+    before: Image,
+    after: Image,
+    terrain: AbstractTerrain,
+    *,
+    direction: Float[Array, "2"] | None = None,
+    along: Along | None = None,
+    stations: int = STATIONS,
+    atmosphere: Atmosphere | None = None,
+    projection: TransverseMercator | None = None,
+) -> Overlap:
+    """The overlap of two images on the terrain that they see: frames, or strips of a scan.
+
+    The edges of both that lie across the flight are located at `stations`; the overlap is measured along the
+    `direction` of flight, a vector (easting, northing) on the map, by default from the one platform to the other.
+    `along` names the axis of the image that lies along the flight; left out, it is found, which needs values that are
+    known. The map is `own_map(before)` unless another `projection` is given. Strips side by side overlap along the
+    step from the one to the other just so.
+    On terrain an edge jumps where a ridge hides ground: between its ends it is taken as straight.
+    Differentiable. Raises `ValueError` for images from one place without a `direction`.
+    """
+    if stations < 2:
+        raise ValueError(f"stations must be at least 2, the near end and the far end; got {stations}.")
+    check_terrain(terrain, FIRST_HIT)
+    air = checked_air(atmosphere)
+    sensor, before = checked_image(sensor, before)
+    _, after = checked_image(sensor, after)
+    projection = own_map(before) if projection is None else projection
+    if direction is None:
+        direction = flight_direction(before, after, projection)
+    way: Any = as_float64(direction, "direction")
+    way = way / safe_norm(way)
+    along = axis_along(sensor, before, way, terrain, projection) if along is None else along
+    return _overlap(sensor, before, after, terrain, way, along, stations, air, projection)
+
+
+def flight_direction(before: Image, after: Image, projection: TransverseMercator) -> PlanePoint:
+    """Unit vector (easting, northing) on a map from one platform to another.
+
+    Raises `ValueError` if they are less than 1 mm apart.
+    """
+    here, there = (on_map(projection, platform_ecef(image)) for image in (before, after))
+    apart = concrete(safe_norm(there - here))
+    if apart is not None and apart < 1e-3:
+        raise ValueError(
+            f"the two images are taken {float(apart):.3g} m apart, which gives no direction of flight: "
+            "give direction=(easting, northing)."
+        )
+    return (there - here) / safe_norm(there - here)
+
+
+def axis_along(
+    sensor: Sensor, image: Image, direction: PlanePoint, terrain: AbstractTerrain, projection: TransverseMercator
+) -> Along:
+    """Which axis of an image lies along a direction on the map: that whose middle line turns its back on it least.
+
+    Raises `ValueError` where the values are traced, or the middle of the image sees no ground.
+    """
+    width, height = image_size(sensor)
+    middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
+    step = 0.01 * np.array([width, height])
+    places = np.concatenate([middle + np.diag(step), middle - np.diag(step)])
+    fix = seen_at(sensor, image, jnp.asarray(places), terrain)
+    points = jax.vmap(lambda p: on_map(projection, p))(fix.ecef)
+    across = jnp.stack([-direction[1], direction[0]])
+    change = points[:2] - points[2:]
+    lean = concrete(jnp.abs(change @ direction) / jnp.maximum(jnp.abs(change @ across), 1e-12))
+    if lean is None or not np.all(np.isfinite(lean)):
+        raise ValueError(
+            'which axis of the image lies along the flight is not known here: say along="columns" or along="rows".'
+        )
+    return "columns" if lean[0] > lean[1] else "rows"
+
+
+def ground_edges(
+    sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, stations: int, air: Atmosphere | None
+) -> GroundEdges:
+    """The two edges of an image across the flight, on the ground."""
+    width, height = image_size(sensor)
+    size = (width, height) if along == "columns" else (height, width)
+    ends, across = jnp.array([-0.5, size[0] - 0.5]), jnp.linspace(-0.5, size[1] - 0.5, stations)
+    places = [jnp.stack([jnp.full(stations, end), across], axis=-1) for end in ends]
+    places = [place if along == "columns" else place[:, ::-1] for place in places]
+    fix = seen_at(sensor, image, jnp.concatenate(places), terrain, air)
+    outcome = jnp.where(counts_as_fix(fix.status), Status.hit.code, fix.status)
+    status = outcome[jnp.argmax(outcome != Status.hit)]
+    platform = platform_ecef(image)
+    points = jnp.where(status == Status.hit, fix.ecef, platform)  # a stand-in, so that no NaN enters a gradient
+    return GroundEdges(points.reshape(2, stations, 3), platform, status)
+
+
+def edges_on_map(ground: GroundEdges, direction: PlanePoint, projection: TransverseMercator) -> Edges:
+    """Edges on a map, told apart by the direction of flight, and from the near end to the far end."""
+    one, other = jax.vmap(jax.vmap(partial(on_map, projection)))(ground.points)
+    # Which is ahead, and which end is near, are matters of sign: no derivative is lost.
+    is_ahead = jnp.mean((one - other) @ direction) > 0.0
+    leading, trailing = jnp.where(is_ahead, one, other), jnp.where(is_ahead, other, one)
+    below = on_map(projection, ground.platform)
+    ends_off = [safe_norm(0.5 * (leading[k] + trailing[k]) - below) for k in (0, -1)]
+    is_near = ends_off[0] <= ends_off[1]
+    leading, trailing = (jnp.where(is_near, edge, edge[::-1]) for edge in (leading, trailing))
+    return Edges(leading, trailing, ground.status)
+
+
+def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) -> Overlap:
+    """The overlap of two images of known edges, along a direction on the map."""
+    status = first_failure(before.status, after.status)
+    middle = 0.5 * (before.leading + before.trailing)
+    side = jnp.stack([-direction[1], direction[0]])
+    # From near to far is counted upwards, whichever side of the flight the image lies on.
+    side = jnp.where(dot(middle[-1] - middle[0], side) < 0.0, -side, side)
+    lines = [_line(edge, direction, side) for edge in (before.leading, before.trailing, after.leading, after.trailing)]
+    near = jnp.max(jnp.stack([across[0] for across, _ in lines]))
+    far = jnp.min(jnp.stack([across[-1] for across, _ in lines]))
+    own_near, own_far = jnp.maximum(lines[0][0][0], lines[1][0][0]), jnp.minimum(lines[0][0][-1], lines[1][0][-1])
+    meets = far > near
+    side_by_side = far - near
+    across = near + jnp.where(meets, side_by_side, 1.0) * jnp.linspace(0.0, 1.0, stations)
+    lead, trail, next_lead, next_trail = (jnp.interp(across, y, x) for y, x in lines)
+    length = lead - trail
+    length = jnp.where(length > 0.0, length, 1.0)
+    along = (lead - next_trail) / length
+    own_across = own_near + (own_far - own_near) * jnp.linspace(0.0, 1.0, stations)
+    own = jnp.interp(own_across, *lines[0]) - jnp.interp(own_across, *lines[1])
+    both = jnp.clip(jnp.minimum(lead, next_lead) - jnp.maximum(trail, next_trail), 0.0, None)
+    own_extent = jnp.where(own_far > own_near, own_far - own_near, 1.0)
+    whole = own_extent * jnp.where(_mean(own) > 0.0, _mean(own), 1.0)
+    area = jnp.where(meets, side_by_side * _mean(both) / whole, 0.0)
+    step = dot(0.5 * (after.leading[0] + after.trailing[0]) - middle[0], direction)
+    is_known = status == Status.hit
+    status = status_where(is_known & ~meets, Status.images_apart, status)
+    of_meeting = (along[0], along[-1], jnp.min(along), along, across)
+    of_both = (side_by_side / own_extent, area, step)
+    near_, far_, least, along, across = (jnp.where(is_known & meets, x, jnp.nan) for x in of_meeting)
+    side_, area, step = (jnp.where(is_known, x, jnp.nan) for x in of_both)
+    return Overlap(near_, far_, least, along, across, side_, area, step, status)
+
+
+@eqx.filter_jit
+def _overlap(
+    sensor: Sensor,
+    before: Image,
+    after: Image,
+    terrain: AbstractTerrain,
+    direction: PlanePoint,
+    along: Along,
+    stations: int,
+    air: Atmosphere | None,
+    projection: TransverseMercator,
+) -> Overlap:
+    ground = [ground_edges(sensor, image, terrain, along, stations, air) for image in (before, after)]
+    first, second = (edges_on_map(one, direction, projection) for one in ground)
+    return shared(first, second, direction, stations)
+
+
+def _line(edge: PlanePoints, direction: PlanePoint, side: PlanePoint) -> tuple[Array, Array]:
+    """An edge as (distance across, distance along), the first made to rise, as it does but for a turning platform."""
+    return jax.lax.cummax(edge @ side), edge @ direction
+
+
+def _mean(values: Float[Array, " stations"]) -> Scalar:
+    """Mean over evenly spaced stations, by trapezia."""
+    return (jnp.sum(values) - 0.5 * (values[0] + values[-1])) / (values.shape[0] - 1)

@@ -1,0 +1,307 @@
+"""When to expose next, so that an image overlaps the one before as much as is wished."""
+
+from __future__ import annotations
+
+import abc
+import math
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+from scipy.interpolate import PchipInterpolator
+
+from jaxgeo._checks import check_finite, check_is
+from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._numerics import safe_angle
+from jaxgeo._typing import Flag, Scalar, ScalarField
+from jaxgeo.coverage._checks import checked_overlap, checked_positive
+from jaxgeo.coverage.exposure import Exposure, image_size, own_map, seen_at
+from jaxgeo.coverage.overlap import (
+    STATIONS,
+    Along,
+    GroundEdges,
+    Overlap,
+    axis_along,
+    edges_on_map,
+    flight_direction,
+    ground_edges,
+    shared,
+)
+from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Trajectory
+from jaxgeo.status import counts_as_fix
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
+
+INTERVAL = 0.05  # s between the nodes of the velocity-height integral
+LOOKED_THROUGH = 24  # times at which the overlap is looked at for the first that is as small as is wished
+ROUNDS = 6  # in which the interval before that is looked through again: to 1e-8 of the wait
+FARTHEST = 4.0  # times the wait that level ground would ask for, within which an overlap is looked for
+MOST = 10_000  # images of one plan
+
+
+class Plan(eqx.Module):
+    """Images of a flight: when they are taken, s, and what each (but the first) shares with the one before.
+
+    `overlaps` has a leading axis of one less than `times`.
+    """
+
+    trajectory: Trajectory
+    times: Float[Array, " images"]
+    overlaps: Overlap
+
+
+class Course(eqx.Module):
+    """All that the time of an image hangs on: who flies where, over what, and which way the image lies."""
+
+    sensor: Sensor
+    trajectory: Trajectory
+    terrain: AbstractTerrain
+    air: Atmosphere | None
+    along: Along = eqx.field(static=True)
+
+    def over(self, terrain: AbstractTerrain) -> Course:
+        """The same over other ground."""
+        return Course(self.sensor, self.trajectory, terrain, self.air, self.along)
+
+
+class AbstractTiming(eqx.Module):
+    """When images are due after a first one."""
+
+    @abc.abstractmethod
+    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+        """Times in s of the images from `start` on, that one first, while the trajectory lasts, and `most` at most."""
+
+
+class FixedPeriod(AbstractTiming):
+    """An image every `period` s."""
+
+    period: ScalarField
+
+    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+        period = float(checked_positive(self.period, "period", "s"))
+        count = math.floor((float(course.trajectory.end) - start) / period * (1.0 + 1e-12)) + 1
+        return start + period * np.arange(min(count, most))
+
+
+class VelocityHeight(AbstractTiming):
+    """By the integral over time of speed over slant range: Li et al. (2020), Eq 36.
+
+    The next image is due when the integral of V / S has grown by 2 tan(omega/2) (1 - overlap): omega the field of view
+    along the flight at the near end, S the slant range there (H / cos(theta) over level ground) and V the speed of the
+    ground point. So the ground is that which is seen; with a `height` in m above the ellipsoid it is taken to be level
+    there, whatever the terrain. The integral is made once for the flight, `INTERVAL` s apart, and the time found where
+    it comes to its mark, not at the next record.
+    """
+
+    overlap: ScalarField
+    height: ScalarField | None = None
+
+    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+        nodes, total = (np.asarray(x) for x in self.integral(course, start))
+        goal = float(self.mark(course, start))
+        marks = goal * np.arange(min(math.floor(total[-1] / goal * (1.0 + 1e-12)) + 1, most))
+        return PchipInterpolator(total, nodes)(np.minimum(marks, total[-1]))
+
+    def mark(self, course: Course, time: ArrayLike) -> Scalar:
+        """By how much the integral grows from image to image."""
+        return (1.0 - checked_overlap(self.overlap)) * 2.0 * jnp.tan(0.5 * _field_of_view(course))
+
+    def integral(self, course: Course, start: float) -> tuple[Float[Array, " nodes"], Float[Array, " nodes"]]:
+        """(times in s, the integral of V / S from the start to them) up to the trajectory's end, by Simpson's rule."""
+        end = float(course.trajectory.end)
+        legs = max(2 * math.ceil((end - start) / (2.0 * INTERVAL)), 8)
+        nodes = jnp.linspace(start, end, 2 * legs + 1)
+        rate = _rates(course if self.height is None else course.over(ConstantHeight(self.height)), nodes)
+        if not np.all(np.isfinite(rate)):
+            lost = float(nodes[int(np.argmin(np.isfinite(rate)))])
+            raise ValueError(f"the near end of the image sees no ground at {lost:.9g} s: no image can be timed by it.")
+        growth = (nodes[2] - nodes[0]) / 6.0 * (rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2])
+        return nodes[::2], jnp.concatenate([jnp.zeros(1), jnp.cumsum(growth)])
+
+
+class GroundShared(AbstractTiming):
+    """By the overlap itself, on the ground that both images see: the first time at which it is no more than wished.
+
+    `place` says where it counts: at the "near" end, or where it is "least" along the whole edge. The wait that level
+    ground would ask for is looked through, and the interval in which the overlap first falls to what is wished, again:
+    a jump, where a ridge comes to hide ground, is found as well as a root.
+    """
+
+    overlap: ScalarField
+    place: Literal["near", "least"] = eqx.field(static=True, default="near")
+    stations: int = eqx.field(static=True, default=STATIONS)
+
+    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+        checked_overlap(self.overlap)
+        guess = VelocityHeight(self.overlap)
+        nodes, total = guess.integral(course, start)
+        goal = guess.mark(course, start)
+        times = [start]
+        while len(times) < most:
+            following = float(_first_due(self, course, jnp.asarray(times[-1]), nodes, total, goal))
+            if not math.isfinite(following):
+                break
+            if not following > times[-1]:
+                raise ValueError(f"no time after {times[-1]:.9g} s gives an overlap that large: it would stand still.")
+            times.append(following)
+        return np.array(times)
+
+
+@eqx.filter_jit
+def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array, total: Array, goal: Scalar) -> Scalar:
+    """When the image after one at `time` is due; infinite where the trajectory ends before."""
+    longest = course.trajectory.end - time
+    done = jnp.interp(time, nodes, total)
+    level = jnp.interp(done + goal, total, nodes) - time  # at the end of the flight where it does not come to that
+    first = images_at(course, time[None], timing.stations)
+
+    def spare(waits: Float[Array, " waits"]) -> Float[Array, " waits"]:
+        later = images_at(course, time + waits, timing.stations)
+        pairs = jax.vmap(lambda moment, one: pair(course, time, moment, _only(first), one, timing.stations))
+        found = getattr(pairs(time + waits, later), timing.place) - timing.overlap
+        return jnp.where(jnp.isfinite(found), found, -1.0)  # ground that is not seen is not shared
+
+    def closer(_: Any, state: tuple[Array, Flag]) -> tuple[Array, Flag]:
+        bracket, _ = state
+        waits = bracket[0] + (bracket[1] - bracket[0]) * jnp.linspace(0.0, 1.0, LOOKED_THROUGH + 1)[1:]
+        is_short = spare(waits) <= 0.0
+        at = jnp.argmax(is_short)
+        narrowed = jnp.stack([jnp.where(at > 0, waits[at - 1], bracket[0]), waits[at]])
+        return jnp.where(jnp.any(is_short), narrowed, bracket), jnp.any(is_short)
+
+    low, high = level / FARTHEST, jnp.minimum(FARTHEST * level, longest)
+    bracket = jnp.stack([jnp.minimum(low, high), high])
+    (_, wait), exists = jax.lax.fori_loop(0, ROUNDS, closer, (bracket, jnp.asarray(True)))
+    return jnp.where(exists, time + wait, jnp.inf)
+
+
+def plan(
+    sensor: Sensor,
+    trajectory: Trajectory,
+    terrain: AbstractTerrain,
+    timing: AbstractTiming,
+    *,
+    start: ArrayLike | None = None,
+    along: Along | None = None,
+    most: int = MOST,
+    stations: int = STATIONS,
+    atmosphere: Atmosphere | None = None,
+) -> Plan:
+    """All images of a flight from `start` in s (that of the trajectory if left out), and what they share.
+
+    The gimbal does what the trajectory's readings say. `along` names the axis of the image that lies along the flight;
+    left out it is found at the start. Ends with the trajectory, or after `most` images. Not for tracing: how many there
+    are is found by flying. Raises `ValueError` where not two images fit, for a start beyond the trajectory, and as
+    `axis_along`.
+    """
+    check_terrain(terrain, FIRST_HIT)
+    check_is(timing, AbstractTiming, "timing", "FixedPeriod, VelocityHeight or GroundShared.")
+    given: Any = observation(sensor, trajectory, start)
+    sensor, trajectory, time = given
+    check_is(trajectory, Trajectory, "trajectory", "Of one Shot, Trajectory.steady.")
+    time = trajectory.start if start is None else time
+    check_finite(time, "start", "s")
+    span = [float(trajectory.start), float(trajectory.end)]
+    if not span[0] <= float(time) <= span[1]:
+        raise ValueError(
+            f"start must lie on the trajectory, {span[0]:.9g} to {span[1]:.9g} s; got {float(time):.9g} s."
+        )
+    along = _axis_at(sensor, trajectory, time, terrain) if along is None else along
+    course = Course(sensor, trajectory, terrain, checked_air(atmosphere), along)
+    times = timing.times(course, float(time), most)
+    if len(times) < 2:
+        raise ValueError(
+            f"the trajectory ends at {span[1]:.9g} s, before a second image is due after that at {times[0]:.9g} s: "
+            "fewer than two images have no overlap. Fly on, or wish for more overlap."
+        )
+    instants = jnp.asarray(times)
+    return Plan(trajectory, instants, overlaps_at(course, instants, stations))
+
+
+@eqx.filter_jit
+def overlaps_at(course: Course, times: Float[Array, " images"], stations: int = STATIONS) -> Overlap:
+    """What images at times share, each with the one before; the leading axis is of one less than the times."""
+    ground = images_at(course, times, stations)
+    before, after = (jax.tree.map(lambda x, part=part: x[part], ground) for part in (slice(None, -1), slice(1, None)))
+
+    def one(time: Scalar, later: Scalar, before: GroundEdges, after: GroundEdges) -> Overlap:
+        return pair(course, time, later, before, after, stations)
+
+    return jax.vmap(one)(times[:-1], times[1:], before, after)
+
+
+def images_at(course: Course, times: Float[Array, " images"], stations: int) -> GroundEdges:
+    """The edges of images at times."""
+
+    def one(time: Scalar) -> GroundEdges:
+        image = Exposure(course.trajectory, time)
+        return ground_edges(course.sensor, image, course.terrain, course.along, stations, course.air)
+
+    return jax.vmap(one)(times)
+
+
+def pair(
+    course: Course, time: Scalar, later: Scalar, before: GroundEdges, after: GroundEdges, stations: int
+) -> Overlap:
+    """The overlap of images at two times, along the flight half way between them."""
+    position = course.trajectory.at(time).pose.position
+    projection = TransverseMercator.gauss_krueger(position.lon)
+    north, east, _ = course.trajectory.velocity_ned_at(0.5 * (time + later))
+    convergence, _ = projection.convergence_and_scale(position.lat, position.lon)
+    bearing = jnp.arctan2(east, north) - convergence
+    direction = jnp.stack([jnp.sin(bearing), jnp.cos(bearing)])
+    first, second = (edges_on_map(one, direction, projection) for one in (before, after))
+    return shared(first, second, direction, stations)
+
+
+@eqx.filter_jit
+def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " times"]:
+    """Speed of the near end's ground point over its slant range at times, 1/s."""
+    ends = _end_places(course)
+
+    def rate(time: Scalar) -> Scalar:
+        shot = course.trajectory.at(time)
+        fix = seen_at(course.sensor, shot, ends, course.terrain, course.air)
+        near = jnp.argmin(jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf))
+        north, east, _ = course.trajectory.velocity_ned_at(time)
+        # The ground point moves as fast as the platform's foot does: by the radii less than the platform itself.
+        position = shot.pose.position
+        radius = WGS84.radius_in_azimuth(position.lat, jnp.arctan2(east, north))
+        slower = (radius + fix.position.height[near]) / (radius + position.height)
+        return jnp.hypot(north, east) * slower / fix.slant_range[near]
+
+    return jax.vmap(rate)(times)
+
+
+def _end_places(course: Course) -> Float[Array, "2 2"]:
+    """The middles of the image's two edges along the flight."""
+    width, height = image_size(course.sensor)
+    middle = jnp.array([0.5 * (width - 1), 0.5 * (height - 1)])
+    index, size = (1, height) if course.along == "columns" else (0, width)
+    return jnp.stack([middle.at[index].set(end) for end in (-0.5, size - 0.5)])
+
+
+def _field_of_view(course: Course) -> Scalar:
+    """Angle of view along the flight in rad, at the middle of the image across it."""
+    width, height = image_size(course.sensor)
+    middle = jnp.array([0.5 * (width - 1), 0.5 * (height - 1)])
+    index, size = (0, width) if course.along == "columns" else (1, height)
+    one, other = (course.sensor.camera.ray(middle.at[index].set(end))[0] for end in (-0.5, size - 0.5))
+    return safe_angle(one, other)
+
+
+def _axis_at(sensor: Sensor, trajectory: Trajectory, time: Scalar, terrain: AbstractTerrain) -> Along:
+    later = jnp.where(time < trajectory.end, trajectory.end, trajectory.start)
+    image, other = (Exposure(trajectory, moment) for moment in (time, 0.5 * (time + later)))
+    projection = own_map(image)
+    return axis_along(sensor, image, flight_direction(image, other, projection), terrain, projection)
+
+
+def _only(tree: Any) -> Any:
+    """The one item of a batch of one."""
+    return jax.tree.map(lambda x: x[0], tree)

@@ -1,0 +1,181 @@
+"""The readings of a gimbal that bring a line of sight nearest to a direction, in closed form and within its limits."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxgeo._numerics import cross, dot, product, safe_norm, safe_sqrt, turned
+from jaxgeo._typing import Flag, Matrix3, Numbers, Scalar, Vector3
+from jaxgeo.rotations import Rx, Ry, Rz
+from jaxgeo.sensor.gimbal import Gimbal, Readings
+
+FreeAxes = Int[Array, " free"]
+
+SINGULAR = 1e-9  # rad between a line and an axis: nearer, turning about the axis does not move the line
+EXACT = 1e-9  # rad by which readings may miss and count as equals
+LIMIT_SLACK = 1e-12  # of a turn: a reading that is on its limit but for rounding is on it
+OVER_HEAD = 10.0  # rad2 for each rad that the inner axis turns beyond a right angle, against rad2 turned in all
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_ROTATIONS = {"x": Rx, "y": Ry, "z": Rz}
+
+
+class TwoAxes(NamedTuple):
+    """Exp(outer a) Exp(inner b) sight = wanted: all unit vectors, and a and b the angles to be found."""
+
+    outer: Vector3
+    inner: Vector3
+    sight: Vector3
+    wanted: Vector3
+
+
+def nearest_readings(
+    gimbal: Gimbal, start: Readings, free: FreeAxes, sight_head: Vector3, wanted_base: Vector3, from_start: bool
+) -> Readings:
+    """Readings within the limits that turn `sight_head` nearest to `wanted_base`; only `free` axes (one or two) turn.
+
+    Of the two ways that there most often are, the one turned least from `start`, or, unless `from_start`, from angles
+    of zero, and not over head by the inner axis. Where a line lies along an axis, that stays at the start.
+    For two axes Paden and Kahan's second subproblem; where that has no root, or none within the limits, the best of the
+    ends: one of the axes at a limit, or both cones of turning in one plane.
+    """
+    axes, held = _two_axes(gimbal, start, free, sight_head, wanted_base)
+    outer, inner = _candidates(axes, held, _limit_angles(gimbal, free))
+    if free.shape[0] == 1:
+        inner = jnp.zeros_like(inner)
+    angles = jnp.stack([outer, inner], axis=1)[:, : free.shape[0]]
+
+    def judged(angles: Float[Array, " free"]) -> tuple[Readings, Scalar]:
+        readings, angles = _within_limits(gimbal, start, free, angles)
+        outer, inner = (angles[0], jnp.zeros(())) if free.shape[0] == 1 else (angles[0], angles[1])
+        miss = _angle(about(axes.outer, outer, about(axes.inner, inner, axes.sight)), axes.wanted)
+        reference = gimbal.angles(start)[free] if from_start else jnp.zeros_like(angles)
+        turned_by = jnp.sum((angles - reference) ** 2)
+        over_head = 0.0 if from_start else OVER_HEAD * jnp.maximum(jnp.abs(angles[-1]) - 0.5 * jnp.pi, 0.0)
+        return readings, jnp.maximum(miss, EXACT) + 0.1 * EXACT * (turned_by + over_head)
+
+    readings, costs = jax.vmap(judged)(angles)
+    return readings[jnp.argmin(costs)]
+
+
+def about(axis: Vector3, angle: Scalar, v: Vector3) -> Vector3:
+    """`v` turned about a unit axis by an angle in rad (Rodrigues)."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return c * v + s * jnp.stack(cross(axis, v)) + (dot(axis, v) * (1.0 - c)) * axis
+
+
+def turn_between(axis: Vector3, v: Vector3, w: Vector3, otherwise: Scalar) -> Scalar:
+    """The angle in (-pi, pi] about `axis` that turns `v` nearest to `w`; `otherwise` where one lies along the axis."""
+    sine = dot(axis, jnp.stack(cross(v, w)))
+    cosine = dot(v, w) - dot(axis, v) * dot(axis, w)
+    along = jnp.minimum(_aside(axis, v), _aside(axis, w)) < SINGULAR
+    return jnp.where(along, otherwise, jnp.arctan2(jnp.where(along, 0.0, sine), jnp.where(along, 1.0, cosine)))
+
+
+def _candidates(
+    axes: TwoAxes, held: Float[Array, "2"], limits: Float[Array, "2 2"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Angles (of the outer, of the inner axis) among which is what comes nearest, before limits cut them."""
+    meetings = [*_roots(axes), *_in_one_plane(axes)]
+    pairs = [
+        (turn_between(axes.outer, from_wanted, axes.wanted, held[0]), turn_between(axes.inner, axes.sight, to, held[1]))
+        for to, from_wanted in meetings
+    ]
+    for end in (0, 1):
+        outer, inner = limits[0, end], limits[1, end]
+        behind = about(axes.outer, -outer, axes.wanted)
+        pairs += [(outer, turn_between(axes.inner, axes.sight, behind, held[1]))]
+        ahead = about(axes.inner, inner, axes.sight)
+        pairs += [(turn_between(axes.outer, ahead, axes.wanted, held[0]), inner)]
+        pairs += [(outer, limits[1, 0]), (outer, limits[1, 1])]
+    outer, inner = zip(*pairs, strict=True)
+    return jnp.stack(outer), jnp.stack(inner)
+
+
+def _roots(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
+    """Where the sight, turned about the inner axis, meets the wanted direction, turned back about the outer one."""
+    m = dot(axes.outer, axes.inner)
+    spread = 1.0 - m * m
+    spread = jnp.where(spread < SINGULAR, 1.0, spread)
+    by_outer, by_inner = dot(axes.outer, axes.wanted), dot(axes.inner, axes.sight)
+    a, b = (by_outer - m * by_inner) / spread, (by_inner - m * by_outer) / spread
+    aside = safe_sqrt((1.0 - a * a - b * b - 2.0 * a * b * m) / spread)
+    normal = jnp.stack(cross(axes.outer, axes.inner))
+    in_plane = a * axes.outer + b * axes.inner
+    return [(place, place) for place in (in_plane + aside * normal, in_plane - aside * normal)]
+
+
+def _in_one_plane(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
+    """Where both cones of turning lie in the plane of the axes: what is nearest if the cones do not meet."""
+
+    def in_plane(axis: Vector3, other: Vector3, v: Vector3, side: float) -> Vector3:
+        across = other - dot(axis, other) * axis
+        across = across / jnp.maximum(safe_norm(across), SINGULAR)
+        return dot(axis, v) * axis + side * _aside(axis, v) * across
+
+    of_sight = [in_plane(axes.inner, axes.outer, axes.sight, side) for side in (1.0, -1.0)]
+    of_wanted = [in_plane(axes.outer, axes.inner, axes.wanted, side) for side in (1.0, -1.0)]
+    return [(to, from_wanted) for to in of_sight for from_wanted in of_wanted]
+
+
+def _two_axes(
+    gimbal: Gimbal, start: Readings, free: FreeAxes, sight_head: Vector3, wanted_base: Vector3
+) -> tuple[TwoAxes, Float[Array, "2"]]:
+    """The free axes alone, what is held put into the vectors; and their angles at the start (one axis: and a dummy)."""
+    angles = gimbal.angles(start)
+    first, last = free[0], free[-1]
+    before, between, after = jnp.eye(3), jnp.eye(3), jnp.eye(3)
+    for k, (axis, angle) in enumerate(zip(gimbal.axes, angles, strict=True)):
+        R = _ROTATIONS[axis](angle)
+        before = product(before, _if(k < first, R))
+        between = product(between, _if((k > first) & (k < last), R))
+        after = product(after, _if(k > last, R))
+    named = jnp.array([_AXES[axis] for axis in gimbal.axes])
+    outer = named[first]
+    if free.shape[0] == 1:
+        stand_in = jnp.roll(outer, 1)
+        axes = TwoAxes(outer, stand_in, turned(after, sight_head), turned(before.T, wanted_base))
+        return axes, jnp.stack([angles[first], jnp.zeros(())])
+    inner, sight = turned(between, named[last]), turned(between, turned(after, sight_head))
+    return TwoAxes(outer, inner, sight, turned(before.T, wanted_base)), angles[free]
+
+
+def _limit_angles(gimbal: Gimbal, free: FreeAxes) -> Float[Array, "2 2"]:
+    """Axis angles of the free axes at their limits (a dummy for a missing one), finite."""
+    factor = (gimbal.sign * gimbal.gain)[free]
+    whole = 4.0 * jnp.pi
+    limits = jnp.clip(factor[:, None] * (gimbal.limits - gimbal.offset[:, None])[free], -whole, whole)
+    return limits if free.shape[0] == 2 else jnp.concatenate([limits, jnp.zeros((1, 2))])
+
+
+def _within_limits(
+    gimbal: Gimbal, start: Readings, free: FreeAxes, angles: Float[Array, " free"]
+) -> tuple[Readings, Float[Array, " free"]]:
+    """Readings of free angles, by whole turns as near the start as may be, cut off at the limits; and their angles."""
+    factor, offset = (gimbal.sign * gimbal.gain)[free], gimbal.offset[free]
+    low, high = gimbal.limits[free, 0], gimbal.limits[free, 1]
+    period = 2.0 * jnp.pi / jnp.abs(factor)
+    reading = offset + angles / factor
+    fewest = jnp.ceil((low - reading) / period - LIMIT_SLACK)
+    most = jnp.floor((high - reading) / period + LIMIT_SLACK)
+    wished = jnp.round((start[free] - reading) / period)
+    turns = jnp.where(fewest <= most, jnp.clip(wished, fewest, most), wished)
+    reading = jnp.clip(reading + turns * period, low, high)
+    return start.at[free].set(reading), factor * (reading - offset)
+
+
+def _if(condition: Flag, R: Matrix3) -> Matrix3:
+    return jnp.where(condition, R, jnp.eye(3))
+
+
+def _aside(axis: Vector3, v: Vector3) -> Scalar:
+    """How far a vector's end lies from an axis."""
+    return safe_norm(jnp.stack(cross(axis, v)))
+
+
+def _angle(v: Vector3, w: Vector3) -> Numbers:
+    return jnp.arctan2(safe_norm(jnp.stack(cross(v, w))), dot(v, w))

@@ -1,0 +1,128 @@
+"""The printed numbers of Li et al. (2020) and ours, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxgeo.studies.li2020 import printed
+from jaxgeo.studies.li2020.compensation import Compensation
+from jaxgeo.studies.li2020.flight import Sighting, StripPair, mean_depression, overlap_of_azimuth_error
+from jaxgeo.studies.li2020.influence import Influence
+from jaxgeo.studies.li2020.timing import Mountain, Period
+from jaxgeo.studies.sheet import Cell, Sheet
+
+REMARKS = {"heading": "Eq 18", "pitch": "Eq 19; the print is 2.155 % larger", "roll": "Eq 22"}
+
+
+def influence_sheet(found: Sequence[Influence]) -> Sheet:
+    """Tables 1 to 3: changes of the overlap by changes of attitude."""
+    rows: list[list[Cell]] = [
+        [
+            one.angle,
+            one.change_deg,
+            one.printed,
+            one.formula,
+            one.by_slant_range,
+            one.on_map,
+            one.by_eq_16,
+            REMARKS[one.angle],
+        ]
+        for one in found
+    ]
+    columns = {"angle": "", "change, °": ".1f", "printed": ".4f", "formula": ".5f", "slant range": ".5f"}
+    columns |= {"on the map": ".5f", "step of Eq 16": ".4f", "remark": ""}
+    note = (
+        f"The formula is that of level ground; the other three transform coordinates, {printed.OFF_NADIR:.0f}° off "
+        f"nadir from {printed.TABLE_4[0].height_above_ground:.0f} m. By the slant range and on the map the step counts "
+        "along the flight, and the frame is as long as the slant range says, or as its edges lie apart on the map "
+        f"(meridian {printed.CENTRAL_MERIDIAN:.0f}°), which takes the map's scale out. The step of Eq 16 is a "
+        "distance: it folds where the second frame falls behind the first, and a roll's shift across counts as a step."
+    )
+    return Sheet("influence", "Attitude and overlap (Tables 1 to 3)", columns, rows, note)
+
+
+def compensation_sheet(found: Sequence[Compensation]) -> Sheet:
+    """Section 3.1: the compensation of a change of attitude."""
+    rows: list[list[Cell]] = []
+    for one in found:
+        is_example = one.inner == 0.0
+        shown = (printed.DEPRESSION_CHANGE, printed.AZIMUTH_DRIVE_CHANGE) if is_example else (None, None)
+        remark = "" if is_example else f"Eqs 25 and 26 leave {one.left:.3f}°"
+        rows.append([one.inner, "outer angle", shown[0], one.outer_change, one.outer_by_eq_26, remark])
+        rows.append([one.inner, "azimuth drive", shown[1], one.drive_change, -0.5 * one.inner_by_eq_25, remark])
+    columns = {"inner angle, °": ".0f", "change of": "", "printed, °": ".3f", "exact, °": ".5f"}
+    columns |= {"Eqs 25 and 26, °": ".5f", "remark": ""}
+    note = (
+        "Heading 180° to 179°, pitch and roll 0° to 1°, outer angle -74°. The drive turns a mirror, and the line of "
+        "sight twice as far: its change is half of what Eq 25 gives. Eqs 25 and 26 are exact for an inner angle of 0."
+    )
+    return Sheet("compensation", "Compensation of attitude (section 3.1)", columns, rows, note)
+
+
+def sightings_sheet(found: Sequence[Sighting]) -> Sheet:
+    """Table 4: lines of sight, and the drives that hold them."""
+    rows: list[list[Cell]] = [
+        [
+            one.strip,
+            one.azimuth,
+            one.depression,
+            one.azimuth_drive,
+            one.predicted_azimuth_drive,
+            one.depression_drive,
+            one.predicted_depression_drive,
+            one.swapped_azimuth,
+        ]
+        for one in found
+    ]
+    columns = {"strip": "d", "azimuth, °": ".3f", "depression, °": ".3f", "azimuth drive, printed": ".3f"}
+    columns |= {"azimuth drive, predicted": ".3f", "depression drive, printed": ".3f"}
+    columns |= {"depression drive, predicted": ".3f", "azimuth, swapped": ".3f"}
+    azimuths, swapped = [one.azimuth for one in found], [one.swapped_azimuth for one in found]
+    error = overlap_of_azimuth_error(0.02, mean_depression(list(found)))
+    note = (
+        f"Azimuth and depression of the line of sight by the printed attitude and drives: the mean is "
+        f"{np.mean(azimuths):.3f}°, {mean_depression(list(found)):.3f}°, the azimuths' standard deviation "
+        f"{np.std(azimuths):.3f}°. Predicted drives put the line of sight on that mean. With roll and pitch as the "
+        f"table's Greek letters say (swapped) that would be {np.std(swapped):.3f}°. An error of 0.02° of the line of "
+        f"sight's azimuth is {error:.1%} of overlap, of the drive {2.0 * error:.1%}."
+    )
+    return Sheet("sightings", "Lines of sight in flight (Table 4)", columns, rows, note)
+
+
+def overlaps_sheet(found: Sequence[StripPair]) -> Sheet:
+    """Table 4: overlaps."""
+    rows: list[list[Cell]] = [
+        [one.strips, one.printed, one.by_eq_16, one.along_track, one.along_ground, one.across_sight, one.length]
+        for one in found
+    ]
+    numbers = np.array([row[1:] for row in rows], dtype=float)
+    rows.append(["mean", *numbers.mean(axis=0).tolist()])
+    columns = {"strips": "", "printed": ".0%", "step of Eq 16": ".1%", "along the track": ".1%"}
+    columns |= {"along the ground": ".1%", "across the sight": ".1%", "frame, m": ".1f"}
+    note = (
+        "Printed: measured in the images. The others are of the printed positions, heights, attitudes and drives, over "
+        "level ground: by the distance of Eq 16, and by the step along the aircraft's track, along the way of the "
+        "located points, and across the mean line of sight. The frame is that of the strip before, by its slant range."
+    )
+    return Sheet("overlaps", "Overlap in flight (Table 4)", columns, rows, note)
+
+
+def timing_sheet(found: Sequence[Period], over: Mountain) -> Sheet:
+    """Sections 3.2, 3.3 and 4: the mountain, and times from strip to strip."""
+    remark = f"Eq 28; {printed.MOUNTAIN_FLOWN:.0%} in the images"
+    rows: list[list[Cell]] = [
+        ["change of overlap over the mountain", printed.MOUNTAIN_OVERLAP_CHANGE, over.change, "Eq 28"],
+        ["overlap over the mountain", printed.MOUNTAIN_OVERLAP, over.by_eq_28, remark],
+        ["overlap over the mountain", None, over.of_the_step, "of the step itself: Eqs 2 and 27"],
+        ["period for the wished overlap, s", None, found[0].by_eq_29, "Eq 29, mean depression of Table 4"],
+        *([f"period of strips {one.strips}, s", None, one.implied, "chord over speed"] for one in found),
+    ]
+    note = (
+        "Eq 28 sets the change of the frame's length against its old length; the overlap of one and the same step over "
+        "the nearer ground is a little larger. The paper prints no periods: those of the strips are the chords between "
+        "the printed places, at the printed heights, over the speed at the strip before."
+    )
+    columns = {"figure": "", "printed": ".4g", "obtained": ".4g", "remark": ""}
+    return Sheet("timing", "Mountain and periods (sections 3.2 to 4)", columns, rows, note)

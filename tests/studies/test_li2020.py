@@ -1,0 +1,120 @@
+"""The overlap analysis of Li et al. (2020) made again: its numbers, and what they should have been."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from jaxgeo.studies import li2020
+from jaxgeo.studies.li2020 import printed
+from jaxgeo.studies.li2020.flight import mean_depression, overlap_of_azimuth_error
+
+
+@pytest.fixture(scope="module")
+def report() -> li2020.Report:
+    return li2020.run()
+
+
+def column(report: li2020.Report, angle: str, field: str) -> np.ndarray:
+    return np.array([getattr(one, field) for one in report.influences if one.angle == angle])
+
+
+# The largest difference to the print, to the way with the slant range's frame, and to the one all on the map.
+@pytest.mark.parametrize(
+    "angle, to_print, to_slant_range, to_map", [("heading", 3e-4, 4e-4, 1e-5), ("roll", 5e-5, 1e-3, 1e-3)]
+)
+def test_formula_and_transform_agree(report, angle, to_print, to_slant_range, to_map) -> None:
+    formula = column(report, angle, "formula")
+    for field, tolerance in (("printed", to_print), ("by_slant_range", to_slant_range), ("on_map", to_map)):
+        np.testing.assert_allclose(column(report, angle, field), formula, rtol=0, atol=tolerance)
+
+
+def test_pitch_agrees_with_the_formula_and_not_with_the_print(report) -> None:
+    """Both ways give one curve; the print is a constant factor beside it."""
+    formula = column(report, "pitch", "formula")
+    np.testing.assert_allclose(formula, [-0.06264, -0.12529, -0.18794, -0.25059, -0.31325], rtol=0, atol=5e-6)
+    np.testing.assert_allclose(column(report, "pitch", "by_slant_range"), formula, rtol=0, atol=4e-4)
+    np.testing.assert_allclose(column(report, "pitch", "on_map"), formula, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(column(report, "pitch", "printed") / formula, 1.02155, rtol=0, atol=1e-4)
+
+
+def test_the_distance_of_eq_16_folds(report) -> None:
+    """It cannot fall below zero: from 0.8 deg of heading on more turning gives less; and a roll moves it, wrongly."""
+    by_heading, along = (column(report, "heading", field) for field in ("by_eq_16", "by_slant_range"))
+    np.testing.assert_allclose(by_heading[:3], along[:3], rtol=0, atol=1e-4)
+    assert by_heading[4] < by_heading[3] < along[3] < along[4]
+    assert column(report, "roll", "by_eq_16").max() < -0.3
+
+
+def test_compensation(report) -> None:
+    example, ten, minus_ten = report.compensations
+    assert example.outer_change == pytest.approx(-1.01613, abs=5e-6)
+    assert example.inner_change == pytest.approx(-1.23679, abs=5e-6)
+    assert example.drive_change == pytest.approx(0.61839, abs=5e-6)
+    assert round(example.outer_change, 3) == printed.DEPRESSION_CHANGE
+    assert round(example.drive_change, 3) == printed.AZIMUTH_DRIVE_CHANGE
+    assert (example.outer_by_eq_26, example.inner_by_eq_25) == pytest.approx(
+        (example.outer_change, example.inner_change), abs=1e-12
+    )
+    assert (example.left, ten.left) == pytest.approx((0.0, 0.010), abs=5e-4)
+    assert 0.01 < minus_ten.left < 0.03
+    assert example.off == pytest.approx(1.6, abs=0.01)
+
+
+def test_lines_of_sight_of_table_4(report) -> None:
+    azimuth, depression, swapped = np.array(
+        [(one.azimuth, one.depression, one.swapped_azimuth) for one in report.sightings]
+    ).T
+    assert (azimuth.mean(), depression.mean()) == pytest.approx((248.931, 16.047), abs=5e-4)
+    assert azimuth.std() == pytest.approx(0.018, abs=5e-4)
+    assert (depression.min(), depression.max()) == pytest.approx((16.03, 16.06), abs=0.005)
+    assert swapped.std() > 2.5 * azimuth.std()
+
+
+def test_drives_of_table_4_are_predicted(report) -> None:
+    for one in report.sightings:
+        assert one.predicted_azimuth_drive == pytest.approx(one.azimuth_drive, abs=0.0125)
+        assert one.predicted_depression_drive == pytest.approx(one.depression_drive, abs=0.0175)
+
+
+def test_overlaps_of_table_4(report) -> None:
+    found = np.array([one.by_eq_16 for one in report.pairs])
+    np.testing.assert_allclose(found, [0.176, 0.114, 0.124, 0.193], rtol=0, atol=1e-3)
+    projected = np.array([(one.along_track, one.along_ground, one.across_sight) for one in report.pairs])
+    low, high = np.array([(0.177, 0.181), (0.114, 0.116), (0.124, 0.124), (0.193, 0.194)]).T
+    np.testing.assert_allclose(projected.min(axis=1), low, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(projected.max(axis=1), high, rtol=0, atol=1e-3)
+    shown = np.array([one.printed for one in report.pairs])
+    assert shown.mean() == pytest.approx(printed.FLOWN, abs=0.0026)
+    assert found.mean() == pytest.approx(shown.mean(), abs=0.01)
+
+
+def test_what_an_error_of_azimuth_does(report) -> None:
+    error = overlap_of_azimuth_error(0.02, mean_depression(report.sightings))
+    assert (error, 2.0 * error) == pytest.approx((0.022, 0.044), abs=5e-4)
+
+
+def test_mountain_and_periods(report) -> None:
+    assert report.mountain.change == pytest.approx(-0.0767, abs=5e-5)
+    assert report.mountain.by_eq_28 == pytest.approx(0.0733, abs=5e-5)
+    assert report.mountain.by_eq_28 < report.mountain.of_the_step < printed.OVERLAP
+    for one, implied in zip(report.periods, (2.309, 2.289, 2.289, 2.225), strict=True):
+        assert one.by_eq_29 == pytest.approx(2.233, abs=5e-4)
+        assert one.implied == pytest.approx(implied, abs=5e-4)
+
+
+def test_tables_show_what_was_found(report, tmp_path) -> None:
+    sheets = {sheet.name: sheet for sheet in li2020.sheets_of(report)}
+    assert sheets["influence"].texts()[3][:5] == ["heading", "0.8", "0.8738", "0.87383", "0.87412"]
+    assert sheets["compensation"].texts()[0][2:5] == ["-1.016", "-1.01613", "-1.01613"]
+    assert [row[2] for row in sheets["overlaps"].texts()] == ["17.6%", "11.4%", "12.4%", "19.3%", "15.2%"]
+    assert sheets["timing"].texts()[3][1:3] == ["–", "2.233"]
+    li2020.write_tables(report, tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.csv")} == set(sheets)
+    assert "## Overlap in flight (Table 4)" in (tmp_path / "tables.md").read_text()
+    with (tmp_path / "sightings.csv").open() as stream:
+        rows = list(csv.reader(stream))
+    assert float(rows[1][1]) == pytest.approx(report.sightings[0].azimuth, abs=1e-12)
+    assert sheets["sightings"].to_rich().row_count == 5
