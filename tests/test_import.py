@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-HEAVY = ["rasterio", "pyproj", "matplotlib", "optimistix", "lineax", "typer", "pydantic", "rich"]
+HEAVY = ["rasterio", "pyproj", "pyogrio", "shapely", "matplotlib", "optimistix", "lineax", "typer", "pydantic", "rich"]
 
 
 def in_fresh_python(code: str) -> str:

@@ -9,3 +9,7 @@ class DemError(ValueError):
 
 class VerticalDatumError(DemError):
     """Heights whose vertical datum is unknown, contradictory, or not reachable with the grids that are here."""
+
+
+class TableError(ValueError):
+    """A table that cannot be read; the message names the file, the row and the column."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import json
 import math
 import os
@@ -15,20 +14,12 @@ import numpy as np
 
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.status import Status
 
-# Column: lowest and highest value, unit.
-POSE_COLUMNS = {
-    "lat_deg": (-90.0, 90.0, "deg"),
-    "lon_deg": (-360.0, 360.0, "deg"),
-    "height_m": (-2000.0, 2_000_000.0, "m"),
-    "heading_deg": (-360.0, 360.0, "deg"),
-    "pitch_deg": (-90.0, 90.0, "deg"),
-    "roll_deg": (-180.0, 180.0, "deg"),
-}
-PIXEL_COLUMNS = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7, "pixels")}
+PIXEL_COLUMNS: dict[str, Limits] = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7, "pixels")}
 
 # Column of a fix: decimals that are written. Ten of a degree are a hundredth of a millimetre.
 FIX_COLUMNS = {
@@ -42,14 +33,6 @@ FIX_COLUMNS = {
     "slope_deg": 6,
     "status": None,
 }
-
-SEPARATORS = {";": "';'", "\t": "tabs", "|": "'|'"}  # that other programs write, and their names in a message
-
-Row = dict[str, Any]
-
-
-class TableError(ValueError):
-    """A table that cannot be read; the message names the file, the row and the column."""
 
 
 @dataclass(frozen=True)
@@ -65,20 +48,35 @@ class ShotTable:
     def as_records(self, readings: Sequence[str], height_datum: str | float) -> tuple[Shot, np.ndarray]:
         """(shots, pixels): a batch of n shots and their pixels (n, 2), heights made ellipsoidal."""
         n = self.numbers
-        height = ellipsoidal_heights(n["lon_deg"], n["lat_deg"], n["height_m"], height_datum)
-        position = Geodetic(lat=np.deg2rad(n["lat_deg"]), lon=np.deg2rad(n["lon_deg"]), height=height)
-        heading, pitch, roll = (np.deg2rad(n[name]) for name in ("heading_deg", "pitch_deg", "roll_deg"))
-        pose = Pose(position, heading, pitch, roll)
-        angles = np.reshape([np.deg2rad(n[f"gimbal_{name}_deg"]) for name in readings], (len(readings), len(self)))
-        return Shot(pose, angles.T, np.zeros(len(self))), np.stack([n["u"], n["v"]], axis=-1)
+        angles = readings_of(n, readings, len(self))
+        shots = Shot(poses_of(n, height_datum), angles, np.zeros(len(self)))
+        return shots, np.stack([n["u"], n["v"]], axis=-1)
 
 
-def number_columns(readings: Iterable[str]) -> dict[str, tuple[float, float, str]]:
+def poses_of(numbers: Mapping[str, np.ndarray], height_datum: str | float) -> Pose:
+    """A batch of poses from the columns of `POSE_COLUMNS`, heights made ellipsoidal.
+
+    Raises as `ellipsoidal_heights`.
+    """
+    lat, lon, height, *angles = (numbers[name] for name in POSE_COLUMNS)
+    height = ellipsoidal_heights(lon, lat, height, height_datum)
+    position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
+    heading, pitch, roll = (np.deg2rad(angle) for angle in angles)
+    return Pose(position, heading, pitch, roll)
+
+
+def readings_of(numbers: Mapping[str, np.ndarray], readings: Sequence[str], count: int) -> np.ndarray:
+    """Gimbal readings (count, axes) in rad from their columns."""
+    angles = [np.deg2rad(numbers[name]) for name in gimbal_columns(readings)]
+    return np.reshape(angles, (len(readings), count)).T
+
+
+def number_columns(readings: Iterable[str]) -> dict[str, Limits]:
     """(lowest value, highest value, unit) of every column that a table of shots must have.
 
     `readings` are the gimbal's names; their columns are `gimbal_<name>_deg`.
     """
-    return POSE_COLUMNS | {f"gimbal_{name}_deg": (-360.0, 360.0, "deg") for name in readings} | PIXEL_COLUMNS
+    return POSE_COLUMNS | gimbal_columns(readings) | PIXEL_COLUMNS
 
 
 def read_shots(path: str | os.PathLike[str], readings: Sequence[str]) -> ShotTable:
@@ -89,84 +87,9 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str]) -> ShotTab
     range, another separator than the comma, and a file that cannot be opened; `FileNotFoundError`.
     """
     wanted = number_columns(readings)
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header, wanted)
-            cells = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such table of shots.") from None
-    except IsADirectoryError:
-        raise TableError(f"{path}: this is a folder; give the CSV file in it.") from None
-    except OSError as error:
-        raise TableError(f"{path}: the table of shots cannot be read: {error.strerror}.") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not a CSV file in UTF-8: {error}.") from error
-    if not cells:
-        raise TableError(f"{path}: no rows below the header.")
-    for line, row in cells:
-        if len(row) != len(header):
-            raise TableError(f"{path}, row {line}: {len(row)} cells, but the header has {len(header)}.")
-    numbers = {name: _numbers(path, cells, header.index(name), name, *limits) for name, limits in wanted.items()}
-    return ShotTable(numbers, [dict(zip(header, row, strict=True)) for _, row in cells])
-
-
-def _check_header(path: str | os.PathLike[str], header: list[str], wanted: Mapping[str, Any]) -> None:
-    doubled = sorted({name for name in header if header.count(name) > 1})
-    if doubled:
-        raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")
-    missing = [name for name in wanted if name not in header]
-    if missing:
-        _check_separator(path, header, wanted)
-        raise TableError(
-            f"{path}: no column {', '.join(missing)}.{_near_names(missing, header, wanted)} "
-            f"The columns needed are {', '.join(wanted)}; found {', '.join(header) or 'none'}."
-        )
-    taken = [name for name in FIX_COLUMNS if name in header]
-    if taken:
-        raise TableError(f"{path}: column {taken[0]} is one that the answer writes; rename it.")
-
-
-def _check_separator(path: str | os.PathLike[str], header: list[str], wanted: Mapping[str, Any]) -> None:
-    for separator, shown in SEPARATORS.items():
-        names = {name.strip(" \"'").lower() for name in ",".join(header).split(separator)}
-        if len(names & set(wanted)) > 1:
-            raise TableError(
-                f"{path}: the columns are separated by {shown}; use commas between columns, and points in decimals."
-            )
-
-
-def _near_names(missing: list[str], header: list[str], wanted: Mapping[str, Any]) -> str:
-    """A question for each missing column that another one, which nobody asks for, may stand for."""
-    spare = {name.lower(): name for name in header if name not in wanted}
-    found = {name: difflib.get_close_matches(name, spare, n=1, cutoff=0.8) for name in missing}
-    pairs = [f"{name} by {spare[near[0]]!r}" for name, near in found.items() if near]
-    return f" Did you mean {', '.join(pairs)}? Rename the column; capitals matter." if pairs else ""
-
-
-def _numbers(
-    path: str | os.PathLike[str],
-    cells: list[tuple[int, list[str]]],
-    index: int,
-    name: str,
-    low: float,
-    high: float,
-    unit: str,
-) -> np.ndarray:
-    values = np.empty(len(cells))
-    for i, (line, row) in enumerate(cells):
-        try:
-            values[i] = float(row[index])
-        except ValueError:
-            raise TableError(
-                f"{path}, row {line}, column {name}: {row[index]!r} is not a number; expected {unit} (nan if unknown)."
-            ) from None
-        if values[i] < low or values[i] > high:
-            raise TableError(
-                f"{path}, row {line}, column {name}: {row[index].strip()} is outside [{low:g}, {high:g}] {unit}."
-            )
-    return values
+    table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS)
+    numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
+    return ShotTable(numbers, table.rows)
 
 
 def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:

@@ -1,0 +1,95 @@
+"""Geometries with attributes as the bytes of a GeoJSON or a GeoPackage."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyproj
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+DECIMALS = {True: "11", False: "7"}  # of GeoJSON, in a geographic CRS and in others: a micrometre
+# What the column of an attribute may hold, how it is kept, and what stands where it is unknown.
+COLUMNS = (
+    ({float}, np.float64, np.nan),
+    ({bool}, bool, False),
+    ({int}, np.int64, 0),
+    ({int, float}, np.float64, np.nan),
+    ({str}, object, ""),
+)
+
+
+class Feature(NamedTuple):
+    """A geometry, or None, and its attributes."""
+
+    geometry: BaseGeometry | None
+    attributes: dict[str, Any]
+
+
+def has_heights(crs: pyproj.CRS) -> bool:
+    """Whether coordinates in a CRS have a height."""
+    return len(crs.axis_info) == 3
+
+
+def encoded(
+    name: str, driver: str, layer: str, features: Sequence[Feature], attributes: Sequence[str], crs: pyproj.CRS
+) -> bytes:
+    """The file of one layer; `attributes` are the names of its columns, None where a feature has no such.
+
+    `name` is the file's, for messages. Raises `ValueError` for a column of mixed kinds, `OSError` where GDAL fails.
+    """
+    from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
+    from pyogrio.errors import DataSourceError
+
+    columns = [_column(name, key, [feature.attributes.get(key) for feature in features]) for key in attributes]
+    shapes = [None if shape is None else shapely.to_wkb(shape, output_dimension=3) for shape, _ in features]
+    code, options = _crs_and_options(driver, crs)
+    sink = io.BytesIO()
+    try:
+        raw.write(
+            sink,
+            np.array(shapes, object),
+            [values for values, _ in columns],
+            list(attributes),
+            field_mask=[unknown for _, unknown in columns],
+            layer=layer,
+            driver=driver,
+            geometry_type=_geometry_type(features, crs),
+            crs=code,
+            **options,
+        )
+    except (DataSourceError, OSError) as error:
+        raise OSError(f"{name}: it cannot be written: {error}") from error
+    return sink.getvalue()
+
+
+def _geometry_type(features: Sequence[Feature], crs: pyproj.CRS) -> str:
+    kinds = {shape.geom_type for shape, _ in features if shape is not None}
+    return "Unknown" if len(kinds) != 1 else kinds.pop() + " Z" * has_heights(crs)
+
+
+def _crs_and_options(driver: str, crs: pyproj.CRS) -> tuple[str, dict[str, Any]]:
+    """A CRS as GDAL takes it, and the options of a driver."""
+    authority = crs.to_authority()
+    code = crs.to_wkt() if authority is None else ":".join(authority)
+    if driver != "GeoJSON":
+        return code, {}
+    options = {"COORDINATE_PRECISION": DECIMALS[crs.is_geographic]}
+    if code in ("EPSG:4326", "EPSG:4979", "OGC:CRS84"):  # heights of GeoJSON are ellipsoidal, and no CRS is named
+        return "EPSG:4326", options | {"RFC7946": "YES"}
+    return code, options
+
+
+def _column(name: str, key: str, values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """An attribute of all features, and where it is unknown: numbers, whole numbers, yes or no, or texts."""
+    plain = [value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value for value in values]
+    kinds = {type(value) for value in plain if value is not None}
+    for taken, dtype, filler in COLUMNS:
+        if kinds <= taken:
+            column = np.array([filler if value is None else value for value in plain], dtype)
+            return column, np.array([value is None for value in plain])
+    shown = ", ".join(sorted(kind.__name__ for kind in kinds))
+    raise ValueError(f"{name}: the attribute {key!r} must be all numbers, all texts or all bools; got {shown}.")

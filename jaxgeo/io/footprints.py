@@ -1,0 +1,231 @@
+"""Footprints as files: outlines of images on the ground, in GeoJSON or GeoPackage, in any CRS that PROJ knows."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+from pyproj.exceptions import CRSError
+from pyproj.transformer import Transformer
+
+from jaxgeo._checks import check_is
+from jaxgeo._destination import destination
+from jaxgeo.coverage.footprint import Footprint
+from jaxgeo.io._features import Feature, encoded, has_heights
+from jaxgeo.io._outlines import line, outline, runs
+from jaxgeo.io._proj import NoOperation, operation
+from jaxgeo.io.vertical import horizontal_part
+from jaxgeo.status import Status
+
+DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
+OWN = ("index", "kind", "kind_of_edge", "status", "status_text", "hidden_share", "area_m2")
+TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are what GeoPackage and its readers call their own
+WHOLE = "The whole edge of the image sees ground."
+FEWEST = 256  # places that are computed with; more go up by powers of two
+SEEN, HIDDEN = 1, 2  # edges
+MOST_STRETCHED = 100.0  # lengths on the map to those on the ground; beyond, the map has a seam between two places
+
+
+class _Map(NamedTuple):
+    """A CRS, the way to it from WGS 84, and a full turn of longitude in its unit (None if it is projected)."""
+
+    crs: pyproj.CRS
+    way: Transformer
+    turn: float | None
+
+
+class _Seen(NamedTuple):
+    """A footprint in NumPy: n places (longitude and latitude in deg, height in m), the same in ECEF, and its status."""
+
+    places: np.ndarray
+    ecef: np.ndarray
+    found: np.ndarray
+    hidden: np.ndarray
+    status: Status
+    area: float
+
+    @property
+    def is_whole(self) -> bool:
+        return self.status == Status.hit
+
+
+def write_footprints(
+    path: str | os.PathLike[str],
+    footprints: Sequence[Footprint] | Any,
+    *,
+    crs: Any = "EPSG:4326",
+    attributes: Sequence[Mapping[str, Any]] | None = None,
+    edges: bool = False,
+) -> None:
+    """The outlines of images on the ground, written to a GeoJSON (.geojson, .json) or a GeoPackage (.gpkg).
+
+    Each footprint is a polygon with the attributes `index` (its place in `footprints`), `kind` "outline", `status` and
+    `status_text`, `hidden_share` (of the outline's length in space, what jumps over hidden ground) and `area_m2`. One
+    that is not whole has no geometry. Outer rings run anticlockwise; over the date line, polygons are cut there.
+
+    - `crs`: anything pyproj takes. Places have no heights, but in a geographic 3D CRS, such as "EPSG:4979". GeoJSON in
+      another CRS than WGS 84 names it in the way that came before RFC 7946, which not every reader knows.
+    - `attributes`: for each footprint numbers, texts or None by name, the same names for all.
+    - `edges`: also lines, of `kind` "edge", along what is seen and where the outline jumps over hidden ground
+      (`kind_of_edge` "seen" or "hidden"); of a footprint that is not whole, too.
+
+    The file appears when all is written. Raises `ValueError` for a path that cannot be written to, for no footprints,
+    for a CRS that is unknown, is no map or does not reach the footprints, and for attributes that do not fit;
+    `OSError` where writing fails.
+    """
+    target = pathlib.Path(path)
+    driver = _driver(target)
+    if not isinstance(footprints, list | tuple) or not footprints:
+        raise ValueError(f"{target}: footprints must be a list of one or more; got {type(footprints).__name__}.")
+    for footprint in footprints:
+        check_is(footprint, Footprint, "footprints")
+    extra = _checked_attributes(target, attributes, len(footprints))
+    with destination("footprints", target, binary=True) as stream:
+        seen = [_seen(footprint) for footprint in footprints]
+        chart = _checked_map(target, crs, driver, seen)
+        features: list[Feature] = []
+        for index, one in enumerate(seen):
+            places = _on_map(target, chart, index, one)
+            area = outline(places, chart.turn) if one.is_whole else None
+            features.append(Feature(area, _own(index, one) | extra[index]))
+            if edges:
+                features += _edges(index, one, places, chart, extra[index])
+        names = [name for name in OWN if edges or name != "kind_of_edge"] + list(extra[0])
+        stream.write(encoded(f"{target}", driver, "footprints", features, names, chart.crs))
+
+
+def _seen(footprint: Footprint) -> _Seen:
+    """What is written of a footprint. The last place is repeated, so that few lengths are compiled."""
+    count = len(np.asarray(footprint.uv))
+    more = max(FEWEST, 1 << (count - 1).bit_length()) - count
+
+    def longer(leaf: Any) -> jax.Array:
+        return jnp.asarray(np.pad(leaf, [(0, more)] + [(0, 0)] * (np.ndim(leaf) - 1), mode="edge"))
+
+    parts = (footprint.uv, footprint.fix, footprint.hidden)
+    padded = eqx.tree_at(lambda one: (one.uv, one.fix, one.hidden), footprint, jax.tree.map(longer, parts))
+    lat, lon, height = padded.fix.position.to_degrees()
+    places = np.stack([lon, lat, height], axis=-1)
+    places, ecef, found, hidden = (
+        np.asarray(x)[:count] for x in (places, padded.fix.ecef, padded.found, padded.hidden)
+    )
+    return _Seen(places, ecef, found, hidden, Status(int(footprint.status)), float(padded.area))
+
+
+def _driver(target: pathlib.Path) -> str:
+    try:
+        return DRIVERS[target.suffix.lower()]
+    except KeyError:
+        raise ValueError(f"{target}: footprints are written to files that end in {', '.join(DRIVERS)}.") from None
+
+
+def _checked_attributes(target: pathlib.Path, attributes: Any, count: int) -> list[dict[str, Any]]:
+    given: list[dict[str, Any]] = (
+        [{}] * count
+        if attributes is None
+        else [{str(name): value for name, value in one.items()} for one in attributes]
+    )
+    if len(given) != count:
+        raise ValueError(f"{target}: attributes must be one mapping for each of {count} footprints; got {len(given)}.")
+    for index, one in enumerate(given):
+        different = sorted(one.keys() ^ given[0].keys())
+        if different:
+            raise ValueError(
+                f"{target}: the attributes of footprints 0 and {index} differ: {', '.join(different)} is in one "
+                f"of them only; write None for what is unknown."
+            )
+    taken = sorted(name for name in given[0] if name.lower() in TAKEN)
+    if taken:
+        raise ValueError(f"{target}: the attribute {taken[0]!r} is one that the file has by itself; rename it.")
+    return given
+
+
+def _checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Seen]) -> _Map:
+    try:
+        known = pyproj.CRS.from_user_input(crs)
+    except CRSError as error:
+        raise ValueError(f"{target}: PROJ does not know the crs {crs!r}: {error}") from error
+    is_3d = known.is_geographic and len(known.axis_info) == 3 and not known.is_compound
+    flat = known if is_3d else horizontal_part(known)
+    if not (flat.is_geographic or flat.is_projected):
+        raise ValueError(f"{target}: a map needs a projected or geographic crs; {flat.name!r} is a {flat.type_name}.")
+    if driver == "GeoJSON" and flat.to_authority() is None:
+        raise ValueError(
+            f"{target}: GeoJSON names a crs by its code, and {flat.name!r} has none that PROJ knows; write a .gpkg."
+        )
+    try:
+        found = operation("EPSG:4979" if is_3d else "EPSG:4326", flat, _extent(seen))
+    except NoOperation as error:
+        raise ValueError(
+            f"{target}: PROJ knows no transformation from WGS 84 to {flat.name!r} but a ballpark one."
+        ) from error
+    turn = 2.0 * np.pi / flat.axis_info[0].unit_conversion_factor if flat.is_geographic else None
+    return _Map(flat, found.transformer, turn)
+
+
+def _extent(seen: Sequence[_Seen]) -> tuple[float, float, float, float] | None:
+    """(west, south, east, north) in deg, about the first place that is seen."""
+    lon, lat, _ = np.concatenate([one.places[one.found] for one in seen]).T
+    if not lat.size:
+        return None
+    beside = np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0
+    west, east = (np.remainder(lon[0] + x + 180.0, 360.0) - 180.0 for x in (beside.min(), beside.max()))
+    return float(west), float(lat.min()), float(east), float(lat.max())
+
+
+def _on_map(target: pathlib.Path, chart: _Map, index: int, seen: _Seen) -> np.ndarray:
+    """Coordinates (n, 2 or 3) of the places; NaN where nothing is seen."""
+    axes = 3 if has_heights(chart.crs) else 2
+    places = np.full((len(seen.found), axes), np.nan)
+    given = seen.places[seen.found, :axes].T
+    places[seen.found] = np.stack(chart.way.transform(*given), axis=-1)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    if not np.isfinite(places[seen.found]).all():
+        raise ValueError(f"{target}: footprint {index} lies outside what {chart.crs.name!r} maps.")
+    if chart.turn is None:
+        unit = chart.crs.axis_info[0].unit_conversion_factor
+        on_map, ground = (_steps(x) for x in (places * unit, seen.ecef))
+        if np.any(on_map > MOST_STRETCHED * np.maximum(ground, 1.0)):  # no step that is NaN
+            raise ValueError(
+                f"{target}: {chart.crs.name!r} tears footprint {index} apart, or stretches it more than "
+                f"{MOST_STRETCHED:g} times; choose a crs that is made for the place."
+            )
+    return places
+
+
+def _steps(places: np.ndarray) -> np.ndarray:
+    """From each place to the next around a ring."""
+    return np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
+
+
+def _own(index: int, seen: _Seen) -> dict[str, Any]:
+    """The attributes of an outline."""
+    steps = _steps(seen.ecef)
+    return {
+        "index": index,
+        "kind": "outline",
+        "status": seen.status.name,
+        "status_text": _sentence(seen.status),
+        "hidden_share": float(steps[seen.hidden].sum() / steps.sum()) if seen.is_whole else None,
+        "area_m2": seen.area if seen.is_whole else None,
+    }
+
+
+def _sentence(status: Status) -> str:
+    return WHOLE if status == Status.hit else status.message
+
+
+def _edges(index: int, seen: _Seen, places: np.ndarray, chart: _Map, extra: dict[str, Any]) -> Iterator[Feature]:
+    """Lines along what is seen, and over what is hidden between."""
+    known = seen.found & np.roll(seen.found, -1)
+    labels = np.where(known, np.where(seen.hidden, HIDDEN, SEEN), 0)
+    for label, run in runs(labels):
+        own = {"index": index, "kind": "edge", "kind_of_edge": "hidden" if label == HIDDEN else "seen"}
+        own |= {"status": seen.status.name, "status_text": _sentence(seen.status)}
+        yield Feature(line(places[run], chart.turn), own | extra)
