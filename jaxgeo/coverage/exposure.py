@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
 from jaxgeo._doors import observation
-from jaxgeo._typing import ScalarField, Vector3
+from jaxgeo._numerics import safe_angle
+from jaxgeo._typing import Pixel, Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT, locate
@@ -19,6 +20,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain
 
 Places = Float[Array, "places 2"]
+Along = Literal["columns", "rows"]  # the axis of an image that lies along the flight
 
 
 class Exposure(eqx.Module):
@@ -86,3 +88,22 @@ def image_size(sensor: Sensor) -> tuple[int, int]:
     """(columns, rows) of the sensor's image."""
     camera: Any = sensor.camera
     return camera.width, camera.height
+
+
+def field_along(sensor: Sensor, along: Along) -> Scalar:
+    """Angle of view along the flight in rad, at the middle of the image across it."""
+    one, other = (sensor.camera.ray(place)[0] for place in _side_middles(sensor, along))
+    return safe_angle(one, other)
+
+
+def end_places(sensor: Sensor, along: Along) -> Places:
+    """The near and the far end of an image, in some order: the middles of its two edges that lie along the flight."""
+    return jnp.stack(_side_middles(sensor, "rows" if along == "columns" else "columns"))
+
+
+def _side_middles(sensor: Sensor, axis: Along) -> list[Pixel]:
+    """The middles of the two sides that an image has at the ends of an axis."""
+    size = image_size(sensor)
+    index = 0 if axis == "columns" else 1
+    middle = 0.5 * (jnp.array(size, jnp.float64) - 1.0)
+    return [middle.at[index].set(end) for end in (-0.5, size[index] - 0.5)]

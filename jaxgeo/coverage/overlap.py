@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from jaxgeo._checks import as_float64, concrete
 from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import dot, safe_norm
 from jaxgeo._typing import Scalar, ScalarField, StatusField, Vector3Field
-from jaxgeo.coverage.exposure import Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
+from jaxgeo.coverage.exposure import Along, Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
 from jaxgeo.earth import Atmosphere, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor
@@ -25,7 +25,6 @@ from jaxgeo.terrain import AbstractTerrain
 STATIONS = 33
 PlanePoint = Float[Array, "2"]
 PlanePoints = Float[Array, "stations 2"]
-Along = Literal["columns", "rows"]
 
 
 class Edges(eqx.Module):
@@ -56,7 +55,8 @@ class Overlap(eqx.Module):
     `side` the share of the one before's extent across the flight that both reach, `area` that of its area that they
     share. `step` is the way in m on the map from the middle of the one's near end to that of the other's, along the
     flight. `status` is that of what sees no ground, and all else then NaN; `images_apart` where there is no place
-    across the flight that both reach: `side` is then negative, `area` zero, and the overlaps along the flight are NaN.
+    across the flight that both reach: `side` is then negative, `area` zero, and the overlaps along the flight are NaN;
+    so they are with `invalid_input`, where one edge is not ahead of the other everywhere: `along` is the wrong axis.
     """
 
     near: ScalarField
@@ -196,6 +196,7 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     across = near + jnp.where(meets, side_by_side, 1.0) * jnp.linspace(0.0, 1.0, stations)
     lead, trail, next_lead, next_trail = (jnp.interp(across, y, x) for y, x in lines)
     length = lead - trail
+    is_ordered = jnp.all(length > 0.0)
     length = jnp.where(length > 0.0, length, 1.0)
     along = (lead - next_trail) / length
     own_across = own_near + (own_far - own_near) * jnp.linspace(0.0, 1.0, stations)
@@ -207,6 +208,8 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     step = dot(0.5 * (after.leading[0] + after.trailing[0]) - middle[0], direction)
     is_known = status == Status.hit
     status = status_where(is_known & ~meets, Status.images_apart, status)
+    status = status_where(is_known & meets & ~is_ordered, Status.invalid_input, status)
+    meets &= is_ordered
     of_meeting = (along[0], along[-1], jnp.min(along), along, across)
     of_both = (side_by_side / own_extent, area, step)
     near_, far_, least, along, across = (jnp.where(is_known & meets, x, jnp.nan) for x in of_meeting)

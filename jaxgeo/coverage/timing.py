@@ -16,13 +16,11 @@ from scipy.interpolate import PchipInterpolator
 
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
-from jaxgeo._numerics import safe_angle
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Exposure, image_size, own_map, seen_at
+from jaxgeo.coverage.exposure import Along, Exposure, end_places, field_along, own_map, seen_at
 from jaxgeo.coverage.overlap import (
     STATIONS,
-    Along,
     GroundEdges,
     Overlap,
     axis_along,
@@ -109,7 +107,7 @@ class VelocityHeight(AbstractTiming):
 
     def mark(self, course: Course, time: ArrayLike) -> Scalar:
         """By how much the integral grows from image to image."""
-        return (1.0 - checked_overlap(self.overlap)) * 2.0 * jnp.tan(0.5 * _field_of_view(course))
+        return (1.0 - checked_overlap(self.overlap)) * 2.0 * jnp.tan(0.5 * field_along(course.sensor, course.along))
 
     def integral(self, course: Course, start: float) -> tuple[Float[Array, " nodes"], Float[Array, " nodes"]]:
         """(times in s, the integral of V / S from the start to them) up to the trajectory's end, by Simpson's rule."""
@@ -262,7 +260,7 @@ def pair(
 @eqx.filter_jit
 def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " times"]:
     """Speed of the near end's ground point over its slant range at times, 1/s."""
-    ends = _end_places(course)
+    ends = end_places(course.sensor, course.along)
 
     def rate(time: Scalar) -> Scalar:
         shot = course.trajectory.at(time)
@@ -276,23 +274,6 @@ def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " time
         return jnp.hypot(north, east) * slower / fix.slant_range[near]
 
     return jax.vmap(rate)(times)
-
-
-def _end_places(course: Course) -> Float[Array, "2 2"]:
-    """The middles of the image's two edges along the flight."""
-    width, height = image_size(course.sensor)
-    middle = jnp.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    index, size = (1, height) if course.along == "columns" else (0, width)
-    return jnp.stack([middle.at[index].set(end) for end in (-0.5, size - 0.5)])
-
-
-def _field_of_view(course: Course) -> Scalar:
-    """Angle of view along the flight in rad, at the middle of the image across it."""
-    width, height = image_size(course.sensor)
-    middle = jnp.array([0.5 * (width - 1), 0.5 * (height - 1)])
-    index, size = (0, width) if course.along == "columns" else (1, height)
-    one, other = (course.sensor.camera.ray(middle.at[index].set(end))[0] for end in (-0.5, size - 0.5))
-    return safe_angle(one, other)
 
 
 def _axis_at(sensor: Sensor, trajectory: Trajectory, time: Scalar, terrain: AbstractTerrain) -> Along:

@@ -188,7 +188,7 @@ def _judged(places: Place, aims: Aim, met: Array, world: World, model: ErrorMode
 
 
 def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:
-    ground, unknown = _ground(lat, lon, world.terrain)
+    ground, unknown = ground_at(lat, lon, world.terrain)
     stand_in = tree_where(unknown == Status.hit, ground, Geodetic(lat=ground.lat, lon=ground.lon, height=0.0))
     if not isinstance(world.motion, Pose):
         seen = project(world.sensor, world.motion, stand_in, time=world.time, atmosphere=world.air)
@@ -199,7 +199,7 @@ def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:
     return Place(uv, first_failure(unknown, reached, status), ground, readings)
 
 
-def _ground(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geodetic, StatusCode]:
+def ground_at(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geodetic, StatusCode]:
     """The point of the terrain at a latitude and longitude; NaN for its height, and why, where it is not known."""
     is_place = jnp.isfinite(lat) & jnp.isfinite(lon)
     level = Geodetic(lat=jnp.where(is_place, lat, 0.0), lon=jnp.where(is_place, lon, 0.0), height=jnp.zeros_like(lat))

@@ -1,0 +1,365 @@
+"""A strip of images as it is flown: a straight line, what the aircraft does of itself, and what makes up for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64, check_is, check_range
+from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._numerics import cross, safe_norm, turned
+from jaxgeo._typing import Scalar, ScalarField, Vector3
+from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
+from jaxgeo.coverage.exposure import Along, end_places, field_along, seen_at
+from jaxgeo.coverage.overlap import (
+    GroundEdges,
+    Overlap,
+    axis_along,
+    edges_on_map,
+    ground_edges,
+    shared,
+)
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned, TransverseMercator
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Pose, Sensor, Shot
+from jaxgeo.sensor.pointing import LineOfSight, aim
+from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.terrain import AbstractTerrain
+
+SPECS = ("heading", "pitch", "roll", "height", "across", "speed", "gimbal", "timing")
+STATIONS = 9
+Normals = Float[Array, " normals"]
+
+
+class FlightNoise(eqx.Module):
+    """What an aircraft and its camera do of themselves: standard deviations, and for how long they last.
+
+    `heading`, `pitch`, `roll` in rad, `height` and `across` (the track's offset to the right) in m, `speed` over the
+    ground in m/s: each a Gauss-Markov process about the plan, of the first order, whose correlation falls to 1/e within
+    `lasting` s (one number, or one for each of the six in this order). `gimbal`: control error of each axis in rad of
+    its reading; `timing`: of the moment of exposure, s; both are drawn anew for every image.
+    """
+
+    heading: ScalarField
+    pitch: ScalarField
+    roll: ScalarField
+    height: ScalarField
+    across: ScalarField
+    speed: ScalarField
+    gimbal: ScalarField
+    timing: ScalarField
+    lasting: Float[Array, "6"]
+
+    @classmethod
+    def from_degrees(
+        cls,
+        *,
+        heading: ArrayLike = 0.0,
+        pitch: ArrayLike = 0.0,
+        roll: ArrayLike = 0.0,
+        height: ArrayLike = 0.0,
+        across: ArrayLike = 0.0,
+        speed: ArrayLike = 0.0,
+        gimbal: ArrayLike = 0.0,
+        timing: ArrayLike = 0.0,
+        lasting: Any = 10.0,
+    ) -> FlightNoise:
+        """From angles in deg, lengths in m, the speed in m/s and times in s.
+
+        Raises `ValueError` for a standard deviation that is negative or not finite, or a time that is not positive.
+        """
+        given = dict(zip(SPECS, (heading, pitch, roll, height, across, speed, gimbal, timing), strict=True))
+        for name, value in given.items():
+            check_range(value, name, "(a standard deviation)", 0.0, 1e9)
+        checked_positive(lasting, "lasting", "s")
+        values: Any = as_float64(given, "FlightNoise.from_degrees")
+        angles = {name: jnp.deg2rad(values[name]) for name in ("heading", "pitch", "roll", "gimbal")}
+        times = jnp.broadcast_to(jnp.asarray(as_float64(jnp.asarray(lasting, float), "lasting")), (6,))
+        return cls(**{**values, **angles}, lasting=times)
+
+    @property
+    def sigmas(self) -> Float[Array, " specs"]:
+        """The standard deviations in the order of `SPECS`."""
+        return jnp.stack([jnp.asarray(getattr(self, name), float) for name in SPECS])
+
+
+class Compensation(eqx.Module):
+    """What is done about the noise: nothing, unless asked for.
+
+    `attitude`: the gimbal is turned so that the line of sight keeps the direction that is planned. `timing`: the next
+    image waits until the integral of speed over height comes to its mark (Li et al. 2020, Eq 36), over level ground;
+    with `ground`, over the ground that the near end sees.
+    """
+
+    attitude: bool = eqx.field(static=True, default=False)
+    timing: bool = eqx.field(static=True, default=False)
+    ground: bool = eqx.field(static=True, default=False)
+
+    @property
+    def words(self) -> str:
+        """What is done, in words."""
+        timing = "timing by the ground seen" if self.ground else "timing" if self.timing else ""
+        return " and ".join(part for part in ("attitude" if self.attitude else "", timing) if part) or "none"
+
+
+class Strip(eqx.Module):
+    """The plan of a strip: `images` of a `sensor`, the first at `shot`, at `speed` m/s along `course` (rad, true).
+
+    The images follow each other by `step` m over the ground below, which gives a wished `overlap` over level ground at
+    the `ground` height (m above the ellipsoid): that under the near end of the first image, unless given.
+    """
+
+    sensor: Sensor
+    shot: Shot
+    terrain: AbstractTerrain
+    speed: ScalarField
+    course: ScalarField
+    overlap: ScalarField
+    near_range: ScalarField
+    ground: ScalarField
+    air: Atmosphere | None
+    images: int = eqx.field(static=True)
+    along: Along = eqx.field(static=True)
+    stations: int = eqx.field(static=True, default=STATIONS)
+
+    @classmethod
+    def planned(
+        cls,
+        sensor: Sensor,
+        shot: Shot,
+        terrain: AbstractTerrain,
+        *,
+        overlap: ArrayLike,
+        speed: ArrayLike,
+        images: int,
+        course: ArrayLike | None = None,
+        ground: ArrayLike | None = None,
+        along: Along | None = None,
+        stations: int = STATIONS,
+        atmosphere: Atmosphere | None = None,
+    ) -> Strip:
+        """A strip from its first shot; `course` in rad is the shot's heading unless given.
+
+        Raises `ValueError` for fewer than two images, an overlap outside [0, 1), a speed that is not positive, and a
+        first image whose near end sees no ground.
+        """
+        if images < 2:
+            raise ValueError(f"a strip needs at least two images to overlap; got images={images}.")
+        check_terrain(terrain, FIRST_HIT)
+        check_is(shot, Shot, "shot")
+        given: Any = observation(sensor, shot, None)
+        sensor, shot, _ = given
+        air = checked_air(atmosphere)
+        course = shot.pose.heading if course is None else checked_finite(course, "course", "rad")
+        if along is None:
+            projection = TransverseMercator.gauss_krueger(shot.pose.position.lon)
+            course_on_map = _on_map_direction(shot.pose.position, course, projection)
+            along = axis_along(sensor, shot, course_on_map, terrain, projection)
+        near = _near_end(sensor, shot, terrain, along, air)
+        if not bool(counts_as_fix(near.status)):
+            raise ValueError(
+                f"the near end of the first image sees no ground: {Status(int(near.status)).message} "
+                "Turn the camera down, or load a larger terrain."
+            )
+        height = near.position.height if ground is None else checked_finite(ground, "ground", "m")
+        strip = cls(
+            sensor,
+            shot,
+            terrain,
+            checked_positive(speed, "speed", "m/s"),
+            jnp.asarray(course),
+            checked_overlap(overlap),
+            jnp.asarray(near.slant_range),
+            jnp.asarray(height),
+            air,
+            images,
+            along,
+            stations,
+        )
+        return strip if ground is None else strip._over_level_ground()
+
+    @property
+    def step(self) -> Scalar:
+        """Planned way of the aircraft from image to image in m, at its height."""
+        return (1.0 - self.overlap) * 2.0 * jnp.tan(0.5 * self.field_of_view) * self.near_range * self._faster
+
+    @property
+    def period(self) -> Scalar:
+        """Planned time from image to image, s."""
+        return self.step / self.speed
+
+    @property
+    def field_of_view(self) -> Scalar:
+        """Angle of view along the flight in rad, at the middle of the image across it."""
+        return field_along(self.sensor, self.along)
+
+    def with_overlap(self, overlap: ArrayLike) -> Strip:
+        """The same strip with another wished overlap."""
+        return eqx.tree_at(lambda strip: strip.overlap, self, checked_overlap(overlap))
+
+    @property
+    def _faster(self) -> Scalar:
+        """By how much the aircraft is faster than the ground point of its near end, by the radii."""
+        position = self.shot.pose.position
+        radius = WGS84.radius_in_azimuth(position.lat, self.course)
+        return (radius + position.height) / (radius + self.ground)
+
+    def _over_level_ground(self) -> Strip:
+        """With the range of the near end over level ground."""
+        from jaxgeo.terrain import ConstantHeight
+
+        near = _near_end(self.sensor, self.shot, ConstantHeight(self.ground), self.along, self.air)
+        return eqx.tree_at(lambda strip: strip.near_range, self, jnp.asarray(near.slant_range))
+
+
+def normals_of(strip: Strip) -> int:
+    """How many standard normal numbers a flight of the strip takes."""
+    return strip.images * (7 + len(strip.sensor.gimbal.axes))
+
+
+def specs_of(strip: Strip) -> list[int]:
+    """For each of those numbers, the place in `SPECS` of the standard deviation it stands for."""
+    axes = len(strip.sensor.gimbal.axes)
+    return [spec for spec in range(len(SPECS)) for _ in range(strip.images * (axes if SPECS[spec] == "gimbal" else 1))]
+
+
+def flown(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> Overlap:
+    """What each image of a flight shares with the one before (images - 1), of standard normal numbers; all zero for the
+    flight as planned. One flight; `jax.vmap` flies many."""
+    _, edges = _images(strip, noise, normals, compensation)
+    return _overlaps(strip, edges)
+
+
+def shots_of(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> Shot:
+    """The shots of that flight, with a leading axis of images."""
+    return _images(strip, noise, normals, compensation)[0]
+
+
+def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> tuple[Shot, GroundEdges]:
+    """The shots of a flight, and the edges of what they see."""
+    processes, gimbal, timing = _drawn(strip, noise, normals)
+    planned, track = _nominal(strip)
+    late = jnp.roll(timing, -1) - timing
+    speeds = strip.speed + processes[5]
+
+    def image(way: Scalar, k: Any) -> tuple[Shot, GroundEdges]:
+        shot = _shot(strip, way, processes[:, k], gimbal[k], compensation, planned, track)
+        return shot, ground_edges(strip.sensor, shot, strip.terrain, strip.along, strip.stations, strip.air)
+
+    if compensation.timing and compensation.ground:  # each wait hangs on what the image before sees
+
+        def following(way: Scalar, k: Any) -> tuple[Scalar, tuple[Shot, GroundEdges]]:
+            shot, edges = image(way, k)
+            step = strip.step / strip.near_range * _near_range(strip, shot, edges)
+            return way + step + speeds[k] * late[k], (shot, edges)
+
+        return jax.lax.scan(following, jnp.zeros(()), jnp.arange(strip.images))[1]
+    waits = jnp.full(strip.images, strip.period)
+    if compensation.timing:
+        height = strip.shot.pose.position.height
+        waits = waits * (height + processes[3] - strip.ground) / (height - strip.ground) * strip.speed / speeds
+    steps = speeds * (waits + late)
+    ways = jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)[:-1]])
+    return jax.vmap(image)(ways, jnp.arange(strip.images))
+
+
+def _drawn(
+    strip: Strip, noise: FlightNoise, normals: Normals
+) -> tuple[Float[Array, "6 images"], Float[Array, "images axes"], Float[Array, " images"]]:
+    """The six processes at the images, control errors of the axes, and how late each image is taken."""
+    axes, n = len(strip.sensor.gimbal.axes), strip.images
+    walks, rest = normals[: 6 * n].reshape(6, n), normals[6 * n :]
+    sigmas = noise.sigmas
+    kept = jnp.exp(-strip.period / noise.lasting)
+    fresh = jnp.sqrt(1.0 - kept * kept)
+
+    def later(state: Float[Array, "6"], normal: Float[Array, "6"]) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
+        state = kept * state + fresh * normal
+        return state, state
+
+    _, following = jax.lax.scan(later, walks[:, 0], walks[:, 1:].T)
+    processes = sigmas[:6, None] * jnp.concatenate([walks[:, :1], following.T], axis=1)
+    return processes, sigmas[6] * rest[: n * axes].reshape(n, axes), sigmas[7] * rest[n * axes :]
+
+
+def _nominal(strip: Strip) -> tuple[Vector3, tuple[Vector3, Vector3, Vector3]]:
+    """The planned line of sight in axes (along the course, right of it, down), and the track: normal, along, right."""
+    shot = strip.shot
+    R = R_ecef_from_ned(shot.pose.position)
+    c, s = jnp.cos(strip.course), jnp.sin(strip.course)
+    up, along = -R[:, 2], c * R[:, 0] + s * R[:, 1]
+    right = jnp.stack(cross(-up, along))
+    sight = turned(strip.sensor.R_ned_from_camera(shot), strip.sensor.camera.axis())
+    planned = jnp.stack([c * sight[0] + s * sight[1], c * sight[1] - s * sight[0], sight[2]])
+    return planned, (up, along, right)
+
+
+def _shot(
+    strip: Strip,
+    way: Scalar,
+    process: Float[Array, "6"],
+    gimbal: Float[Array, " axes"],
+    compensation: Compensation,
+    planned: Vector3,
+    track: tuple[Vector3, Vector3, Vector3],
+) -> Shot:
+    """The shot of an image, `way` m along the track from the first."""
+    first, (up, along, right) = strip.shot, track
+    height = first.pose.position.height
+    radius = WGS84.radius_in_azimuth(first.pose.position.lat, strip.course) + height
+    turn, aside = way / radius, process[4] / radius
+    normal = jnp.cos(turn) * up + jnp.sin(turn) * along
+    normal = jnp.cos(aside) * normal + jnp.sin(aside) * right
+    heading_of_track = jnp.cos(turn) * along - jnp.sin(turn) * up
+    lat = jnp.arctan2(normal[2], jnp.sqrt(normal[0] ** 2 + normal[1] ** 2))
+    position = Geodetic(lat=lat, lon=jnp.arctan2(normal[1], normal[0]), height=height + process[3])
+    north, east, _ = turned(R_ecef_from_ned(position).T, heading_of_track)
+    course = jnp.arctan2(east, north)
+    pose = Pose(
+        position,
+        first.pose.heading + (course - strip.course) + process[0],
+        first.pose.pitch + process[1],
+        first.pose.roll + process[2],
+        first.pose.deflection,
+    )
+    readings = jnp.asarray(first.gimbal_readings)
+    if compensation.attitude:
+        c, s = jnp.cos(course), jnp.sin(course)
+        ned = jnp.stack([c * planned[0] - s * planned[1], s * planned[0] + c * planned[1], planned[2]])
+        readings = aim(strip.sensor, pose, LineOfSight(ned), None, readings, None).readings
+    return Shot(pose, readings + gimbal)
+
+
+def _near_range(strip: Strip, shot: Shot, edges: GroundEdges) -> Scalar:
+    """Slant range in m of the middle of the near end."""
+    ends = 0.5 * (edges.points[0] + edges.points[1])[jnp.array([0, -1])]
+    centre = strip.sensor.perspective_centre(shot)
+    return jnp.min(jax.vmap(lambda end: safe_norm(end - centre))(ends))
+
+
+def _overlaps(strip: Strip, edges: GroundEdges) -> Overlap:
+    """Every image and the one before, along the planned course."""
+    projection = TransverseMercator.gauss_krueger(strip.shot.pose.position.lon)
+    direction = _on_map_direction(strip.shot.pose.position, strip.course, projection)
+    on_the_map = jax.vmap(lambda one: edges_on_map(one, direction, projection))(edges)
+    before, after = (jax.tree.map(lambda x, p=part: x[p], on_the_map) for part in (slice(None, -1), slice(1, None)))
+    return jax.vmap(lambda one, other: shared(one, other, direction, strip.stations))(before, after)
+
+
+def _on_map_direction(position: Geodetic, course: Any, projection: TransverseMercator) -> Float[Array, "2"]:
+    convergence, _ = projection.convergence_and_scale(position.lat, position.lon)
+    bearing = course - convergence
+    return jnp.stack([jnp.sin(bearing), jnp.cos(bearing)])
+
+
+@eqx.filter_jit
+def _near_end(sensor: Sensor, shot: Shot, terrain: AbstractTerrain, along: Along, air: Atmosphere | None) -> Any:
+    """What the middle of the near end sees."""
+    fix = seen_at(sensor, shot, end_places(sensor, along), terrain, air)
+    reach = jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf)
+    return jax.tree.map(lambda x: x[jnp.argmin(reach)], fix)
