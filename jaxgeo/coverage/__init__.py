@@ -1,6 +1,7 @@
 """Where a camera will look: footprints, overlap, pointing and the time of the next image."""
 
-from jaxgeo.coverage.exposure import Exposure, Image, own_map
+from jaxgeo.coverage.clock import ExposureClock
+from jaxgeo.coverage.exposure import Exposure, Image, near_end, own_map
 from jaxgeo.coverage.flight import Compensation, FlightNoise, Strip
 from jaxgeo.coverage.footprint import Footprint, GroundSampling, footprint, ground_sampling
 from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, overlap_to_plan, trusts_linear
@@ -13,6 +14,7 @@ from jaxgeo.sensor.pointing import LineOfSight
 __all__ = [
     "Compensation",
     "Exposure",
+    "ExposureClock",
     "FixedPeriod",
     "FlightNoise",
     "Flights",
@@ -35,6 +37,7 @@ __all__ = [
     "ground_sampling",
     "line_of_sight",
     "linear_gaps",
+    "near_end",
     "overlap",
     "overlap_to_plan",
     "own_map",

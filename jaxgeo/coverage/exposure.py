@@ -17,6 +17,7 @@ from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT, locate
 from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain
 
 Places = Float[Array, "places 2"]
@@ -99,6 +100,19 @@ def field_along(sensor: Sensor, along: Along) -> Scalar:
 def end_places(sensor: Sensor, along: Along) -> Places:
     """The near and the far end of an image, in some order: the middles of its two edges that lie along the flight."""
     return jnp.stack(_side_middles(sensor, "rows" if along == "columns" else "columns"))
+
+
+@eqx.filter_jit
+def near_end(
+    sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, atmosphere: Atmosphere | None = None
+) -> Fix:
+    """What the middle of an image's near end sees: the nearer of its two edges that lie along the flight.
+
+    `along` names the axis of the image in that direction. Where neither end sees ground, the fix of one of them.
+    """
+    fix = seen_at(sensor, image, end_places(sensor, along), terrain, atmosphere)
+    reach = jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf)
+    return jax.tree.map(lambda x: x[jnp.argmin(reach)], fix)
 
 
 def _side_middles(sensor: Sensor, axis: Along) -> list[Pixel]:

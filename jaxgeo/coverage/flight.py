@@ -15,7 +15,7 @@ from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo._numerics import cross, safe_norm, turned
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Along, end_places, field_along, seen_at
+from jaxgeo.coverage.exposure import Along, field_along, near_end
 from jaxgeo.coverage.overlap import (
     GroundEdges,
     Overlap,
@@ -29,7 +29,7 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Pose, Sensor, Shot
 from jaxgeo.sensor.pointing import LineOfSight, aim
 from jaxgeo.status import Status, counts_as_fix
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 
 SPECS = ("heading", "pitch", "roll", "height", "across", "speed", "gimbal", "timing")
 STATIONS = 9
@@ -160,7 +160,7 @@ class Strip(eqx.Module):
             projection = TransverseMercator.gauss_krueger(shot.pose.position.lon)
             course_on_map = _on_map_direction(shot.pose.position, course, projection)
             along = axis_along(sensor, shot, course_on_map, terrain, projection)
-        near = _near_end(sensor, shot, terrain, along, air)
+        near = near_end(sensor, shot, terrain, along, air)
         if not bool(counts_as_fix(near.status)):
             raise ValueError(
                 f"the near end of the first image sees no ground: {Status(int(near.status)).message} "
@@ -211,9 +211,7 @@ class Strip(eqx.Module):
 
     def _over_level_ground(self) -> Strip:
         """With the range of the near end over level ground."""
-        from jaxgeo.terrain import ConstantHeight
-
-        near = _near_end(self.sensor, self.shot, ConstantHeight(self.ground), self.along, self.air)
+        near = near_end(self.sensor, self.shot, ConstantHeight(self.ground), self.along, self.air)
         return eqx.tree_at(lambda strip: strip.near_range, self, jnp.asarray(near.slant_range))
 
 
@@ -355,11 +353,3 @@ def _on_map_direction(position: Geodetic, course: Any, projection: TransverseMer
     convergence, _ = projection.convergence_and_scale(position.lat, position.lon)
     bearing = course - convergence
     return jnp.stack([jnp.sin(bearing), jnp.cos(bearing)])
-
-
-@eqx.filter_jit
-def _near_end(sensor: Sensor, shot: Shot, terrain: AbstractTerrain, along: Along, air: Atmosphere | None) -> Any:
-    """What the middle of the near end sees."""
-    fix = seen_at(sensor, shot, end_places(sensor, along), terrain, air)
-    reach = jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf)
-    return jax.tree.map(lambda x: x[jnp.argmin(reach)], fix)

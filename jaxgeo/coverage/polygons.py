@@ -32,8 +32,8 @@ class GroundSeen(eqx.Module):
     """Which ground within an outline an image sees.
 
     `places` (n, 2) are the (easting, northing) in m of squares `spacing` m wide on the footprint's map, by their
-    middles; `status` (n,) is `hit` where the image sees them, `hidden_by_terrain` where nearer ground is in the way, and
-    otherwise why nobody can tell.
+    middles; `status` (n,) is `hit` where the image sees them, `hidden_by_terrain` where nearer ground is in the way,
+    and otherwise why nobody can tell.
     """
 
     places: PixelField
