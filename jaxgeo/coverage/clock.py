@@ -68,7 +68,8 @@ class ExposureClock(eqx.Module):
         if known is not None and known > AT_ONCE:
             raise ValueError(
                 f"{int(known)} images fell due between the records at {float(self.time):.9g} s and "
-                f"{float(given[0]):.9g} s, more than {AT_ONCE}: give records more often, or one clock for each part of the flight."
+                f"{float(given[0]):.9g} s, more than {AT_ONCE}: give records more often, or one clock for each part of "
+                "the flight."
             )
         return clock, due, count
 

@@ -26,6 +26,8 @@ from jaxgeo.terrain import AbstractTerrain
 
 PLACES = 64  # to begin with, on each side of an image
 FINEST = 2.0**-14  # px between neighbours, at which a jump of the outline is a jump
+UNEVEN = 0.1  # of a stretch of the outline: what is in its middle in the image may lie so near to an end, no nearer
+PLUMB = 1e-9  # rad off the vertical, within which rounding would say where a line of sight leans
 SMOOTH = 10.0  # times what a step of the image is on the far ground: a gap beyond is a jump
 BATCH = 256  # places that are located at a time, so that every outline runs what is compiled for one
 
@@ -60,7 +62,7 @@ class Footprint(eqx.Module):
     @property
     def area(self) -> float:
         """Area in m2 within the outline, on the map; hidden ground counts. NaN if the outline is not whole."""
-        x, y = np.asarray(self.outline).T
+        x, y = (np.asarray(self.outline) - np.asarray(self.outline)[0]).T  # of millions of m, products lose digits
         twice = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
         return 0.5 * abs(float(twice)) if self.ok else math.nan
 
@@ -102,8 +104,8 @@ def footprint(
 
     `image` is a `Shot`, or an `Exposure` of a trajectory. Each side starts with `places`; between two of them others
     are put in until the one in the middle lies within `tolerance` of the straight line through its neighbours (in
-    space, heights included), and until ground that begins or ends to be seen, or that a ridge hides, is known to a ten
-    thousandth of a pixel. What is finer than the first places may be overlooked.
+    space, heights included) and not at one end of it, and until ground that begins or ends to be seen, or that a ridge
+    hides, is known to a ten thousandth of a pixel. What is finer than the first places may be overlooked.
     Not for tracing: how many places there are is found by looking. Raises `ValueError` for a tolerance or a number of
     places that is not positive; what sees no ground has its status.
     """
@@ -171,6 +173,8 @@ def _ground_sampling(
     # What moves along the look on the surface: the level direction of the look, taken up or down onto the slope.
     surface = normal / jnp.where(area > 0.0, area, 1.0)
     level = away - dot(away, up) * up
+    is_plumb = dot(level, level) <= PLUMB**2 * dot(away, away)
+    level = jnp.where(is_plumb, -by_row, level)  # straight down, ahead is where the image has its upper side
     along = level - up * dot(level, surface) / jnp.where(dot(up, surface) == 0.0, 1.0, dot(up, surface))
     along = along / jnp.maximum(safe_norm(along), 1e-300)
     across = jnp.cross(surface, along)
@@ -217,8 +221,10 @@ def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
     between, on_map = _located(looked, middles)
     here, there = (_taken(ring.fix, index) for index in (asked, after))
     seen = [_seen(fix) for fix in (here, there, between)]
-    off = _off_line(here.ecef, there.ecef, between.ecef)
-    straight = (seen[0] == seen[1]) & (seen[0] == seen[2]) & (~seen[0] | (off <= tolerance))
+    off, share = _off_line(here.ecef, there.ecef, between.ecef)
+    # A jump is straight too, along a line of sight; but then the middle lies at one of its ends.
+    even = (np.abs(share - 0.5) <= 0.5 - UNEVEN) | (np.linalg.norm(there.ecef - here.ecef, axis=1) <= tolerance)
+    straight = (seen[0] == seen[1]) & (seen[0] == seen[2]) & (~seen[0] | ((off <= tolerance) & even))
     finest = np.max(np.abs(ring.uv[after] - ring.uv[asked]), axis=1) <= 2.0 * FINEST
     settled = ring.settled.copy()
     settled[asked] = straight | finest
@@ -263,12 +269,12 @@ def _taken(fix: Fix, index: np.ndarray) -> Any:
     return jax.tree.map(lambda x: x[index], fix)
 
 
-def _off_line(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """m from points to the stretches from a to b."""
+def _off_line(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """m from points to the stretches from a to b, and at which share of those from 0 to 1 they are nearest."""
     along, to = b - a, p - a
     squared = np.sum(along**2, axis=1)
     share = np.clip(np.sum(along * to, axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
-    return np.linalg.norm(to - share[:, None] * along, axis=1)
+    return np.linalg.norm(to - share[:, None] * along, axis=1), share
 
 
 def _jumps(sensor: Sensor, ring: _Ring, tolerance: float) -> np.ndarray:

@@ -40,6 +40,7 @@ LOOKED_THROUGH = 24  # times at which the overlap is looked at for the first tha
 ROUNDS = 6  # in which the interval before that is looked through again: to 1e-8 of the wait
 FARTHEST = 4.0  # times the wait that level ground would ask for, within which an overlap is looked for
 MOST = 10_000  # images of one plan
+FEWEST = 64  # that are computed with
 
 
 class Plan(eqx.Module):
@@ -217,8 +218,14 @@ def plan(
             f"the trajectory ends at {span[1]:.9g} s, before a second image is due after that at {times[0]:.9g} s: "
             "fewer than two images have no overlap. Fly on, or wish for more overlap."
         )
-    instants = jnp.asarray(times)
-    return Plan(trajectory, instants, overlaps_at(course, instants, stations))
+    return Plan(trajectory, jnp.asarray(times), _overlaps_of(course, times, stations))
+
+
+def _overlaps_of(course: Course, times: np.ndarray, stations: int) -> Overlap:
+    """`overlaps_at`, with the last time repeated up to a power of two, so that not every plan is compiled anew."""
+    count = max(FEWEST, 1 << (len(times) - 1).bit_length())
+    filled = times[np.minimum(np.arange(count), len(times) - 1)]
+    return jax.tree.map(lambda x: x[: len(times) - 1], overlaps_at(course, jnp.asarray(filled), stations))
 
 
 @eqx.filter_jit

@@ -263,7 +263,7 @@ def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[P
     """The two components across, and their derivatives by the free axes."""
 
     def across(angles: Float[Array, " free"]) -> tuple[Pixel, Pixel]:
-        seen = _target_seen(world, readings.at[free].set(angles))[:2]
+        seen = _target_seen(world, _put(readings, free, angles))[:2]
         return seen, seen
 
     J, seen = jax.jacfwd(across, has_aux=True)(readings[free])
@@ -287,7 +287,7 @@ def _free_axes(sensor: Sensor, pose: Pose, sight: Vector3, start: Readings) -> F
 @jax.custom_jvp
 def _with_derivative(world: World, held: Readings, free: FreeAxes, root: Readings) -> Readings:
     """Readings with `root` on the free axes and `held` on the others, with the derivatives of the implicit function."""
-    return held.at[free].set(root[free])
+    return _put(held, free, root[free])
 
 
 @_with_derivative.defjvp
@@ -296,9 +296,14 @@ def _(primals, tangents):
     world, held, free, root = primals
     d_world, d_held, _, _ = tangents
     found = _with_derivative(world, held, free, root)
-    _, d_seen = jax.jvp(lambda w, h: _target_seen(w, h.at[free].set(found[free]))[:2], (world, held), (d_world, d_held))
+    _, d_seen = jax.jvp(lambda w, h: _target_seen(w, _put(h, free, found[free]))[:2], (world, held), (d_world, d_held))
     _, J = _seen_and_slope(world, found, free)
-    return found, d_held.at[free].set(-_least_squares(J, d_seen))
+    return found, _put(d_held, free, -_least_squares(J, d_seen))
+
+
+def _put(readings: Readings, free: FreeAxes, values: Float[Array, " free"]) -> Readings:
+    """Readings with other values on the free axes."""
+    return readings.at[free].set(values, unique_indices=True)  # else reverse mode refuses to transpose it
 
 
 def _least_squares(J: Float[Array, "2 free"], value: Pixel) -> Float[Array, " free"]:

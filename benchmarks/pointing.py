@@ -1,0 +1,193 @@
+"""How fast gimbals are pointed: very many targets in one `vmap`, beside SciPy's solver on one after another.
+
+Run: python benchmarks/pointing.py [--count 100000] [--alone 300] [--repeats 7] [--json out.json]
+Figures are medians of repeats in turning order; processor time, that of all threads, is the least of the repeats.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pathlib
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import measuring
+import numpy as np
+from measuring import Column, Table
+from peers import scipy_pointing
+
+import jaxgeo
+from jaxgeo.coverage import point
+from jaxgeo.sensor import boresight_from_degrees
+
+jaxgeo.enable_x64()
+SOLVED = 1e-9  # rad by which the line of sight may miss
+HELD = {
+    "R_body_from_base": boresight_from_degrees(heading=1.0, pitch=-2.0, roll=0.5),
+    "lever_body": np.array([3.0, -1.0, 0.5]),
+    "lever_head": np.array([0.2, 0.1, -0.3]),
+}
+CAMERA = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)
+SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir(**HELD))
+DRIVES = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward(**HELD))
+AIR = jaxgeo.Atmosphere()
+
+
+def scene(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (n, 6) 3 to 12 km high, in rad and m, and targets (n, 3), up to 75 deg off nadir on either side."""
+    rng = np.random.default_rng(seed)
+    lat, lon, height = rng.uniform(-1.2, 1.2, count), rng.uniform(-3.1, 3.1, count), rng.uniform(3e3, 1.2e4, count)
+    attitude = np.stack([rng.uniform(-np.pi, np.pi, count), *rng.normal(0.0, 0.05, (2, count))])
+    ground = rng.uniform(0.0, 2e3, count)
+    reach, azimuth = (height - ground) * np.tan(rng.uniform(0.0, 1.3, count)), rng.uniform(-np.pi, np.pi, count)
+    by_lat, by_lon = reach * np.cos(azimuth) / 6.37e6, reach * np.sin(azimuth) / 6.37e6 / np.cos(lat)
+    return np.stack([lat, lon, height, *attitude], axis=1), np.stack([lat + by_lat, lon + by_lon, ground], axis=1)
+
+
+@eqx.filter_jit
+def pointed(sensor: jaxgeo.Sensor, poses: Any, targets: Any, air: Any = None) -> Any:
+    """Readings, and how far off they are, of every pose and target."""
+
+    def one(pose: Any, target: Any) -> Any:
+        shot = jaxgeo.Shot(jaxgeo.Pose(jaxgeo.Geodetic(lat=pose[0], lon=pose[1], height=pose[2]), *pose[3:]))
+        place = jaxgeo.Geodetic(lat=target[0], lon=target[1], height=target[2])
+        return point(sensor, shot, target=place, atmosphere=air)
+
+    return jax.vmap(one)(poses, targets)
+
+
+@jax.jit
+@jax.vmap
+def missed(pose: Any, target: Any, readings: Any) -> Any:
+    """Angle in rad between the optical axis with these readings and the target."""
+    place = jaxgeo.Geodetic(lat=pose[0], lon=pose[1], height=pose[2])
+    target_ecef = jaxgeo.WGS84.to_ecef(jaxgeo.Geodetic(lat=target[0], lon=target[1], height=target[2]))
+    x, y, z = SENSOR.to_camera(jaxgeo.Shot(jaxgeo.Pose(place, *pose[3:]), readings), target_ecef)
+    return jnp.arctan2(jnp.hypot(x, y), z)
+
+
+def peer(poses: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """SciPy's readings, one pointing after another."""
+    sight = np.array([0.0, 0.0, 1.0])
+    held = scipy_pointing.Held(np.asarray(HELD["R_body_from_base"]), HELD["lever_body"], HELD["lever_head"], sight)
+    return np.stack([scipy_pointing.readings(held, p, t) for p, t in zip(poses, targets, strict=True)])
+
+
+def rates(count: int, alone: int, repeats: int) -> Table:
+    """Pointings a second, side by side."""
+    poses, targets = scene(count)
+    given = jnp.asarray(poses), jnp.asarray(targets)
+    ready = jax.block_until_ready
+    runs: dict[str, tuple[int, Callable[[], Any]]] = {
+        "SciPy, root(hybr), one at a time": (alone, lambda: peer(poses[:alone], targets[:alone])),
+        "jaxgeo, two axes, one vmap": (count, lambda: ready(pointed(SENSOR, *given))),
+        "jaxgeo, two axes, through the air": (count, lambda: ready(pointed(SENSOR, *given, AIR))),
+        "jaxgeo, a drone's three axes": (count, lambda: ready(pointed(DRIVES, *given))),
+    }
+    first = {name: measuring.timed(run)[1] for name, (_, run) in runs.items()}
+    spent: dict[str, list[float]] = {name: [] for name in runs}
+    watch = measuring.Watch()
+    timings = measuring.interleaved({name: _counting(run, spent[name]) for name, (_, run) in runs.items()}, repeats)
+    columns = [Column("contender"), Column("pointings"), Column("time", "ms", "lower"), Column("spread", "%", "lower")]
+    columns += [Column("rate", "pointings/s", "higher"), Column("rate over SciPy's", "times", "higher")]
+    columns += [Column("processor time, least", "us/pointing", "lower")]
+    columns += [Column("the same over jaxgeo's", "times"), Column("first call, with compiling", "s", "lower")]
+    table = Table("Pointing a gimbal with lever arms and a boresight", columns)
+    each = {name: 1e6 * min(spent[name]) / n for name, (n, _) in runs.items()}
+    base = timings["SciPy, root(hybr), one at a time"].median / alone
+    own = each["jaxgeo, two axes, one vmap"]
+    for name, (n, _) in runs.items():
+        t = timings[name]
+        row = [name, n, 1e3 * t.median, 100.0 * t.spread, n / t.median, base * n / t.median]
+        table.rows.append([*row, each[name], each[name] / own, first[name]])
+    table.notes.append(f"medians of {repeats}; other processes used {watch.others():.2f} cores")
+    return table
+
+
+def _counting(run: Callable[[], Any], spent: list[float]) -> Callable[[], Any]:
+    """A run that also notes the processor time that all its threads took, which other processes change less."""
+
+    def counted() -> Any:
+        begin = time.process_time()
+        answer = run()
+        spent.append(time.process_time() - begin)
+        return answer
+
+    return counted
+
+
+def agreement(alone: int) -> Table:
+    """Whether both find the same, and how many each solves: within 1e-9 rad of the target, within the limits."""
+    poses, targets = scene(alone, seed=1)
+    given = jnp.asarray(poses), jnp.asarray(targets)
+    theirs, found = peer(poses, targets), pointed(SENSOR, *given)
+    ours, limits = np.asarray(found.readings), np.asarray(SENSOR.gimbal.limits)
+    wrapped = (theirs + np.pi) % (2.0 * np.pi) - np.pi
+    off = {
+        "SciPy": np.asarray(missed(*given, jnp.asarray(wrapped))),
+        "jaxgeo": np.asarray(missed(*given, found.readings)),
+    }
+    inside = {
+        name: np.all((r >= limits[:, 0]) & (r <= limits[:, 1]), axis=1)
+        for name, r in (("SciPy", wrapped), ("jaxgeo", ours))
+    }
+    solved = {name: (off[name] <= SOLVED) & inside[name] for name in off}
+    both = solved["SciPy"] & solved["jaxgeo"]
+    table = Table("Agreement with SciPy", [Column("what"), Column("SciPy"), Column("jaxgeo")])
+    table.rows = [
+        ["solved, %", *(100.0 * float(np.mean(solved[name])) for name in off)],
+        ["farthest off the target where solved, rad", *(float(np.max(off[name][solved[name]])) for name in off)],
+        ["looks away from the target, or no root, %", *(100.0 * float(np.mean(~(off[n] <= SOLVED))) for n in off)],
+        ["beyond the limits, %", *(100.0 * float(np.mean((off[n] <= SOLVED) & ~inside[n])) for n in off)],
+    ]
+    apart = float(np.max(np.abs(wrapped - ours)[both]))
+    table.notes.append(f"readings of both, where both solve: at most {apart:.2g} rad apart, of {int(np.sum(both))}")
+    table.notes.append(f"of {alone} targets up to 75 deg off nadir; SciPy starts from readings of zero")
+    return table
+
+
+def memory(count: int) -> Table:
+    """Peak memory of one call over that of the process before it."""
+    poses, targets = scene(count)
+    given = jnp.asarray(poses), jnp.asarray(targets)
+    jax.block_until_ready(pointed(SENSOR, *given))
+    before = measuring.resident()
+    measuring.reset_peak()
+    jax.block_until_ready(pointed(SENSOR, *given))
+    grown = measuring.peak() - before
+    columns = [Column("pointings"), Column("peak over a warm process", "MB", "lower"), Column("each", "bytes", "lower")]
+    return Table("Memory of one call", columns, [[count, 1e-6 * grown, grown / count]])
+
+
+def main() -> None:
+    """Measure, print, and write it down."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=100_000)
+    parser.add_argument("--alone", type=int, default=300, help="pointings of SciPy a repeat")
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")
+    options = parser.parse_args()
+    _, idle = measuring.idle_check()
+    print(idle, file=sys.stderr)
+    tables = [
+        rates(options.count, options.alone, options.repeats), agreement(10 * options.alone), memory(options.count)
+    ]  # fmt: skip
+    for table in tables:
+        print(table.markdown(), flush=True)
+    if options.json is not None:
+        record = {"machine": measuring.machine(), "idle": idle, "tables": [table.record() for table in tables]}
+        options.json.write_text(json.dumps(record, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
