@@ -28,7 +28,7 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
         with _opened(option, output, output, binary) as stream:
             yield stream
     else:
-        _check_place(option, output)
+        check_place(option, output)
         target = output.resolve()  # a link stays a link
         partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
         stream = _opened(option, output, partial, binary)
@@ -50,7 +50,8 @@ def is_device(output: pathlib.Path) -> bool:
     return of_the_system or of_a_process or (os.path.exists(output) and not is_file_or_folder)
 
 
-def _check_place(option: str, output: pathlib.Path) -> None:
+def check_place(option: str, output: pathlib.Path) -> None:
+    """Raises `DestinationError` where a file cannot be written: in no folder, onto a folder, without permission."""
     with _failure_told(option, output), contextlib.suppress(FileNotFoundError):
         output.stat()
     if output.is_dir():

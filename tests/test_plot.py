@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import sys
 
 import jax.numpy as jnp
@@ -12,7 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxgeo import plot
-from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.coverage import Footprint, Overlap
+from jaxgeo.earth import WGS84, Geodetic, TransverseMercator
 from jaxgeo.fix import Fix
 from jaxgeo.plot.cloud import ground_about
 from jaxgeo.status import Status
@@ -302,3 +304,91 @@ def test_without_matplotlib_the_import_says_what_to_install(monkeypatch) -> None
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxgeo\[plot\]'"):
         importlib.import_module("jaxgeo.plot")
+
+
+PLACE = Geodetic.from_degrees(lat=44.02, lon=5.03, height=500.0)
+RING = np.array([[0.0, 0.0], [900.0, 0.0], [1800.0, 0.0], [1800.0, 900.0], [0.0, 900.0]])  # m east and north
+
+
+def outlined(*, lost: tuple[int, ...] = (), hidden: tuple[int, ...] = ()) -> Footprint:
+    """The footprint of a ring of places, of which some see nothing, and some lie before a jump."""
+    count = len(RING)
+    metres = math.radians(1.0) * 6.37e6
+    lat = np.deg2rad(44.02 + RING[:, 1] / metres)
+    lon = np.deg2rad(5.03 + RING[:, 0] / metres / math.cos(math.radians(44.02)))
+    status = np.full(count, Status.hit, np.int8)
+    status[list(lost)] = Status.rises_away
+    lat, lon = (np.where(status == Status.hit, x, np.nan) for x in (lat, lon))
+    number = np.ones(count)
+    position = Geodetic(lat=lat, lon=lon, height=np.full(count, 500.0))
+    fix = Fix(position, np.zeros((count, 3)), number, number, number, number, jnp.asarray(status))
+    jumps = np.isin(np.arange(count), hidden)
+    whole = np.asarray(Status.crosses_horizon if lost else Status.hit, np.int8)
+    outline = np.where((status == Status.hit)[:, None], RING, np.nan)
+    return Footprint(RING, fix, jumps, outline, whole, TransverseMercator.gauss_krueger(PLACE.lon))
+
+
+def drawn(ax, dashes: str) -> np.ndarray:
+    """All places on lines of one kind, (n, 2), without what parts them."""
+    lines = [np.asarray(line.get_xydata()) for line in ax.lines if line.get_linestyle() == dashes]
+    places = np.concatenate(lines)
+    return places[np.isfinite(places).all(axis=1)]
+
+
+def test_footprints_in_kilometres(ax) -> None:
+    handles = plot.footprints([outlined(), outlined()], ax, labels=["one", "other"], origin=PLACE)
+    assert [handle.get_label() for handle in handles] == ["one", "other"]
+    np.testing.assert_allclose(drawn(ax, "-")[:6], 1e-3 * np.append(RING, RING[:1], axis=0), rtol=0, atol=0.01)
+    assert drawn(ax, "--").size == drawn(ax, ":").size == 0
+    assert ax.get_xlabel() == "east, km"
+    assert ax.get_aspect() == 1.0
+
+
+def test_what_footprints_hide_and_miss(ax) -> None:
+    """A jump is dashed; from where the outline leaves the ground to where it comes back a dotted line goes."""
+    handles = plot.footprints([outlined(lost=(2,), hidden=(3,))], ax, dem=north_up())
+    assert [handle.get_label() for handle in handles[1:]] == [
+        "nearer ground hides the way",
+        "no ground is seen between",
+    ]
+    lon, lat = plot.lonlat_deg(outlined().fix.position)
+    places = np.stack([lon, lat], axis=-1)
+    np.testing.assert_allclose(drawn(ax, "--"), places[[3, 4]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(drawn(ax, ":"), places[[1, 3]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(drawn(ax, "-"), places[[0, 1, 3, 4, 0]], rtol=0, atol=1e-12)
+    assert len(ax.collections) == 1, "the relief"
+
+
+def test_footprints_that_cannot_be_drawn(ax) -> None:
+    for seen, labels, words in (
+        ([], None, "got 0 footprints"),
+        ([outlined()], ["one", "two"], "labels must name"),
+        ([outlined(lost=(0, 1, 2, 3, 4))], None, "crosses the horizon"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            plot.footprints(seen, ax, labels=labels)
+
+
+def overlaps(along: list[list[float]], status: Status = Status.hit) -> Overlap:
+    values = jnp.array(along)
+    count, stations = values.shape
+    across = jnp.broadcast_to(jnp.linspace(1000.0, 3000.0, stations), values.shape)
+    number, codes = np.zeros(count), np.full(count, status, np.int8)
+    return Overlap(values[:, 0], values[:, -1], values.min(axis=1), values, across, number, number, number, codes)
+
+
+def test_overlap_along_and_its_gap(ax) -> None:
+    handles = plot.overlap_along(overlaps([[-0.05, 0.1, 0.2]]), ax, wished=0.15)
+    np.testing.assert_allclose(ax.lines[0].get_xydata(), [[0.0, -5.0], [1.0, 10.0], [2.0, 20.0]], rtol=0, atol=1e-9)
+    assert [handle.get_label() for handle in handles] == ["overlap", "wished 15%", "gap between the images"]
+    assert ax.get_xlim() == (0.0, 2.0)
+
+
+def test_overlap_of_many_pairs(ax) -> None:
+    """Those that see no ground have no line; of none that do there is nothing to draw."""
+    many = [[0.1, 0.1, 0.2], [np.nan] * 3, [0.15, 0.2, 0.3]]
+    handles = plot.overlap_along(overlaps(many), ax)
+    assert len(ax.lines) == 2
+    assert len(handles) == 1
+    with pytest.raises(ValueError, match="leaves over the terrain's edge"):
+        plot.overlap_along(overlaps([[np.nan] * 3], Status.leaves_terrain), ax)

@@ -1,11 +1,19 @@
-"""The command line: `jaxgeo locate` for pixels and tables of shots, `jaxgeo demo` for a first look, `jaxgeo study`."""
+"""The command line.
+
+`jaxgeo locate` for pixels and tables of shots; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera
+will look, and when; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
+"""
 
 from __future__ import annotations
 
 import typer
 
 from jaxgeo.cli.demo import demo_command
+from jaxgeo.cli.footprint import footprint_command
 from jaxgeo.cli.locate import locate_command
+from jaxgeo.cli.overlap import overlap_command
+from jaxgeo.cli.plan import plan_command
+from jaxgeo.cli.point import point_command
 from jaxgeo.cli.study import studies
 
 app = typer.Typer(
@@ -15,6 +23,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("locate")(locate_command)
+app.command("footprint")(footprint_command)
+app.command("point")(point_command)
+app.command("overlap")(overlap_command)
+app.command("plan")(plan_command)
 app.command("demo")(demo_command)
 app.add_typer(studies, name="study")
 

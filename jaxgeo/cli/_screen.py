@@ -27,14 +27,15 @@ def progress_bar() -> Progress:
     return Progress(*columns, console=stderr(), transient=True)
 
 
-def print_counts(counts: dict[str, int], total: int) -> None:
-    """How many pixels have which status, and what each means, on stderr."""
+def print_counts(counts: dict[str, int], total: int, noun: str = "pixel", hit: str | None = None) -> None:
+    """How many pixels, or what else, have which status, and what each means (`hit` says what that one), on stderr."""
     from jaxgeo.status import Status
 
     console = stderr()
-    console.print(f"{total} pixel{'s' if total != 1 else ''}:", highlight=False)
+    console.print(f"{total} {noun}{'s' if total != 1 else ''}:", highlight=False)
     for name, count in sorted(counts.items(), key=lambda item: Status[item[0]]):
-        console.print(f"  {count:>7}  {name}: {Status[name].message}", highlight=False, soft_wrap=True)
+        meaning = hit if hit is not None and name == Status.hit.name else Status[name].message
+        console.print(f"  {count:>7}  {name}: {meaning}", highlight=False, soft_wrap=True)
 
 
 def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
@@ -60,6 +61,17 @@ def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
         table.add_column(header, justify="left" if name == "status" else "right", no_wrap=name != "status")
     for row in rows:
         cells = [("" if row[name] is None else format(_plain(row[name]), spec)) for name, (_, spec) in columns.items()]
+        table.add_row(*cells, style=None if row["status"] == "hit" else "yellow")
+    return table
+
+
+def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str) -> Table:
+    """Rows as a table for the screen: `columns` name the cells shown, with a header and a format; None is blank."""
+    table = Table(caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
+    for header, spec in columns.values():
+        table.add_column(header, justify="right" if spec else "left", no_wrap=True)
+    for row in rows:
+        cells = ["" if row[name] is None else format(row[name], spec) for name, (_, spec) in columns.items()]
         table.add_row(*cells, style=None if row["status"] == "hit" else "yellow")
     return table
 

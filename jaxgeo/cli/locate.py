@@ -13,6 +13,8 @@ from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
 from jaxgeo.cli._common import Traceback, UserError, mistakes_told, name_says
+from jaxgeo.cli._inputs import height_datum_of, read_terrain, shot_of
+from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
 from jaxgeo.cli._screen import fix_table, print_counts, progress_bar
 
 CHUNKS = (16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
@@ -27,13 +29,11 @@ class Format(StrEnum):
 
 
 def locate_command(
-    scene: Annotated[pathlib.Path, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")],
-    dem: Annotated[list[pathlib.Path], typer.Option(help="Elevation model; repeat it for several tiles.")],
+    scene: SceneFile,
+    dem: DemFiles,
     pixel: Annotated[list[str] | None, typer.Option(help="COLUMN,ROW of a pixel; repeat it for more.")] = None,
     shots: Annotated[pathlib.Path | None, typer.Option(help="CSV with a shot and a pixel in each row.")] = None,
-    vertical_datum: Annotated[
-        str | None, typer.Option(help='What the DEM heights are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.')
-    ] = None,
+    vertical_datum: VerticalDatum = None,
     output_format: Annotated[
         Format | None,
         typer.Option("--format", help="Default: by the name of --output; on the screen table, or csv for shots."),
@@ -61,7 +61,6 @@ def _locate(
     if bool(pixels) == (shots_path is not None):
         raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
     from jaxgeo._checks import enable_x64
-    from jaxgeo.io import read_dem
     from jaxgeo.io.scene import read_scene
 
     enable_x64()
@@ -71,7 +70,7 @@ def _locate(
         if shots_path is None
         else _work_of_shots(scene, scene_path, shots_path)
     )
-    terrain = read_dem([str(path) for path in dem_paths], vertical_datum=_datum(vertical_datum))
+    terrain = read_terrain(dem_paths, vertical_datum)
     _write_rows(_located_rows(scene, *work, terrain), scene.sensor.gimbal.names, output_format, stream)
 
 
@@ -92,12 +91,9 @@ def _work_of_pixels(scene: Any, path: pathlib.Path, pixels: list[str]) -> tuple[
     import jax
     import numpy as np
 
-    from jaxgeo.io.scene import SceneError
-
-    if scene.shot is None:
-        raise SceneError(f"{path}: [pose] is missing; --pixel needs it (a table of poses is given with --shots).")
+    shot = shot_of(scene, path, "--pixel")
     uv = np.array([_parsed_pixel(text) for text in pixels])
-    shots = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(uv), *np.shape(leaf))), scene.shot)
+    shots = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(uv), *np.shape(leaf))), shot)
     return shots, uv, [{"u": float(u), "v": float(v)} for u, v in uv]
 
 
@@ -114,14 +110,10 @@ def _work_of_shots(scene: Any, path: pathlib.Path, shots_path: pathlib.Path) -> 
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
-    if scene.height_datum is None:
-        raise SceneError(
-            f"{path}: what are the heights of {shots_path} measured from? Say it in the scene file: "
-            f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
-        )
+    height_datum = height_datum_of(scene, path, shots_path)
     table = read_shots(shots_path, scene.sensor.gimbal.names)
     try:
-        return (*table.as_records(scene.sensor.gimbal.names, scene.height_datum), table.rows)
+        return (*table.as_records(scene.sensor.gimbal.names, height_datum), table.rows)
     except ValueError as error:  # the datum's grid does not reach a shot
         raise SceneError(f"{path}, with the heights of {shots_path}: {error}") from error
 
@@ -184,11 +176,3 @@ def _chosen_format(asked: Format | None, output: pathlib.Path | None, shots: pat
         f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(by_name)}, "
         f"or say --format table, csv or geojson."
     )
-
-
-def _datum(text: str | None) -> str | float | None:
-    """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
-    try:
-        return None if text is None else float(text) if not text.isdigit() else int(text)
-    except ValueError:
-        return text

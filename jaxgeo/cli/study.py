@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pathlib
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -13,12 +14,28 @@ from jaxgeo.cli._screen import tell
 
 studies = typer.Typer(help="What papers print, made again.", no_args_is_help=True)
 
+Folder = Annotated[
+    pathlib.Path | None,
+    typer.Option("--output", help="Folder for tables (CSV, Markdown) and pictures; none if left out."),
+]
+
+
+@studies.command("li2020")
+def li2020_command(output: Folder = None, traceback: Traceback = False) -> None:
+    """The overlap analysis of Li et al. (2020) beside ours: attitude, compensation, strips in flight, timing.
+
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
+    """
+    with mistakes_told(traceback):
+        _begin(output)
+        from jaxgeo.studies import li2020
+
+        _show(li2020, li2020.run, output)
+
 
 @studies.command("li2023")
 def li2023_command(
-    output: Annotated[
-        pathlib.Path | None, typer.Option(help="Folder for tables (CSV, Markdown) and pictures; none if left out.")
-    ] = None,
+    output: Folder = None,
     samples: Annotated[int, typer.Option(help="Samples for each row of a table.")] = 50_000,
     seed: Annotated[int, typer.Option(help="Of the samples.")] = 0,
     traceback: Traceback = False,
@@ -28,28 +45,34 @@ def li2023_command(
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
     with mistakes_told(traceback):
-        _study_li2023(output, samples, seed)
+        _begin(output)
+        from jaxgeo.studies import li2023
+
+        _show(li2023, lambda: li2023.run(samples=samples, seed=seed), output)
 
 
-def _study_li2023(folder: pathlib.Path | None, samples: int, seed: int) -> None:
-    """Tables on the screen, files into a folder that is made before the work."""
+def _begin(folder: pathlib.Path | None) -> None:
+    """The folder is made before the work."""
     from jaxgeo._checks import enable_x64
-    from jaxgeo.studies import li2023
 
     compile_quickly()
     enable_x64()
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
+
+
+def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None) -> None:
+    """Tables on the screen, and with pictures into a folder."""
     console = Console()
-    with console.status("compiling and sampling ..."):
-        report = li2023.run(samples=samples, seed=seed)
-    for sheet in li2023.sheets_of(report):
+    with console.status("computing ..."):
+        report = run()
+    for sheet in study.sheets_of(report):
         console.print(sheet.to_rich())
     if folder is None:
         return
-    li2023.write_tables(report, folder)
+    study.write_tables(report, folder)
     try:
-        li2023.write_pictures(report, folder)
+        study.write_pictures(report, folder)
     except ImportError as error:
         tell(f"there are no pictures, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(1) from None

@@ -37,7 +37,8 @@ FIX_COLUMNS = {
 
 @dataclass(frozen=True)
 class ShotTable:
-    """Shots and pixels of a CSV file: the numbers by column, and every row as it was written, to be carried through."""
+    """Shots of a CSV file, with a pixel or without: the numbers by column, and every row as it was written, to be
+    carried through."""
 
     numbers: dict[str, np.ndarray]
     rows: list[Row]
@@ -47,10 +48,13 @@ class ShotTable:
 
     def as_records(self, readings: Sequence[str], height_datum: str | float) -> tuple[Shot, np.ndarray]:
         """(shots, pixels): a batch of n shots and their pixels (n, 2), heights made ellipsoidal."""
-        n = self.numbers
-        angles = readings_of(n, readings, len(self))
-        shots = Shot(poses_of(n, height_datum), angles, np.zeros(len(self)))
-        return shots, np.stack([n["u"], n["v"]], axis=-1)
+        pixels = np.stack([self.numbers[name] for name in PIXEL_COLUMNS], axis=-1)
+        return self.shots(readings, height_datum), pixels
+
+    def shots(self, readings: Sequence[str], height_datum: str | float) -> Shot:
+        """A batch of n shots, heights made ellipsoidal."""
+        angles = readings_of(self.numbers, readings, len(self))
+        return Shot(poses_of(self.numbers, height_datum), angles, np.zeros(len(self)))
 
 
 def poses_of(numbers: Mapping[str, np.ndarray], height_datum: str | float) -> Pose:
@@ -71,23 +75,24 @@ def readings_of(numbers: Mapping[str, np.ndarray], readings: Sequence[str], coun
     return np.reshape(angles, (len(readings), count)).T
 
 
-def number_columns(readings: Iterable[str]) -> dict[str, Limits]:
-    """(lowest value, highest value, unit) of every column that a table of shots must have.
+def number_columns(readings: Iterable[str], *, pixels: bool = True) -> dict[str, Limits]:
+    """(lowest value, highest value, unit) of every column that a table of shots must have, with pixels or without.
 
     `readings` are the gimbal's names; their columns are `gimbal_<name>_deg`.
     """
-    return POSE_COLUMNS | gimbal_columns(readings) | PIXEL_COLUMNS
+    return POSE_COLUMNS | gimbal_columns(readings) | (PIXEL_COLUMNS if pixels else {})
 
 
-def read_shots(path: str | os.PathLike[str], readings: Sequence[str]) -> ShotTable:
+def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels: bool = True) -> ShotTable:
     """One shot and pixel for each row of a CSV file; `readings` are the gimbal's names (columns `gimbal_<name>_deg`).
 
-    Other columns are carried through. A number written as `nan` is taken as unknown: its fix is `invalid_input`.
+    Without `pixels`, of whole images, columns `u` and `v` need not be there, and names of columns are not reserved for
+    fixes. Other columns are carried through. A number written as `nan` is taken as unknown: its fix is `invalid_input`.
     Raises `TableError` for a missing or doubled column, a row of another length, and a cell that is no number or out of
     range, another separator than the comma, and a file that cannot be opened; `FileNotFoundError`.
     """
-    wanted = number_columns(readings)
-    table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS)
+    wanted = number_columns(readings, pixels=pixels)
+    table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS if pixels else ())
     numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
     return ShotTable(numbers, table.rows)
 

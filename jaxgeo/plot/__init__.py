@@ -11,6 +11,7 @@ except ImportError as error:
 
 from jaxgeo.plot.accuracy import accuracy_map, budget_bars
 from jaxgeo.plot.cloud import error_cloud
+from jaxgeo.plot.coverage import footprints, overlap_along
 from jaxgeo.plot.maps import (
     EDGE,
     FIX,
@@ -45,11 +46,13 @@ __all__ = [
     "error_cloud",
     "fixes",
     "footprint",
+    "footprints",
     "hidden_ground",
     "hillshade",
     "lonlat_deg",
     "map_axes",
     "north_arrow",
+    "overlap_along",
     "post_positions",
     "scale_bar",
     "shaded_relief",

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 
 import numpy as np
 import pytest
 
 from jaxgeo.studies import li2020
 from jaxgeo.studies.li2020 import printed
+from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, outlines
 from jaxgeo.studies.li2020.flight import mean_depression, overlap_of_azimuth_error
+from jaxgeo.studies.li2020.influence import folding
+from jaxgeo.studies.li2020.strips import MOUNTAINS, PLAIN
 
 
 @pytest.fixture(scope="module")
 def report() -> li2020.Report:
-    return li2020.run()
+    return li2020.run(flights=False)
 
 
 def column(report: li2020.Report, angle: str, field: str) -> np.ndarray:
@@ -118,3 +122,45 @@ def test_tables_show_what_was_found(report, tmp_path) -> None:
         rows = list(csv.reader(stream))
     assert float(rows[1][1]) == pytest.approx(report.sightings[0].azimuth, abs=1e-12)
     assert sheets["sightings"].to_rich().row_count == 5
+
+
+def test_pictures_lie_where_the_records_say(report, tmp_path) -> None:
+    """Figs. 7 and 8: compensation brings the strip back to where it is expected; a picture is made of each figure."""
+    found = outlines()
+    expected, actual, compensated = (found.footprints[name] for name in (EXPECTED, ACTUAL, COMPENSATED))
+    middles = [np.asarray(one.fix.ecef).mean(axis=0) for one in (expected, actual, compensated)]
+    off, left = (float(np.linalg.norm(middle - middles[0])) for middle in middles[1:])
+    assert off > 1500.0  # m
+    assert left < 20.0
+    middle = {name: float(one.along[len(one.along) // 2]) for name, one in found.overlaps.items()}
+    assert middle[EXPECTED] == pytest.approx(printed.OVERLAP, abs=2e-3)
+    assert middle[COMPENSATED] == pytest.approx(printed.OVERLAP, abs=0.02)
+    assert middle[ACTUAL] < -1.0
+    li2020.write_pictures(report, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"footprints.png", "attitude.png", "folding.png"}
+
+
+def test_folding() -> None:
+    """Along the flight the overlap goes on rising with Eq 18; the distance of Eq 16 turns back at 0.78 deg."""
+    turns = np.linspace(0.0, 1.2, 61)
+    formula, along, distance = folding(turns)
+    np.testing.assert_allclose(along, formula, rtol=0, atol=5e-4)
+    assert turns[np.argmax(distance)] == pytest.approx(0.78, abs=0.02)
+    assert distance[-1] < 0.5 * along[-1]
+
+
+@pytest.mark.slow
+def test_strips_over_a_plain_and_over_mountains(report, tmp_path) -> None:
+    """Figs. 11 and 12 in kind: a fixed period keeps its mean over the plain it was planned for, and half of it is lost
+    over mountains; timing by the ground keeps to the wish over both."""
+    found = {(one.ground, one.timing): one for one in li2020.strips()}
+    assert found[PLAIN, "fixed period"].near.mean() == pytest.approx(printed.OVERLAP, abs=0.01)
+    assert found[MOUNTAINS, "fixed period"].near.mean() == pytest.approx(printed.MOUNTAIN_FLOWN, abs=0.03)
+    assert found[MOUNTAINS, "fixed period"].near.min() < 0.05
+    assert found[PLAIN, "velocity-height"].rms < 0.005
+    for ground in (PLAIN, MOUNTAINS):
+        assert found[ground, "ground shared"].rms < 1e-3
+    flown = dataclasses.replace(report, strips=list(found.values()))
+    assert li2020.sheets_of(flown)[-1].texts()[3][3] == "7%"
+    li2020.write_pictures(flown, tmp_path)
+    assert (tmp_path / "strips.png").exists()

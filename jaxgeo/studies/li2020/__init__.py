@@ -4,7 +4,8 @@ oblique aerial camera", made again: its tables beside what the same inputs give 
 from jaxgeo.studies.li2020.compensation import Compensation, compensations
 from jaxgeo.studies.li2020.flight import Sighting, StripPair, pairs, sightings
 from jaxgeo.studies.li2020.influence import Influence, tables_1_to_3
-from jaxgeo.studies.li2020.report import Report, run, sheets_of, write_tables
+from jaxgeo.studies.li2020.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.li2020.strips import Strips, strips
 from jaxgeo.studies.li2020.timing import Mountain, Period, mountain, periods
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "Report",
     "Sighting",
     "StripPair",
+    "Strips",
     "compensations",
     "mountain",
     "pairs",
@@ -22,6 +24,8 @@ __all__ = [
     "run",
     "sheets_of",
     "sightings",
+    "strips",
     "tables_1_to_3",
+    "write_pictures",
     "write_tables",
 ]

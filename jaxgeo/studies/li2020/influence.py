@@ -57,12 +57,7 @@ def tables_1_to_3() -> list[Influence]:
     length stays that of the first strip, as in Eqs 18 and 19; a roll gives the second one another, as in Eq 22.
     """
     attitudes = np.array([_attitude(angle, change) for angle in printed.TABLES for change in printed.CHANGES])
-    metres = float(WGS84.meridian_radius(jnp.deg2rad(START.lat))) + START.height_above_ground
-    flown = 400.0
-    lat = math.radians(START.lat)
-    step, length = (float(x) for x in _overlaps(lat, lat - flown / metres, attitudes)[1])
-    flown *= (1.0 - printed.OVERLAP) * length / step
-    found = np.asarray(_overlaps(lat, lat - flown / metres, attitudes)[0]).reshape(len(printed.TABLES), -1, 3)
+    found = _changes(attitudes).reshape(len(printed.TABLES), -1, 3)
     return [
         Influence(angle, change, shown, formula, *numbers)
         for (angle, row), by_change in zip(printed.TABLES.items(), found.tolist(), strict=True)
@@ -70,6 +65,27 @@ def tables_1_to_3() -> list[Influence]:
             printed.CHANGES, row, FORMULAS[angle](np.radians(printed.CHANGES)).tolist(), by_change, strict=True
         )
     ]
+
+
+def folding(changes_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Change of the overlap by changes of heading (n,) in deg: by Eq 18, by the step along the flight, and by the
+    distance of Eq 16, both with the frame of the slant range."""
+    found = _changes(np.array([_attitude("heading", change) for change in changes_deg]))
+    return np.asarray(FORMULAS["heading"](np.radians(changes_deg))), found[:, 0], found[:, 2]
+
+
+def wished_flight() -> tuple[float, float]:
+    """Latitudes in rad of the two strips: flown south until the frames overlap as wished on the map."""
+    metres = float(WGS84.meridian_radius(jnp.deg2rad(START.lat))) + START.height_above_ground
+    flown = 400.0
+    lat = math.radians(START.lat)
+    step, length = (float(x) for x in _overlaps(lat, lat - flown / metres, np.zeros((1, 3)))[1])
+    return lat, lat - flown * (1.0 - printed.OVERLAP) * length / step / metres
+
+
+def _changes(attitudes: np.ndarray) -> np.ndarray:
+    """Changes of the overlap (n, 3), see `_overlaps`, by attitudes (n, 3) of the second strip."""
+    return np.asarray(_overlaps(*wished_flight(), attitudes)[0])
 
 
 FORMULAS: dict[str, Callable[[np.ndarray], Array]] = {

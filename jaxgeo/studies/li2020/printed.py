@@ -57,15 +57,15 @@ TABLE_4 = (
 CENTRAL_MERIDIAN = 111.0  # deg, that of the six-degree zone of Table 4; the paper names none
 
 ALONG, ACROSS, PIXEL_PITCH = 3072, 4096, 9e-6  # of a detector; only the field of view has a part in the study
+FOCAL_LENGTH = 0.5 * ALONG * PIXEL_PITCH / math.tan(math.radians(0.5 * FIELD_OF_VIEW))  # m
 MIDDLE = ((ACROSS - 1) / 2.0, (ALONG - 1) / 2.0)
 EDGES = ((MIDDLE[0], ALONG - 0.5), MIDDLE, (MIDDLE[0], -0.5))  # rear edge, line of sight, front edge of a frame
 
 
 def sensor(*, mirror: bool) -> Sensor:
     """The camera, with the paper's field along the flight; read by the drives of Table 4 or by the angles of Eq 3."""
-    focal_length = 0.5 * ALONG * PIXEL_PITCH / math.tan(math.radians(0.5 * FIELD_OF_VIEW))
     return li_2020_sensor(
-        focal_length=focal_length,
+        focal_length=FOCAL_LENGTH,
         pixel_pitch=PIXEL_PITCH,
         along_flight=ALONG,
         across_flight=ACROSS,

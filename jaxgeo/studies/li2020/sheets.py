@@ -10,6 +10,7 @@ from jaxgeo.studies.li2020 import printed
 from jaxgeo.studies.li2020.compensation import Compensation
 from jaxgeo.studies.li2020.flight import Sighting, StripPair, mean_depression, overlap_of_azimuth_error
 from jaxgeo.studies.li2020.influence import Influence
+from jaxgeo.studies.li2020.strips import HEIGHT, OFF_NADIR, PLANNED, SPEED, SWING, Strips
 from jaxgeo.studies.li2020.timing import Mountain, Period
 from jaxgeo.studies.sheet import Cell, Sheet
 
@@ -126,3 +127,32 @@ def timing_sheet(found: Sequence[Period], over: Mountain) -> Sheet:
     )
     columns = {"figure": "", "printed": ".4g", "obtained": ".4g", "remark": ""}
     return Sheet("timing", "Mountain and periods (sections 3.2 to 4)", columns, rows, note)
+
+
+def strips_sheet(found: Sequence[Strips]) -> Sheet:
+    """Figs. 11 and 12 in kind."""
+    shown = {("plain", "fixed period"): printed.FLOWN, ("mountains", "fixed period"): printed.MOUNTAIN_FLOWN}
+    rows: list[list[Cell]] = [
+        [
+            one.ground,
+            one.timing,
+            len(one.times),
+            shown.get((one.ground, one.timing)),
+            float(one.near.mean()),
+            float(one.near.min()),
+            float(one.near.max()),
+            one.rms,
+        ]
+        for one in found
+    ]
+    columns = {"ground": "", "timing": "", "strips": "d", "printed": ".0%", "mean": ".1%", "least": ".1%"}
+    columns |= {"largest": ".1%", "rms off": ".2%"}
+    note = (
+        f"In kind, not the paper's flight: its camera {OFF_NADIR:.0f}° off nadir, {HEIGHT:.0f} m above the ellipsoid "
+        f"at {SPEED:.0f} m/s, both swinging by {SWING:.0%}, over level ground and over the mountains of the example "
+        f"terrain; overlap at the near end, and its rms off {printed.OVERLAP:.0%}. The fixed "
+        f"period is that of Eq 29 for ground at {PLANNED:.0f} m, the means "
+        "without the swings; velocity-height is Eq 36 over the ground that the near end sees; ground shared times by "
+        "the overlap itself. Printed: of the paper's images over a plain and over mountains that nobody planned for."
+    )
+    return Sheet("strips", "Strips over a plain and over mountains (Figs. 11 and 12 in kind)", columns, rows, note)

@@ -1,0 +1,111 @@
+"""What commands read: terrain, tables of shots and navigation records, each with the scene that they belong to."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Iterator
+from typing import Any
+
+from jaxgeo.cli._common import UserError
+
+
+def read_terrain(paths: list[pathlib.Path], vertical_datum: str | None) -> Any:
+    """The elevation model of one file or several tiles."""
+    from jaxgeo.io import read_dem
+
+    return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
+
+
+def datum(text: str | None) -> str | float | None:
+    """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
+    try:
+        return None if text is None else float(text) if not text.isdigit() else int(text)
+    except ValueError:
+        return text
+
+
+def said_datum(text: str) -> str | float:
+    """A datum as scene files have it, from the command line: a number is an undulation in m."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
+    """The shot of a scene; raises `SceneError` where it has none."""
+    from jaxgeo.io.scene import SceneError
+
+    if scene.shot is None:
+        raise SceneError(f"{path}: [pose] is missing; {needed_by} needs it.")
+    return scene.shot
+
+
+def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None = None) -> str | float:
+    """What the heights of a table are measured from: as asked, or as the scene says, which otherwise is refused."""
+    from jaxgeo.io.scene import SceneError
+
+    stated = scene.height_datum if asked is None else said_datum(asked)
+    if stated is None:
+        raise SceneError(
+            f"{path}: what are the heights of {table} measured from? Say it in the scene file: "
+            f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
+        )
+    return stated
+
+
+def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
+    """(a batch of shots, their rows as written) of a table without pixels."""
+    from jaxgeo.io.scene import SceneError
+    from jaxgeo.io.tables import read_shots
+
+    stated = height_datum_of(scene, path, table, asked)
+    names = scene.sensor.gimbal.names
+    found = read_shots(table, names, pixels=False)
+    try:
+        return found.shots(names, stated), found.rows
+    except ValueError as error:  # the datum is unknown, or its grid does not reach a shot
+        raise SceneError(f"{path}, with the heights of {table}: {error}") from error
+
+
+def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> Any:
+    """The flight of a file of navigation records; the gimbal stays as in the scene where they do not say how it turns.
+
+    Raises `UserError` where nobody says it.
+    """
+    from jaxgeo.io import read_navigation
+    from jaxgeo.io._csv import gimbal_columns, read_csv
+
+    names = scene.sensor.gimbal.names
+    columns = list(gimbal_columns(names))
+    header = read_csv(table, "file of navigation records", ()).header
+    held = None
+    if columns and not set(columns) & set(header):
+        if scene.shot is None:
+            raise UserError(
+                f"{table}: no column {', '.join(columns)}, and {path} has no [pose] with readings in [gimbal] to hold."
+            )
+        held = scene.shot.gimbal_readings
+    stated = height_datum_of(scene, path, table, asked)
+    return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
+
+
+def single(batch: Any) -> Iterator[Any]:
+    """The items of a batch of records, one by one, as arrays of JAX."""
+    import jax
+    import jax.numpy as jnp
+
+    leaves, form = jax.tree.flatten(batch)
+    for items in zip(*(jnp.asarray(leaf) for leaf in leaves), strict=True):
+        yield jax.tree.unflatten(form, items)
+
+
+def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
+    """Numbers with commas between; raises `UserError` for other text, and unless there are as many as one of counts."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in counts:
+        raise UserError(f"{option} {text!r}: expected {form}.")
+    return found

@@ -1,0 +1,136 @@
+"""`jaxgeo footprint`: the ground that images cover."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from jaxgeo._destination import check_place
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
+from jaxgeo.cli._inputs import read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._options import DemFiles, HeightDatum, SceneFile, ShotsFile, VerticalDatum
+from jaxgeo.cli._screen import number_table, print_counts, progress_bar
+
+ENDINGS = (".geojson", ".json", ".gpkg")
+COLUMNS = {
+    "shot": ("shot", "d"),
+    "area_km2": ("area, km2", ".3f"),
+    "hidden_m": ("hidden, m", ".1f"),
+    "columns_m": ("columns", ".3f"),
+    "rows_m": ("rows", ".3f"),
+    "along_m": ("along", ".3f"),
+    "across_m": ("across", ".3f"),
+    "status": ("status", ""),
+}
+CAPTION = (
+    "hidden: length of the outline over ground that nearer ground hides; m that the ground moves from a column to the "
+    "next, from a row to the next, and for a pixel along and across the line of sight, at the middle of the image"
+)
+
+
+def footprint_command(
+    scene: SceneFile,
+    dem: DemFiles,
+    shots: ShotsFile = None,
+    vertical_datum: VerticalDatum = None,
+    height_datum: HeightDatum = None,
+    output: Annotated[
+        pathlib.Path | None, typer.Option(help="File to write (.geojson, .json, .gpkg); none if left out.")
+    ] = None,
+    crs: Annotated[str, typer.Option(help='Map of the file: "EPSG:4326", "EPSG:32616", ...')] = "EPSG:4326",
+    tolerance: Annotated[float, typer.Option(help="How near the outline comes to the true one, m.")] = 1.0,
+    edges: Annotated[bool, typer.Option("--edges", help="Also lines along what is seen, and over what is hidden.")] = (
+        False
+    ),
+    traceback: Traceback = False,
+) -> None:
+    """The ground that images cover: outlines for a map, their areas, and how large a pixel is in their middle."""
+    with mistakes_told(traceback):
+        if output is not None:
+            _check_output(output)
+        if not tolerance > 0.0:
+            raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
+        _footprint(scene, dem, shots, (vertical_datum, height_datum), output, (crs, tolerance, edges))
+
+
+def _check_output(output: pathlib.Path) -> None:
+    if output.suffix.lower() not in ENDINGS:
+        raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(ENDINGS)}.")
+    check_place("--output", output)
+
+
+def _footprint(
+    scene_path: pathlib.Path,
+    dem_paths: list[pathlib.Path],
+    shots_path: pathlib.Path | None,
+    datums: tuple[str | None, str | None],
+    output: pathlib.Path | None,
+    drawn: tuple[str, float, bool],
+) -> None:
+    from jaxgeo._checks import enable_x64
+    from jaxgeo.io import write_footprints
+    from jaxgeo.io.footprints import WHOLE
+    from jaxgeo.io.scene import read_scene
+
+    compile_quickly()
+    enable_x64()
+    crs, tolerance, edges = drawn
+    scene = read_scene(scene_path)
+    if shots_path is None:
+        shots, carried = [shot_of(scene, scene_path, "a footprint without --shots")], [{}]
+    else:
+        batch, carried = shots_of(scene, scene_path, shots_path, datums[1])
+        shots = list(single(batch))
+    terrain = read_terrain(dem_paths, datums[0])
+    outlines, rows = [], []
+    with progress_bar() as progress:
+        for index, shot in enumerate(progress.track(shots, description="outlining")):
+            outline, row = _outlined(scene, shot, terrain, tolerance)
+            outlines.append(outline)
+            rows.append({"shot": index, **row})
+    if output is not None:
+        write_footprints(output, outlines, crs=crs, attributes=_attributes(carried), edges=edges)
+    Console(width=None if Console().is_terminal else 160).print(number_table(rows, COLUMNS, CAPTION))
+    names = [row["status"] for row in rows]
+    print_counts({name: names.count(name) for name in names}, len(names), "footprint", WHOLE)
+
+
+def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
+    """(the footprint of a shot, its numbers)."""
+    from jaxgeo.coverage import footprint, ground_sampling
+    from jaxgeo.status import Status
+
+    camera, air = scene.sensor.camera, scene.atmosphere
+    middle = [0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]
+    outline = footprint(scene.sensor, shot, terrain, tolerance=tolerance, atmosphere=air)
+    pixel = ground_sampling(scene.sensor, shot, middle, terrain, atmosphere=air)
+    sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
+    area = _known(1e-6 * outline.area)
+    row = {"area_km2": area, "hidden_m": _known(outline.hidden_length), **sizes}
+    return outline, {**row, "status": Status(int(outline.status)).name}
+
+
+def _known(number: Any) -> float | None:
+    return float(number) if math.isfinite(number) else None
+
+
+def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
+    """What a table of shots says of them, but for names that the file has by itself: numbers where all are."""
+    from jaxgeo.io.footprints import TAKEN
+
+    rows = list(carried)
+    kept = [name for name in rows[0] if name.lower() not in TAKEN]
+    columns = {name: _numbers_or_texts([row[name] for row in rows]) for name in kept}
+    return [{name: columns[name][index] for name in kept} for index in range(len(rows))]
+
+
+def _numbers_or_texts(cells: list[str]) -> list[Any]:
+    try:
+        return [float(cell) if cell.strip() else None for cell in cells]
+    except ValueError:
+        return list(cells)

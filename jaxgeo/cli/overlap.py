@@ -1,0 +1,168 @@
+"""`jaxgeo overlap`: how much of the ground each image shares with the one before."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pathlib
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from jaxgeo._destination import destination, is_device
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
+from jaxgeo.cli._inputs import read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._options import Along, DemFiles, HeightDatum, NavigationFile, SceneFile, ShotsFile, VerticalDatum
+from jaxgeo.cli._screen import number_table, print_counts, progress_bar
+
+DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
+COLUMNS = {
+    "before": ("image", ""),
+    "after": ("next", ""),
+    "near": ("near", ".4f"),
+    "far": ("far", ".4f"),
+    "least": ("least", ".4f"),
+    "side": ("side", ".4f"),
+    "area": ("area", ".4f"),
+    "step_m": ("step, m", ".1f"),
+    "status": ("status", ""),
+}
+CAPTION = (
+    "near, far, least: share of the first image's length along the flight at its near end, its far end, and where it "
+    "is least; side: share of its extent across the flight that both reach; area: share of its area"
+)
+BOTH = "All of both images' edges sees ground, and they reach over the same of it."
+
+
+class Format(StrEnum):
+    """How overlaps are written."""
+
+    table = "table"
+    csv = "csv"
+
+
+def overlap_command(
+    scene: SceneFile,
+    dem: DemFiles,
+    navigation: NavigationFile = None,
+    times: Annotated[str | None, typer.Option(help="T1,T2[,...]: when images are taken, s, with --navigation.")] = None,
+    shots: ShotsFile = None,
+    along: Along = None,
+    vertical_datum: VerticalDatum = None,
+    height_datum: HeightDatum = None,
+    output_format: Annotated[
+        Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
+    ] = None,
+    output: Annotated[pathlib.Path | None, typer.Option(help="File to write (.csv); the screen if left out.")] = None,
+    traceback: Traceback = False,
+) -> None:
+    """How much of the ground each image shares with the one before it, one row for each pair."""
+    with mistakes_told(traceback):
+        chosen = _chosen_format(output_format, output)
+        moments = _moments(navigation, times, shots)
+        with destination("--output", output) as stream:
+            from jaxgeo._checks import enable_x64
+            from jaxgeo.io.scene import read_scene
+
+            compile_quickly()
+            enable_x64()
+            given = read_scene(scene)
+            if navigation is not None:
+                images = _exposures(given, scene, navigation, moments, height_datum)
+            else:
+                images = _images(given, scene, shots, height_datum)
+            terrain = read_terrain(dem, vertical_datum)
+            _write(_overlaps(given, images, terrain, None if along is None else along.value), chosen, stream)
+
+
+def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:
+    if asked is not None:
+        return asked
+    if output is None or is_device(output):
+        return Format.table
+    if output.suffix.lower() == ".csv":
+        return Format.csv
+    raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv, or say --format table.")
+
+
+def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
+    """The times asked for, in s."""
+    if (navigation is None) == (shots is None) or (navigation is None) != (times is None):
+        raise UserError("give either --navigation FILE with --times T1,T2[,...], or --shots FILE.")
+    if times is None:
+        return []
+    try:
+        found = [float(part) for part in times.split(",")]
+    except ValueError:
+        raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.") from None
+    if len(found) < 2:
+        raise UserError(f"--times {times}: fewer than two exposures have no overlap; give two times or more.")
+    for before, after in itertools.pairwise(found):
+        if not after > before:
+            how = "time stands still" if after == before else "time running backwards"
+            raise UserError(f"--times {times}: {how}, from {before:.9g} s to {after:.9g} s; give them in order.")
+    return found
+
+
+def _exposures(
+    scene: Any, path: pathlib.Path, navigation: pathlib.Path, times: list[float], height_datum: str | None
+) -> list[tuple[str, Any]]:
+    """(name, exposure) at times of a flight."""
+    import jax.numpy as jnp
+
+    from jaxgeo.coverage import Exposure
+
+    flight = trajectory_of(scene, path, navigation, height_datum)
+    start, end = float(flight.start), float(flight.end)
+    for time in times:
+        if not start <= time <= end:
+            raise UserError(
+                f"--times: {time:.9g} s is not in {navigation}, which goes from {start:.9g} to {end:.9g} s."
+            )
+    return [(f"{time:.9g} s", Exposure(flight, jnp.asarray(time))) for time in times]
+
+
+def _images(
+    scene: Any, path: pathlib.Path, table: pathlib.Path | None, height_datum: str | None
+) -> list[tuple[str, Any]]:
+    """(name, shot) of a table, in its order."""
+    if table is None:
+        return []
+    batch, rows = shots_of(scene, path, table, height_datum)
+    if len(rows) < 2:
+        raise UserError(f"{table}: fewer than two exposures have no overlap; the table needs two rows or more.")
+    return [(str(index), shot) for index, shot in enumerate(single(batch))]
+
+
+def _overlaps(
+    scene: Any, images: list[tuple[str, Any]], terrain: Any, along: Any
+) -> list[dict[str, str | float | None]]:
+    from jaxgeo.coverage import overlap
+    from jaxgeo.status import Status
+
+    rows = []
+    with progress_bar() as progress:
+        pairs = list(itertools.pairwise(images))
+        for (name, before), (next_name, after) in progress.track(pairs, description="looking"):
+            found: Any = overlap(scene.sensor, before, after, terrain, along=along, atmosphere=scene.atmosphere)
+            numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
+            row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
+            rows.append({"before": name, "after": next_name, **row, "status": Status(int(found.status)).name})
+    return rows
+
+
+def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any) -> None:
+    from jaxgeo.io.tables import write_csv
+
+    if output_format is Format.table:
+        Console(file=stream, width=None if stream.isatty() else 160).print(number_table(rows, COLUMNS, CAPTION))
+    else:
+        write_csv(({**row, **_texts(row)} for row in rows), stream)
+    names = [row["status"] for row in rows]
+    print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)
+
+
+def _texts(row: dict[str, Any]) -> dict[str, str | None]:
+    return {key: None if row[key] is None else f"{row[key]:.{places}f}" for key, places in DECIMALS.items()}

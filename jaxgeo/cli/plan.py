@@ -1,0 +1,161 @@
+"""`jaxgeo plan`: when to expose on a flight, so that images overlap as wished."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from jaxgeo._destination import check_place
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
+from jaxgeo.cli._inputs import read_terrain, trajectory_of
+from jaxgeo.cli._options import Along, DemFiles, HeightDatum, SceneFile, VerticalDatum
+from jaxgeo.cli._screen import print_counts, stderr
+from jaxgeo.cli.overlap import BOTH
+
+WAYS = "ground, velocity-height or fixed:PERIOD"
+
+
+class Place(StrEnum):
+    """Where the overlap counts."""
+
+    near = "near"
+    least = "least"
+
+
+def plan_command(
+    scene: SceneFile,
+    dem: DemFiles,
+    navigation: Annotated[pathlib.Path, typer.Option(help="CSV with a navigation record of the flight in each row.")],
+    output: Annotated[pathlib.Path, typer.Option(help="File to write (.csv): a row for each exposure.")],
+    overlap: Annotated[
+        float | None, typer.Option(help="Wished share of an image's length: 0.15 for 15 %; not with a fixed period.")
+    ] = None,
+    timing: Annotated[
+        str,
+        typer.Option(
+            help="ground: by the ground that both images see; velocity-height: by the integral of speed over slant "
+            "range; fixed:PERIOD, in s."
+        ),
+    ] = "ground",
+    place: Annotated[
+        Place | None, typer.Option(help="With ground: where the overlap counts, at the near end or where it is least.")
+    ] = None,
+    start: Annotated[float | None, typer.Option(help="Time of the first exposure, s; the first record's.")] = None,
+    along: Along = None,
+    vertical_datum: VerticalDatum = None,
+    height_datum: HeightDatum = None,
+    traceback: Traceback = False,
+) -> None:
+    """When to expose on a flight: navigation records in, exposures and the overlap to expect out.
+
+    Heights in the output are above the ellipsoid.
+    """
+    with mistakes_told(traceback):
+        if output.suffix.lower() != ".csv":
+            raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
+        check_place("--output", output)
+        period = _checked_wishes(timing, overlap, place)
+        _plan(
+            (scene, dem, navigation),
+            (vertical_datum, height_datum),
+            (timing, period if overlap is None else overlap, place or Place.near),
+            (start, None if along is None else along.value),
+            output,
+        )
+
+
+def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> float | None:
+    """The period in s of a fixed timing, or None."""
+    way, _, number = timing.partition(":")
+    if way not in ("ground", "velocity-height", "fixed") or bool(number) != (way == "fixed"):
+        raise UserError(f"--timing {timing!r}: expected {WAYS} (in s, such as fixed:2.3).")
+    if place is not None and way != "ground":
+        raise UserError(f"--place {place} goes with --timing ground.")
+    if way == "fixed":
+        return _period(timing, number, overlap)
+    if overlap is None:
+        raise UserError(f"--timing {timing} needs --overlap, a share of an image's length: 0.15 for 15 %.")
+    if not 0.0 <= overlap < 1.0:
+        raise UserError(f"--overlap {overlap:g}: it must lie in [0, 1), a share of an image's length: 0.15 for 15 %.")
+    return None
+
+
+def _period(timing: str, number: str, overlap: float | None) -> float:
+    if overlap is not None:
+        raise UserError(f"--overlap is what --timing {timing} leads to, not what it goes by; leave one of them out.")
+    try:
+        period = float(number)
+    except ValueError:
+        period = math.nan
+    if not (period > 0.0 and math.isfinite(period)):
+        raise UserError(f"--timing {timing!r}: the period must be a number above 0 s, such as fixed:2.3.")
+    return period
+
+
+def _plan(
+    files: tuple[pathlib.Path, list[pathlib.Path], pathlib.Path],
+    datums: tuple[str | None, str | None],
+    wishes: tuple[str, float | None, Place],
+    course: tuple[float | None, Any],
+    output: pathlib.Path,
+) -> None:
+    import jax
+
+    from jaxgeo._checks import enable_x64
+    from jaxgeo.coverage import plan
+    from jaxgeo.io import write_exposures
+    from jaxgeo.io.scene import read_scene
+
+    compile_quickly()
+    enable_x64()
+    scene_path, dem_paths, navigation = files
+    start, along = course
+    scene = read_scene(scene_path)
+    flight = trajectory_of(scene, scene_path, navigation, datums[1])
+    terrain = read_terrain(dem_paths, datums[0])
+    with stderr().status("flying ..."):
+        found = plan(
+            scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
+        )
+        shots = jax.vmap(flight.at)(found.times)
+    write_exposures(output, shots, scene.sensor.gimbal.names, overlaps=found.overlaps)
+    _summarise(found, wishes, output)
+
+
+def _timing(way: str, number: float | None, place: Place) -> Any:
+    from jaxgeo.coverage import FixedPeriod, GroundShared, VelocityHeight
+
+    if way == "ground":
+        return GroundShared(number, place.value)
+    return VelocityHeight(number) if way == "velocity-height" else FixedPeriod(number)
+
+
+def _summarise(found: Any, wishes: tuple[str, float | None, Place], output: pathlib.Path) -> None:
+    """How many exposures, and what overlap is to be expected, on stderr."""
+    import numpy as np
+
+    from jaxgeo.status import Status
+
+    times = np.asarray(found.times)
+    intervals = np.diff(times)
+    console = stderr()
+    said = [
+        f"{output}: {len(times)} exposures from {times[0]:.3f} to {times[-1]:.3f} s, "
+        f"every {intervals.min():.3f} to {intervals.max():.3f} s"
+    ]
+    for place in ("near", "least"):
+        values = np.asarray(getattr(found.overlaps, place))
+        known = np.isfinite(values)
+        if known.any():
+            worst = int(np.nanargmin(values))
+            said.append(
+                f"overlap, {place}: mean {values[known].mean():.4f}, worst {values[worst]:.4f} at exposure {worst + 1}"
+            )
+    for line in said:
+        console.print(line, highlight=False, soft_wrap=True)
+    names = [Status(int(code)).name for code in np.asarray(found.overlaps.status)]
+    print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)

@@ -1,0 +1,120 @@
+"""`jaxgeo point`: where to turn the gimbal."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
+from jaxgeo.cli._inputs import numbers_in, read_terrain, said_datum, shot_of
+from jaxgeo.cli._options import HeightDatum, SceneFile, VerticalDatum
+from jaxgeo.cli._screen import stderr
+
+HIT, NOT_HIT = 0, 1  # exit codes
+UNHIDDEN = "The readings look there; whether ground lies before it, nobody asked."
+
+
+def point_command(
+    scene: SceneFile,
+    dem: Annotated[
+        list[pathlib.Path] | None, typer.Option(help="Elevation model that may hide the target; repeat it for tiles.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, the ground of --dem.")
+    ] = None,
+    line_of_sight: Annotated[
+        str | None, typer.Option(help="AZIMUTH,DEPRESSION in deg, instead of a target: true, and below the horizontal.")
+    ] = None,
+    pixel: Annotated[str | None, typer.Option(help="COLUMN,ROW to look with; the optical axis if left out.")] = None,
+    vertical_datum: VerticalDatum = None,
+    height_datum: HeightDatum = None,
+    traceback: Traceback = False,
+) -> None:
+    """Gimbal readings that look at a place on the ground, or along a line of sight, from the pose of a scene.
+
+    The exit code is 1 where they do not: out of the gimbal's range (then they are the nearest), or hidden by terrain.
+    """
+    with mistakes_told(traceback):
+        code = _point(scene, dem or [], (target, line_of_sight, pixel), (vertical_datum, height_datum))
+    raise typer.Exit(code)
+
+
+def _point(
+    scene_path: pathlib.Path,
+    dem_paths: list[pathlib.Path],
+    texts: tuple[str | None, str | None, str | None],
+    datums: tuple[str | None, str | None],
+) -> int:
+    target, direction, pixel = texts
+    if (target is None) == (direction is None):
+        raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
+    if direction is not None and dem_paths:
+        raise UserError("--dem goes with --target: along a line of sight there is no target that terrain could hide.")
+    place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
+    if len(place) == 2 and not dem_paths:
+        raise UserError(f"--target {target}: give its height too, LAT,LON,HEIGHT, or --dem for the ground there.")
+    uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
+    from jaxgeo._checks import enable_x64
+    from jaxgeo.coverage import point
+    from jaxgeo.io.scene import read_scene
+
+    compile_quickly()
+    enable_x64()
+    scene = read_scene(scene_path)
+    shot = shot_of(scene, scene_path, "pointing")
+    terrain = read_terrain(dem_paths, datums[0]) if dem_paths else None
+    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, datums[1])
+    if not scene.sensor.gimbal.names:
+        raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
+    found = point(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
+    return _shown(scene.sensor.gimbal.names, found, terrain is None)
+
+
+def _aim(text: str) -> Any:
+    from jaxgeo.coverage import LineOfSight
+
+    azimuth, depression = numbers_in("--line-of-sight", text, (2,), "AZIMUTH,DEPRESSION, two numbers in deg")
+    return LineOfSight.from_degrees(azimuth=azimuth, depression=depression)
+
+
+def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | None) -> Any:
+    """The point to look at, its height as said, or that of the ground; shown on stderr."""
+    import math
+
+    from jaxgeo.earth import Geodetic
+    from jaxgeo.io.scene import ellipsoidal_heights
+
+    lat, lon = place[:2]
+    position = Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)
+    if len(place) == 3:
+        stated = scene.height_datum if height_datum is None else said_datum(height_datum)
+        height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
+    else:
+        height = float(terrain.height_at(position))
+        if not math.isfinite(height):
+            raise UserError(f"--target {lat:g},{lon:g}: the DEM has no ground there; give a height, or another DEM.")
+    said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid"
+    stderr().print(said, highlight=False, soft_wrap=True)
+    return Geodetic.from_degrees(lat=lat, lon=lon, height=height)
+
+
+def _shown(names: tuple[str, ...], found: Any, is_free: bool) -> int:
+    """Readings as a scene file has them, on the screen; what became of it on stderr."""
+    import numpy as np
+
+    from jaxgeo.status import Status
+
+    status, readings = Status(int(found.status)), np.rad2deg(np.asarray(found.readings))
+    console = Console()
+    for name, reading in zip(names, readings, strict=True):
+        if np.isfinite(reading):
+            console.print(f"{name}_deg = {reading:.6f}", highlight=False, markup=False)
+    meaning = UNHIDDEN if is_free and status == Status.hit else status.message
+    stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
+    if status == Status.outside_gimbal_range:
+        off = f"the line of sight then misses by {np.rad2deg(float(found.miss)):.4f} deg"
+        stderr().print(off, highlight=False, soft_wrap=True)
+    return HIT if status == Status.hit else NOT_HIT

@@ -1,0 +1,153 @@
+"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from jaxgeo.plot import EDGE, FIX, HIDDEN, SIGHT, footprints
+from jaxgeo.studies.li2020 import printed
+from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, FIRST, Outlines, outlines
+from jaxgeo.studies.li2020.flight import Sighting, StripPair
+from jaxgeo.studies.li2020.influence import folding
+from jaxgeo.studies.li2020.report import Report
+from jaxgeo.studies.li2020.strips import MOUNTAINS, PLAIN, PLANNED, Strips
+
+STYLE: dict[Any, Any] = {
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+COLOURS = {FIRST: EDGE, EXPECTED: SIGHT, ACTUAL: FIX, COMPENSATED: "#1a7f5a"}
+TIMINGS = {"fixed period": (FIX, "o"), "velocity-height": ("#b3893b", "s"), "ground shared": (SIGHT, "^")}
+GROUNDS = {
+    PLAIN: f"Level ground at {PLANNED:.0f} m, as planned (Fig. 11 in kind)",
+    MOUNTAINS: f"Mountains, planned as level ground at {PLANNED:.0f} m (Fig. 12 in kind)",
+}
+TURNS = np.linspace(0.0, 1.2, 61)  # deg
+
+
+def write(report: Report, folder: pathlib.Path) -> None:
+    """All pictures into a folder."""
+    pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
+        "footprints.png": (lambda figure: draw_footprints(outlines(), figure), (11.0, 3.9)),
+        "attitude.png": (lambda figure: draw_attitude(report.sightings, report.pairs, figure), (10.0, 4.2)),
+        "folding.png": (draw_folding, (6.4, 4.4)),
+    }
+    if report.strips:
+        pictures["strips.png"] = (lambda figure: draw_strips(report.strips, figure), (10.0, 5.8))
+    with mpl.rc_context(STYLE):
+        for name, (draw, size) in pictures.items():
+            figure = Figure(figsize=size, layout="constrained")
+            FigureCanvasAgg(figure)
+            draw(figure)
+            figure.savefig(folder / name, dpi=160)
+
+
+def draw_footprints(found: Outlines, figure: Figure) -> None:
+    """Figs. 7 and 8: a strip, the next as expected, and as it is with another attitude."""
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    titles = {ACTUAL: "Without compensation (Fig. 7)", COMPENSATED: "With compensation (Fig. 8)"}
+    for ax, (last, title) in zip(panels, titles.items(), strict=True):
+        names = [FIRST, EXPECTED, last]
+        handles = footprints(
+            [found.footprints[name] for name in names],
+            ax,
+            labels=[_with_overlap(name, found) for name in names],
+            origin=found.middle,
+            colours=[COLOURS[name] for name in names],
+        )
+        for handle, dashes in zip(handles, ("-.", "-", "--"), strict=False):
+            handle.set_linestyle(dashes)
+        ax.set_title(title)
+        ax.legend(handles=handles, frameon=False, fontsize=9, loc="upper right")
+    reach = np.concatenate([_places(panel) for panel in panels])
+    low, high = np.nanmin(reach, axis=0), np.nanmax(reach, axis=0)
+    panels[0].set(xlim=(low[0] - 0.15, high[0] + 0.15), ylim=(low[1] - 0.15, high[1] + 0.75))
+    panels[1].set_ylabel("")
+
+
+def _with_overlap(name: str, found: Outlines) -> str:
+    if name == FIRST:
+        return name
+    along = np.asarray(found.overlaps[name].along)  # where the wish is for: in the middle of what both reach
+    middle = float(along[len(along) // 2])
+    return f"{name}: {middle:.1%} overlap" if middle >= 0.0 else f"{name}: a gap of {-middle:.0%} of a frame"
+
+
+def _places(ax: Axes) -> np.ndarray:
+    return np.concatenate([np.asarray(line.get_xydata()) for line in ax.lines])
+
+
+def draw_attitude(seen: Sequence[Sighting], pairs: Sequence[StripPair], figure: Figure) -> None:
+    """Fig. 10: how the attitude changes from strip to strip, and how the line of sight does."""
+    left, right = figure.subplots(1, 2)
+    names = [pair.strips for pair in pairs]
+    rows = {
+        "heading": (SIGHT, "o", [strip.heading for strip in printed.TABLE_4]),
+        "roll": (FIX, "^", [strip.roll for strip in printed.TABLE_4]),
+        "pitch": (HIDDEN, "s", [strip.pitch for strip in printed.TABLE_4]),
+    }
+    for name, (colour, marker, angles) in rows.items():
+        left.plot(names, np.diff(angles), color=colour, marker=marker, label=name)
+    left.set(title="Attitude, from strip to strip (Fig. 10)")
+    lines = {
+        "azimuth": (SIGHT, "o", [one.azimuth for one in seen]),
+        "depression": (FIX, "^", [one.depression for one in seen]),
+    }
+    for name, (colour, marker, angles) in lines.items():
+        right.plot(names, np.diff(angles), color=colour, marker=marker, label=f"{name} of the line of sight")
+    right.set(title="Line of sight, with the drives of Table 4")
+    for ax in (left, right):
+        ax.axhline(0.0, color="0.6", linewidth=0.8, zorder=0)
+        ax.set(xlabel="strips", ylabel="change, °", ylim=(-0.32, 0.32))
+        ax.legend(frameon=False, fontsize=9, loc="lower right")
+
+
+def draw_strips(found: Sequence[Strips], figure: Figure) -> None:
+    """Figs. 11 and 12 in kind: overlap from strip to strip over level ground and over mountains, by the timing."""
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    for ax, (ground, title) in zip(panels, GROUNDS.items(), strict=True):
+        for one in [one for one in found if one.ground == ground]:
+            colour, marker = TIMINGS[one.timing]
+            label = f"{one.timing}: mean {one.near.mean():.1%}, least {one.near.min():.1%}"
+            style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2}
+            ax.plot(one.times[1:], 100.0 * one.near, label=label, **style)
+        ax.axhline(100.0 * printed.OVERLAP, color=EDGE, linewidth=1.0, linestyle="--", zorder=0, label="wished")
+        ax.set(title=title, ylabel="overlap at the near end, %", ylim=(0.0, 33.0))
+        ax.legend(frameon=False, fontsize=9, loc="upper left", ncols=2)
+    panels[1].set_xlabel("time, s")
+
+
+def draw_folding(figure: Figure) -> None:
+    """How the distance of Eq 16 folds where the step along the flight goes on."""
+    ax = figure.subplots()
+    formula, along, distance = (100.0 * values for values in folding(TURNS))
+    ax.plot(TURNS, formula, color="0.6", linewidth=4.0, label="Eq 18")
+    ax.plot(TURNS, along, color=SIGHT, label="step along the flight")
+    ax.plot(TURNS, distance, color=FIX, linestyle="--", label="distance of Eq 16")
+    table = 100.0 * np.array(printed.TABLES["heading"])
+    ax.plot(printed.CHANGES, table, "o", color=EDGE, markersize=5, label="Table 1")
+    top = int(np.argmax(distance))
+    note = f"folds at {TURNS[top]:.2f}°"
+    ax.annotate(
+        note,
+        (TURNS[top], distance[top]),
+        (TURNS[top] + 0.02, distance[top] - 50.0),
+        arrowprops={"arrowstyle": "->", "color": FIX},
+        color=FIX,
+        va="top",
+    )
+    ax.set(xlabel="change of heading, °", ylabel="change of overlap, % of a frame", title="A distance is no step")
+    ax.set(xlim=(0.0, 1.2), ylim=(0.0, None))
+    ax.legend(frameon=False, loc="upper left")

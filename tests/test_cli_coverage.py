@@ -1,0 +1,324 @@
+"""The commands of coverage: what they print and write is what the functions find, and mistakes are told in words."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import pathlib
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from jaxgeo import coverage
+from jaxgeo.cli import app
+from jaxgeo.demo import scene_file
+from jaxgeo.io import example_dem, read_navigation
+from jaxgeo.io.scene import read_scene
+from jaxgeo.status import Status
+from jaxgeo.studies import li2020
+
+DEM = str(pathlib.Path(scene_file()).with_name("jacksboro.tif"))
+POSE = "lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg"
+READINGS = ",gimbal_outer_deg,gimbal_inner_deg"
+SHOTS = {
+    "whole": "36.318,-84.105,5500,160,1,-0.5,72,0",
+    "a bit on": "36.315,-84.104,5500,160,1,-0.5,72,0",
+    "over the horizon": "36.318,-84.105,5500,160,1,-0.5,84,0",
+}
+RECORDS = 41
+
+
+def run(*arguments: str | pathlib.Path):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def assert_refused(result, *words: str) -> None:
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    for word in words:
+        assert word in result.stderr.replace("\n", " ")
+    assert result.stderr.startswith("jaxgeo: ")
+
+
+def words_of(text: str) -> list[str]:
+    return " ".join(text.split()).split()
+
+
+@pytest.fixture
+def shots_file(tmp_path: pathlib.Path) -> pathlib.Path:
+    path = tmp_path / "shots.csv"
+    rows = [f"{name},{row}" for name, row in SHOTS.items()]
+    path.write_text("\n".join([f"name,{POSE}{READINGS}", *rows]) + "\n")
+    return path
+
+
+@pytest.fixture
+def flight(tmp_path: pathlib.Path):
+    """Writes navigation records of straight and level flight at 170 m/s; `change` puts other cells into rows."""
+
+    def write(*, columns: str = READINGS, first_times: tuple[str, ...] = ()) -> pathlib.Path:
+        step = 0.5 * 170.0
+        times = [*first_times, *(f"{100.0 + 0.5 * k}" for k in range(len(first_times), RECORDS))]
+        lines = [f"time_s,{POSE}{columns}"]
+        for k, time in enumerate(times):
+            lat, lon = 36.35 - k * step * 0.866 / 110_940.0, -84.10 + k * step * 0.5 / 89_640.0
+            lines.append(f"{time},{lat:.9f},{lon:.9f},5500,150,0,0{',72,0' if columns else ''}")
+        path = tmp_path / "flight.csv"
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    return write
+
+
+def scene_with(tmp_path: pathlib.Path, old: str, new: str) -> pathlib.Path:
+    path = tmp_path / "scene.toml"
+    text = scene_file().read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def footprint(*arguments: str | pathlib.Path):
+    return run("footprint", "--scene", scene_file(), "--dem", DEM, *arguments)
+
+
+def test_footprint_of_the_scene(tmp_path: pathlib.Path) -> None:
+    output = tmp_path / "footprint.geojson"
+    result = footprint("--output", output, "--edges")
+    assert result.exit_code == 0, result.stderr
+    row = words_of(result.stdout.split("\n \n")[0].splitlines()[3])
+    assert row[0] == "0"
+    assert row[-1] == "hit"
+    area, hidden, columns, rows, along, across = (float(word) for word in row[1:-1])
+    scene = read_scene(scene_file())
+    assert scene.shot is not None
+    found = coverage.footprint(scene.sensor, scene.shot, example_dem())
+    assert (area, hidden) == pytest.approx((1e-6 * found.area, found.hidden_length), abs=0.1)  # km2, m
+    assert (columns, rows, along, across) == pytest.approx((7.845, 3.442, 7.902, 1.203), abs=2e-3)  # m
+    assert "1 footprint" in result.stderr
+    assert "The whole edge of the image sees ground." in result.stderr
+    features = json.loads(output.read_text())["features"]
+    assert features[0]["properties"]["kind"] == "outline"
+    assert {feature["properties"]["kind"] for feature in features[1:]} == {"edge"}
+    assert features[0]["properties"]["area_m2"] == pytest.approx(1e6 * area, abs=500.0)
+
+
+def test_footprints_of_a_table(tmp_path: pathlib.Path, shots_file: pathlib.Path) -> None:
+    """A row for every shot, whatever became of it; the one over the horizon has no area, and says why."""
+    output = tmp_path / "footprints.geojson"
+    result = footprint("--shots", shots_file, "--output", output, "--tolerance", "20")
+    assert result.exit_code == 0, result.stderr
+    features = [feature["properties"] for feature in json.loads(output.read_text())["features"]]
+    assert [one["name"] for one in features] == list(SHOTS)
+    assert [one["gimbal_outer_deg"] for one in features] == [72.0, 72.0, 84.0]
+    assert [one["status"] for one in features] == ["hit", "hit", "crosses_horizon"]
+    assert features[0]["area_m2"] == pytest.approx(69.46e6, rel=1e-3)
+    assert features[2]["area_m2"] is None
+    assert "crosses_horizon" in result.stdout
+    assert "3 footprints" in result.stderr
+    assert Status.crosses_horizon.message in result.stderr
+
+
+def test_point_at_the_ground_of_the_dem_and_at_a_height() -> None:
+    """What the optical axis of the demo's scene sees is looked at by its own readings."""
+    point = ("point", "--scene", scene_file(), "--target")
+    on_ground = run(*point, "36.26902887,-84.26795441", "--dem", DEM)
+    assert on_ground.exit_code == 0, on_ground.output
+    assert on_ground.stdout.splitlines() == ["outer_deg = 72.000000", "inner_deg = 0.000000"]
+    assert "564.57 m above the ellipsoid" in on_ground.stderr
+    assert Status.hit.message in on_ground.stderr
+    at_height = run(*point, "36.26902887,-84.26795441,564.5726", "--height-datum", "ellipsoid")
+    assert at_height.exit_code == 0, at_height.output
+    assert at_height.stdout == on_ground.stdout
+    above_the_sea = run(*point, "36.26902887,-84.26795441,564.5726")
+    assert "533.61 m above the ellipsoid" in above_the_sea.stderr, "heights of the scene are above EGM96"
+
+
+def test_point_along_a_line_of_sight() -> None:
+    result = run("point", "--scene", scene_file(), "--line-of-sight", "250,18.5")
+    assert result.exit_code == 0, result.output
+    readings = [float(line.split(" = ")[1]) for line in result.stdout.splitlines()]
+    assert readings == pytest.approx([71.0, -0.3], abs=0.1)
+    assert "hit" in result.stderr
+
+
+def test_point_out_of_range_tells_the_nearest() -> None:
+    """60 deg above the horizon: the frame of two axes comes as far as the plane of its base."""
+    result = run("point", "--scene", scene_file(), "--line-of-sight", "250,-60")
+    assert result.exit_code == 1, result.output
+    outer, inner = (float(line.split(" = ")[1]) for line in result.stdout.splitlines())
+    assert max(abs(outer), abs(inner)) == pytest.approx(90.0, abs=1e-5)
+    assert Status.outside_gimbal_range.message in result.stderr
+    assert 59.0 < float(result.stderr.split("misses by ")[1].split()[0]) < 61.0
+
+
+def test_point_at_what_is_hidden() -> None:
+    """Ground behind a ridge: the readings hold, and the exit code says that it is not seen."""
+    result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--height-datum", "0")
+    assert result.exit_code == 1, result.output
+    assert [line.split(" = ")[0] for line in result.stdout.splitlines()] == ["outer_deg", "inner_deg"]
+    assert Status.hidden_by_terrain.message in result.stderr
+
+
+def test_overlaps_of_a_flight(tmp_path: pathlib.Path, flight) -> None:
+    path, output = flight(), tmp_path / "overlaps.csv"
+    arguments = ("overlap", "--scene", scene_file(), "--dem", DEM, "--navigation", path, "--times", "101,103,107")
+    result = run(*arguments, "--output", output)
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader(io.StringIO(output.read_text())))
+    assert [(row["before"], row["after"]) for row in rows] == [("101 s", "103 s"), ("103 s", "107 s")]
+    scene, dem = read_scene(scene_file()), example_dem()
+    trajectory = read_navigation(path, ("outer", "inner"), height_datum="EPSG:5773")
+    before, after = (coverage.Exposure(trajectory, np.float64(time)) for time in (101.0, 103.0))
+    found = coverage.overlap(scene.sensor, before, after, dem)
+    for name in ("near", "far", "least", "side", "area"):
+        assert float(rows[0][name]) == pytest.approx(float(getattr(found, name)), abs=2e-6)
+    assert float(rows[0]["step_m"]) == pytest.approx(340.0, abs=5.0)
+    assert [row["status"] for row in rows] == ["hit", "hit"]
+    assert "2 pairs" in result.stderr
+
+
+def test_overlaps_of_a_table_of_shots(shots_file: pathlib.Path) -> None:
+    """The last image looks beyond the terrain: that pair has a status, and no numbers."""
+    result = run("overlap", "--scene", scene_file(), "--dem", DEM, "--shots", shots_file, "--along", "rows")
+    assert result.exit_code == 0, result.output
+    first, second = (words_of(line) for line in result.stdout.splitlines()[3:5])
+    assert first[:2] == ["0", "1"]
+    assert 0.9 < float(first[2]) < float(first[3]) < 1.0
+    assert second == ["1", "2", "leaves_terrain"]
+    assert Status.leaves_terrain.message in result.stderr
+
+
+def plan(path: pathlib.Path, output: pathlib.Path, *more: str | pathlib.Path):
+    return run("plan", "--scene", scene_file(), "--dem", DEM, "--navigation", path, "--output", output, *more)
+
+
+def exposures(output: pathlib.Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(output.read_text())))
+
+
+@pytest.mark.parametrize(
+    "wishes, interval",
+    [(("--timing", "fixed:2.5"), 2.5), (("--timing", "velocity-height", "--overlap", "0.9", "--start", "103"), None)],
+    ids=["fixed", "velocity-height"],
+)
+def test_plan(tmp_path: pathlib.Path, flight, wishes: tuple[str, ...], interval: float | None) -> None:
+    """The gimbal's readings are those of the scene, where the records have none."""
+    output = tmp_path / "exposures.csv"
+    result = plan(flight(columns=""), output, *wishes)
+    assert result.exit_code == 0, result.output
+    rows = exposures(output)
+    times = np.array([float(row["time_s"]) for row in rows])
+    near = np.array([float(row["overlap_near"]) for row in rows[1:]])
+    assert {row["gimbal_outer_deg"] for row in rows} == {"72.00000000"}
+    assert {row["status"] for row in rows[1:]} == {"hit"}
+    if interval is None:
+        assert times[0] == 103.0
+        np.testing.assert_allclose(near, 0.9, rtol=0, atol=0.02)
+    else:
+        np.testing.assert_allclose(times, 100.0 + interval * np.arange(9), rtol=0, atol=1e-9)
+    assert f"{len(rows)} exposures from {times[0]:.3f} to {times[-1]:.3f} s" in result.stderr
+    assert f"mean {near.mean():.4f}, worst {near.min():.4f}" in result.stderr
+
+
+@pytest.mark.slow
+def test_plan_by_the_ground(tmp_path: pathlib.Path, flight) -> None:
+    output = tmp_path / "exposures.csv"
+    result = plan(flight(), output, "--overlap", "0.9", "--place", "least")
+    assert result.exit_code == 0, result.output
+    assert "least: mean 0.9000, worst 0.9000" in result.stderr
+    again = run("footprint", "--scene", scene_file(), "--dem", DEM, "--shots", output, "--height-datum", "ellipsoid")
+    assert again.exit_code == 0, again.output
+    assert f"{len(exposures(output))} footprints" in again.stderr
+
+
+TARGET = ["point", "--scene", scene_file()]
+OVERLAP = ["overlap", "--scene", scene_file(), "--dem", DEM]
+PLAN = ["plan", "--scene", scene_file(), "--dem", DEM, "--navigation", "FLIGHT", "--output", "plan.csv"]
+FOOTPRINT = ["footprint", "--scene", scene_file(), "--dem", DEM]
+MISTAKES = [
+    ([*TARGET], ["--target", "--line-of-sight"]),
+    ([*TARGET, "--target", "36.2"], ["'36.2'", "LAT,LON"]),
+    ([*TARGET, "--target", "36.2,-84.2"], ["give its height too", "--dem"]),
+    ([*TARGET, "--target", "96.2,-84.2,100"], ["96.2", "deg"]),
+    ([*TARGET, "--target", "46.2,-84.2", "--dem", DEM], ["no ground there"]),
+    ([*TARGET, "--line-of-sight", "250"], ["'250'", "AZIMUTH,DEPRESSION"]),
+    ([*TARGET, "--line-of-sight", "250,100"], ["depression", "90"]),
+    ([*TARGET, "--line-of-sight", "250,18", "--dem", DEM], ["--dem goes with --target"]),
+    ([*OVERLAP], ["--navigation", "--shots"]),
+    ([*OVERLAP, "--navigation", "FLIGHT"], ["--times"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "101"], ["fewer than two exposures"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103,101"], ["time running backwards", "103 s to 101 s"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103;101"], ["'103;101'", "numbers in s"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103,400"], ["400 s is not in", "100 to 120 s"]),
+    ([*OVERLAP, "--shots", "nowhere.csv"], ["nowhere.csv"]),
+    ([*OVERLAP, "--shots", "SHOTS", "--output", "x.txt"], [".txt is not one that is known"]),
+    ([*PLAN], ["needs --overlap"]),
+    ([*PLAN, "--overlap", "1"], ["--overlap 1", "[0, 1)"]),
+    ([*PLAN, "--overlap", "-0.1"], ["--overlap -0.1", "[0, 1)"]),
+    ([*PLAN, "--timing", "fixed:30"], ["fewer than two images"]),
+    ([*PLAN, "--overlap", "0.9", "--start", "400"], ["start", "100 to 120 s", "400 s"]),
+    ([*PLAN, "--overlap", "0.9", "--timing", "fixed:2"], ["leave one of them out"]),
+    ([*PLAN, "--timing", "fixed:0"], ["'fixed:0'", "above 0 s"]),
+    ([*PLAN, "--timing", "fixed"], ["'fixed'", "fixed:PERIOD"]),
+    ([*PLAN, "--timing", "soon", "--overlap", "0.9"], ["'soon'", "velocity-height"]),
+    ([*PLAN, "--timing", "velocity-height", "--overlap", "0.9", "--place", "least"], ["--timing ground"]),
+    ([*PLAN[:-1], "plan.txt", "--overlap", "0.9"], [".txt is not one that is known"]),
+    ([*PLAN[:-1], "no/such/folder/plan.csv", "--overlap", "0.9"], ["no/such/folder"]),
+    ([*FOOTPRINT, "--output", "x.shp"], [".shp is not one that is known"]),
+    ([*FOOTPRINT, "--output", "no/such/folder/x.gpkg"], ["no/such/folder"]),
+    ([*FOOTPRINT, "--tolerance", "0"], ["--tolerance 0", "above 0 m"]),
+]
+
+
+@pytest.mark.parametrize("arguments, words", MISTAKES, ids=[f"{k}-{one[0]}" for k, (one, _) in enumerate(MISTAKES)])
+def test_mistakes(tmp_path, monkeypatch, flight, shots_file, arguments: list[str], words: list[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = {"FLIGHT": flight(), "SHOTS": shots_file}
+    result = run(*(files.get(argument, argument) if isinstance(argument, str) else argument for argument in arguments))
+    assert_refused(result, *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv", "shots.csv"]
+
+
+def test_records_that_run_backwards(tmp_path: pathlib.Path, flight) -> None:
+    path = flight(first_times=("100.0", "100.5", "100.2"))
+    result = plan(path, tmp_path / "plan.csv", "--overlap", "0.9")
+    assert_refused(result, "rows 3 and 4", "time running backwards")
+
+
+def test_a_table_of_one_shot(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "shots.csv"
+    path.write_text(f"{POSE}{READINGS}\n{SHOTS['whole']}\n")
+    assert_refused(run(*OVERLAP, "--shots", path), "fewer than two exposures")
+
+
+def test_a_camera_without_a_field(tmp_path: pathlib.Path) -> None:
+    """No pixels, or pixels of no size, are no field of view."""
+    for old, new in (("width = 2400", "width = 0"), ("pixel_pitch_um = 5.5", "pixel_pitch_um = 0.0")):
+        scene = scene_with(tmp_path, old, new)
+        result = run("footprint", "--scene", scene, "--dem", DEM)
+        assert_refused(result, str(scene), new, "greater than 0")
+
+
+def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> None:
+    text = scene_file().read_text()
+    scene = tmp_path / "scene.toml"
+    scene.write_text(text[: text.index("[pose]")] + '[shots]\nheight_datum = "ellipsoid"\n')
+    arguments = ("--scene", scene, "--dem", DEM)
+    result = run("overlap", *arguments, "--navigation", flight(columns=""), "--times", "101,103")
+    assert_refused(result, "gimbal_outer_deg", "[pose]")
+    assert_refused(run("footprint", *arguments), "[pose] is missing")
+
+
+@pytest.mark.slow
+def test_study_of_overlap(tmp_path: pathlib.Path, monkeypatch) -> None:
+    """Tables on the screen; with a folder, made where it is missing, files of them and pictures."""
+    short = li2020.run(flights=False)
+    monkeypatch.setattr("jaxgeo.studies.li2020.run", lambda: short)
+    folder = tmp_path / "a" / "study"
+    result = run("study", "li2020", "--output", folder)
+    assert result.exit_code == 0, result.output
+    assert "Compensation of attitude" in result.stdout
+    assert {"tables.md", "overlaps.csv", "footprints.png", "folding.png"} <= {path.name for path in folder.iterdir()}
