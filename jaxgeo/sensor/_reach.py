@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import cross, dot, product, safe_norm, safe_sqrt, turned
 from jaxgeo._typing import Flag, Matrix3, Numbers, Scalar, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz
@@ -34,17 +35,24 @@ class TwoAxes(NamedTuple):
 
 
 def nearest_readings(
-    gimbal: Gimbal, start: Readings, free: FreeAxes, sight_head: Vector3, wanted_base: Vector3, from_start: bool
+    gimbal: Gimbal,
+    start: Readings,
+    free: FreeAxes,
+    sight_head: Vector3,
+    wanted_base: Vector3,
+    from_start: Flag,
+    *,
+    thorough: bool = True,
 ) -> Readings:
     """Readings within the limits that turn `sight_head` nearest to `wanted_base`; only `free` axes (one or two) turn.
 
     Of the two ways that there most often are, the one turned least from `start`, or, unless `from_start`, from angles
     of zero, and not over head by the inner axis. Where a line lies along an axis, that stays at the start.
     For two axes Paden and Kahan's second subproblem; where that has no root, or none within the limits, the best of the
-    ends: one of the axes at a limit, or both cones of turning in one plane.
+    ends: one of the axes at a limit, or both cones of turning in one plane. Unless `thorough`, these are left out.
     """
     axes, held = _two_axes(gimbal, start, free, sight_head, wanted_base)
-    outer, inner = _candidates(axes, held, _limit_angles(gimbal, free))
+    outer, inner = _candidates(axes, held, _limit_angles(gimbal, free), thorough)
     if free.shape[0] == 1:
         inner = jnp.zeros_like(inner)
     angles = jnp.stack([outer, inner], axis=1)[:, : free.shape[0]]
@@ -53,9 +61,9 @@ def nearest_readings(
         readings, angles = _within_limits(gimbal, start, free, angles)
         outer, inner = (angles[0], jnp.zeros(())) if free.shape[0] == 1 else (angles[0], angles[1])
         miss = _angle(about(axes.outer, outer, about(axes.inner, inner, axes.sight)), axes.wanted)
-        reference = gimbal.angles(start)[free] if from_start else jnp.zeros_like(angles)
-        turned_by = jnp.sum((angles - reference) ** 2)
-        over_head = 0.0 if from_start else OVER_HEAD * jnp.maximum(jnp.abs(angles[-1]) - 0.5 * jnp.pi, 0.0)
+        turned_by = jnp.sum((angles - jnp.where(from_start, gimbal.angles(start)[free], 0.0)) ** 2)
+        over_head = OVER_HEAD * jnp.maximum(jnp.abs(angles[-1]) - 0.5 * jnp.pi, 0.0)
+        over_head = jnp.where(from_start, 0.0, over_head)
         return readings, jnp.maximum(miss, EXACT) + 0.1 * EXACT * (turned_by + over_head)
 
     readings, costs = jax.vmap(judged)(angles)
@@ -64,7 +72,7 @@ def nearest_readings(
 
 def about(axis: Vector3, angle: Scalar, v: Vector3) -> Vector3:
     """`v` turned about a unit axis by an angle in rad (Rodrigues)."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
+    s, c = sine_and_cosine(angle)
     return c * v + s * jnp.stack(cross(axis, v)) + (dot(axis, v) * (1.0 - c)) * axis
 
 
@@ -77,15 +85,15 @@ def turn_between(axis: Vector3, v: Vector3, w: Vector3, otherwise: Scalar) -> Sc
 
 
 def _candidates(
-    axes: TwoAxes, held: Float[Array, "2"], limits: Float[Array, "2 2"]
+    axes: TwoAxes, held: Float[Array, "2"], limits: Float[Array, "2 2"], thorough: bool
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Angles (of the outer, of the inner axis) among which is what comes nearest, before limits cut them."""
-    meetings = [*_roots(axes), *_in_one_plane(axes)]
+    meetings = [*_roots(axes), *(_in_one_plane(axes) if thorough else ())]
     pairs = [
         (turn_between(axes.outer, from_wanted, axes.wanted, held[0]), turn_between(axes.inner, axes.sight, to, held[1]))
         for to, from_wanted in meetings
     ]
-    for end in (0, 1):
+    for end in (0, 1) if thorough else ():
         outer, inner = limits[0, end], limits[1, end]
         behind = about(axes.outer, -outer, axes.wanted)
         pairs += [(outer, turn_between(axes.inner, axes.sight, behind, held[1]))]

@@ -13,8 +13,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, check_range, concrete
-from jaxgeo._numerics import all_finite, safe_norm, turned
-from jaxgeo._typing import Pixel, Scalar, StatusCode, Vector3, Vector3Field
+from jaxgeo._numerics import all_finite, product, safe_norm, turned
+from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._newton import determinant, solve_2d
@@ -184,8 +184,7 @@ def aim(
     is_valid &= all_finite((pose, target, start, air))
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
     free = _free_axes(sensor, pose, sight, frozen_start)
-    best = _closed_form(frozen, frozen_start, free, given is not None)
-    best = _newton(frozen, best, free)
+    best = _best(frozen, frozen_start, free, jnp.asarray(given is not None))
     miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
     found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
@@ -196,22 +195,68 @@ def aim(
     return Aimed(jnp.where(known, readings, jnp.nan), jnp.where(known, miss, jnp.nan), outcome)
 
 
-def _closed_form(world: World, start: Readings, free: FreeAxes, from_start: bool) -> Readings:
+def _best(world: World, start: Readings, free: FreeAxes, from_start: Flag) -> Readings:
+    """By the short way, that most go: the closed form's root once. Who misses so goes the long one."""
+    way = Way(world, start, free, from_start)
+    quick = _quick_newton(world, _closed_form(way, 1, thorough=False), free)
+    return _long_way_if_missed(_angle_off(_target_seen(world, quick)) >= TOLERANCE, quick, way)
+
+
+class Way(NamedTuple):
+    """What readings are looked for with."""
+
+    world: World
+    start: Readings
+    free: FreeAxes
+    from_start: Flag
+
+
+def _long_way(missed: Flag, quick: Readings, way: Way) -> Readings:
+    long = _newton(way.world, _closed_form(way, ROUNDS, thorough=True), way.free)
+    return jnp.where(missed, long, quick)
+
+
+@jax.custom_batching.custom_vmap
+def _long_way_if_missed(missed: Flag, quick: Readings, way: Way) -> Readings:
+    """Readings of the long way for whom the short one misses; a crowd goes it only if one of them does."""
+    return jax.lax.cond(missed, _long_way, lambda _, quick, __: quick, missed, quick, way)
+
+
+@_long_way_if_missed.def_vmap
+def _(size: int, is_batched: Any, *given: Any) -> tuple[Array, bool]:
+    def spread(leaf: Any, own: bool) -> Array:
+        return leaf if own else jnp.broadcast_to(jnp.asarray(leaf), (size, *jnp.shape(leaf)))
+
+    missed, quick, way = jax.tree.map(spread, given, tuple(is_batched))
+    return jax.lax.cond(jnp.any(missed), jax.vmap(_long_way), lambda _, quick, __: quick, missed, quick, way), True
+
+
+def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
     """The gimbal's two axes alone, from where the camera then is and to where the target then seems to be."""
-    sensor, pose, _, sight, _ = world
+    (sensor, pose, _, sight, _), start = way.world, way.start
     station = Station.of(Shot(pose, start))
     gimbal, mount = sensor.gimbal, sensor.mount
     if gimbal.reference == "level":
         R_ecef_from_base = station.R_ecef_from_level
     else:
-        R_ecef_from_base = station.R_ecef_from_body @ mount.R_body_from_base
+        R_ecef_from_base = product(station.R_ecef_from_body, mount.R_body_from_base)
     sight_head = turned(mount.R_head_from_camera, sight)
 
     def once_more(_: Any, readings: Readings) -> Readings:
-        wanted = turned(R_ecef_from_base.T, _direction_of_target(world, readings))
-        return nearest_readings(gimbal, start, free, sight_head, wanted, from_start)
+        wanted = turned(R_ecef_from_base.T, _direction_of_target(way.world, readings))
+        return nearest_readings(gimbal, start, way.free, sight_head, wanted, way.from_start, thorough=thorough)
 
-    return jax.lax.fori_loop(0, ROUNDS, once_more, start)
+    return once_more(0, start) if rounds == 1 else jax.lax.fori_loop(0, rounds, once_more, start)
+
+
+def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
+    """Two steps on the exact map, and one more by the slope of the second; wherever they lead, but within the limits."""
+    limits, readings, J = world[0].gimbal.limits, start, None
+    for _ in range(2):
+        seen, J = _seen_and_slope(world, readings, free)
+        readings = _put(readings, free, readings[free] - _least_squares(J, seen))
+    readings = _put(readings, free, readings[free] - _least_squares(J, _target_seen(world, readings)[:2]))
+    return jnp.clip(readings, limits[:, 0], limits[:, 1])
 
 
 def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
