@@ -39,6 +39,7 @@ NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
     "_doors.py": "looks at concrete values before they are traced",
     "coverage/clock.py": "nodes of a quadrature, and checks of concrete records",
+    "coverage/flight.py": "flags of records, outside any trace",
     "coverage/footprint.py": "puts places into an outline until it is dense enough, outside any trace",
     "coverage/overlap.py": "the middle of an image, where the axis along the flight is found",
     "coverage/gaps.py": "counts and intervals of finished flights, roots over them, constants of the program",

@@ -7,13 +7,14 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_is, check_range
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo._numerics import cross, safe_norm, turned
-from jaxgeo._typing import Scalar, ScalarField, Vector3
+from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
 from jaxgeo.coverage.exposure import Along, field_along, near_end
 from jaxgeo.coverage.overlap import (
@@ -93,18 +94,18 @@ class Compensation(eqx.Module):
 
     `attitude`: the gimbal is turned so that the line of sight keeps the direction that is planned. `timing`: the next
     image waits until the integral of speed over height comes to its mark (Li et al. 2020, Eq 36), over level ground;
-    with `ground`, over the ground that the near end sees.
+    `ground`: the same over the ground that the near end sees.
     """
 
-    attitude: bool = eqx.field(static=True, default=False)
-    timing: bool = eqx.field(static=True, default=False)
+    attitude: FlagField = eqx.field(converter=np.asarray, default=False)
+    timing: FlagField = eqx.field(converter=np.asarray, default=False)
     ground: bool = eqx.field(static=True, default=False)
 
     @property
     def words(self) -> str:
         """What is done, in words."""
-        timing = "timing by the ground seen" if self.ground else "timing" if self.timing else ""
-        return " and ".join(part for part in ("attitude" if self.attitude else "", timing) if part) or "none"
+        timing = "timing by the ground seen" if self.ground else "timing" if np.all(self.timing) else ""
+        return " and ".join(part for part in ("attitude" if np.all(self.attitude) else "", timing) if part) or "none"
 
 
 class Strip(eqx.Module):
@@ -249,7 +250,7 @@ def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Co
         shot = _shot(strip, way, processes[:, k], gimbal[k], compensation, planned, track)
         return shot, ground_edges(strip.sensor, shot, strip.terrain, strip.along, strip.stations, strip.air)
 
-    if compensation.timing and compensation.ground:  # each wait hangs on what the image before sees
+    if compensation.ground:  # each wait hangs on what the image before sees
 
         def following(way: Scalar, k: Any) -> tuple[Scalar, tuple[Shot, GroundEdges]]:
             shot, edges = image(way, k)
@@ -257,10 +258,9 @@ def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Co
             return way + step + speeds[k] * late[k], (shot, edges)
 
         return jax.lax.scan(following, jnp.zeros(()), jnp.arange(strip.images))[1]
-    waits = jnp.full(strip.images, strip.period)
-    if compensation.timing:
-        height = strip.shot.pose.position.height
-        waits = waits * (height + processes[3] - strip.ground) / (height - strip.ground) * strip.speed / speeds
+    height = strip.shot.pose.position.height
+    by_height = (height + processes[3] - strip.ground) / (height - strip.ground) * strip.speed / speeds
+    waits = strip.period * jnp.where(compensation.timing, by_height, 1.0)
     steps = speeds * (waits + late)
     ways = jnp.concatenate([jnp.zeros(1), jnp.cumsum(steps)[:-1]])
     return jax.vmap(image)(ways, jnp.arange(strip.images))
@@ -326,10 +326,10 @@ def _shot(
         first.pose.deflection,
     )
     readings = jnp.asarray(first.gimbal_readings)
-    if compensation.attitude:
-        c, s = jnp.cos(course), jnp.sin(course)
-        ned = jnp.stack([c * planned[0] - s * planned[1], s * planned[0] + c * planned[1], planned[2]])
-        readings = aim(strip.sensor, pose, LineOfSight(ned), None, readings, None).readings
+    c, s = jnp.cos(course), jnp.sin(course)
+    ned = jnp.stack([c * planned[0] - s * planned[1], s * planned[0] + c * planned[1], planned[2]])
+    held = aim(strip.sensor, pose, LineOfSight(ned), None, readings, None).readings
+    readings = jnp.where(compensation.attitude, held, readings)
     return Shot(pose, readings + gimbal)
 
 

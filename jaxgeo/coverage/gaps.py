@@ -163,7 +163,7 @@ def trusts_linear(
     position = Position.from_ned(north=north, east=east, down=noise.height)
     gimbal = GimbalAngles.of(strip.sensor.gimbal, noise.gimbal)
     attitude = Attitude(jnp.stack([noise.heading, noise.pitch, noise.roll]))
-    errors = ErrorModel((position, gimbal) if compensation.attitude else (attitude, position, gimbal))
+    errors = ErrorModel((position, gimbal) if np.all(compensation.attitude) else (attitude, position, gimbal))
 
     def trusted(shot: Any, uv: Any) -> Any:
         found = assess(strip.sensor, shot, uv, strip.terrain, errors, atmosphere=strip.air).trust

@@ -157,12 +157,13 @@ def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array,
     longest = course.trajectory.end - time
     done = jnp.interp(time, nodes, total)
     level = jnp.interp(done + goal, total, nodes) - time  # at the end of the flight where it does not come to that
-    first = images_at(course, time[None], timing.stations)
 
     def spare(waits: Float[Array, " waits"]) -> Float[Array, " waits"]:
-        later = images_at(course, time + waits, timing.stations)
-        pairs = jax.vmap(lambda moment, one: pair(course, time, moment, _only(first), one, timing.stations))
-        found = getattr(pairs(time + waits, later), timing.place) - timing.overlap
+        moments = jnp.concatenate([time[None], time + waits])
+        ground = images_at(course, moments, timing.stations)
+        first, later = (jax.tree.map(lambda x, part=part: x[part], ground) for part in (0, slice(1, None)))
+        pairs = jax.vmap(lambda moment, one: pair(course, time, moment, first, one, timing.stations))
+        found = getattr(pairs(moments[1:], later), timing.place) - timing.overlap
         return jnp.where(jnp.isfinite(found), found, -1.0)  # ground that is not seen is not shared
 
     def closer(_: Any, state: tuple[Array, Flag]) -> tuple[Array, Flag]:
@@ -288,8 +289,3 @@ def _axis_at(sensor: Sensor, trajectory: Trajectory, time: Scalar, terrain: Abst
     image, other = (Exposure(trajectory, moment) for moment in (time, 0.5 * (time + later)))
     projection = own_map(image)
     return axis_along(sensor, image, flight_direction(image, other, projection), terrain, projection)
-
-
-def _only(tree: Any) -> Any:
-    """The one item of a batch of one."""
-    return jax.tree.map(lambda x: x[0], tree)

@@ -250,12 +250,13 @@ def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
 
 
 def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
-    """Two steps on the exact map, and one more by the slope of the second; wherever they lead, but within the limits."""
-    limits, readings, J = world[0].gimbal.limits, start, None
-    for _ in range(2):
-        seen, J = _seen_and_slope(world, readings, free)
-        readings = _put(readings, free, readings[free] - _least_squares(J, seen))
+    """Two steps on the exact map, and one more by the slope of the second, wherever they lead within the limits."""
+    seen, J = _seen_and_slope(world, start, free)
+    readings = _put(start, free, start[free] - _least_squares(J, seen))
+    seen, J = _seen_and_slope(world, readings, free)
+    readings = _put(readings, free, readings[free] - _least_squares(J, seen))
     readings = _put(readings, free, readings[free] - _least_squares(J, _target_seen(world, readings)[:2]))
+    limits = world[0].gimbal.limits
     return jnp.clip(readings, limits[:, 0], limits[:, 1])
 
 

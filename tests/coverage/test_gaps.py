@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +62,7 @@ def linear():
 
 @pytest.mark.parametrize("compensation", [NOTHING, TIMED], ids=lambda c: c.words)
 def test_without_noise_the_plan_is_flown(compensation):
-    overlap = jax.jit(flown, static_argnums=3)(STRIP, QUIET, jnp.ones(normals_of(STRIP)), compensation)
+    overlap = eqx.filter_jit(flown)(STRIP, QUIET, jnp.ones(normals_of(STRIP)), compensation)
     assert np.all(np.asarray(overlap.status) == Status.hit)
     # The formula's length is that of a range over a curved Earth, the measured one that on the map.
     np.testing.assert_allclose(overlap.near, 0.15, rtol=0, atol=2e-3)
@@ -147,9 +148,7 @@ def test_compensation_does_what_it_says(flights):
 def test_timing_by_the_ground_follows_mountains():
     strip = Strip.planned(SENSOR, SHOT, example_dem(), **(PLAN | {"images": 20}))
     quiet = jnp.zeros(normals_of(strip))
-    fixed, followed = (
-        np.asarray(jax.jit(flown, static_argnums=3)(strip, QUIET, quiet, c).near) for c in (HELD, ON_GROUND)
-    )
+    fixed, followed = (np.asarray(eqx.filter_jit(flown)(strip, QUIET, quiet, c).near) for c in (HELD, ON_GROUND))
     assert np.abs(followed - 0.15).max() < 0.5 * np.abs(fixed - 0.15).max()
 
 
