@@ -9,7 +9,7 @@ from jaxgeo.coverage.overlap import Overlap, flight_direction, overlap
 from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point
 from jaxgeo.coverage.polygons import GroundSeen, polygon_overlap, seen_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
-from jaxgeo.sensor.pointing import LineOfSight
+from jaxgeo.sensor.aiming import LineOfSight
 
 __all__ = [
     "Compensation",

@@ -28,7 +28,7 @@ from jaxgeo.coverage.overlap import (
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Pose, Sensor, Shot
-from jaxgeo.sensor.pointing import LineOfSight, aim
+from jaxgeo.sensor.aiming import LineOfSight, aim
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 

@@ -187,6 +187,11 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     side = jnp.stack([-direction[1], direction[0]])
     # From near to far is counted upwards, whichever side of the flight the image lies on.
     side = jnp.where(dot(middle[-1] - middle[0], side) < 0.0, -side, side)
+    # Where a camera looks straight down, a little roll makes the other end the near one: the same ends go together.
+    ends = 0.5 * (after.leading + after.trailing)[jnp.array([0, -1])]
+    falls = dot(ends[1] - ends[0], side) < 0.0
+    leading, trailing = (jnp.where(falls, edge[::-1], edge) for edge in (after.leading, after.trailing))
+    after = Edges(leading, trailing, after.status)
     lines = [_line(edge, direction, side) for edge in (before.leading, before.trailing, after.leading, after.trailing)]
     near = jnp.max(jnp.stack([across[0] for across, _ in lines]))
     far = jnp.min(jnp.stack([across[-1] for across, _ in lines]))

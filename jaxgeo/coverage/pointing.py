@@ -17,9 +17,10 @@ from jaxgeo._typing import ScalarField, StatusField
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT, visibility
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+from jaxgeo.sensor.aiming import Aimed, LineOfSight, Target, aim, aim_along
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import ReadingsField
-from jaxgeo.sensor.pointing import Aimed, LineOfSight, Target, aim, aim_along, check_axes, for_each_knot
+from jaxgeo.sensor.pointing import check_axes, for_each_knot
 from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain
 

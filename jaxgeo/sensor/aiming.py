@@ -1,0 +1,311 @@
+"""The readings of a gimbal that bring a line of sight onto a target, with their derivatives."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64, check_range
+from jaxgeo._numerics import all_finite, product, safe_norm, turned
+from jaxgeo._typing import Flag, Flags, Pixel, Scalar, StatusCode, Vector3, Vector3Field
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
+from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.sensor._newton import determinant, solve_2d
+from jaxgeo.sensor._reach import FreeAxes, nearest_readings
+from jaxgeo.sensor.gimbal import Readings
+from jaxgeo.sensor.platform import Pose, Shot, Station
+from jaxgeo.sensor.sensor import Sensor
+from jaxgeo.status import Status, first_failure, status_where
+
+
+class LineOfSight(eqx.Module):
+    """A direction to look in: `ned`, a vector north-east-down at the position of the pose, of any length."""
+
+    ned: Vector3Field
+
+    @classmethod
+    def from_degrees(cls, *, azimuth: ArrayLike, depression: ArrayLike) -> LineOfSight:
+        """From the true azimuth and the angle below the horizontal, deg; shapes may carry a batch axis.
+
+        Raises `ValueError` for an azimuth beyond +-360 deg and a depression beyond +-90 deg.
+        """
+        check_range(azimuth, "azimuth", "deg", -360.0, 360.0)
+        check_range(depression, "depression", "deg", -90.0, 90.0)
+        given: Any = as_float64((azimuth, depression), "LineOfSight.from_degrees")
+        azimuth, depression = (jnp.deg2rad(angle) for angle in given)
+        level = jnp.cos(depression)
+        return cls(jnp.stack([level * jnp.cos(azimuth), level * jnp.sin(azimuth), jnp.sin(depression)], axis=-1))
+
+    def to_degrees(self) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """(true azimuth in [0, 360), depression) in deg."""
+        ned: Any = as_float64(self.ned, "line of sight")
+        north, east, down = ned[..., 0], ned[..., 1], ned[..., 2]
+        depression = jnp.rad2deg(jnp.arctan2(down, jnp.hypot(north, east)))
+        return jnp.mod(jnp.rad2deg(jnp.arctan2(east, north)), 360.0), depression
+
+
+Target: TypeAlias = Geodetic | LineOfSight
+# Sensor, pose, target, the line of sight in the camera that is to be brought onto it, and the air.
+World: TypeAlias = tuple[Sensor, Pose, Target, Vector3, Atmosphere | None]
+
+ROUNDS = 3  # the closed form knows no lever arms and no air: each round leaves a hundredth, or a millionth, of them
+NEWTON_STEPS = 3
+TOLERANCE = 1e-9  # rad by which an accepted answer may miss; those that converge miss by some 1e-15
+SINGULAR = 1e-7  # determinant of the axes' turns: nearer, two axes move the line alike, and the least turn is taken
+
+
+class Aimed(NamedTuple):
+    """Readings within the limits, the angle in rad by which they miss, and whether and why they do or cannot."""
+
+    readings: Readings
+    miss: Scalar
+    status: StatusCode
+
+
+@eqx.filter_jit
+def aim(
+    sensor: Sensor,
+    pose: Pose,
+    target: Target,
+    uv: Pixel | None,
+    given: Readings | None,
+    air: Atmosphere | None,
+) -> Aimed:
+    """Readings that bring the axis, or pixel `uv`, onto a target or, within the limits, nearest to it.
+
+    By closed form for the direction to the target, in rounds, since the perspective centre and the air's part hang on
+    the readings; then Newton on the exact map. Derivatives are those of the implicit function; readings that only come
+    nearest have none.
+    """
+    start = sensor.gimbal.neutral_readings() if given is None else given
+    sensor.gimbal.angles(start)  # refuses a wrong number of readings
+    sight, status = _line_of_sight(sensor, uv)
+    world = (sensor, pose, target, sight, air)
+    is_valid = all_finite((sensor.gimbal.sign, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount))
+    is_valid &= all_finite((pose, target, start, air))
+    frozen, frozen_start = jax.lax.stop_gradient((world, start))
+    free = _free_axes(sensor, pose, sight, frozen_start)
+    best = _best(frozen, frozen_start, free, jnp.asarray(given is not None))
+    miss = _angle_off(_target_seen(frozen, best))
+    reached = (miss < TOLERANCE) & all_finite(best)
+    found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
+    outcome = status_where(reached, Status.hit, Status.outside_gimbal_range.code)
+    outcome = status_where(~is_valid, Status.invalid_input, first_failure(status, outcome))
+    known = is_valid & ((status == Status.hit) | (status == Status.outside_image))
+    readings = jnp.where(reached, found, jax.lax.stop_gradient(best))
+    return Aimed(jnp.where(known, readings, jnp.nan), jnp.where(known, miss, jnp.nan), outcome)
+
+
+def _best(world: World, start: Readings, free: FreeAxes, from_start: Flag) -> Readings:
+    """By the short way, that most go: the closed form's root once. Who misses so goes the long one."""
+    way = Way(world, start, free, from_start)
+    quick = _quick_newton(world, _closed_form(way, 1, thorough=False), free)
+    return _long_way_if_missed(_angle_off(_target_seen(world, quick)) >= TOLERANCE, quick, way)
+
+
+class Way(NamedTuple):
+    """What readings are looked for with."""
+
+    world: World
+    start: Readings
+    free: FreeAxes
+    from_start: Flag
+
+
+def _long_way(missed: Flag, quick: Readings, way: Way) -> Readings:
+    long = _newton(way.world, _closed_form(way, ROUNDS, thorough=True), way.free)
+    return jnp.where(missed, long, quick)
+
+
+@jax.custom_batching.custom_vmap
+def _long_way_if_missed(missed: Flag, quick: Readings, way: Way) -> Readings:
+    """Readings of the long way for whom the short one misses; a crowd goes it only if one of them does."""
+    return jax.lax.cond(missed, _long_way, lambda _, quick, __: quick, missed, quick, way)
+
+
+@_long_way_if_missed.def_vmap
+def _(size: int, is_batched: Any, *given: Any) -> tuple[Array, bool]:
+    return _crowd_if_missed(*_spread(size, is_batched, given)), True
+
+
+@jax.custom_batching.custom_vmap
+def _crowd_if_missed(missed: Flags, quick: Float[Array, "n axes"], way: Way) -> Float[Array, "n axes"]:
+    """The same for n at once; crowds of crowds are one crowd, or all of them would go both ways."""
+    return jax.lax.cond(jnp.any(missed), jax.vmap(_long_way), lambda _, quick, __: quick, missed, quick, way)
+
+
+@_crowd_if_missed.def_vmap
+def _(size: int, is_batched: Any, *given: Any) -> tuple[Array, bool]:
+    crowds = _spread(size, is_batched, given)
+    one = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), crowds)
+    return _crowd_if_missed(*one).reshape(crowds[1].shape), True
+
+
+def _spread(size: int, is_batched: Any, given: Any) -> Any:
+    """What a crowd shares, given to each."""
+
+    def spread(leaf: Any, own: bool) -> Array:
+        return leaf if own else jnp.broadcast_to(jnp.asarray(leaf), (size, *jnp.shape(leaf)))
+
+    return jax.tree.map(spread, given, tuple(is_batched))
+
+
+def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
+    """The gimbal's two axes alone, from where the camera then is and to where the target then seems to be."""
+    (sensor, pose, _, sight, _), start = way.world, way.start
+    station = Station.of(Shot(pose, start))
+    gimbal, mount = sensor.gimbal, sensor.mount
+    if gimbal.reference == "level":
+        R_ecef_from_base = station.R_ecef_from_level
+    else:
+        R_ecef_from_base = product(station.R_ecef_from_body, mount.R_body_from_base)
+    sight_head = turned(mount.R_head_from_camera, sight)
+
+    def once_more(_: Any, readings: Readings) -> Readings:
+        wanted = turned(R_ecef_from_base.T, _direction_of_target(way.world, readings))
+        return nearest_readings(gimbal, start, way.free, sight_head, wanted, way.from_start, thorough=thorough)
+
+    return once_more(0, start) if rounds == 1 else jax.lax.fori_loop(0, rounds, once_more, start)
+
+
+def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
+    """Two steps on the exact map, and one more by the slope of the second, wherever they lead within the limits."""
+    seen, J = _seen_and_slope(world, start, free)
+    readings = _put(start, free, start[free] - _least_squares(J, seen))
+    seen, J = _seen_and_slope(world, readings, free)
+    readings = _put(readings, free, readings[free] - _least_squares(J, seen))
+    readings = _put(readings, free, readings[free] - _least_squares(J, _target_seen(world, readings)[:2]))
+    limits = world[0].gimbal.limits
+    return jnp.clip(readings, limits[:, 0], limits[:, 1])
+
+
+def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
+    """A few steps on the exact map, within the limits, each taken only if it comes nearer."""
+    low, high = world[0].gimbal.limits[:, 0], world[0].gimbal.limits[:, 1]
+
+    def step(_: Any, state: tuple[Readings, Scalar]) -> tuple[Readings, Scalar]:
+        readings, miss = state
+        seen, J = _seen_and_slope(world, readings, free)
+        trial = jnp.clip(readings.at[free].add(-_least_squares(J, seen)), low, high)
+        trial_miss = _angle_off(_target_seen(world, trial))
+        better = trial_miss < miss
+        return jnp.where(better, trial, readings), jnp.where(better, trial_miss, miss)
+
+    return jax.lax.fori_loop(0, NEWTON_STEPS, step, (start, _angle_off(_target_seen(world, start))))[0]
+
+
+def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCode]:
+    """Direction in the camera frame to bring onto the target; a pixel outside the image will do too."""
+    axis = sensor.camera.axis()
+    if uv is None:
+        return axis, Status.hit.code
+    direction, status = sensor.camera.ray(uv)
+    status = status_where(status == Status.outside_image, Status.hit, status)
+    return jnp.where(status == Status.hit, direction, axis), status
+
+
+def _direction_of_target(world: World, readings: Readings) -> Vector3:
+    """Unit vector in ECEF from the perspective centre to where the target is, or through the air seems to be."""
+    sensor, pose, target, _, air = world
+    if isinstance(target, LineOfSight):
+        direction = R_ecef_from_ned(pose.position) @ target.ned
+    else:
+        centre, p_ecef = sensor.perspective_centre(Shot(pose, readings)), WGS84.to_ecef(target)
+        direction = (p_ecef if air is None else apparent_point(centre, p_ecef, air)) - centre
+    return direction / safe_norm(direction)
+
+
+def _target_seen(world: World, readings: Readings) -> Vector3:
+    """Unit vector to the target: two components across the line of sight, then the one along it."""
+    sensor, pose, _, sight, _ = world
+    direction = turned(sensor.R_ecef_from_camera(Shot(pose, readings)).T, _direction_of_target(world, readings))
+    down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
+    down = down / safe_norm(down)
+    return turned(jnp.stack([jnp.cross(down, sight), down, sight]), direction)
+
+
+def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[Pixel, Float[Array, "2 free"]]:
+    """The two components across, and their derivatives by the free axes."""
+
+    def across(angles: Float[Array, " free"]) -> tuple[Pixel, Pixel]:
+        seen = _target_seen(world, _put(readings, free, angles))[:2]
+        return seen, seen
+
+    J, seen = jax.jacfwd(across, has_aux=True)(readings[free])
+    return seen, J
+
+
+def _angle_off(seen: Vector3) -> Scalar:
+    return jnp.arctan2(safe_norm(seen[:2]), seen[2])
+
+
+def _free_axes(sensor: Sensor, pose: Pose, sight: Vector3, start: Readings) -> FreeAxes:
+    """The (at most) two axes that turn the line of sight most at the start, from base to head; others are held."""
+    if len(sensor.gimbal.axes) <= 2:
+        return jnp.arange(len(sensor.gimbal.axes))
+    sensor, pose, sight = jax.lax.stop_gradient((sensor, pose, sight))
+    turns = jax.jacfwd(lambda readings: sensor.R_ned_from_camera(Shot(pose, readings)) @ sight)(start)
+    per_angle = jnp.sum((turns @ jnp.diag(1.0 / sensor.gimbal.gain)) ** 2, axis=0)
+    return jnp.sort(jnp.argsort(-per_angle)[:2])
+
+
+@jax.custom_jvp
+def _with_derivative(world: World, held: Readings, free: FreeAxes, root: Readings) -> Readings:
+    """Readings with `root` on the free axes and `held` on the others, with the derivatives of the implicit function."""
+    return _put(held, free, root[free])
+
+
+@_with_derivative.defjvp
+def _(primals, tangents):
+    """d root = -J^-1 (d seen by all else), J by the free axes. Reused within itself, for second derivatives."""
+    world, held, free, root = primals
+    d_world, d_held, _, _ = tangents
+    found = _with_derivative(world, held, free, root)
+    _, d_seen = jax.jvp(lambda w, h: _target_seen(w, _put(h, free, found[free]))[:2], (world, held), (d_world, d_held))
+    _, J = _seen_and_slope(world, found, free)
+    return found, _put(d_held, free, -_least_squares(J, d_seen))
+
+
+def _put(readings: Readings, free: FreeAxes, values: Float[Array, " free"]) -> Readings:
+    """Readings with other values on the free axes."""
+    return readings.at[free].set(values, unique_indices=True)  # else reverse mode refuses to transpose it
+
+
+def _least_squares(J: Float[Array, "2 free"], value: Pixel) -> Float[Array, " free"]:
+    """`x` that makes `J x` nearest to `value`, for one or two unknowns; of several, in effect the shortest.
+
+    Where a line of sight lies along an axis, J has but one direction that moves it.
+    """
+    if J.shape[1] == 1:
+        return (J.T @ value) / jnp.maximum(jnp.sum(J**2), SINGULAR**2)
+    size = jnp.sum(J**2)
+    singular = jnp.abs(determinant(J)) < SINGULAR * size
+    shortest = solve_2d(J.T @ J + SINGULAR**2 * size * jnp.eye(2), J.T @ value)
+    return jnp.where(singular, shortest, solve_2d(jnp.where(singular, jnp.eye(2), J), value))
+
+
+@eqx.filter_jit
+def aim_along(
+    sensor: Sensor,
+    poses: Pose,
+    targets: Target,
+    uv: Pixel | None,
+    given: Readings | None,
+    air: Atmosphere | None,
+) -> Aimed:
+    """`aim` for every knot, each from the one before, so that axes do not jump."""
+    pose, target = jax.tree.map(lambda x: x[0], (poses, targets))
+    first = aim(sensor, pose, target, uv, given, air)
+
+    def following(before: Readings, knot: tuple[Pose, Target]) -> tuple[Readings, Aimed]:
+        aimed = aim(sensor, *knot, uv, jax.lax.stop_gradient(before), air)
+        usable = (aimed.miss < TOLERANCE) & all_finite(aimed.readings)
+        return jnp.where(usable, aimed.readings, before), aimed
+
+    start = jnp.where(all_finite(first.readings), first.readings, sensor.gimbal.neutral_readings())
+    return jax.lax.scan(following, jax.lax.stop_gradient(start), (poses, targets))[1]
