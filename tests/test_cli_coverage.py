@@ -121,6 +121,7 @@ def test_footprints_of_a_table(tmp_path: pathlib.Path, shots_file: pathlib.Path)
     assert Status.crosses_horizon.message in result.stderr
 
 
+@pytest.mark.slow
 def test_point_at_the_ground_of_the_dem_and_at_a_height() -> None:
     """What the optical axis of the demo's scene sees is looked at by its own readings."""
     point = ("point", "--scene", scene_file(), "--target")
@@ -162,6 +163,7 @@ def test_point_at_what_is_hidden() -> None:
     assert Status.hidden_by_terrain.message in result.stderr
 
 
+@pytest.mark.slow
 def test_overlaps_of_a_flight(tmp_path: pathlib.Path, flight) -> None:
     path, output = flight(), tmp_path / "overlaps.csv"
     arguments = ("overlap", "--scene", scene_file(), "--dem", DEM, "--navigation", path, "--times", "101,103,107")

@@ -40,7 +40,10 @@ class ExposureClock(eqx.Module):
 
     @classmethod
     def of(cls, *, overlap: ArrayLike, field_of_view: ArrayLike) -> ExposureClock:
-        """A clock for a wished overlap and the angle of view along the flight in rad.
+        """A clock for a wished overlap and the angle of view along the flight, at the near end of the image, in rad.
+
+        For a narrow field: of a wide one seen from near its edge, Eq 36 knows the length only roughly (`VelocityHeight`
+        measures it).
 
         Raises `ValueError` for an overlap outside [0, 1) and a field of view outside (0, pi).
         """

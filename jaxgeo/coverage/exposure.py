@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
 from jaxgeo._doors import observation
-from jaxgeo._numerics import safe_angle
+from jaxgeo._numerics import dot
 from jaxgeo._typing import Pixel, Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
@@ -91,12 +91,6 @@ def image_size(sensor: Sensor) -> tuple[int, int]:
     return camera.width, camera.height
 
 
-def field_along(sensor: Sensor, along: Along) -> Scalar:
-    """Angle of view along the flight in rad, at the middle of the image across it."""
-    one, other = (sensor.camera.ray(place)[0] for place in _side_middles(sensor, along))
-    return safe_angle(one, other)
-
-
 def end_places(sensor: Sensor, along: Along) -> Places:
     """The near and the far end of an image, in some order: the middles of its two edges that lie along the flight."""
     return jnp.stack(_side_middles(sensor, "rows" if along == "columns" else "columns"))
@@ -113,6 +107,23 @@ def near_end(
     fix = seen_at(sensor, image, end_places(sensor, along), terrain, atmosphere)
     reach = jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf)
     return jax.tree.map(lambda x: x[jnp.argmin(reach)], fix)
+
+
+def near_length(
+    sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, ahead: Vector3, air: Atmosphere | None
+) -> tuple[Scalar, Scalar]:
+    """(length in m along a direction, a unit vector in ECEF, that the near edge of an image has on the ground; the
+    height of that in m): between the corners at which it ends. NaN where one of them sees no ground."""
+    width, height = image_size(sensor)
+    corners = jnp.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
+    fix = seen_at(sensor, image, corners, terrain, air)
+    sides = ((0, 2), (1, 3)) if along == "columns" else ((0, 1), (2, 3))
+    seen = counts_as_fix(fix.status)
+    reach = [jnp.where(seen[i] & seen[j], fix.slant_range[i] + fix.slant_range[j], jnp.inf) for i, j in sides]
+    lengths = [jnp.abs(dot(fix.ecef[j] - fix.ecef[i], ahead)) for i, j in sides]
+    heights = [0.5 * (fix.position.height[i] + fix.position.height[j]) for i, j in sides]
+    first = reach[0] <= reach[1]
+    return jnp.where(first, lengths[0], lengths[1]), jnp.where(first, heights[0], heights[1])
 
 
 def _side_middles(sensor: Sensor, axis: Along) -> list[Pixel]:

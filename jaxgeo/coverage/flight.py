@@ -16,11 +16,13 @@ from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo._numerics import cross, safe_norm, turned
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Along, field_along, near_end
+from jaxgeo.coverage.exposure import Along, near_end, near_length
 from jaxgeo.coverage.overlap import (
     GroundEdges,
     Overlap,
     axis_along,
+    check_along,
+    check_stations,
     edges_on_map,
     ground_edges,
     shared,
@@ -29,7 +31,7 @@ from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned, Transvers
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Pose, Sensor, Shot
 from jaxgeo.sensor.aiming import LineOfSight, aim
-from jaxgeo.status import Status, counts_as_fix
+from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 
 SPECS = ("heading", "pitch", "roll", "height", "across", "speed", "gimbal", "timing")
@@ -77,9 +79,13 @@ class FlightNoise(eqx.Module):
         given = dict(zip(SPECS, (heading, pitch, roll, height, across, speed, gimbal, timing), strict=True))
         for name, value in given.items():
             check_range(value, name, "(a standard deviation)", 0.0, 1e9)
+            if np.shape(value) != ():
+                raise ValueError(f"{name} must be one number, a standard deviation; got shape {np.shape(value)}.")
         checked_positive(lasting, "lasting", "s")
         values: Any = as_float64(given, "FlightNoise.from_degrees")
         angles = {name: jnp.deg2rad(values[name]) for name in ("heading", "pitch", "roll", "gimbal")}
+        if np.shape(lasting) not in ((), (6,)):
+            raise ValueError(f"lasting must be one time in s, or six; got shape {np.shape(lasting)}.")
         times = jnp.broadcast_to(jnp.asarray(as_float64(jnp.asarray(lasting, float), "lasting")), (6,))
         return cls(**{**values, **angles}, lasting=times)
 
@@ -111,8 +117,9 @@ class Compensation(eqx.Module):
 class Strip(eqx.Module):
     """The plan of a strip: `images` of a `sensor`, the first at `shot`, at `speed` m/s along `course` (rad, true).
 
-    The images follow each other by `step` m over the ground below, which gives a wished `overlap` over level ground at
-    the `ground` height (m above the ellipsoid): that under the near end of the first image, unless given.
+    The images follow each other by `step` m of the aircraft's way, which gives a wished `overlap` at the near end if
+    that of every image is as long along the flight as that of the first, `near_length` m on the terrain; or, with a
+    height `ground` (m above the ellipsoid) given, over level ground of that height.
     """
 
     sensor: Sensor
@@ -121,7 +128,7 @@ class Strip(eqx.Module):
     speed: ScalarField
     course: ScalarField
     overlap: ScalarField
-    near_range: ScalarField
+    near_length: ScalarField
     ground: ScalarField
     air: Atmosphere | None
     images: int = eqx.field(static=True)
@@ -138,7 +145,7 @@ class Strip(eqx.Module):
         overlap: ArrayLike,
         speed: ArrayLike,
         images: int,
-        course: ArrayLike | None = None,
+        course: Any = None,
         ground: ArrayLike | None = None,
         along: Along | None = None,
         stations: int = STATIONS,
@@ -149,8 +156,10 @@ class Strip(eqx.Module):
         Raises `ValueError` for fewer than two images, an overlap outside [0, 1), a speed that is not positive, and a
         first image whose near end sees no ground.
         """
-        if images < 2:
-            raise ValueError(f"a strip needs at least two images to overlap; got images={images}.")
+        if isinstance(images, bool) or not isinstance(images, int) or images < 2:
+            raise ValueError(f"a strip needs at least two images to overlap, a whole number; got images={images!r}.")
+        check_stations(stations)
+        check_along(along)
         check_terrain(terrain, FIRST_HIT)
         check_is(shot, Shot, "shot")
         given: Any = observation(sensor, shot, None)
@@ -161,43 +170,39 @@ class Strip(eqx.Module):
             projection = TransverseMercator.gauss_krueger(shot.pose.position.lon)
             course_on_map = _on_map_direction(shot.pose.position, course, projection)
             along = axis_along(sensor, shot, course_on_map, terrain, projection)
-        near = near_end(sensor, shot, terrain, along, air)
-        if not bool(counts_as_fix(near.status)):
+        over = terrain if ground is None else ConstantHeight(checked_finite(ground, "ground", "m"))
+        _, (_, ahead, _) = _axes(sensor, shot, course)
+        length, height = _near_length(sensor, shot, over, along, ahead, air)
+        if not np.isfinite(length):
+            status = Status(int(near_end(sensor, shot, over, along, air).status))
             raise ValueError(
-                f"the near end of the first image sees no ground: {Status(int(near.status)).message} "
+                f"the near end of the first image sees no ground: {status.message if status else 'at its corners.'} "
                 "Turn the camera down, or load a larger terrain."
             )
-        height = near.position.height if ground is None else checked_finite(ground, "ground", "m")
-        strip = cls(
+        return cls(
             sensor,
             shot,
             terrain,
             checked_positive(speed, "speed", "m/s"),
             jnp.asarray(course),
             checked_overlap(overlap),
-            jnp.asarray(near.slant_range),
-            jnp.asarray(height),
+            length,
+            height,
             air,
             images,
             along,
             stations,
         )
-        return strip if ground is None else strip._over_level_ground()
 
     @property
     def step(self) -> Scalar:
         """Planned way of the aircraft from image to image in m, at its height."""
-        return (1.0 - self.overlap) * 2.0 * jnp.tan(0.5 * self.field_of_view) * self.near_range * self._faster
+        return (1.0 - self.overlap) * self.near_length * self._faster
 
     @property
     def period(self) -> Scalar:
         """Planned time from image to image, s."""
         return self.step / self.speed
-
-    @property
-    def field_of_view(self) -> Scalar:
-        """Angle of view along the flight in rad, at the middle of the image across it."""
-        return field_along(self.sensor, self.along)
 
     def with_overlap(self, overlap: ArrayLike) -> Strip:
         """The same strip with another wished overlap."""
@@ -209,11 +214,6 @@ class Strip(eqx.Module):
         position = self.shot.pose.position
         radius = WGS84.radius_in_azimuth(position.lat, self.course)
         return (radius + position.height) / (radius + self.ground)
-
-    def _over_level_ground(self) -> Strip:
-        """With the range of the near end over level ground."""
-        near = near_end(self.sensor, self.shot, ConstantHeight(self.ground), self.along, self.air)
-        return eqx.tree_at(lambda strip: strip.near_range, self, jnp.asarray(near.slant_range))
 
 
 def normals_of(strip: Strip) -> int:
@@ -242,7 +242,7 @@ def shots_of(strip: Strip, noise: FlightNoise, normals: Normals, compensation: C
 def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> tuple[Shot, GroundEdges]:
     """The shots of a flight, and the edges of what they see."""
     processes, gimbal, timing = _drawn(strip, noise, normals)
-    planned, track = _nominal(strip)
+    planned, track = _axes(strip.sensor, strip.shot, strip.course)
     late = jnp.roll(timing, -1) - timing
     speeds = strip.speed + processes[5]
 
@@ -254,7 +254,7 @@ def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Co
 
         def following(way: Scalar, k: Any) -> tuple[Scalar, tuple[Shot, GroundEdges]]:
             shot, edges = image(way, k)
-            step = strip.step / strip.near_range * _near_range(strip, shot, edges)
+            step = strip.step / strip.near_length * _length_at_near_end(strip, shot, edges, track[1])
             return way + step + speeds[k] * late[k], (shot, edges)
 
         return jax.lax.scan(following, jnp.zeros(()), jnp.arange(strip.images))[1]
@@ -285,14 +285,13 @@ def _drawn(
     return processes, sigmas[6] * rest[: n * axes].reshape(n, axes), sigmas[7] * rest[n * axes :]
 
 
-def _nominal(strip: Strip) -> tuple[Vector3, tuple[Vector3, Vector3, Vector3]]:
+def _axes(sensor: Sensor, shot: Shot, course: Scalar) -> tuple[Vector3, tuple[Vector3, Vector3, Vector3]]:
     """The planned line of sight in axes (along the course, right of it, down), and the track: normal, along, right."""
-    shot = strip.shot
     R = R_ecef_from_ned(shot.pose.position)
-    c, s = jnp.cos(strip.course), jnp.sin(strip.course)
+    c, s = jnp.cos(course), jnp.sin(course)
     up, along = -R[:, 2], c * R[:, 0] + s * R[:, 1]
     right = jnp.stack(cross(-up, along))
-    sight = turned(strip.sensor.R_ned_from_camera(shot), strip.sensor.camera.axis())
+    sight = turned(sensor.R_ned_from_camera(shot), sensor.camera.axis())
     planned = jnp.stack([c * sight[0] + s * sight[1], c * sight[1] - s * sight[0], sight[2]])
     return planned, (up, along, right)
 
@@ -333,11 +332,16 @@ def _shot(
     return Shot(pose, readings + gimbal)
 
 
-def _near_range(strip: Strip, shot: Shot, edges: GroundEdges) -> Scalar:
-    """Slant range in m of the middle of the near end."""
-    ends = 0.5 * (edges.points[0] + edges.points[1])[jnp.array([0, -1])]
+def _length_at_near_end(strip: Strip, shot: Shot, edges: GroundEdges, ahead: Vector3) -> Scalar:
+    """Length in m along the flight of the near end of an image, between its corners."""
+    corners = edges.points[:, jnp.array([0, -1])]
     centre = strip.sensor.perspective_centre(shot)
-    return jnp.min(jax.vmap(lambda end: safe_norm(end - centre))(ends))
+    reach = jnp.sum(jax.vmap(jax.vmap(lambda corner: safe_norm(corner - centre)))(corners), axis=0)
+    lengths = jnp.abs((corners[1] - corners[0]) @ ahead)
+    return jnp.where(reach[0] <= reach[1], lengths[0], lengths[1])
+
+
+_near_length = eqx.filter_jit(near_length)
 
 
 def _overlaps(strip: Strip, edges: GroundEdges) -> Overlap:

@@ -28,6 +28,7 @@ CHUNK = 512  # flights at a time
 LATTICE = 4096  # points of the integral of a normal distribution over an orthant
 NUGGET = 1e-10  # share of the largest variance that is added to all, so that margins that go together can be told apart
 LEAST, MOST = 0.0, 0.95  # overlaps between which a plan is looked for
+FEWEST_GAPS = 5  # flights with a gap that a quantile should rest on
 CLOSE = 1e-4  # of overlap, to which it is found
 
 Derivatives = dict[str, tuple[float, float]]
@@ -83,9 +84,10 @@ class Flights(eqx.Module):
 class LinearGaps(eqx.Module):
     """The same by linear propagation about the flight as planned.
 
-    `margins` (2 pairs,) are the overlaps there at the near ends and then at the far ends, `cov` (specs, 2 pairs,
-    2 pairs) the part of their covariance that each standard deviation in `SPECS` has; `free` is the probability of a
-    strip without gaps there, `of_pair` those of a gap at each pair's near end.
+    `margins` (4 pairs,) are the overlaps there at the near ends, then at the far ends, then by how much each image's
+    far end lies beyond the other's near end (`Overlap.sideways`); `cov` (specs, 4 pairs, 4 pairs) the part of their
+    covariance that each standard deviation in `SPECS` has; `free` is the probability of a strip without gaps there,
+    `of_pair` those of a gap at each pair's near end.
     """
 
     margins: Float[Array, " ends"]
@@ -134,7 +136,8 @@ def fly(
 def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation = Compensation()) -> LinearGaps:
     """The probability of gaps by the derivatives of all overlaps about the planned flight.
 
-    The overlaps at the near and far ends are taken as jointly normal; the probability that all are positive is Genz's
+    The overlaps at the near and far ends, and the margins by which images still meet sideways, are taken as jointly
+    normal; the probability that all are positive is Genz's
     (1992) integral on a lattice. `trusts_linear` says whether the terrain lets such derivatives be trusted.
     Raises `ValueError` where the flight as planned sees no ground.
     """
@@ -190,6 +193,11 @@ def overlap_to_plan(
     """
     if not 0.0 < free < 1.0:
         raise ValueError(f"free must lie in (0, 1), a share of strips without a gap; got {free}.")
+    if key is not None and flights * (1.0 - free) < FEWEST_GAPS:
+        raise ValueError(
+            f"{flights} flights say too little of {free:.9g}: of them at least {FEWEST_GAPS} should have a gap. Fly "
+            f"{math.ceil(FEWEST_GAPS / (1.0 - free))} or more."
+        )
 
     def short(overlap: float) -> float:
         """Above zero where the overlap is enough; continuous, which a share of flights would not be."""
@@ -227,7 +235,7 @@ def _flown(strip: Strip, noise: FlightNoise, key: Any, numbers: Any, compensatio
 def _linear(strip: Strip, noise: FlightNoise, compensation: Compensation) -> Any:
     def ends(normals: Float[Array, " normals"]) -> Any:
         overlap = flown(strip, noise, normals, compensation)
-        margins = jnp.concatenate([overlap.near, overlap.far])
+        margins = jnp.concatenate([overlap.near, overlap.far, overlap.sideways[:, 0], overlap.sideways[:, 1]])
         return margins, (margins, overlap.status)
 
     J, (margins, status) = jax.jacfwd(ends, has_aux=True)(jnp.zeros(normals_of(strip)))

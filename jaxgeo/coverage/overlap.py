@@ -52,7 +52,8 @@ class Overlap(eqx.Module):
 
     `along` (stations,) at places evenly between the `near` end and the `far` end of what both reach, by their distance
     across the flight, `across` (stations,) in m on the map; below zero there is a gap. `least` is the least of them,
-    `side` the share of the one before's extent across the flight that both reach, `area` that of its area that they
+    `side` the share of the one before's extent across the flight that both reach (`sideways`: in the same unit, by how
+    much each image's far end lies beyond the other's near end), `area` that of its area that they
     share. `step` is the way in m on the map from the middle of the one's near end to that of the other's, along the
     flight. `status` is that of what sees no ground, and all else then NaN; `images_apart` where there is no place
     across the flight that both reach: `side` is then negative, `area` zero, and the overlaps along the flight are NaN;
@@ -65,6 +66,7 @@ class Overlap(eqx.Module):
     along: Float[Array, "... stations"]
     across: Float[Array, "... stations"]
     side: ScalarField
+    sideways: Float[Array, "... 2"]
     area: ScalarField
     step: ScalarField
     status: StatusField
@@ -97,8 +99,8 @@ def overlap(
     On terrain an edge jumps where a ridge hides ground: between its ends it is taken as straight.
     Differentiable. Raises `ValueError` for images from one place without a `direction`.
     """
-    if stations < 2:
-        raise ValueError(f"stations must be at least 2, the near end and the far end; got {stations}.")
+    check_stations(stations)
+    check_along(along)
     check_terrain(terrain, FIRST_HIT)
     air = checked_air(atmosphere)
     sensor, before = checked_image(sensor, before)
@@ -110,6 +112,18 @@ def overlap(
     way = way / safe_norm(way)
     along = axis_along(sensor, before, way, terrain, projection) if along is None else along
     return _overlap(sensor, before, after, terrain, way, along, stations, air, projection)
+
+
+def check_stations(stations: int) -> None:
+    """Raise `ValueError` for fewer stations than ends."""
+    if stations < 2:
+        raise ValueError(f"stations must be at least 2, the near end and the far end; got {stations}.")
+
+
+def check_along(along: Any) -> None:
+    """Raise `ValueError` for anything else than an axis of an image, or none."""
+    if along not in ("columns", "rows", None):
+        raise ValueError(f'along must be "columns" or "rows", the axis of the image along the flight; got {along!r}.')
 
 
 def flight_direction(before: Image, after: Image, projection: TransverseMercator) -> PlanePoint:
@@ -195,13 +209,14 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     lines = [_line(edge, direction, side) for edge in (before.leading, before.trailing, after.leading, after.trailing)]
     near = jnp.max(jnp.stack([across[0] for across, _ in lines]))
     far = jnp.min(jnp.stack([across[-1] for across, _ in lines]))
-    own_near, own_far = jnp.maximum(lines[0][0][0], lines[1][0][0]), jnp.minimum(lines[0][0][-1], lines[1][0][-1])
+    own_near, own_far = _reach(lines[:2])
+    next_near, next_far = _reach(lines[2:])
     meets = far > near
     side_by_side = far - near
     across = near + jnp.where(meets, side_by_side, 1.0) * jnp.linspace(0.0, 1.0, stations)
     lead, trail, next_lead, next_trail = (jnp.interp(across, y, x) for y, x in lines)
     length = lead - trail
-    is_ordered = jnp.all(length > 0.0)
+    is_ordered = jnp.all(length > 0.0) & (own_far > own_near) & (next_far > next_near)
     length = jnp.where(length > 0.0, length, 1.0)
     along = (lead - next_trail) / length
     own_across = own_near + (own_far - own_near) * jnp.linspace(0.0, 1.0, stations)
@@ -213,13 +228,14 @@ def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) ->
     step = dot(0.5 * (after.leading[0] + after.trailing[0]) - middle[0], direction)
     is_known = status == Status.hit
     status = status_where(is_known & ~meets, Status.images_apart, status)
-    status = status_where(is_known & meets & ~is_ordered, Status.invalid_input, status)
+    status = status_where(is_known & ~is_ordered & (meets | (own_far <= own_near)), Status.invalid_input, status)
     meets &= is_ordered
     of_meeting = (along[0], along[-1], jnp.min(along), along, across)
-    of_both = (side_by_side / own_extent, area, step)
+    sideways = jnp.stack([own_far - next_near, next_far - own_near]) / own_extent
+    of_both = (side_by_side / own_extent, sideways, area, step)
     near_, far_, least, along, across = (jnp.where(is_known & meets, x, jnp.nan) for x in of_meeting)
-    side_, area, step = (jnp.where(is_known, x, jnp.nan) for x in of_both)
-    return Overlap(near_, far_, least, along, across, side_, area, step, status)
+    side_, sideways, area, step = (jnp.where(is_known, x, jnp.nan) for x in of_both)
+    return Overlap(near_, far_, least, along, across, side_, sideways, area, step, status)
 
 
 @eqx.filter_jit
@@ -242,6 +258,12 @@ def _overlap(
 def _line(edge: PlanePoints, direction: PlanePoint, side: PlanePoint) -> tuple[Array, Array]:
     """An edge as (distance across, distance along), the first made to rise, as it does but for a turning platform."""
     return jax.lax.cummax(edge @ side), edge @ direction
+
+
+def _reach(lines: list[tuple[Array, Array]]) -> tuple[Scalar, Scalar]:
+    """Where both edges of an image begin, and where the first of them ends, across the flight."""
+    (one, _), (other, _) = lines
+    return jnp.maximum(one[0], other[0]), jnp.minimum(one[-1], other[-1])
 
 
 def _mean(values: Float[Array, " stations"]) -> Scalar:

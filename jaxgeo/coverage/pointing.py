@@ -86,6 +86,10 @@ def point(
     target, uv, start = given
     if isinstance(target, Geodetic):
         check_latitude(target, "target")
+    elif isinstance(shot, Shot) and jnp.shape(target.ned) != (3,):
+        raise ValueError(
+            f"target.ned must be one vector (3,); got shape {jnp.shape(target.ned)}. Use jax.vmap for many."
+        )
     air = checked_air(atmosphere)
     if isinstance(shot, Shot):
         return _pointed(sensor, shot.pose, target, uv, start, terrain, air)

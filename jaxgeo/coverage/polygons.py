@@ -100,6 +100,8 @@ def seen_ground(
     east, north = (np.arange(low + 0.5 * spacing, high, spacing) for low, high in ((low_e, high_e), (low_n, high_n)))
     places = np.stack([x.ravel() for x in np.meshgrid(east, north)], axis=1)
     places = places[shapely.contains_xy(shape, places[:, 0], places[:, 1])]
+    if not len(places):
+        raise ValueError(f"no square of {spacing:g} m has its middle within the outline: take smaller ones.")
     codes = [
         np.asarray(_seen_from(sensor, image, terrain, jnp.asarray(part), outline.projection, checked_air(atmosphere)))
         for part in _parts(places)

@@ -12,35 +12,39 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline
 
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._numerics import safe_norm, turned
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Along, Exposure, end_places, field_along, own_map, seen_at
+from jaxgeo.coverage.exposure import Along, Exposure, near_length, on_map, own_map
 from jaxgeo.coverage.overlap import (
     STATIONS,
     GroundEdges,
     Overlap,
     axis_along,
+    check_along,
+    check_stations,
     edges_on_map,
     flight_direction,
     ground_edges,
     shared,
 )
-from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
+from jaxgeo.earth import WGS84, Atmosphere, R_ecef_from_ned, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Trajectory
-from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 
 INTERVAL = 0.05  # s between the nodes of the velocity-height integral
+HALVINGS = 40  # of such an interval, in which the integral comes to its mark
 LOOKED_THROUGH = 24  # times at which the overlap is looked at for the first that is as small as is wished
 ROUNDS = 6  # in which the interval before that is looked through again: to 1e-8 of the wait
 FARTHEST = 4.0  # times the wait that level ground would ask for, within which an overlap is looked for
 MOST = 10_000  # images of one plan
 FEWEST = 64  # that are computed with
+STANDING = 1e-3  # m between two platforms: nearer, the velocity tells the direction of flight
 
 
 class Plan(eqx.Module):
@@ -63,6 +67,18 @@ class Course(eqx.Module):
     air: Atmosphere | None
     along: Along = eqx.field(static=True)
 
+    @property
+    def first(self) -> Scalar:
+        """When the first whole image can be taken, s: rows may be exposed before the time of the image."""
+        exposure = self.sensor.camera.exposure()
+        return self.trajectory.start - (0.0 if exposure is None else jnp.minimum(exposure[0], 0.0))
+
+    @property
+    def last(self) -> Scalar:
+        """When the last whole image can be taken, s."""
+        exposure = self.sensor.camera.exposure()
+        return self.trajectory.end - (0.0 if exposure is None else jnp.maximum(exposure[1], 0.0))
+
     def over(self, terrain: AbstractTerrain) -> Course:
         """The same over other ground."""
         return Course(self.sensor, self.trajectory, terrain, self.air, self.along)
@@ -83,36 +99,41 @@ class FixedPeriod(AbstractTiming):
 
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
         period = float(checked_positive(self.period, "period", "s"))
-        count = math.floor((float(course.trajectory.end) - start) / period * (1.0 + 1e-12)) + 1
+        count = math.floor((float(course.last) - start) / period * (1.0 + 1e-12)) + 1
         return start + period * np.arange(min(count, most))
 
 
 class VelocityHeight(AbstractTiming):
-    """By the integral over time of speed over slant range: Li et al. (2020), Eq 36.
+    """By an integral over time: that of speed over height of Li et al. (2020), Eq 36, for any camera.
 
-    The next image is due when the integral of V / S has grown by 2 tan(omega/2) (1 - overlap): omega the field of view
-    along the flight at the near end, S the slant range there (H / cos(theta) over level ground) and V the speed of the
-    ground point. So the ground is that which is seen; with a `height` in m above the ellipsoid it is taken to be level
-    there, whatever the terrain. The integral is made once for the flight, `INTERVAL` s apart, and the time found where
-    it comes to its mark, not at the next record.
+    The next image is due when the integral of V / L has grown by 1 - overlap: V the speed of the ground point of the
+    near end, L the length along the flight that the image has there. Over level ground, and for a narrow field, L is
+    2 tan(omega/2) H / cos(theta), and this is Eq 36. So the ground is that which is seen; with a `height` in m above
+    the ellipsoid it is taken to be level there, whatever the terrain. The integral is made once for the flight, at
+    nodes `INTERVAL` s apart, and the time found where it comes to its mark, not at the next record.
     """
 
     overlap: ScalarField
     height: ScalarField | None = None
 
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
-        nodes, total = (np.asarray(x) for x in self.integral(course, start))
-        goal = float(self.mark(course, start))
-        marks = goal * np.arange(min(math.floor(total[-1] / goal * (1.0 + 1e-12)) + 1, most))
-        return PchipInterpolator(total, nodes)(np.minimum(marks, total[-1]))
+        goal = 1.0 - float(checked_overlap(self.overlap))
+        nodes, total, rate = (np.asarray(x) for x in self.integral(course, start))
+        marks = goal * np.arange(1, min(math.floor(total[-1] / goal * (1.0 + 1e-12)) + 1, most))
+        if not marks.size:
+            return np.array([start])
+        marks = np.minimum(marks, total[-1])
+        between = np.clip(np.searchsorted(total, marks), 1, len(nodes) - 1)
+        low, high, grown = nodes[between - 1], nodes[between], CubicHermiteSpline(nodes, total, rate)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            short = grown(middle) < marks
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        return np.concatenate([[start], high])
 
-    def mark(self, course: Course, time: ArrayLike) -> Scalar:
-        """By how much the integral grows from image to image."""
-        return (1.0 - checked_overlap(self.overlap)) * 2.0 * jnp.tan(0.5 * field_along(course.sensor, course.along))
-
-    def integral(self, course: Course, start: float) -> tuple[Float[Array, " nodes"], Float[Array, " nodes"]]:
-        """(times in s, the integral of V / S from the start to them) up to the trajectory's end, by Simpson's rule."""
-        end = float(course.trajectory.end)
+    def integral(self, course: Course, start: float) -> tuple[Float[Array, " nodes"], ...]:
+        """(times in s, the integral of V / L from the start to them by Simpson's rule, V / L) up to the last image."""
+        end = max(float(course.last), start)
         legs = max(2 * math.ceil((end - start) / (2.0 * INTERVAL)), 8)
         nodes = jnp.linspace(start, end, 2 * legs + 1)
         rate = _rates(course if self.height is None else course.over(ConstantHeight(self.height)), nodes)
@@ -120,26 +141,28 @@ class VelocityHeight(AbstractTiming):
             lost = float(nodes[int(np.argmin(np.isfinite(rate)))])
             raise ValueError(f"the near end of the image sees no ground at {lost:.9g} s: no image can be timed by it.")
         growth = (nodes[2] - nodes[0]) / 6.0 * (rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2])
-        return nodes[::2], jnp.concatenate([jnp.zeros(1), jnp.cumsum(growth)])
+        return nodes[::2], jnp.concatenate([jnp.zeros(1), jnp.cumsum(growth)]), rate[::2]
 
 
 class GroundShared(AbstractTiming):
     """By the overlap itself, on the ground that both images see: the first time at which it is no more than wished.
 
-    `place` says where it counts: at the "near" end, or where it is "least" along the whole edge. The wait that level
-    ground would ask for is looked through, and the interval in which the overlap first falls to what is wished, again:
-    a jump, where a ridge comes to hide ground, is found as well as a root.
+    `place` says where it counts: at the "near" end, at the "far" end, or where it is "least" along the whole edge. Four
+    times the wait that `VelocityHeight` would ask for is looked through, and the interval in which the overlap first
+    falls to what is wished, again: of a jump, where a ridge comes to hide ground, the time before it is taken. Where
+    no overlap can be told, since an image sees no ground, the next one is taken as `VelocityHeight` would.
     """
 
     overlap: ScalarField
-    place: Literal["near", "least"] = eqx.field(static=True, default="near")
+    place: Literal["near", "far", "least"] = eqx.field(static=True, default="near")
     stations: int = eqx.field(static=True, default=STATIONS)
 
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
-        checked_overlap(self.overlap)
-        guess = VelocityHeight(self.overlap)
-        nodes, total = guess.integral(course, start)
-        goal = guess.mark(course, start)
+        goal = 1.0 - checked_overlap(self.overlap)
+        check_stations(self.stations)
+        if self.place not in ("near", "far", "least"):
+            raise ValueError(f'place must be "near", "far" or "least"; got {self.place!r}.')
+        nodes, total, _ = VelocityHeight(self.overlap).integral(course, start)
         times = [start]
         while len(times) < most:
             following = float(_first_due(self, course, jnp.asarray(times[-1]), nodes, total, goal))
@@ -154,7 +177,7 @@ class GroundShared(AbstractTiming):
 @eqx.filter_jit
 def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array, total: Array, goal: Scalar) -> Scalar:
     """When the image after one at `time` is due; infinite where the trajectory ends before."""
-    longest = course.trajectory.end - time
+    longest = course.last - time
     done = jnp.interp(time, nodes, total)
     level = jnp.interp(done + goal, total, nodes) - time  # at the end of the flight where it does not come to that
 
@@ -162,22 +185,27 @@ def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array,
         moments = jnp.concatenate([time[None], time + waits])
         ground = images_at(course, moments, timing.stations)
         first, later = (jax.tree.map(lambda x, part=part: x[part], ground) for part in (0, slice(1, None)))
-        pairs = jax.vmap(lambda moment, one: pair(course, time, moment, first, one, timing.stations))
-        found = getattr(pairs(moments[1:], later), timing.place) - timing.overlap
-        return jnp.where(jnp.isfinite(found), found, -1.0)  # ground that is not seen is not shared
+        found = jax.vmap(lambda one: pair(course, time, first, one, timing.stations))(later)
+        return getattr(found, timing.place) - timing.overlap
 
-    def closer(_: Any, state: tuple[Array, Flag]) -> tuple[Array, Flag]:
-        bracket, _ = state
+    def closer(_: Any, state: tuple[Array, Flag, Flag]) -> tuple[Array, Flag, Flag]:
+        bracket, _, was_seen = state
         waits = bracket[0] + (bracket[1] - bracket[0]) * jnp.linspace(0.0, 1.0, LOOKED_THROUGH + 1)[1:]
-        is_short = spare(waits) <= 0.0
+        left = spare(waits)
+        is_short = ~(left > 0.0)  # also where there is no telling
         at = jnp.argmax(is_short)
         narrowed = jnp.stack([jnp.where(at > 0, waits[at - 1], bracket[0]), waits[at]])
-        return jnp.where(jnp.any(is_short), narrowed, bracket), jnp.any(is_short)
+        exists = jnp.any(is_short)
+        return jnp.where(exists, narrowed, bracket), exists, was_seen & (~exists | jnp.isfinite(left[at]))
 
-    low, high = level / FARTHEST, jnp.minimum(FARTHEST * level, longest)
-    bracket = jnp.stack([jnp.minimum(low, high), high])
-    (_, wait), exists = jax.lax.fori_loop(0, ROUNDS, closer, (bracket, jnp.asarray(True)))
-    return jnp.where(exists, time + wait, jnp.inf)
+    bracket = jnp.stack([jnp.zeros(()), jnp.minimum(FARTHEST * level, longest)])
+    (before, after), exists, is_seen = jax.lax.fori_loop(
+        0, ROUNDS, closer, (bracket, jnp.asarray(True), jnp.asarray(True))
+    )
+    wait = jnp.where(before > 0.0, before, after)
+    by_level = jnp.where(done + goal <= total[-1], level, jnp.inf)
+    wait = jnp.where(is_seen, jnp.where(exists, wait, jnp.inf), by_level)
+    return jnp.where(longest > 0.0, time + wait, jnp.inf)
 
 
 def plan(
@@ -192,7 +220,7 @@ def plan(
     stations: int = STATIONS,
     atmosphere: Atmosphere | None = None,
 ) -> Plan:
-    """All images of a flight from `start` in s (that of the trajectory if left out), and what they share.
+    """All images of a flight from `start` in s (the first whole one if left out), and what they share.
 
     The gimbal does what the trajectory's readings say. `along` names the axis of the image that lies along the flight;
     left out it is found at the start. Ends with the trajectory, or after `most` images. Not for tracing: how many there
@@ -204,19 +232,26 @@ def plan(
     given: Any = observation(sensor, trajectory, start)
     sensor, trajectory, time = given
     check_is(trajectory, Trajectory, "trajectory", "Of one Shot, Trajectory.steady.")
-    time = trajectory.start if start is None else time
+    check_stations(stations)
+    check_along(along)
+    if most < 2:
+        raise ValueError(f"most must be at least 2 images; got {most}.")
+    course = Course(sensor, trajectory, terrain, checked_air(atmosphere), "rows" if along is None else along)
+    span = [float(course.first), float(course.last)]
+    time = jnp.asarray(span[0]) if start is None else time
     check_finite(time, "start", "s")
-    span = [float(trajectory.start), float(trajectory.end)]
     if not span[0] <= float(time) <= span[1]:
         raise ValueError(
-            f"start must lie on the trajectory, {span[0]:.9g} to {span[1]:.9g} s; got {float(time):.9g} s."
+            f"start must lie on the trajectory, {span[0]:.9g} to {span[1]:.9g} s; got {float(time):.9g} s. (Within, a "
+            "whole image is exposed.)"
         )
-    along = _axis_at(sensor, trajectory, time, terrain) if along is None else along
-    course = Course(sensor, trajectory, terrain, checked_air(atmosphere), along)
+    if along is None:
+        along = _axis_at(sensor, trajectory, time, terrain)
+        course = Course(sensor, trajectory, terrain, course.air, along)
     times = timing.times(course, float(time), most)
     if len(times) < 2:
         raise ValueError(
-            f"the trajectory ends at {span[1]:.9g} s, before a second image is due after that at {times[0]:.9g} s: "
+            f"the last whole image is at {span[1]:.9g} s, before a second image is due after that at {times[0]:.9g} s: "
             "fewer than two images have no overlap. Fly on, or wish for more overlap."
         )
     return Plan(trajectory, jnp.asarray(times), _overlaps_of(course, times, stations))
@@ -235,10 +270,10 @@ def overlaps_at(course: Course, times: Float[Array, " images"], stations: int = 
     ground = images_at(course, times, stations)
     before, after = (jax.tree.map(lambda x, part=part: x[part], ground) for part in (slice(None, -1), slice(1, None)))
 
-    def one(time: Scalar, later: Scalar, before: GroundEdges, after: GroundEdges) -> Overlap:
-        return pair(course, time, later, before, after, stations)
+    def one(time: Scalar, before: GroundEdges, after: GroundEdges) -> Overlap:
+        return pair(course, time, before, after, stations)
 
-    return jax.vmap(one)(times[:-1], times[1:], before, after)
+    return jax.vmap(one)(times[:-1], before, after)
 
 
 def images_at(course: Course, times: Float[Array, " images"], stations: int) -> GroundEdges:
@@ -251,35 +286,37 @@ def images_at(course: Course, times: Float[Array, " images"], stations: int) -> 
     return jax.vmap(one)(times)
 
 
-def pair(
-    course: Course, time: Scalar, later: Scalar, before: GroundEdges, after: GroundEdges, stations: int
-) -> Overlap:
-    """The overlap of images at two times, along the flight half way between them."""
+def pair(course: Course, time: Scalar, before: GroundEdges, after: GroundEdges, stations: int) -> Overlap:
+    """The overlap of two images, the first taken at `time`, along the way from the one platform to the other."""
     position = course.trajectory.at(time).pose.position
     projection = TransverseMercator.gauss_krueger(position.lon)
-    north, east, _ = course.trajectory.velocity_ned_at(0.5 * (time + later))
+    way = on_map(projection, after.platform) - on_map(projection, before.platform)
+    moved = safe_norm(way)
+    north, east, _ = course.trajectory.velocity_ned_at(time)
     convergence, _ = projection.convergence_and_scale(position.lat, position.lon)
-    bearing = jnp.arctan2(east, north) - convergence
-    direction = jnp.stack([jnp.sin(bearing), jnp.cos(bearing)])
+    bearing = jnp.arctan2(east, jnp.where((north == 0.0) & (east == 0.0), 1.0, north)) - convergence
+    ahead = jnp.stack([jnp.sin(bearing), jnp.cos(bearing)])
+    direction = jnp.where(moved > STANDING, way / jnp.where(moved > STANDING, moved, 1.0), ahead)
     first, second = (edges_on_map(one, direction, projection) for one in (before, after))
     return shared(first, second, direction, stations)
 
 
 @eqx.filter_jit
 def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " times"]:
-    """Speed of the near end's ground point over its slant range at times, 1/s."""
-    ends = end_places(course.sensor, course.along)
+    """Speed of the near end's ground point over the image's length along the flight there, at times, 1/s."""
 
     def rate(time: Scalar) -> Scalar:
         shot = course.trajectory.at(time)
-        fix = seen_at(course.sensor, shot, ends, course.terrain, course.air)
-        near = jnp.argmin(jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf))
         north, east, _ = course.trajectory.velocity_ned_at(time)
+        speed = jnp.hypot(north, east)
+        still = speed == 0.0
+        level = jnp.stack([jnp.where(still, 1.0, north), east, jnp.zeros(())]) / jnp.where(still, 1.0, speed)
+        ahead = turned(R_ecef_from_ned(shot.pose.position), level)
+        length, height = near_length(course.sensor, shot, course.terrain, course.along, ahead, course.air)
         # The ground point moves as fast as the platform's foot does: by the radii less than the platform itself.
         position = shot.pose.position
-        radius = WGS84.radius_in_azimuth(position.lat, jnp.arctan2(east, north))
-        slower = (radius + fix.position.height[near]) / (radius + position.height)
-        return jnp.hypot(north, east) * slower / fix.slant_range[near]
+        radius = WGS84.radius_in_azimuth(position.lat, jnp.arctan2(level[1], level[0]))
+        return speed * (radius + height) / (radius + position.height) / length
 
     return jax.vmap(rate)(times)
 

@@ -91,6 +91,7 @@ def aim(
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
     free = _free_axes(sensor, pose, sight, frozen_start)
     best = _best(frozen, frozen_start, free, jnp.asarray(given is not None))
+    is_valid &= all_finite(best)  # a target at the perspective centre lies in no direction
     miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
     found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
@@ -213,7 +214,8 @@ def _direction_of_target(world: World, readings: Readings) -> Vector3:
     """Unit vector in ECEF from the perspective centre to where the target is, or through the air seems to be."""
     sensor, pose, target, _, air = world
     if isinstance(target, LineOfSight):
-        direction = R_ecef_from_ned(pose.position) @ target.ned
+        largest = jnp.max(jnp.abs(target.ned))
+        direction = R_ecef_from_ned(pose.position) @ (target.ned / jnp.where(largest > 0.0, largest, 1.0))
     else:
         centre, p_ecef = sensor.perspective_centre(Shot(pose, readings)), WGS84.to_ecef(target)
         direction = (p_ecef if air is None else apparent_point(centre, p_ecef, air)) - centre

@@ -213,3 +213,19 @@ def test_mistakes_are_told_in_words(name):
     mistake, words = MISTAKES[name]
     with pytest.raises(ValueError, match=words):
         mistake()
+
+
+def test_images_that_miss_each_other_sideways_are_gaps_to_both_ways():
+    """Roll that changes from image to image by as much as the field of view is wide."""
+    noise = FlightNoise.from_degrees(roll=0.3, lasting=1e-3)
+    sampled = fly(STRIP, noise, key=KEY, flights=2048)
+    assert np.any(np.asarray(sampled.status) == Status.images_apart)
+    chance, (low, high) = sampled.gap_probability(0.999)
+    linear = linear_gaps(STRIP, noise).gap_probability
+    assert chance > 0.05
+    assert low - 0.04 <= linear <= high + 0.04  # a frame farther out is a larger one: the second order
+
+
+def test_a_quantile_needs_flights_to_rest_on():
+    with pytest.raises(ValueError, match="512 flights say too little"):
+        overlap_to_plan(STRIP, NOISE, free=0.9999, key=KEY, flights=512)

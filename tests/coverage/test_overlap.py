@@ -11,9 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, Dem, Geodetic, Pose, Sensor, Shot, Status, Trajectory
-from jaxgeo.coverage import Exposure, geometry, overlap, own_map, transform
-from jaxgeo.coverage.overlap import axis_along, flight_direction
+from jaxgeo import (
+    ConstantHeight,
+    Dem,
+    FrameCamera,
+    Geodetic,
+    Gimbal,
+    Mount,
+    Pose,
+    Sensor,
+    Shot,
+    Status,
+    Trajectory,
+)
+from jaxgeo.coverage import Exposure, footprint, geometry, overlap, own_map, polygon_overlap, transform
+from jaxgeo.coverage.overlap import axis_along, check_along, flight_direction
 from jaxgeo.locate import locate
 from jaxgeo.sensor.conventions import li_2020_sensor, li_2023_sweep_sensor
 from jaxgeo.terrain import TangentGrid
@@ -265,3 +277,31 @@ def test_sweeps_overlap_as_frames_do() -> None:
 def test_refusals(call, error, words: str) -> None:
     with pytest.raises(error, match=words):
         call()
+
+
+DOWN = Sensor(FrameCamera.from_pixels(focal_px=4000.0, width=4000, height=3000), Gimbal.two_axis(), Mount.nadir())
+
+
+def straight_down(north: float, roll: float, heading: float = 0.0) -> Shot:
+    pose = Pose.from_degrees(lat=LAT + north / 110_940.0, lon=LON, height=2000.0, heading=heading, roll=roll)
+    return Shot(pose, DOWN.gimbal.readings_from_degrees(outer=0.0, inner=0.0))
+
+
+@pytest.mark.parametrize("roll, heading", [(0.0, 0.0), (0.3, 0.0), (2.0, 180.0)])
+def test_a_camera_that_looks_straight_down_may_roll_either_way(roll: float, heading: float) -> None:
+    """Which end is the near one then changes from image to image, but not which end goes with which."""
+    images = [straight_down(north, side * roll, heading) for north, side in ((0.0, 1.0), (600.0, -1.0))]
+    found = overlap(DOWN, *images, GROUND, along="rows", stations=STATIONS)
+    assert found.ok
+    outlines = [footprint(DOWN, image, GROUND, places=4) for image in images]
+    assert float(found.area) == pytest.approx(polygon_overlap(*outlines), abs=2e-4)
+    assert float(found.near) == pytest.approx(0.6, abs=0.02)
+
+
+def test_the_wrong_axis_is_invalid_and_an_unknown_one_refused() -> None:
+    images = straight_down(0.0, 0.0), straight_down(600.0, 0.0)
+    found = overlap(DOWN, *images, GROUND, along="columns", stations=STATIONS)
+    assert int(found.status) == Status.invalid_input
+    assert np.isnan(found.near)
+    with pytest.raises(ValueError, match=r"along must be .*got 'cols'"):
+        check_along("cols")

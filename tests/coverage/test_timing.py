@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, Pose, Status, Trajectory
+from jaxgeo import ConstantHeight, Dem, FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Status, Trajectory
 from jaxgeo.coverage import FixedPeriod, GroundShared, Plan, VelocityHeight, geometry, plan
 from jaxgeo.coverage.timing import Course
 from jaxgeo.io import example_dem
 from jaxgeo.sensor.conventions import li_2020_sensor
+from jaxgeo.terrain import TangentGrid
 
 PIXELS, FIELD = 1536, math.radians(0.88)
 SENSOR = li_2020_sensor(
@@ -146,3 +147,65 @@ def test_time_does_not_run_backwards(times: list[float]) -> None:
     pose = Pose.from_degrees(lat=np.full(3, LAT), lon=np.full(3, -84.2), height=np.full(3, HEIGHT), heading=np.zeros(3))
     with pytest.raises(ValueError, match="times must increase, but knot 2"):
         Trajectory.from_knots(times, pose, np.zeros((3, 2)))
+
+
+WIDE = Sensor(FrameCamera.from_pixels(focal_px=4000.0, width=6000, height=4000), Gimbal.two_axis(), Mount.nadir())
+
+
+@pytest.mark.parametrize("outer, inner", [(1.0, 0.0), (40.0, 0.0), (0.0, 30.0)])
+def test_wide_frames_are_timed_by_their_length_at_the_near_end(outer: float, inner: float) -> None:
+    """Beside the middle of an image its angle of view is not that of the middle; nor does looking ahead leave it so."""
+    steady = flight(60.0, swing=0.0).with_readings(jnp.deg2rad(jnp.array([outer, inner])))
+    found = plan(WIDE, steady, PLAIN, VelocityHeight(0.6), along="rows", stations=STATIONS)
+    np.testing.assert_allclose(found.overlaps.near, 0.6, rtol=0, atol=2e-3)
+
+
+def with_a_rest() -> Trajectory:
+    """Ten seconds ahead, braking at their end, ten at rest, ten ahead."""
+    times = np.linspace(0.0, 30.0, 61)
+    speed = SPEED * np.clip(0.5 * (np.abs(times - 15.0) - 5.0), 0.0, 1.0)
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(times))])
+    pose = Pose.from_degrees(lat=LAT + way / 110_940.0, lon=np.full(61, -84.2), height=np.full(61, HEIGHT))
+    return Trajectory.from_knots(times, pose, np.tile(np.radians([OUTER, 0.0]), (61, 1)))
+
+
+@pytest.mark.parametrize("timing", [VelocityHeight(WISHED), GroundShared(WISHED, stations=STATIONS)])
+def test_who_stands_still_takes_no_images_and_goes_on(timing: Any) -> None:
+    found = planned(timing, trajectory=with_a_rest())
+    times = np.asarray(found.times)
+    assert not np.any((times > 10.1) & (times < 19.9))
+    assert np.sum(times > 20.0) >= 7
+    np.testing.assert_allclose(found.overlaps.near, WISHED, rtol=0, atol=0.02)
+
+
+def test_over_unseen_ground_images_follow_as_level_ground_would_have_it() -> None:
+    """The far end looks into a void for a while: no burst of images, and none is left out."""
+    void = np.zeros((81, 81), bool)
+    void[30:50, 38:] = True
+    grid = TangentGrid.centred(
+        Geodetic.from_degrees(lat=LAT + 0.008, lon=-84.2 + 0.13, height=0.0), spacing=(60.0, 200.0), shape=void.shape
+    )
+    terrain = Dem.from_array(np.full(void.shape, 300.0), grid, void=void)
+    times = np.linspace(0.0, 16.0, 33)
+    pose = Pose.from_degrees(lat=LAT + SPEED * times / 110_940.0, lon=np.full(33, -84.2), height=np.full(33, HEIGHT))
+    north = Trajectory.from_knots(times, pose, np.tile(np.radians([OUTER, 0.0]), (33, 1)))
+    level = planned(VelocityHeight(WISHED, 300.0), trajectory=north)
+    found = planned(GroundShared(WISHED, stations=STATIONS), terrain, north)
+    unseen = np.asarray(found.overlaps.status) != Status.hit
+    assert unseen.any()
+    assert not unseen.all()
+    assert abs(len(found.times) - len(level.times)) <= 2
+    assert np.diff(found.times).min() > 0.7 * np.diff(level.times).min()
+
+
+@pytest.mark.parametrize(
+    "timing, options, words",
+    [
+        (FixedPeriod(1.0), {"most": 1}, "most must be at least 2 images; got 1"),
+        (FixedPeriod(1.0), {"stations": 1}, "stations must be at least 2"),
+        (VelocityHeight(WISHED), {"start": 12.0}, "fewer than two images have no overlap"),
+    ],
+)
+def test_more_refusals(timing: Any, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        planned(timing, **options)

@@ -124,6 +124,7 @@ def test_tables_show_what_was_found(report, tmp_path) -> None:
     assert sheets["sightings"].to_rich().row_count == 5
 
 
+@pytest.mark.slow
 def test_pictures_lie_where_the_records_say(report, tmp_path) -> None:
     """Figs. 7 and 8: compensation brings the strip back to where it is expected; a picture is made of each figure."""
     found = outlines()
