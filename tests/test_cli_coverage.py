@@ -84,6 +84,7 @@ def footprint(*arguments: str | pathlib.Path):
     return run("footprint", "--scene", scene_file(), "--dem", DEM, *arguments)
 
 
+@pytest.mark.slow
 def test_footprint_of_the_scene(tmp_path: pathlib.Path) -> None:
     output = tmp_path / "footprint.geojson"
     result = footprint("--output", output, "--edges")
@@ -155,6 +156,7 @@ def test_point_out_of_range_tells_the_nearest() -> None:
     assert 59.0 < float(result.stderr.split("misses by ")[1].split()[0]) < 61.0
 
 
+@pytest.mark.slow
 def test_point_at_what_is_hidden() -> None:
     """Ground behind a ridge: the readings hold, and the exit code says that it is not seen."""
     result = run("point", "--scene", scene_file(), "--dem", DEM, "--target", "36.2,-84.35,0", "--height-datum", "0")

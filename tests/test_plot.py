@@ -374,7 +374,8 @@ def overlaps(along: list[list[float]], status: Status = Status.hit) -> Overlap:
     count, stations = values.shape
     across = jnp.broadcast_to(jnp.linspace(1000.0, 3000.0, stations), values.shape)
     number, codes = np.zeros(count), np.full(count, status, np.int8)
-    return Overlap(values[:, 0], values[:, -1], values.min(axis=1), values, across, number, number, number, codes)
+    least, sideways = values.min(axis=1), np.zeros((count, 2))
+    return Overlap(values[:, 0], values[:, -1], least, values, across, number, sideways, number, number, codes)
 
 
 def test_overlap_along_and_its_gap(ax) -> None:

@@ -29,6 +29,7 @@ FINEST = 2.0**-14  # px between neighbours, at which a jump of the outline is a 
 UNEVEN = 0.1  # of a stretch of the outline: what is in its middle in the image may lie so near to an end, no nearer
 PLUMB = 1e-9  # rad off the vertical, within which rounding would say where a line of sight leans
 SMOOTH = 10.0  # times what a step of the image is on the far ground: a gap beyond is a jump
+MOST = 500_000  # places of one outline
 BATCH = 256  # places that are located at a time, so that every outline runs what is compiled for one
 
 
@@ -124,6 +125,8 @@ def footprint(
     looked = Looked(sensor, image, terrain, air, projection)
     ring = _Ring(uv, *_located(looked, uv), np.zeros(len(uv), bool))
     while not ring.settled.all():
+        if len(ring.uv) > MOST:
+            raise ValueError(f"a tolerance of {tolerance:g} m asks for more than {MOST:,} places: take a larger one.")
         ring = _denser(looked, ring, tolerance)
     return Footprint(
         uv=ring.uv,

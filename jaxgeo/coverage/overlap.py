@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import as_float64, concrete
 from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import dot, safe_norm
-from jaxgeo._typing import Scalar, ScalarField, StatusField, Vector3Field
+from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
 from jaxgeo.coverage.exposure import Along, Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
 from jaxgeo.earth import Atmosphere, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
@@ -66,7 +66,7 @@ class Overlap(eqx.Module):
     along: Float[Array, "... stations"]
     across: Float[Array, "... stations"]
     side: ScalarField
-    sideways: Float[Array, "... 2"]
+    sideways: PixelField
     area: ScalarField
     step: ScalarField
     status: StatusField

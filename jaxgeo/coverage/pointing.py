@@ -31,7 +31,8 @@ class Pointing(eqx.Module):
     """Where a gimbal is to go: `readings` in rad, the angle `miss` in rad by which they are off, and a `Status`.
 
     `hit`; `hidden_by_terrain` (the readings hold, but nearer ground is in the way), or why the terrain cannot tell;
-    `outside_gimbal_range` (the readings are the nearest within the limits, `miss` how far off that is). With any other
+    `outside_gimbal_range` (the readings are the nearest within the limits, `miss` how far off that is; with long lever
+    arms and a target at 50 m, another place on the limits may come some 1e-5 rad nearer). With any other
     status the readings are NaN.
     """
 

@@ -83,6 +83,18 @@ def aim(
     nearest have none.
     """
     start = sensor.gimbal.neutral_readings() if given is None else given
+    return _aim(sensor, pose, target, uv, start, jnp.asarray(given is not None), air)
+
+
+def _aim(
+    sensor: Sensor,
+    pose: Pose,
+    target: Target,
+    uv: Pixel | None,
+    start: Readings,
+    from_start: Flag,
+    air: Atmosphere | None,
+) -> Aimed:
     sensor.gimbal.angles(start)  # refuses a wrong number of readings
     sight, status = _line_of_sight(sensor, uv)
     world = (sensor, pose, target, sight, air)
@@ -90,7 +102,7 @@ def aim(
     is_valid &= all_finite((pose, target, start, air))
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
     free = _free_axes(sensor, pose, sight, frozen_start)
-    best = _best(frozen, frozen_start, free, jnp.asarray(given is not None))
+    best = _best(frozen, frozen_start, free, from_start)
     is_valid &= all_finite(best)  # a target at the perspective centre lies in no direction
     miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
@@ -301,13 +313,14 @@ def aim_along(
     air: Atmosphere | None,
 ) -> Aimed:
     """`aim` for every knot, each from the one before, so that axes do not jump."""
-    pose, target = jax.tree.map(lambda x: x[0], (poses, targets))
-    first = aim(sensor, pose, target, uv, given, air)
+    start = sensor.gimbal.neutral_readings() if given is None else given
 
-    def following(before: Readings, knot: tuple[Pose, Target]) -> tuple[Readings, Aimed]:
-        aimed = aim(sensor, *knot, uv, jax.lax.stop_gradient(before), air)
+    def following(before: tuple[Readings, Flag], knot: tuple[Pose, Target]) -> tuple[tuple[Readings, Flag], Aimed]:
+        readings, from_start = before
+        aimed = _aim(sensor, *knot, uv, readings, from_start, air)
         usable = (aimed.miss < TOLERANCE) & all_finite(aimed.readings)
-        return jnp.where(usable, aimed.readings, before), aimed
+        readings = jnp.where(usable, jax.lax.stop_gradient(aimed.readings), readings)
+        return (readings, from_start | usable), aimed
 
-    start = jnp.where(all_finite(first.readings), first.readings, sensor.gimbal.neutral_readings())
-    return jax.lax.scan(following, jax.lax.stop_gradient(start), (poses, targets))[1]
+    first = jax.lax.stop_gradient(start), jnp.asarray(given is not None)
+    return jax.lax.scan(following, first, (poses, targets))[1]

@@ -225,6 +225,7 @@ def test_a_ridge_takes_from_the_overlap() -> None:
     assert float(ridge.near) == pytest.approx(1.0 - (1.0 - float(flat.near)) * HEIGHT / (HEIGHT - float(met)), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_over_the_edge_of_the_terrain() -> None:
     found = shared(FIRST, shot(STEP), with_ridge(0.0, columns=21))
     assert int(found.status) in (Status.leaves_terrain, Status.ray_misses_terrain)
@@ -246,6 +247,7 @@ def sweep(duration: float) -> Sensor:
     )
 
 
+@pytest.mark.slow
 def test_sweeps_overlap_as_frames_do() -> None:
     """Strips that are swept alike are sheared alike by the flight: they share what frames do."""
     speed = 172.0

@@ -441,6 +441,7 @@ def check_derivatives(name: str) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two axes", "mirror, 2:1"])
 def test_derivatives_forward_and_reverse_equal_differences(name):
     check_derivatives(name)
@@ -587,6 +588,7 @@ seen_by_the_drone = in_numpy(jax.vmap(lambda pose, r: DRONE.to_camera(Shot(pose,
 TARGETS = jax.tree.map(lambda x: jnp.full(KNOTS, x), RING)
 
 
+@pytest.mark.slow
 def test_a_flight_is_pointed_knot_by_knot_without_jumps():
     found, alone = point(DRONE, FLIGHT, target=RING), each_knot(FLIGHT.poses)
     assert np.all(found.ok)

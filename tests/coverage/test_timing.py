@@ -178,6 +178,7 @@ def test_who_stands_still_takes_no_images_and_goes_on(timing: Any) -> None:
     np.testing.assert_allclose(found.overlaps.near, WISHED, rtol=0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_over_unseen_ground_images_follow_as_level_ground_would_have_it() -> None:
     """The far end looks into a void for a while: no burst of images, and none is left out."""
     void = np.zeros((81, 81), bool)
