@@ -146,10 +146,14 @@ def test_compensation_does_what_it_says(flights):
 
 @pytest.mark.slow
 def test_timing_by_the_ground_follows_mountains():
-    strip = Strip.planned(SENSOR, SHOT, example_dem(), **(PLAN | {"images": 20}))
+    over_mountains = Pose.from_degrees(lat=36.40, lon=-84.12, height=5500.0, heading=150.0)
+    shot = Shot(over_mountains, SENSOR.gimbal.readings_from_degrees(outer=72.0, inner=0.0))
+    strip = Strip.planned(SENSOR, shot, example_dem(), **(PLAN | {"images": 40}))
     quiet = jnp.zeros(normals_of(strip))
     fixed, followed = (np.asarray(eqx.filter_jit(flown)(strip, QUIET, quiet, c).near) for c in (HELD, ON_GROUND))
-    assert np.abs(followed - 0.15).max() < 0.5 * np.abs(fixed - 0.15).max()
+    print(np.abs(fixed - 0.15).max(), np.abs(followed - 0.15).max())
+    off = [float(np.sqrt(np.mean((one - 0.15) ** 2))) for one in (fixed, followed)]
+    assert off[1] < 0.5 * off[0]
 
 
 def test_a_wider_margin_makes_strips_free_of_gaps():
