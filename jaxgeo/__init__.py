@@ -39,7 +39,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import io, plot
+    from jaxgeo import coverage, io, plot
 
 __all__ = [
     "WGS84",
@@ -71,6 +71,7 @@ __all__ = [
     "at_range",
     "circular_error",
     "compare",
+    "coverage",
     "enable_x64",
     "intersect",
     "io",
@@ -84,7 +85,7 @@ __all__ = [
     "uncertainty",
 ]
 
-_ON_DEMAND = ("io", "plot")  # these load rasterio and pyproj, or matplotlib
+_ON_DEMAND = ("coverage", "io", "plot")  # not all need them; two load rasterio and pyproj, or matplotlib
 
 
 def __getattr__(name: str) -> Any:

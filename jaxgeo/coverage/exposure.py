@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import check_is
 from jaxgeo._doors import observation
 from jaxgeo._numerics import dot
-from jaxgeo._typing import Pixel, Scalar, ScalarField, Vector3
+from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT, locate
@@ -93,7 +93,9 @@ def image_size(sensor: Sensor) -> tuple[int, int]:
 
 def end_places(sensor: Sensor, along: Along) -> Places:
     """The near and the far end of an image, in some order: the middles of its two edges that lie along the flight."""
-    return jnp.stack(_side_middles(sensor, "rows" if along == "columns" else "columns"))
+    size, across = image_size(sensor), 1 if along == "columns" else 0
+    middle = 0.5 * (jnp.array(size, jnp.float64) - 1.0)
+    return jnp.stack([middle.at[across].set(end) for end in (-0.5, size[across] - 0.5)])
 
 
 @eqx.filter_jit
@@ -124,11 +126,3 @@ def near_length(
     heights = [0.5 * (fix.position.height[i] + fix.position.height[j]) for i, j in sides]
     first = reach[0] <= reach[1]
     return jnp.where(first, lengths[0], lengths[1]), jnp.where(first, heights[0], heights[1])
-
-
-def _side_middles(sensor: Sensor, axis: Along) -> list[Pixel]:
-    """The middles of the two sides that an image has at the ends of an axis."""
-    size = image_size(sensor)
-    index = 0 if axis == "columns" else 1
-    middle = 0.5 * (jnp.array(size, jnp.float64) - 1.0)
-    return [middle.at[index].set(end) for end in (-0.5, size[index] - 0.5)]

@@ -9,9 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its parts when they are asked for
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int8
-from scipy import optimize, stats
 
 from jaxgeo._checks import check_is
 from jaxgeo._typing import Scalar
@@ -62,7 +62,7 @@ class Flights(eqx.Module):
     def gap_probability(self, confidence: float = 0.95) -> tuple[float, tuple[float, float]]:
         """Share of flights with a gap, and the interval in which the probability lies (Clopper and Pearson 1934)."""
         bad = np.asarray(self.gap_of_strip)
-        interval = stats.binomtest(int(bad.sum()), bad.size).proportion_ci(confidence, "exact")
+        interval = scipy.stats.binomtest(int(bad.sum()), bad.size).proportion_ci(confidence, "exact")
         return float(bad.mean()), (float(interval.low), float(interval.high))
 
     def gap_derivatives(self) -> Derivatives:
@@ -215,7 +215,7 @@ def overlap_to_plan(
         )
     if short(LEAST) >= 0.0:
         return LEAST
-    return float(optimize.brentq(short, LEAST, MOST, xtol=CLOSE))  # pyright: ignore[reportArgumentType]
+    return float(scipy.optimize.brentq(short, LEAST, MOST, xtol=CLOSE))  # pyright: ignore[reportArgumentType]
 
 
 @eqx.filter_jit

@@ -10,9 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicHermiteSpline
 
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
@@ -124,7 +124,7 @@ class VelocityHeight(AbstractTiming):
             return np.array([start])
         marks = np.minimum(marks, total[-1])
         between = np.clip(np.searchsorted(total, marks), 1, len(nodes) - 1)
-        low, high, grown = nodes[between - 1], nodes[between], CubicHermiteSpline(nodes, total, rate)
+        low, high, grown = nodes[between - 1], nodes[between], scipy.interpolate.CubicHermiteSpline(nodes, total, rate)
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             short = grown(middle) < marks
