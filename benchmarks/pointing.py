@@ -10,7 +10,6 @@ import argparse
 import json
 import pathlib
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -97,7 +96,9 @@ def rates(count: int, alone: int, repeats: int) -> Table:
     first = {name: measuring.timed(run)[1] for name, (_, run) in runs.items()}
     spent: dict[str, list[float]] = {name: [] for name in runs}
     watch = measuring.Watch()
-    timings = measuring.interleaved({name: _counting(run, spent[name]) for name, (_, run) in runs.items()}, repeats)
+    timings = measuring.interleaved(
+        {name: measuring.counting(run, spent[name]) for name, (_, run) in runs.items()}, repeats
+    )
     columns = [Column("contender"), Column("pointings"), Column("time", "ms", "lower"), Column("spread", "%", "lower")]
     columns += [Column("rate", "pointings/s", "higher"), Column("rate over SciPy's", "times", "higher")]
     columns += [Column("processor time, least", "us/pointing", "lower")]
@@ -112,18 +113,6 @@ def rates(count: int, alone: int, repeats: int) -> Table:
         table.rows.append([*row, each[name], each[name] / own, first[name]])
     table.notes.append(f"medians of {repeats}; other processes used {watch.others():.2f} cores")
     return table
-
-
-def _counting(run: Callable[[], Any], spent: list[float]) -> Callable[[], Any]:
-    """A run that also notes the processor time that all its threads took, which other processes change less."""
-
-    def counted() -> Any:
-        begin = time.process_time()
-        answer = run()
-        spent.append(time.process_time() - begin)
-        return answer
-
-    return counted
 
 
 def agreement(alone: int) -> Table:

@@ -11,7 +11,6 @@ import json
 import pathlib
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -92,7 +91,9 @@ def rates(dem: jaxgeo.Dem, counts: tuple[int, ...], repeats: int) -> list[Table]
             if name != "NumPy":
                 run()
         spent: dict[str, list[float]] = {name: [] for name in runs}
-        timings = measuring.interleaved({name: _counting(run, spent[name]) for name, run in runs.items()}, repeats)
+        timings = measuring.interleaved(
+            {name: measuring.counting(run, spent[name]) for name, run in runs.items()}, repeats
+        )
         base = timings["NumPy"].median
         for name, timing in timings.items():
             t, processor = timing.median, 1e6 * min(spent[name]) / count
@@ -100,18 +101,6 @@ def rates(dem: jaxgeo.Dem, counts: tuple[int, ...], repeats: int) -> list[Table]
     table.notes.append(f"li_2023 and the terrain's height, 344 x 403 posts of 90 m; goal: {GOAL:g} times NumPy")
     table.notes.append(f"medians of {repeats}; other processes used {watch.others():.2f} cores")
     return [table]
-
-
-def _counting(run: Callable[[], Any], spent: list[float]) -> Callable[[], Any]:
-    """A run that also notes the processor time that all its threads took, which other processes change less."""
-
-    def counted() -> Any:
-        begin = time.process_time()
-        answer = run()
-        spent.append(time.process_time() - begin)
-        return answer
-
-    return counted
 
 
 def agreement(dem: jaxgeo.Dem, count: int = 10_000) -> list[Table]:

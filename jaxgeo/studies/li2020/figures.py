@@ -6,10 +6,8 @@ import pathlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jaxgeo.plot import EDGE, FIX, HIDDEN, SIGHT, footprints
@@ -19,15 +17,8 @@ from jaxgeo.studies.li2020.flight import Sighting, StripPair
 from jaxgeo.studies.li2020.influence import folding
 from jaxgeo.studies.li2020.report import Report
 from jaxgeo.studies.li2020.strips import MOUNTAINS, PLAIN, PLANNED, Strips
+from jaxgeo.studies.pictures import draw_all
 
-STYLE: dict[Any, Any] = {
-    "font.size": 10,
-    "axes.titlesize": 11,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
 COLOURS = {FIRST: EDGE, EXPECTED: SIGHT, ACTUAL: FIX, COMPENSATED: "#1a7f5a"}
 TIMINGS = {"fixed period": (FIX, "o"), "velocity-height": ("#b3893b", "s"), "ground shared": (SIGHT, "^")}
 GROUNDS = {
@@ -46,12 +37,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
     }
     if report.strips:
         pictures["strips.png"] = (lambda figure: draw_strips(report.strips, figure), (10.0, 5.8))
-    with mpl.rc_context(STYLE):
-        for name, (draw, size) in pictures.items():
-            figure = Figure(figsize=size, layout="constrained")
-            FigureCanvasAgg(figure)
-            draw(figure)
-            figure.savefig(folder / name, dpi=160)
+    draw_all(pictures, folder)
 
 
 def draw_footprints(found: Outlines, figure: Figure) -> None:

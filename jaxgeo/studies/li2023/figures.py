@@ -8,7 +8,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -19,15 +18,9 @@ from jaxgeo.studies.li2023.pointing import GRID, Pointing
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
 from jaxgeo.studies.li2023.report import Report
 from jaxgeo.studies.li2023.sheets import groups
+from jaxgeo.studies.pictures import draw_all
 
 QUIET, BAND = "#9db7d5", "#f1e3c6"
-STYLE: dict[Any, Any] = {
-    "font.size": 10,
-    "axes.titlesize": 11,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-}
-STYLE |= {"axes.spines.top": False, "axes.spines.right": False}
 SHOWN_SIGMAS = (10.0, 50.0, 100.0, 150.0, 190.0)  # m
 MOST_POINTS = 4000  # of a cloud
 LOOKS = {
@@ -48,12 +41,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
         "inclination.png": (lambda figure: draw_inclination(report.inclination, figure), (10.0, 4.4)),
         "positions.png": (lambda figure: draw_positions(report.positions, figure), (10.0, 4.8)),
     }
-    with mpl.rc_context(STYLE):
-        for name, (draw, size) in pictures.items():
-            figure = Figure(figsize=size, layout="constrained")
-            FigureCanvasAgg(figure)
-            draw(figure)
-            figure.savefig(folder / name, dpi=160)
+    draw_all(pictures, folder)
 
 
 def draw_pointing(found: Pointing, figure: Figure) -> None:
