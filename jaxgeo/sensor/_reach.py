@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._elementary import sine_and_cosine
 from jaxgeo._numerics import cross, dot, product, safe_norm, safe_sqrt, turned
 from jaxgeo._typing import Flag, Matrix3, Numbers, Scalar, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz
@@ -72,7 +71,7 @@ def nearest_readings(
 
 def about(axis: Vector3, angle: Scalar, v: Vector3) -> Vector3:
     """`v` turned about a unit axis by an angle in rad (Rodrigues)."""
-    s, c = sine_and_cosine(angle)
+    c, s = jnp.cos(angle), jnp.sin(angle)
     return c * v + s * jnp.stack(cross(axis, v)) + (dot(axis, v) * (1.0 - c)) * axis
 
 
@@ -87,21 +86,28 @@ def turn_between(axis: Vector3, v: Vector3, w: Vector3, otherwise: Scalar) -> Sc
 def _candidates(
     axes: TwoAxes, held: Float[Array, "2"], limits: Float[Array, "2 2"], thorough: bool
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Angles (of the outer, of the inner axis) among which is what comes nearest, before limits cut them."""
+    """Angles (of the outer, of the inner axis) among which is what comes nearest, before limits cut them.
+
+    Where both axes turn freely; one of them at a limit; and both.
+    """
     meetings = [*_roots(axes), *(_in_one_plane(axes) if thorough else ())]
-    pairs = [
-        (turn_between(axes.outer, from_wanted, axes.wanted, held[0]), turn_between(axes.inner, axes.sight, to, held[1]))
-        for to, from_wanted in meetings
-    ]
-    for end in (0, 1) if thorough else ():
-        outer, inner = limits[0, end], limits[1, end]
-        behind = about(axes.outer, -outer, axes.wanted)
-        pairs += [(outer, turn_between(axes.inner, axes.sight, behind, held[1]))]
-        ahead = about(axes.inner, inner, axes.sight)
-        pairs += [(turn_between(axes.outer, ahead, axes.wanted, held[0]), inner)]
-        pairs += [(outer, limits[1, 0]), (outer, limits[1, 1])]
-    outer, inner = zip(*pairs, strict=True)
-    return jnp.stack(outer), jnp.stack(inner)
+    to, from_wanted = (jnp.stack(places) for places in zip(*meetings, strict=True))
+    if thorough:
+        ends = [about(axes.inner, limits[1, end], axes.sight) for end in (0, 1)]
+        from_wanted = jnp.concatenate([from_wanted, jnp.stack(ends)])
+        ends = [about(axes.outer, -limits[0, end], axes.wanted) for end in (0, 1)]
+        to = jnp.concatenate([to, jnp.stack(ends)])
+    turns = jax.vmap(turn_between, (None, 0, None, None)), jax.vmap(turn_between, (None, None, 0, None))
+    outer = turns[0](axes.outer, from_wanted, axes.wanted, held[0])
+    inner = turns[1](axes.inner, axes.sight, to, held[1])
+    if not thorough:
+        return outer, inner
+    free = len(meetings)
+    corners = jnp.repeat(limits[0], 2), jnp.tile(limits[1], 2)
+    return (
+        jnp.concatenate([outer[:free], limits[0], outer[free:], corners[0]]),
+        jnp.concatenate([inner[:free], inner[free:], limits[1], corners[1]]),
+    )
 
 
 def _roots(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:

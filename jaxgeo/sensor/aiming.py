@@ -12,14 +12,14 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_range
 from jaxgeo._numerics import all_finite, product, safe_norm, turned
-from jaxgeo._typing import Flag, Flags, Pixel, Scalar, StatusCode, Vector3, Vector3Field
+from jaxgeo._typing import Flag, Flags, Matrix3, Pixel, Scalar, StatusCode, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor._newton import determinant, solve_2d
 from jaxgeo.sensor._reach import FreeAxes, nearest_readings
 from jaxgeo.sensor.gimbal import Readings
 from jaxgeo.sensor.platform import Pose, Shot, Station
-from jaxgeo.sensor.sensor import Sensor
+from jaxgeo.sensor.sensor import Sensor, Sight
 from jaxgeo.status import Status, first_failure, status_where
 
 
@@ -50,13 +50,47 @@ class LineOfSight(eqx.Module):
 
 
 Target: TypeAlias = Geodetic | LineOfSight
-# Sensor, pose, target, the line of sight in the camera that is to be brought onto it, and the air.
-World: TypeAlias = tuple[Sensor, Pose, Target, Vector3, Atmosphere | None]
 
 ROUNDS = 3  # the closed form knows no lever arms and no air: each round leaves a hundredth, or a millionth, of them
 NEWTON_STEPS = 3
 TOLERANCE = 1e-9  # rad by which an accepted answer may miss; those that converge miss by some 1e-15
 SINGULAR = 1e-7  # determinant of the axes' turns: nearer, two axes move the line alike, and the least turn is taken
+
+
+class World(NamedTuple):
+    """What readings are to bring together: a line of sight in the camera and a target, a point in ECEF m or, without
+    one, a direction in ECEF. `axes` are two across the line of sight, and itself; the station's readings mean nothing.
+    """
+
+    sensor: Sensor
+    station: Station
+    p_ecef: Vector3 | None
+    direction: Vector3 | None
+    axes: Matrix3
+    air: Atmosphere | None
+
+    @classmethod
+    def of(cls, sensor: Sensor, station: Station, pose: Pose, target: Target, sight: Vector3, air: Any) -> World:
+        """That of a target as callers have it."""
+        down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
+        down = down / safe_norm(down)
+        axes = jnp.stack([jnp.cross(down, sight), down, sight])
+        if isinstance(target, Geodetic):
+            return cls(sensor, station, WGS84.to_ecef(target), None, axes, air)
+        largest = jnp.max(jnp.abs(target.ned))
+        direction = turned(R_ecef_from_ned(pose.position), target.ned / jnp.where(largest > 0.0, largest, 1.0))
+        return cls(sensor, station, None, direction / safe_norm(direction), axes, air)
+
+    def view(self, readings: Readings) -> Sight:
+        """Where the camera is, and how it lies, with some readings."""
+        return self.sensor.sight(self.station._replace(gimbal_readings=readings))
+
+    def direction_from(self, centre: Vector3) -> Vector3:
+        """Unit vector in ECEF to where the target is, or through the air seems to be."""
+        if self.p_ecef is None:
+            return jnp.asarray(self.direction)
+        seeming = self.p_ecef if self.air is None else apparent_point(centre, self.p_ecef, self.air)
+        return (seeming - centre) / safe_norm(seeming - centre)
 
 
 class Aimed(NamedTuple):
@@ -97,11 +131,11 @@ def _aim(
 ) -> Aimed:
     sensor.gimbal.angles(start)  # refuses a wrong number of readings
     sight, status = _line_of_sight(sensor, uv)
-    world = (sensor, pose, target, sight, air)
+    world = World.of(sensor, Station.of(Shot(pose, start)), pose, target, sight, air)
     is_valid = all_finite((sensor.gimbal.sign, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount))
     is_valid &= all_finite((pose, target, start, air))
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
-    free = _free_axes(sensor, pose, sight, frozen_start)
+    free = _free_axes(frozen, frozen_start)
     best = _best(frozen, frozen_start, free, from_start)
     is_valid &= all_finite(best)  # a target at the perspective centre lies in no direction
     miss = _angle_off(_target_seen(frozen, best))
@@ -170,17 +204,16 @@ def _spread(size: int, is_batched: Any, given: Any) -> Any:
 
 def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
     """The gimbal's two axes alone, from where the camera then is and to where the target then seems to be."""
-    (sensor, pose, _, sight, _), start = way.world, way.start
-    station = Station.of(Shot(pose, start))
-    gimbal, mount = sensor.gimbal, sensor.mount
+    world, start = way.world, way.start
+    gimbal, mount = world.sensor.gimbal, world.sensor.mount
     if gimbal.reference == "level":
-        R_ecef_from_base = station.R_ecef_from_level
+        R_ecef_from_base = world.station.R_ecef_from_level
     else:
-        R_ecef_from_base = product(station.R_ecef_from_body, mount.R_body_from_base)
-    sight_head = turned(mount.R_head_from_camera, sight)
+        R_ecef_from_base = product(world.station.R_ecef_from_body, mount.R_body_from_base)
+    sight_head = turned(mount.R_head_from_camera, world.axes[2])
 
     def once_more(_: Any, readings: Readings) -> Readings:
-        wanted = turned(R_ecef_from_base.T, _direction_of_target(way.world, readings))
+        wanted = turned(R_ecef_from_base.T, world.direction_from(world.view(readings).centre))
         return nearest_readings(gimbal, start, way.free, sight_head, wanted, way.from_start, thorough=thorough)
 
     return once_more(0, start) if rounds == 1 else jax.lax.fori_loop(0, rounds, once_more, start)
@@ -193,13 +226,13 @@ def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
     seen, J = _seen_and_slope(world, readings, free)
     readings = _put(readings, free, readings[free] - _least_squares(J, seen))
     readings = _put(readings, free, readings[free] - _least_squares(J, _target_seen(world, readings)[:2]))
-    limits = world[0].gimbal.limits
+    limits = world.sensor.gimbal.limits
     return jnp.clip(readings, limits[:, 0], limits[:, 1])
 
 
 def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
     """A few steps on the exact map, within the limits, each taken only if it comes nearer."""
-    low, high = world[0].gimbal.limits[:, 0], world[0].gimbal.limits[:, 1]
+    low, high = world.sensor.gimbal.limits[:, 0], world.sensor.gimbal.limits[:, 1]
 
     def step(_: Any, state: tuple[Readings, Scalar]) -> tuple[Readings, Scalar]:
         readings, miss = state
@@ -222,25 +255,10 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
     return jnp.where(status == Status.hit, direction, axis), status
 
 
-def _direction_of_target(world: World, readings: Readings) -> Vector3:
-    """Unit vector in ECEF from the perspective centre to where the target is, or through the air seems to be."""
-    sensor, pose, target, _, air = world
-    if isinstance(target, LineOfSight):
-        largest = jnp.max(jnp.abs(target.ned))
-        direction = R_ecef_from_ned(pose.position) @ (target.ned / jnp.where(largest > 0.0, largest, 1.0))
-    else:
-        centre, p_ecef = sensor.perspective_centre(Shot(pose, readings)), WGS84.to_ecef(target)
-        direction = (p_ecef if air is None else apparent_point(centre, p_ecef, air)) - centre
-    return direction / safe_norm(direction)
-
-
 def _target_seen(world: World, readings: Readings) -> Vector3:
     """Unit vector to the target: two components across the line of sight, then the one along it."""
-    sensor, pose, _, sight, _ = world
-    direction = turned(sensor.R_ecef_from_camera(Shot(pose, readings)).T, _direction_of_target(world, readings))
-    down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
-    down = down / safe_norm(down)
-    return turned(jnp.stack([jnp.cross(down, sight), down, sight]), direction)
+    view = world.view(readings)
+    return turned(world.axes, turned(view.R_ecef_from_camera.T, world.direction_from(view.centre)))
 
 
 def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[Pixel, Float[Array, "2 free"]]:
@@ -258,13 +276,13 @@ def _angle_off(seen: Vector3) -> Scalar:
     return jnp.arctan2(safe_norm(seen[:2]), seen[2])
 
 
-def _free_axes(sensor: Sensor, pose: Pose, sight: Vector3, start: Readings) -> FreeAxes:
+def _free_axes(world: World, start: Readings) -> FreeAxes:
     """The (at most) two axes that turn the line of sight most at the start, from base to head; others are held."""
-    if len(sensor.gimbal.axes) <= 2:
-        return jnp.arange(len(sensor.gimbal.axes))
-    sensor, pose, sight = jax.lax.stop_gradient((sensor, pose, sight))
-    turns = jax.jacfwd(lambda readings: sensor.R_ned_from_camera(Shot(pose, readings)) @ sight)(start)
-    per_angle = jnp.sum((turns @ jnp.diag(1.0 / sensor.gimbal.gain)) ** 2, axis=0)
+    gimbal = world.sensor.gimbal
+    if len(gimbal.axes) <= 2:
+        return jnp.arange(len(gimbal.axes))
+    turns = jax.jacfwd(lambda readings: turned(world.view(readings).R_ecef_from_camera, world.axes[2]))(start)
+    per_angle = jnp.sum((turns @ jnp.diag(1.0 / gimbal.gain)) ** 2, axis=0)
     return jnp.sort(jnp.argsort(-per_angle)[:2])
 
 
