@@ -26,7 +26,15 @@ The conventions in one drawing (`docs/figures/conventions.png` shows them from a
 
 from jaxgeo.sensor import conventions
 from jaxgeo.sensor.camera import AbstractCamera, FrameCamera
-from jaxgeo.sensor.distortion import AbstractDistortion, BrownConrady, NoDistortion
+from jaxgeo.sensor.distortion import (
+    AbstractCorrection,
+    AbstractDistortion,
+    Bauer,
+    BrownConrady,
+    BrownPhysical,
+    Ebner,
+    NoDistortion,
+)
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Deflection, Mount, Pose, Shot, boresight_from_degrees
 from jaxgeo.sensor.scanning import PushbroomCamera, RollingShutterCamera, SweepCamera
@@ -35,9 +43,13 @@ from jaxgeo.sensor.trajectory import Trajectory
 
 __all__ = [
     "AbstractCamera",
+    "AbstractCorrection",
     "AbstractDistortion",
+    "Bauer",
     "BrownConrady",
+    "BrownPhysical",
     "Deflection",
+    "Ebner",
     "FrameCamera",
     "Gimbal",
     "Mount",

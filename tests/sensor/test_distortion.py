@@ -1,14 +1,22 @@
-"""Lens distortion: OpenCV's formula, its inverse on the branch of the centre, and what lies beyond its fold."""
+"""Lens distortion: laws of every lens; OpenCV's formula, its inverse on the branch of the centre, and its fold."""
 
 from __future__ import annotations
+
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
-from jaxgeo.sensor import BrownConrady, NoDistortion
+from jaxgeo.sensor import Bauer, BrownConrady, BrownPhysical, Ebner, NoDistortion
 from jaxgeo.status import Status
+
+
+def spread(count: int, size: float) -> np.ndarray:
+    return size * np.random.default_rng(1).normal(size=count)
+
 
 # Each with the largest radius (tangent of the angle off the axis) at which it is to be inverted.
 DISTORTIONS = {
@@ -19,8 +27,17 @@ DISTORTIONS = {
     "tangential": (BrownConrady(k1=-0.1, p1=0.01, p2=-0.02), 0.8),
     "rational": (BrownConrady(0.9, 0.4, 1e-3, -2e-3, 0.05, 1.2, 0.7, 0.2), 1.5),
     "wide lens, rational": (BrownConrady(k1=2.0, k2=0.8, k3=0.02, k4=2.4, k5=1.5, k6=0.16), 2.0),
+    "Bauer": (Bauer(np.array([0.02, -0.003, 0.004]), 0.5, 0.8), 0.6),
+    "Bauer, close to its fold": (Bauer(np.array([-0.2, 0.01, 0.02]), 0.5), 0.5),
+    "Ebner": (Ebner(spread(12, 0.003), 0.48), 0.6),
+    "Ebner, long lens": (Ebner(spread(12, 0.01), 0.02), 0.025),
+    "Brown's physical parameters": (BrownPhysical(spread(21, 0.003), 0.48), 0.6),
+    "Brown's, wild": (BrownPhysical(spread(21, 0.01), 1.2), 1.5),
 }
 ROWS = pytest.mark.parametrize("name", DISTORTIONS)
+IDENTITY_AT_THE_CENTRE = [
+    name for name, (lens, _) in DISTORTIONS.items() if isinstance(lens, NoDistortion | BrownConrady)
+]
 
 in_field = jax.jit(jax.vmap(lambda distortion, points: distortion.in_field(points), (None, 0)))
 distort = jax.jit(jax.vmap(lambda distortion, points: distortion.distort(points), (None, 0)))
@@ -130,7 +147,7 @@ def test_what_is_not_finite_is_said_to_be_so(name):
     assert np.all(back == 0.0)
 
 
-@ROWS
+@pytest.mark.parametrize("name", IDENTITY_AT_THE_CENTRE)
 def test_the_field_starts_as_the_identity(name):
     distortion, _ = DISTORTIONS[name]
     jacobian = jax.jacfwd(distortion.distort)(jnp.zeros(2))
@@ -141,3 +158,43 @@ def test_the_written_out_jacobian_is_the_derivative_of_the_formula():
     lens, points = DISTORTIONS["rational"][0], disc(1.5)
     automatic = jax.jit(jax.vmap(jax.jacfwd(lens.distort)))(points)
     np.testing.assert_allclose(jax.jit(jax.vmap(lens.jacobian))(points), automatic, rtol=0, atol=1e-14)
+
+
+def central_differences(f, x: jax.Array, step: float) -> jax.Array:
+    """Derivative of `f` along each component of `x`, of fourth order; components last."""
+    stencil = step * jnp.array([-2.0, -1.0, 1.0, 2.0])
+    shifts = stencil[:, None, None] * jnp.eye(x.size)[None]
+    values = jax.vmap(f)(x[None] + shifts.reshape(-1, x.size))
+    slopes = jnp.tensordot(jnp.array([1.0, -8.0, 8.0, -1.0]), values.reshape(4, x.size, *values.shape[1:]), 1)
+    return jnp.moveaxis(slopes, 0, -1) / (12.0 * step)
+
+
+@functools.partial(jax.jit, static_argnames="inverse")
+def derivatives(lens, point, inverse):
+    """(forward, reverse, second) derivatives and the differences of value and first derivative.
+
+    In all numbers of lens and point, each in units of its own size.
+    """
+    flat, unravel = ravel_pytree((lens, point))
+    unit = jnp.where(jnp.abs(flat) > 0.0, jnp.abs(flat), 0.01)
+
+    def f(x):
+        lens, point = unravel(flat + unit * x)
+        return lens.undistort(point)[0] if inverse else lens.distort(point)
+
+    x, forward = jnp.zeros(flat.size), jax.jacfwd(f)
+    differences = central_differences(f, x, 3e-4), central_differences(forward, x, 3e-4)
+    return forward(x), jax.jacrev(f)(x), jax.jacfwd(jax.jacrev(f))(x), *differences
+
+
+@ROWS
+@pytest.mark.parametrize("inverse", [False, True], ids=["distort", "undistort"])
+def test_derivatives_equal_differences_and_forward_equals_reverse(name, inverse):
+    lens, radius = DISTORTIONS[name]
+    lens = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), lens)
+    point = 0.6 * radius * jnp.array([0.8, -0.5])
+    point = lens.distort(point) if inverse else point
+    first, reverse, second, first_diff, second_diff = derivatives(lens, point, inverse)
+    np.testing.assert_allclose(first, reverse, rtol=0, atol=1e-12 * np.abs(first).max())
+    np.testing.assert_allclose(first, first_diff, rtol=0, atol=1e-9 * np.abs(first).max())
+    np.testing.assert_allclose(second, second_diff, rtol=0, atol=1e-8 * np.abs(second).max() + 1e-12)

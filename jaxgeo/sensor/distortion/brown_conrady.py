@@ -1,14 +1,9 @@
-"""Lens distortion: from ideal to distorted image coordinates and back.
-
-Both are the tangents of the ray's angles, (right, down) over forward, without a unit: a pixel is focal length times the
-distorted coordinates plus the principal point.
-"""
+"""Radial and tangential distortion: a formula of the ideal coordinates, and its inverse by Newton's method."""
 
 from __future__ import annotations
 
-import abc
+from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,48 +12,16 @@ from jaxgeo._checks import as_float64
 from jaxgeo._numerics import safe_norm
 from jaxgeo._typing import Flag, Scalar, ScalarField, StatusCode
 from jaxgeo.sensor._newton import PlanePoint, determinant, solve_2d
+from jaxgeo.sensor.distortion._implicit import inverse_at
+from jaxgeo.sensor.distortion._segment import segment
+from jaxgeo.sensor.distortion.base import AbstractDistortion, Self, as_coefficients
 from jaxgeo.status import Status, status_where
 
-FIELD_SAMPLES = 32  # along the segment from the centre, at equal steps of the angle off the axis
 # Of a step of the inverse; beyond radius 1, times the radius. With steps three times as long, one point in 200 of wild
 # rational lenses is lost to a branch beyond a fold; with these, none of 81351.
 LONGEST_STEP = 0.3
 MAX_STEPS = 80  # Newton needs 4 to 8; towards a fold the distance to it halves at each step
 FOLD = 1e-3  # determinant at which an iteration that found no root is said to have run into the fold (1 at the centre)
-
-
-class AbstractDistortion(eqx.Module):
-    """A smooth map of the image plane that leaves the neighbourhood of the centre as it is.
-
-    Its field is the part of the plane around the centre on which it does not fold: where the determinant of its
-    Jacobian is positive all the way from the centre.
-    """
-
-    @abc.abstractmethod
-    def distort(self, ideal: PlanePoint) -> PlanePoint:
-        """Distorted image coordinates of ideal ones, by the formula alone, inside the field or not."""
-
-    @abc.abstractmethod
-    def in_field(self, ideal: PlanePoint) -> Flag:
-        """Whether ideal image coordinates lie in the field; no derivative."""
-
-    @abc.abstractmethod
-    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
-        """Ideal coordinates in the field of distorted ones, and a status; (0, 0) where the status is not `hit`."""
-
-
-class NoDistortion(AbstractDistortion):
-    """A perfect lens."""
-
-    def distort(self, ideal: PlanePoint) -> PlanePoint:
-        return ideal
-
-    def in_field(self, ideal: PlanePoint) -> Flag:
-        return jnp.all(jnp.isfinite(ideal))
-
-    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
-        valid = jnp.all(jnp.isfinite(distorted))
-        return jnp.where(valid, distorted, 0.0), status_where(~valid, Status.invalid_input, Status.hit.code)
 
 
 class BrownConrady(AbstractDistortion):
@@ -76,6 +39,16 @@ class BrownConrady(AbstractDistortion):
     k4: ScalarField = 0.0
     k5: ScalarField = 0.0
     k6: ScalarField = 0.0
+
+    names: ClassVar = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+    def coefficients(self) -> Float[Array, "... n"]:
+        lens = as_float64(self, "coefficients")
+        return jnp.stack(jnp.broadcast_arrays(*(getattr(lens, name) for name in self.names)), axis=-1)
+
+    def with_coefficients(self, vector: Any) -> Self:
+        vector = as_coefficients(vector, type(self))
+        return type(self)(*(vector[..., k] for k in range(len(self.names))))
 
     def distort(self, ideal: PlanePoint) -> PlanePoint:
         x, y = ideal
@@ -106,7 +79,7 @@ class BrownConrady(AbstractDistortion):
     def in_field(self, ideal: PlanePoint) -> Flag:
         distortion, ideal = jax.lax.stop_gradient((self, ideal))
 
-        return jnp.all(jax.vmap(distortion._unfolded)(_segment(ideal)))
+        return jnp.all(jax.vmap(distortion._unfolded)(segment(ideal)))
 
     def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
         lens, distorted = as_float64((self, distorted), "undistort")
@@ -119,7 +92,7 @@ class BrownConrady(AbstractDistortion):
         status = status_where(~valid, Status.invalid_input, status)
         found = status == Status.hit
         distorted, root = jnp.where(found, distorted, 0.0), jax.lax.stop_gradient(jnp.where(found, root, 0.0))
-        return _with_derivative(lens, distorted, root), status
+        return inverse_at(BrownConrady.distort, BrownConrady.jacobian, lens, distorted, root), status
 
     def _unfolded(self, ideal: PlanePoint) -> Flag:
         """Whether the formula keeps its orientation at a point, on the near side of any pole of the radial factor."""
@@ -130,22 +103,6 @@ class BrownConrady(AbstractDistortion):
 
     def _denominator(self, r2: Scalar) -> Scalar:
         return 1.0 + r2 * (self.k4 + r2 * (self.k5 + r2 * self.k6))
-
-
-@jax.custom_jvp
-def _with_derivative(lens: BrownConrady, distorted: PlanePoint, root: PlanePoint) -> PlanePoint:
-    """`root`, where `lens` maps it to `distorted`, with the derivatives of the implicit function."""
-    return root
-
-
-@_with_derivative.defjvp
-def _(primals, tangents):
-    """d root = J^-1 (d distorted - d lens (root)). Reused within itself, so that second derivatives are right too."""
-    lens, distorted, root = primals
-    d_lens, d_distorted, _ = tangents
-    root = _with_derivative(lens, distorted, root)
-    _, d_by_lens = jax.jvp(lambda lens: lens.distort(root), (lens,), (d_lens,))
-    return root, solve_2d(lens.jacobian(root), d_distorted - d_by_lens)
 
 
 def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag, Flag]:
@@ -187,11 +144,3 @@ def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag
     converged = residual <= 1e-13 * scale
     at_fold = ~converged & (determinant(lens.jacobian(ideal)) < FOLD)
     return ideal, converged, at_fold
-
-
-def _segment(end: PlanePoint) -> Float[Array, "samples 2"]:
-    """Points from the centre to `end`, at equal steps of the angle off the axis, so that a far end hides no fold."""
-    radius = safe_norm(end)
-    fractions = jnp.linspace(0.0, 1.0, FIELD_SAMPLES + 1)[1:]
-    radii = jnp.tan(fractions * jnp.arctan(radius)).at[-1].set(radius)
-    return radii[:, None] * (end / jnp.where(radius == 0.0, 1.0, radius))[None, :]

@@ -1,0 +1,88 @@
+"""What every lens distortion is: a map of the image plane, its inverse, its field and its coefficients."""
+
+from __future__ import annotations
+
+import abc
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_array, as_float64
+from jaxgeo._typing import Flag, StatusCode
+from jaxgeo.sensor._newton import PlanePoint
+from jaxgeo.status import Status, status_where
+
+if TYPE_CHECKING:
+    from typing import Self
+else:
+    Self: TypeAlias = Any  # which checks at run time cannot follow through a decorated method
+
+
+class AbstractDistortion(eqx.Module):
+    """A smooth map of the image plane that is invertible round the centre.
+
+    Its field is the part of the plane around the centre on which it does not fold: where the determinant of its
+    Jacobian is positive all the way from the centre.
+    """
+
+    names: ClassVar[tuple[str, ...]]  # of its coefficients, in order
+    interior: ClassVar[tuple[str, ...]] = ()  # those that do what the focal length and the principal point do
+
+    @abc.abstractmethod
+    def distort(self, ideal: PlanePoint) -> PlanePoint:
+        """Distorted image coordinates of ideal ones, by the formula alone, inside the field or not."""
+
+    @abc.abstractmethod
+    def in_field(self, ideal: PlanePoint) -> Flag:
+        """Whether ideal image coordinates lie in the field; no derivative."""
+
+    @abc.abstractmethod
+    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
+        """Ideal coordinates in the field of distorted ones, and a status; (0, 0) where the status is not `hit`."""
+
+    @abc.abstractmethod
+    def coefficients(self) -> Float[Array, "... n"]:
+        """The coefficients as a vector, in the order of `names`; after the batch axes if the lens has any."""
+
+    @abc.abstractmethod
+    def with_coefficients(self, vector: Any) -> Self:
+        """The same lens with other coefficients, in the order of `names`.
+
+        Raises `ValueError` if there are not as many as names.
+        """
+
+
+class NoDistortion(AbstractDistortion):
+    """A perfect lens."""
+
+    names: ClassVar = ()
+
+    def distort(self, ideal: PlanePoint) -> PlanePoint:
+        return ideal
+
+    def in_field(self, ideal: PlanePoint) -> Flag:
+        return jnp.all(jnp.isfinite(ideal))
+
+    def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
+        valid = jnp.all(jnp.isfinite(distorted))
+        return jnp.where(valid, distorted, 0.0), status_where(~valid, Status.invalid_input, Status.hit.code)
+
+    def coefficients(self) -> Float[Array, "... n"]:
+        return jnp.zeros(0)
+
+    def with_coefficients(self, vector: Any) -> Self:
+        as_coefficients(vector, type(self))
+        return self
+
+
+def as_coefficients(vector: Any, lens: type[AbstractDistortion]) -> Float[Array, "... n"]:
+    """`vector` as float64; raises `ValueError` unless its last axis has one number for each of the lens's names."""
+    vector = as_float64(as_array(vector, "coefficients"), "coefficients")
+    if jnp.shape(vector)[-1:] != (len(lens.names),):
+        raise ValueError(
+            f"{lens.__name__} has {len(lens.names)} coefficients, {' '.join(lens.names) or 'none at all'}; got an "
+            f"array of shape {jnp.shape(vector)}. Give one number for each, in this order, 0 for those not in use."
+        )
+    return vector
