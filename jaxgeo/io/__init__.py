@@ -1,21 +1,30 @@
-"""Files to records and back: elevation models, vertical datums, scenes, tables, maps. Only io knows PROJ and GDAL."""
+"""Files to records and back: terrain, heights, scenes, blocks of images, tables, maps. Only io knows PROJ and GDAL."""
 
 from __future__ import annotations
 
 from jaxgeo.io.accuracy_map import write_accuracy_map
+from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.io.errors import DemError, TableError, VerticalDatumError
 from jaxgeo.io.exposures import write_exposures
 from jaxgeo.io.files import DemFiles, open_dem
 from jaxgeo.io.footprints import write_footprints
+from jaxgeo.io.gcp import GroundControl, read_gcp_list
 from jaxgeo.io.geoid import height_msl, undulation
+from jaxgeo.io.image_points import read_image_points, write_image_points
 from jaxgeo.io.navigation import read_navigation
+from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
+from jaxgeo.io.orientations import Orientations, read_orientations, write_orientations
 
 __all__ = [
+    "BalProblem",
     "DemError",
     "DemFiles",
     "DemReport",
+    "GroundControl",
+    "Orientations",
+    "Reconstruction",
     "TableError",
     "VerticalDatumError",
     "example_dem",
@@ -23,11 +32,20 @@ __all__ = [
     "intersect_files",
     "locate_files",
     "open_dem",
+    "read_bal",
     "read_dem",
     "read_dem_and_report",
+    "read_gcp_list",
+    "read_image_points",
     "read_navigation",
+    "read_opensfm",
+    "read_opensfm_cameras",
+    "read_orientations",
     "undulation",
     "write_accuracy_map",
+    "write_bal",
     "write_exposures",
     "write_footprints",
+    "write_image_points",
+    "write_orientations",
 ]

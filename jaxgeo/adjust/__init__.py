@@ -1,0 +1,1 @@
+"""Many images together: intersection of rays, bundle adjustment, boresight."""

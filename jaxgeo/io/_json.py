@@ -1,0 +1,94 @@
+"""JSON files whose values are checked: every refusal names the file, the key and the reason."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxgeo.io.errors import TableError
+
+
+def read_json(path: str | os.PathLike[str], what: str) -> Any:
+    """What a JSON file holds; `what` it is, for messages.
+
+    Raises `TableError` for a file that is none, is cut off, or has a key twice in one table; `FileNotFoundError`.
+    """
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs))
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: there is no such file of a {what}.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: the {what} cannot be read: {error}.") from error
+    except json.JSONDecodeError as error:
+        raise TableError(f"{path}: not a JSON file, or cut off: {error}.") from error
+
+
+def value_of(where: str, content: Any, key: str) -> Any:
+    """What stands under a key; `where` names the table. Raises `TableError`, as all below."""
+    if not isinstance(content, dict) or key not in content:
+        found = ", ".join(list(content)[:8]) if isinstance(content, dict) else shown(content)
+        raise TableError(f"{where}: {key} is missing; found {found or 'nothing'}.")
+    return content[key]
+
+
+def table_of(where: str, content: Any, key: str) -> dict[str, Any]:
+    """A table under a key."""
+    value = value_of(where, content, key)
+    if not isinstance(value, dict):
+        raise TableError(f"{where}, {key}: expected a table by name; got {shown(value)}.")
+    return value
+
+
+def number_of(where: str, content: Any, key: str, default: float | None = None) -> float:
+    """A finite number under a key; `default` where the key is not there."""
+    if default is not None and isinstance(content, dict) and key not in content:
+        return default
+    value = value_of(where, content, key)
+    if not _is_number(value):
+        raise TableError(f"{where}: {key} must be a finite number; got {shown(value)}.")
+    return float(value)
+
+
+def size_of(where: str, content: Any, key: str) -> int:
+    """A number of pixels under a key."""
+    value = number_of(where, content, key)
+    if value < 1 or value != int(value):
+        raise TableError(f"{where}: {key} must be a whole number of pixels above zero; got {value:g}.")
+    return int(value)
+
+
+def vectors_of(where: str, table: Mapping[str, Any], key: str) -> np.ndarray:
+    """Three numbers under a key of each entry of a table, (n, 3)."""
+    return np.array([_vector(where, name, entry, key) for name, entry in table.items()], np.float64).reshape(-1, 3)
+
+
+def shown(value: Any) -> str:
+    """A value in a message."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _vector(where: str, name: str, entry: Any, key: str) -> list[float]:
+    value = value_of(f"{where}, {name}", entry, key)
+    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
+        raise TableError(f"{where}, {name}: {key} must be three finite numbers; got {shown(value)}.")
+    return value
+
+
+def _single(path: str | os.PathLike[str], pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise TableError(f"{path}: {twice!r} stands twice in one table.")
+    return table
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,184 @@
+"""Ground control points and where they are seen: the `gcp_list.txt` of OpenDroneMap."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from jaxgeo._checks import require_x64
+from jaxgeo.adjust.records import ImagePoints, as_names
+from jaxgeo.earth import Geodetic
+from jaxgeo.io._columns import refuse_doubles
+from jaxgeo.io._csv import CsvTable
+from jaxgeo.io._map_grid import MapGrid, understood_crs
+from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.scene import ellipsoidal_heights
+from jaxgeo.io.tables import PIXEL_COLUMNS
+from jaxgeo.io.vertical import height_shift
+
+COLUMNS = ["geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name"]
+LIMITS = {
+    "geo_x": (-1e9, 1e9, "units of the projection"),
+    "geo_y": (-1e9, 1e9, "units of the projection"),
+    "geo_z": (-2000.0, 2_000_000.0, "m"),
+    "im_x": PIXEL_COLUMNS["u"],
+    "im_y": PIXEL_COLUMNS["v"],
+}
+OFFSETS = {"centre": 0.0, "corner": 0.5}  # of the first pixel's centre from the origin, pixels
+
+
+@dataclass(frozen=True)
+class GroundControl:
+    """Points whose places are known, by name (n,), and where they are seen in images.
+
+    `position` holds n entries; every point of `points` is one of `names`.
+    """
+
+    names: np.ndarray
+    position: Geodetic
+    points: ImagePoints
+
+    def __post_init__(self) -> None:
+        names = as_names(self.names, "names")
+        unique, counts = np.unique(names, return_counts=True)
+        if np.any(counts > 1):
+            raise ValueError(f"point {unique[counts > 1][0]} is there {counts.max()} times; names must differ.")
+        shape = np.shape(self.position.lat)
+        if shape != (len(names),):
+            raise ValueError(f"position must hold an entry for each of {len(names)} points; got shape {shape}.")
+        unknown = np.setdiff1d(self.points.point, names)
+        if unknown.size:
+            raise ValueError(f"point {unknown[0]} is measured in images, but has no position.")
+        object.__setattr__(self, "names", names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def read_gcp_list(
+    path: str | os.PathLike[str], *, height_datum: str | float, pixel_origin: str = "centre"
+) -> GroundControl:
+    """The ground control points of an OpenDroneMap file.
+
+    Its first line is a projection: "EPSG:32651", a PROJ text "+proj=utm ...", "WGS84 UTM 51N", or "WGS84" (degrees).
+    In each other line stand, with white space between, `geo_x geo_y geo_z im_x im_y image_name [gcp_name] [extra ...]`:
+    easting and northing (longitude and latitude in deg) in the units of the projection, height in m, column and row in
+    pixels. Without names, lines with the same coordinates are of one point, as there; such points are called
+    "unnamed-0", "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
+
+    - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
+      m; as in scene files.
+    - `pixel_origin`: where im_x and im_y are zero: in the "centre" of the first pixel, as OpenSfM takes them, or in its
+      outer "corner", as programs write that count the whole image from 0 to its width; then half a pixel is taken off.
+
+    Raises `TableError` with the line for a projection that is not understood, words that are missing or no numbers, a
+    height that is NaN, a name that stands for two places, a place with two names, a point measured twice in an image;
+    `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    """
+    require_x64()
+    if pixel_origin not in OFFSETS:
+        raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
+    (line, projection), *rows = _lines(path)
+    table = _table(path, rows)
+    crs, vertical = understood_crs(f"{path}, row {line}", _projection(projection))
+    numbers = {name: table.numbers(name, limits) for name, limits in LIMITS.items()}
+    places = np.stack([numbers[name] for name in COLUMNS[:3]], axis=-1)
+    names, of_point = _points(table, places)
+    image = np.array([row[5] for row in table.cells], dtype=str)
+    keys = zip(image.tolist(), names[of_point].tolist(), strict=True)
+    refuse_doubles(table, keys, "image {0}, point {1}: measured twice")
+    uv = np.stack([numbers["im_x"], numbers["im_y"]], axis=-1) - OFFSETS[pixel_origin]
+    first = np.array([int(np.argmax(of_point == k)) for k in range(len(names))])
+    position = _positions(table, crs, vertical, places[first], height_datum)
+    return GroundControl(names, position, ImagePoints(image, names[of_point], uv))
+
+
+def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
+    """The lines that say something, with their numbers."""
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            lines = [(i, line.strip()) for i, line in enumerate(file, start=1)]
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: there is no such file of ground control points.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise TableError(f"{path}: the file of ground control points cannot be read: {error}.") from error
+    lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
+    if len(lines) < 2:
+        raise TableError(f"{path}: expected a projection in the first line and measurements of points below it.")
+    return lines
+
+
+def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTable:
+    """The words of each line, a name or an empty one last."""
+    cells = []
+    for line, text in rows:
+        words = text.split()
+        if len(words) < len(COLUMNS):
+            raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
+        cells.append([*words[:6], words[6] if len(words) > 6 else ""])
+    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], cells)
+
+
+def _projection(text: str) -> str:
+    """What PROJ calls the projection of the first line."""
+    if text.upper() in ("WGS84", "EPSG:4326"):
+        return "EPSG:4326"
+    utm = re.fullmatch(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS]?)", text, re.IGNORECASE)
+    if utm and 1 <= int(utm[1]) <= 60:
+        return f"EPSG:{327 if utm[2].upper() == 'S' else 326}{int(utm[1]):02d}"
+    return text
+
+
+def _points(table: CsvTable, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(names of the points in the order of their first lines, index of the point of each line)."""
+    keys = [tuple(place) for place in places.tolist()]
+    name_at: dict[Any, str] = {}
+    place_of: dict[str, Any] = {}
+    for row, (key, cells) in enumerate(zip(keys, table.cells, strict=True)):
+        if not (name := cells[6]):
+            continue
+        if name_at.setdefault(key, name) != name:
+            raise table.wrong(row, "gcp_name", f"{name} lies where {name_at[key]} does; one of the names is wrong.")
+        if place_of.setdefault(name, key) != key:
+            raise table.wrong(row, "gcp_name", f"{name} has other coordinates above: {_shown(place_of[name])}.")
+    order = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+    unnamed = (name for name in _unnamed() if name not in place_of)
+    names = np.array([name_at.get(key) or next(unnamed) for key in order], dtype=str)
+    return names, np.array([order[key] for key in keys])
+
+
+def _unnamed() -> Iterator[str]:
+    k = 0
+    while True:
+        yield f"unnamed-{k}"
+        k += 1
+
+
+def _shown(place: tuple[float, ...]) -> str:
+    return " ".join(f"{x:.10g}" for x in place)
+
+
+def _positions(
+    table: CsvTable, crs: pyproj.CRS, vertical: pyproj.CRS | None, places: np.ndarray, height_datum: str | float
+) -> Geodetic:
+    """Places in a projection as positions on the Earth."""
+    x, y, z = places.T
+    lon, lat = MapGrid.about(table.path, crs, x, y).to_lonlat(x, y)
+    lost = ~(np.isfinite(lon) & np.isfinite(lat)) | (np.abs(lat) > 90.0)
+    if np.any(lost):
+        raise TableError(f"{table.path}: {_shown(tuple(places[np.argmax(lost)]))} has no place in {crs.name!r}.")
+    try:
+        if vertical is not None:
+            height_shift(height_datum, vertical)  # refuses a datum that is not that of the projection
+        height = ellipsoidal_heights(lon, lat, z, height_datum)
+    except VerticalDatumError as error:  # there it is an option of `read_dem`
+        raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
+    except ValueError as error:  # the datum's grid does not reach a point
+        raise TableError(f"{table.path}: {error}") from error
+    return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)

@@ -1,0 +1,275 @@
+"""Reconstructions of OpenSfM and OpenDroneMap: cameras, shots and points of a `reconstruction.json`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+
+from jaxgeo._checks import require_x64
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
+from jaxgeo.io._json import number_of, read_json, shown, size_of, table_of, value_of, vectors_of
+from jaxgeo.io._map_grid import MapGrid, metric_map
+from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.scene import ellipsoidal_heights
+from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
+from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
+from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR, R_ned_from_map
+
+TOPOCENTRIC = "topocentric"
+WHOLE_METRES = 1e-4  # m
+
+# Keys of the focal lengths, the principal point and the coefficients of each projection, as OpenSfM writes them.
+PROJECTIONS = {
+    "perspective": (("focal", "focal"), (), ("k1", "k2")),
+    "simple_radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1",)),
+    "radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2")),
+    "brown": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1", "k2", "k3", "p1", "p2")),
+}
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Cameras by name, n shots and m points, in east-north-up about a reference, m; without one in a frame of its own.
+
+    `names` of images and `camera`, which camera took each, are (n,); `centres` (n, 3) perspective centres and
+    `R_enu_from_camera` (n, 3, 3); `point_names` (m,) and `points` (m, 3). `reference` is a single position or None.
+    """
+
+    cameras: dict[str, FrameCamera]
+    names: np.ndarray
+    camera: np.ndarray
+    centres: np.ndarray
+    R_enu_from_camera: np.ndarray
+    point_names: np.ndarray
+    points: np.ndarray
+    reference: Geodetic | None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def poses(self) -> Pose:
+        """The poses of n shots on the Earth: each camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
+
+        Raises `ValueError` without a reference.
+        """
+        return jax.tree.map(np.asarray, _poses(self._placed(), self.centres, self.R_enu_from_camera))
+
+    def positions(self) -> Geodetic:
+        """The m points on the Earth. Raises `ValueError` without a reference."""
+        return jax.tree.map(np.asarray, _on_earth(self._placed(), self.points))
+
+    def _placed(self) -> Geodetic:
+        if self.reference is None:
+            raise ValueError("the reconstruction has no reference_lla: its frame has no place on the Earth.")
+        return self.reference
+
+
+def read_opensfm(
+    path: str | os.PathLike[str],
+    *,
+    height_datum: str | float | None = None,
+    crs: str | int | pyproj.CRS | None = None,
+    part: int | None = None,
+) -> Reconstruction:
+    """The reconstruction in a `reconstruction.json` of OpenSfM or OpenDroneMap.
+
+    Shots are rotation vectors and translations from the world to the camera (right, down, forward). The world is, with
+    a `reference_lla` in the file, east-north-up about it: exact, by ECEF. OpenDroneMap turns its reconstruction.json
+    into a UTM grid, less the coordinates of the reference there (what it began with is reconstruction.topocentric.json
+    beside it): heights are then altitudes, and north is the grid's. Cameras are of the size that the file gives,
+    perhaps less than that of the images.
+
+    - `height_datum`: what altitudes are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation
+      in m; as in scene files. Needed for a file with a reference: it depends on what the positions of its images are.
+    - `crs`: the map in which the world lies, such as "EPSG:32651", or "topocentric". Needed where the reference has
+      whole metres in UTM, as OpenDroneMap chooses it; else topocentric if left out.
+    - `part`: which of several reconstructions in the file, from 0; needed if there are more than one.
+
+    Projections: perspective, simple_radial, radial, brown, the distortion being `BrownConrady` by the same formula.
+    Raises `TableError`, the key named, for what is missing, no number, doubled, of another projection, a shot of an
+    unknown camera, a file that is no JSON or cut off; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with
+    64-bit floats off.
+    """
+    require_x64()
+    content = _part(path, read_json(path, "reconstruction"), part)
+    where = f"{path}" if part is None else f"{path}, [{part}]"
+    cameras = _cameras(f"{where}, cameras", table_of(where, content, "cameras"))
+    shots, points = table_of(where, content, "shots"), content.get("points", {})
+    if not isinstance(points, dict):
+        raise TableError(f"{where}, points: expected points by name; got {shown(points)}.")
+    if not shots:
+        raise TableError(f"{where}, shots: there are none.")
+    for name, shot in shots.items():
+        if value_of(f"{where}, shots, {name}", shot, "camera") not in cameras:
+            raise TableError(f"{where}, shots, {name}: camera {shot['camera']!r} is not among the file's cameras.")
+    vectors = [vectors_of(f"{where}, shots", shots, key) for key in ("rotation", "translation")]
+    centres, R_world_from_camera = (np.asarray(x) for x in _from_world(*vectors))
+    xyz = vectors_of(f"{where}, points", points, "coordinates")
+    reference, world = None, (centres, R_world_from_camera, xyz)
+    if content.get("reference_lla") is not None:
+        reference, world = _placed(where, content["reference_lla"], world, height_datum, crs)
+    elif crs is not None:
+        raise TableError(f"{where}: there is no reference_lla, so its frame is its own; leave crs= out.")
+    camera = np.array([shot["camera"] for shot in shots.values()], dtype=str)
+    names, point_names = (np.array(list(table), dtype=str) for table in (shots, points))
+    return Reconstruction(cameras, names, camera, world[0], world[1], point_names, world[2], reference)
+
+
+def read_opensfm_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
+    """The cameras of a `cameras.json` of OpenSfM or OpenDroneMap, by name; raises as `read_opensfm`."""
+    require_x64()
+    content = read_json(path, "reconstruction")
+    if not isinstance(content, dict) or not content:
+        raise TableError(f"{path}: expected cameras by name; got {shown(content)}.")
+    return _cameras(f"{path}", content)
+
+
+def _part(path: str | os.PathLike[str], content: Any, part: int | None) -> dict[str, Any]:
+    """One of the reconstructions in a file."""
+    parts = content if isinstance(content, list) else [content]
+    if not parts or not all(isinstance(one, dict) for one in parts):
+        raise TableError(f"{path}: expected a list of reconstructions; got {shown(content)}.")
+    if part is None and len(parts) > 1:
+        sizes = ", ".join(str(len(one.get("shots", ()))) for one in parts)
+        raise TableError(f"{path}: {len(parts)} reconstructions, of {sizes} shots; choose one with part=, from 0.")
+    if not 0 <= (part or 0) < len(parts):
+        raise TableError(f"{path}: part={part}, but there are {len(parts)} reconstructions, from 0.")
+    return parts[part or 0]
+
+
+def _cameras(where: str, table: Mapping[str, Any]) -> dict[str, FrameCamera]:
+    return {name: _camera(f"{where}, {name}", camera) for name, camera in table.items()}
+
+
+def _camera(where: str, camera: Any) -> FrameCamera:
+    """A camera in pixels: OpenSfM divides by the longer side of the image, about the image's centre."""
+    kind = camera.get("projection_type", "perspective") if isinstance(camera, dict) else camera
+    if kind not in PROJECTIONS:
+        raise TableError(f"{where}: projection_type {kind!r} is not read; only {', '.join(PROJECTIONS)} are.")
+    focal_keys, offset_keys, coefficients = PROJECTIONS[kind]
+    width, height = (size_of(where, camera, key) for key in ("width", "height"))
+    longer, centre = max(width, height), np.array([width - 1, height - 1]) / 2.0
+    focal = np.array([number_of(where, camera, key) for key in focal_keys])
+    offset = np.array([number_of(where, camera, key, 0.0) for key in offset_keys] or [0.0, 0.0])
+    distortion = BrownConrady(**{key: number_of(where, camera, key, 0.0) for key in coefficients})
+    if np.any(focal <= 0.0):
+        raise TableError(f"{where}: focal lengths must be positive; got {focal.tolist()}.")
+    principal_px = centre + longer * offset
+    return FrameCamera.from_pixels(
+        focal_px=longer * focal, width=width, height=height, principal_px=principal_px, distortion=distortion
+    )
+
+
+def _placed(
+    where: str, lla: Any, world: tuple[np.ndarray, ...], height_datum: str | float | None, crs: Any
+) -> tuple[Geodetic, tuple[np.ndarray, ...]]:
+    """(the reference, centres, rotations and points in east-north-up about it)."""
+    where = f"{where}, reference_lla"
+    lat, lon, altitude = (number_of(where, lla, key) for key in ("latitude", "longitude", "altitude"))
+    if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
+        raise TableError(f"{where}: latitude {lat:g}, longitude {lon:g} deg are not on the Earth.")
+    if height_datum is None:
+        raise TableError(
+            f"{where}: what altitudes are measured from is not in the file, and a guess may be off by 100 m. Pass "
+            f'height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m.'
+        )
+    if crs is None:
+        _refuse_whole_metres(where, lat, lon)
+    height = _heights(where, np.array([lon]), np.array([lat]), np.array([altitude]), height_datum)[0]
+    reference = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=np.float64(height))
+    if crs is None or (isinstance(crs, str) and crs.lower() == TOPOCENTRIC):
+        return reference, world
+    horizontal, _ = metric_map(where, crs)
+    grid = MapGrid.about_lonlat(where, horizontal, np.array([lon]), np.array([lat]))
+    origin = np.array([*(u[0] for u in grid.from_lonlat(np.array([lon]), np.array([lat]))), 0.0])
+    centres, R_map_from_camera, points = world
+    x, y, z = (centres + origin).T
+    position = _of_map(where, grid, x, y, z, height_datum)
+    enu, R_enu_from_camera = _turned(reference, position, grid.convergence(x, y), R_map_from_camera)
+    x, y, z = (points + origin).T
+    on_earth = _of_map(where, grid, x, y, z, height_datum)
+    arrays = enu, R_enu_from_camera, _from_earth(reference, on_earth)
+    return reference, tuple(np.asarray(array) for array in arrays)
+
+
+def _refuse_whole_metres(where: str, lat: float, lon: float) -> None:
+    """Raises `TableError` for a reference as OpenDroneMap makes it, whose world may be a grid or topocentric."""
+    if abs(lat) > 84.0:
+        return
+    middle = math.floor((lon + 180.0) / 6.0)
+    for zone in {(middle + step) % 60 + 1 for step in (-1, 0, 1)}:
+        code = (32600 if lat >= 0.0 else 32700) + zone
+        x, y = pyproj.Transformer.from_crs("EPSG:4326", code, always_xy=True).transform(lon, lat)
+        if max(abs(x - round(x)), abs(y - round(y))) < WHOLE_METRES:
+            raise TableError(
+                f"{where}: it lies at whole metres of EPSG:{code}, {x:.0f} E {y:.0f} N, as OpenDroneMap chooses it. "
+                f"Its reconstruction.json is in that grid: pass crs='EPSG:{code}'; its reconstruction.topocentric.json "
+                f"is not: pass crs='{TOPOCENTRIC}'."
+            )
+
+
+def _of_map(
+    where: str, grid: MapGrid, x: np.ndarray, y: np.ndarray, z: np.ndarray, height_datum: str | float
+) -> Geodetic:
+    lon, lat = grid.to_lonlat(x, y)
+    if not np.all(np.isfinite(lon) & np.isfinite(lat)):
+        raise TableError(f"{where}: the map of crs= does not reach every shot and point.")
+    return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=_heights(where, lon, lat, z, height_datum))
+
+
+def _heights(where: str, lon: np.ndarray, lat: np.ndarray, z: np.ndarray, datum: str | float) -> np.ndarray:
+    try:
+        return ellipsoidal_heights(lon, lat, z, datum)
+    except VerticalDatumError as error:  # there it is an option of `read_dem`
+        raise VerticalDatumError(f"{where}: {str(error).replace('vertical_datum', 'height_datum')}") from error
+    except ValueError as error:  # the datum's grid does not reach
+        raise TableError(f"{where}: {error}") from error
+
+
+@eqx.filter_jit
+@jax.vmap
+def _from_world(rotation: Any, translation: Any) -> tuple[Any, Any]:
+    """(perspective centre, R_world_from_camera) of a shot."""
+    R_world_from_camera = R_from_rotation_vector(rotation).T
+    return -R_world_from_camera @ translation, R_world_from_camera
+
+
+@eqx.filter_jit
+def _on_earth(reference: Geodetic, enu: Any) -> Geodetic:
+    R, origin = R_ecef_from_enu(reference), WGS84.to_ecef(reference)
+    return jax.vmap(lambda p: WGS84.to_geodetic(origin + R @ p))(enu)
+
+
+@eqx.filter_jit
+def _from_earth(reference: Geodetic, position: Geodetic) -> Any:
+    R, origin = R_ecef_from_enu(reference), WGS84.to_ecef(reference)
+    return jax.vmap(lambda one: R.T @ (WGS84.to_ecef(one) - origin))(position)
+
+
+@eqx.filter_jit
+def _turned(reference: Geodetic, position: Geodetic, convergence: Any, R_map_from_camera: Any) -> tuple[Any, Any]:
+    """(centres, R_enu_from_camera) about the reference of cameras turned against a map's grid at their positions."""
+
+    def turned(position: Geodetic, convergence: Any, R_map_from_camera: Any) -> Any:
+        R_ecef_from_camera = R_ecef_from_ned(position) @ R_ned_from_map(convergence) @ R_map_from_camera
+        return R_ecef_from_enu(reference).T @ R_ecef_from_camera
+
+    return _from_earth(reference, position), jax.vmap(turned)(position, convergence, R_map_from_camera)
+
+
+@eqx.filter_jit
+def _poses(reference: Geodetic, centres: Any, R_enu_from_camera: Any) -> Pose:
+    def pose(position: Geodetic, R_enu_from_camera: Any) -> Pose:
+        R_ned_from_camera = R_ecef_from_ned(position).T @ R_ecef_from_enu(reference) @ R_enu_from_camera
+        return Pose(position, *heading_pitch_roll_from_R(R_ned_from_camera @ jnp.asarray(R_HEAD_FROM_CAMERA_NADIR).T))
+
+    return jax.vmap(pose)(_on_earth(reference, centres), R_enu_from_camera)
