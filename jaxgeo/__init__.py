@@ -39,7 +39,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import coverage, io, plot
+    from jaxgeo import adjust, coverage, io, plot
 
 __all__ = [
     "WGS84",
@@ -68,6 +68,7 @@ __all__ = [
     "SweepCamera",
     "Trajectory",
     "accuracy",
+    "adjust",
     "at_range",
     "circular_error",
     "compare",
@@ -85,7 +86,7 @@ __all__ = [
     "uncertainty",
 ]
 
-_ON_DEMAND = ("coverage", "io", "plot")  # not all need them; two load rasterio and pyproj, or matplotlib
+_ON_DEMAND = ("adjust", "coverage", "io", "plot")  # not all need them; two load rasterio and pyproj, or matplotlib
 
 
 def __getattr__(name: str) -> Any:

@@ -1,1 +1,56 @@
-"""Many images together: intersection of rays, bundle adjustment, boresight."""
+"""Many images together: intersection of rays, bundle adjustment, boresight, and what they say of the sensor."""
+
+from jaxgeo.adjust.adjustment import Adjustment, InnerConstraints, Parameter, adjust
+from jaxgeo.adjust.block import Block, Images
+from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
+from jaxgeo.adjust.calibration import Calibration, calibration
+from jaxgeo.adjust.frame import Cartesian, LocalFrame
+from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
+from jaxgeo.adjust.navigation import Navigation
+from jaxgeo.adjust.records import ImagePoints
+from jaxgeo.adjust.reliability import Blunder, Reliability, blunders, reliability, without_blunders
+from jaxgeo.adjust.resection import resect, resected
+from jaxgeo.adjust.solve import Iteration, Solver
+from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.unknowns import Fixed, Free, Prior, Unknowns
+from jaxgeo.adjust.weakness import DeficientBlock, Direction
+
+__all__ = [
+    "AbstractLoss",
+    "Adjustment",
+    "Block",
+    "Blunder",
+    "Calibration",
+    "Cartesian",
+    "Cauchy",
+    "DeficientBlock",
+    "Direction",
+    "Fixed",
+    "Free",
+    "GroundPoints",
+    "Huber",
+    "ImagePoints",
+    "Images",
+    "InnerConstraints",
+    "Iteration",
+    "LeastSquares",
+    "LocalFrame",
+    "Navigation",
+    "OnTerrain",
+    "Parameter",
+    "Prior",
+    "Reliability",
+    "Solver",
+    "Tukey",
+    "TwoStep",
+    "Unknowns",
+    "adjust",
+    "blunders",
+    "calibration",
+    "reliability",
+    "resect",
+    "resected",
+    "two_step_boresight",
+    "without_blunders",
+]

@@ -49,6 +49,11 @@ class ImagePoints:
         """Some of the measurements, by index or flag."""
         return ImagePoints(self.image[rows], self.point[rows], self.uv[rows], self.sigma[rows])
 
+    def seen_often(self, least: int = 2, known: Sequence[str] = ()) -> ImagePoints:
+        """The measurements of points that are seen in `least` images or more, or are among those `known`."""
+        _, point, counts = np.unique(self.point, return_inverse=True, return_counts=True)
+        return self.of((counts[point] >= least) | np.isin(self.point, list(known)))
+
     @classmethod
     def joined(cls, parts: Sequence[ImagePoints]) -> ImagePoints:
         """Several lists as one."""

@@ -84,7 +84,7 @@ class Distortion(AbstractSource):
 
     def check(self, look: Look) -> None:
         distortion = optics_of(look.sensor.camera).distortion
-        missing = [name for name in self.coefficients if not hasattr(distortion, name)]
+        missing = [name for name in self.coefficients if name not in distortion.names]
         if missing:
             raise ValueError(
                 f"The camera's {type(distortion).__name__} has no coefficient {', '.join(missing)}; give the camera a "
@@ -92,10 +92,11 @@ class Distortion(AbstractSource):
             )
 
     def moved(self, look: Look, error: Error) -> Look:
-        def where(look: Look) -> tuple[Any, ...]:
-            return tuple(getattr(optics_of(look.sensor.camera).distortion, name) for name in self.coefficients)
-
-        return eqx.tree_at(where, look, tuple(old + e for old, e in zip(where(look), error, strict=True)))
+        lens = optics_of(look.sensor.camera).distortion
+        by_name = dict(zip(self.coefficients, error, strict=True))
+        change = jnp.stack([by_name.get(name, jnp.zeros(())) for name in lens.names])
+        changed = lens.with_coefficients(lens.coefficients() + change)
+        return eqx.tree_at(lambda look: optics_of(look.sensor.camera).distortion, look, changed)
 
 
 def optics_of(camera: AbstractCamera) -> FrameCamera:

@@ -1,0 +1,222 @@
+"""A block: images of some cameras, what is measured in them, and what is known of them and of the ground beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxgeo._checks import check_is, require_x64
+from jaxgeo.adjust.frame import Cartesian, LocalFrame
+from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.navigation import Navigation, joined, navigation_of, sights_of
+from jaxgeo.adjust.records import ImagePoints, Names, as_names
+from jaxgeo.earth import Geodetic
+from jaxgeo.sensor import FrameCamera, Sensor, Shot
+
+
+@dataclass(frozen=True)
+class Images:
+    """n images: their names, the names of their cameras, and about where they are in the block's frame.
+
+    `centre` (n, 3) are perspective centres in m, `R_frame_from_camera` (n, 3, 3) orientations of the camera (right,
+    down, forward). Raises `ValueError` for names that are there twice and numbers that are no place or no rotation.
+    """
+
+    name: Names
+    camera: Names
+    centre: np.ndarray
+    R_frame_from_camera: np.ndarray
+
+    def __post_init__(self) -> None:
+        name, camera = as_names(self.name, "names of images"), as_names(self.camera, "names of cameras")
+        centre, R = np.asarray(self.centre, np.float64), np.asarray(self.R_frame_from_camera, np.float64)
+        n = len(name)
+        if (len(camera), centre.shape, R.shape) != (n, (n, 3), (n, 3, 3)):
+            raise ValueError(
+                f"of {n} images, camera must have {n} entries, centre the shape ({n}, 3) and R_frame_from_camera "
+                f"({n}, 3, 3); got {len(camera)}, {centre.shape} and {R.shape}."
+            )
+        found, counts = np.unique(name, return_counts=True)
+        if np.any(counts > 1):
+            raise ValueError(f"image {found[np.argmax(counts)]} is there {counts.max()} times; names must be unique.")
+        whole = np.all(np.isfinite(centre), axis=1) & np.all(np.isfinite(R), axis=(1, 2))
+        off = np.abs(np.nan_to_num(R) @ np.swapaxes(np.nan_to_num(R), 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        turned = whole & (off < 1e-6) & (np.linalg.det(np.nan_to_num(R)) > 0.0)
+        if not np.all(turned):
+            i = int(np.argmax(~turned))
+            what = "R_frame_from_camera must be a rotation" if whole[i] else "centre and rotation must be finite"
+            raise ValueError(f"image {name[i]}: {what}; got centre {centre[i].tolist()}, rotation {R[i].tolist()}.")
+        for field, value in (("name", name), ("camera", camera), ("centre", centre), ("R_frame_from_camera", R)):
+            object.__setattr__(self, field, value)
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+
+@dataclass(frozen=True)
+class Block:
+    """What is adjusted together.
+
+    `cameras` by name, all with the same kind of lens; `images`; `observations`, the measured image points; `control`,
+    ground points known beforehand; `navigation`, observed positions and attitudes of the images; `points`, places from
+    which to start for points that have them (others start where their rays meet). All places are in `frame`, in m.
+    Raises `ValueError` naming the culprit: an image or a camera that there is not, a point that is seen once and not
+    known beforehand, no point at all.
+    """
+
+    frame: LocalFrame | Cartesian
+    cameras: Mapping[str, FrameCamera]
+    images: Images
+    observations: ImagePoints
+    control: GroundPoints | None = None
+    navigation: Navigation | None = None
+    points: GroundPoints | None = None
+
+    def __post_init__(self) -> None:
+        require_x64()
+        check_is(self.frame, (LocalFrame, Cartesian), "frame", "LocalFrame(origin), or Cartesian() off the Earth.")
+        self._check_cameras()
+        self._check_images()
+        self._check_points()
+
+    @classmethod
+    def from_shots(
+        cls,
+        sensor: Sensor,
+        image: Any,
+        shots: Shot,
+        observations: ImagePoints,
+        *,
+        sigma_position: Any,
+        sigma_attitude: Any,
+        control: GroundPoints | None = None,
+        frame: LocalFrame | None = None,
+        camera: str = "camera",
+        strip: Any = None,
+    ) -> Block:
+        """A block of n images of one sensor, by their shots (a `Shot` whose fields have a leading axis).
+
+        The shots are taken as observations of the navigation with `sigma_position` (east, north, up, m) and
+        `sigma_attitude` (heading, pitch, roll, rad; numbers, (3,), (n, 3) or covariances (n, 3, 3), infinite where
+        nothing is known), and as where to start. `strip` names the strip of each image for shift and drift. Without a
+        `frame` it is that at the middle of the images. Raises as `Block` and `Images`.
+        """
+        name = as_names(image, "image")
+        check_is(sensor.camera, FrameCamera, "sensor.camera", "Blocks are of frame cameras.")
+        frame = frame_at(shots.pose.position) if frame is None else frame
+        centre, R = sights_of(frame, sensor, shots)
+        images = Images(name, np.full(len(name), camera), centre, R)
+        strip = np.full(len(name), "strip") if strip is None else strip
+        navigation = navigation_of(frame, sensor, shots, sigma_position, sigma_attitude, camera, strip)
+        return cls(frame, {camera: sensor.camera}, images, observations, control, navigation)
+
+    def with_block(self, other: Block) -> Block:
+        """Both blocks as one: more cameras, flights, observations over the same ground, in this block's frame.
+
+        Raises `ValueError` for frames that differ, and as `Block`.
+        """
+        if not _same(self.frame, other.frame):
+            raise ValueError("blocks are joined in one frame; make the other with frame=block.frame.")
+        mine, theirs = self.images, other.images
+        fields = ("name", "camera", "centre", "R_frame_from_camera")
+        images = Images(*(np.concatenate([getattr(mine, f), getattr(theirs, f)]) for f in fields))
+        navigation = [part for part in (self.navigation, other.navigation) if part is not None]
+        if len(navigation) == 1:
+            raise ValueError("one of the blocks has navigation and the other has none; give both, or none.")
+        return replace(
+            self,
+            cameras={**self.cameras, **other.cameras},
+            images=images,
+            observations=ImagePoints.joined([self.observations, other.observations]),
+            control=self.control
+            if other.control is None
+            else other.control
+            if self.control is None
+            else None or _with_points(self.control, other.control),
+            navigation=joined(navigation) if navigation else None,
+        )
+
+    def of(self, rows: np.ndarray) -> Block:
+        """The block with some of its measurements only, by flag or index. Raises as `Block`."""
+        return replace(self, observations=self.observations.of(rows))
+
+    def kept(self, rows: np.ndarray) -> np.ndarray:
+        """Flags of those among some measurements (flags) whose points are still seen twice, or are control."""
+        seen = self.observations
+        _, point = np.unique(seen.point, return_inverse=True)
+        often = np.bincount(point, weights=rows, minlength=point.max() + 1)[point] >= 2
+        control = np.zeros(len(rows), bool) if self.control is None else np.isin(seen.point, self.control.name)
+        return rows & (often | control)
+
+    def _check_cameras(self) -> None:
+        for name, camera in self.cameras.items():
+            check_is(camera, FrameCamera, f"camera {name}", "Blocks are of frame cameras.")
+        kinds = {type(camera.distortion) for camera in self.cameras.values()}
+        if len(kinds) > 1:
+            names = ", ".join(sorted(kind.__name__ for kind in kinds))
+            raise ValueError(f"all cameras of a block must have the same kind of lens; got {names}.")
+        missing = sorted(set(self.images.camera.tolist()) - set(self.cameras))
+        if missing:
+            image = self.images.name[int(np.argmax(self.images.camera == missing[0]))]
+            raise ValueError(
+                f"image {image} is of camera {missing[0]}, which there is not; known are {', '.join(self.cameras)}."
+            )
+
+    def _check_images(self) -> None:
+        known = np.isin(self.observations.image, self.images.name)
+        if not np.all(known):
+            row = int(np.argmax(~known))
+            raise ValueError(
+                f"measurement {row}, point {self.observations.point[row]}: there is no image "
+                f"{self.observations.image[row]} in the block ({int(np.sum(~known))} such measurements)."
+            )
+        seeing = np.isin(self.images.name, self.observations.image)
+        if not np.all(seeing):
+            name = self.images.name[int(np.argmax(~seeing))]
+            raise ValueError(f"nothing is measured in image {name} ({int(np.sum(~seeing))} such images); leave it out.")
+        if self.navigation is not None and len(self.navigation.position) != len(self.images):
+            raise ValueError(
+                f"the navigation must have an entry for each of {len(self.images)} images; got "
+                f"{len(self.navigation.position)}."
+            )
+
+    def _check_points(self) -> None:
+        if not len(self.observations):
+            raise ValueError("nothing is measured: observations are empty.")
+        name, counts = np.unique(self.observations.point, return_counts=True)
+        once = name[counts < 2]
+        if self.control is not None:
+            once = once[~np.isin(once, self.control.name)]
+        if once.size:
+            row = int(np.argmax(self.observations.point == once[0]))
+            raise ValueError(
+                f"point {once[0]} is seen once only, in image {self.observations.image[row]}, and is no control "
+                f"({once.size} such points); leave such points out: observations.seen_often()."
+            )
+
+
+def frame_at(position: Geodetic) -> LocalFrame:
+    """East-north-up at the middle of a batch of positions, on the ellipsoid."""
+    from jaxgeo.earth import WGS84
+
+    ecef = np.asarray(
+        jax.vmap(WGS84.to_ecef)(jax.tree.map(lambda x: np.atleast_1d(np.asarray(x, np.float64)), position))
+    )
+    middle = WGS84.to_geodetic(ecef.mean(axis=0))
+    return LocalFrame(Geodetic(lat=middle.lat, lon=middle.lon, height=np.float64(0.0)))
+
+
+def _with_points(a: GroundPoints, b: GroundPoints) -> GroundPoints:
+    new = b.without([name for name in b.name.tolist() if name in set(a.name.tolist())])
+    return GroundPoints(
+        np.concatenate([a.name, new.name]), np.concatenate([a.place, new.place]), np.concatenate([a.sigma, new.sigma])
+    )
+
+
+def _same(a: Any, b: Any) -> bool:
+    mine, theirs = jax.tree.leaves(a), jax.tree.leaves(b)
+    return type(a) is type(b) and all(bool(np.all(x == y)) for x, y in zip(mine, theirs, strict=True))

@@ -1,0 +1,124 @@
+"""Boresight and lever arm in two steps: from adjusted orientations and what the navigation said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.collinearity import Observed, navigation_residual
+from jaxgeo.adjust.navigation import Navigation
+from jaxgeo.adjust.problem import observed_of
+from jaxgeo.rotations import R_from_rotation_vector
+from jaxgeo.sensor import Mount
+
+STEPS = 8
+
+
+class TwoStep(NamedTuple):
+    """A mount found from orientations: `turn` (3) the rotation vector of the boresight, rad, `lever` (3) m in body axes,
+    `covariance` (6, 6) of both, of unit weight (zero where held), `sigma0` of the navigation, and the `mount` itself."""
+
+    mount: Mount
+    turn: np.ndarray
+    lever: np.ndarray
+    covariance: np.ndarray
+    sigma0: float
+
+
+def two_step_boresight(
+    adjustment: Adjustment,
+    mount: str | None = None,
+    *,
+    lever: bool = False,
+    navigation: Navigation | None = None,
+) -> TwoStep:
+    """Boresight, and with `lever` the lever arm, of a mount that was held in an adjustment of which this is step two.
+
+    The adjusted orientations are compared with the navigation's, which must have been kept from pulling them: of an
+    adjustment on control, with navigation that was `loosened`; `navigation` is then what it was before (Xue et al.
+    2019, after their Eq 5; rotations are taken as such, not as angles to first order). Weights are the navigation's
+    and, with all correlations, those of the adjusted orientations. Raises `ValueError` without navigation, and for
+    fewer than two images.
+    """
+    ready, block = adjustment.prepared, adjustment.block
+    navigation = block.navigation if navigation is None else navigation
+    if navigation is None or ready.problem.observed is None:
+        raise ValueError("the block has no navigation to compare orientations with.")
+    names = list(ready.names.mount)
+    if mount is None and len(names) > 1:
+        raise ValueError(f"say which mount: {', '.join(names)}.")
+    name = names[0] if mount is None else mount
+    if name not in names:
+        raise ValueError(f"there is no mount {name!r}; there are {', '.join(names)}.")
+    own = np.flatnonzero(np.asarray(ready.problem.mount_of) == names.index(name))
+    if len(own) < 2:
+        raise ValueError(f"mount {name} has {len(own)} images; a boresight in two steps takes at least two.")
+    problem, values = ready.problem, adjustment.solution.values
+    c = problem.of_image
+    at = (own[:, None] * c + np.arange(6)[None, :]).ravel()
+    found = _two_step(
+        jax.tree.map(lambda x: x[own], observed_of(replace(block, navigation=navigation), ready.names)),
+        values.centre[own],
+        values.R_frame_from_camera[own],
+        values.lever[names.index(name)],
+        values.strip[problem.strip_of[own]],
+        jnp.asarray(adjustment.covariance[np.ix_(at, at)]),
+        lever,
+    )
+    turn, arm, covariance, sigma0 = (np.asarray(x) for x in found)
+    given, level = navigation.mounts[name]
+    R = np.asarray(R_from_rotation_vector(jnp.asarray(turn)))
+    where = (lambda m: m.R_head_from_camera) if level else (lambda m: m.R_body_from_base)
+    result = eqx.tree_at(where, given, R @ np.asarray(where(given), np.float64))
+    result = eqx.tree_at(lambda m: m.lever_body, result, arm)
+    return TwoStep(result, turn, arm, covariance, float(sigma0))
+
+
+@eqx.filter_jit
+def _two_step(
+    seen: Observed,
+    centre: Float[Array, "n 3"],
+    R: Float[Array, "n 3 3"],
+    lever: Float[Array, "3"],
+    strip: Float[Array, "n 6"],
+    covariance: Float[Array, "k k"],
+    with_lever: bool,
+) -> tuple[Array, Array, Array, Array]:
+    """(turn, lever, covariance, sigma0) by generalised least squares over all images at once."""
+    size = 6 if with_lever else 3
+
+    def residual(x: Float[Array, " size"], step: Float[Array, "n 6"]) -> Float[Array, " all"]:
+        boresight = R_from_rotation_vector(x[:3])
+        arm = lever + x[3:] if with_lever else lever
+
+        def one(seen: Observed, centre: Array, R: Array, strip: Array, step: Array) -> Array:
+            return navigation_residual(
+                seen, centre + step[:3], R @ R_from_rotation_vector(step[3:]), boresight, arm, strip
+            )
+
+        return jax.vmap(one)(seen, centre, R, strip, step).ravel()
+
+    none = jnp.zeros((centre.shape[0], 6))
+    observed = jnp.concatenate([seen.information_position, seen.information_attitude], axis=1)
+    there = jnp.any(observed != 0.0, axis=2).ravel()
+    x = jnp.zeros(size)
+    for _ in range(STEPS):
+        by_step = jax.jacfwd(residual, argnums=1)(x, none).reshape(there.size, -1)
+        spread = jnp.eye(there.size) + by_step @ covariance @ by_step.T
+        factor = jax.scipy.linalg.cho_factor(spread, lower=True)
+        J = jax.jacfwd(residual)(x, none) * there[:, None]
+        weighted = jax.scipy.linalg.cho_solve(factor, J)
+        normal = J.T @ weighted
+        x = x - jnp.linalg.solve(normal, weighted.T @ (residual(x, none) * there))
+    off = residual(x, none) * there
+    squares = off @ jax.scipy.linalg.cho_solve(factor, off)
+    whole = jnp.zeros((6, 6)).at[:size, :size].set(jnp.linalg.inv(normal))
+    arm = lever + x[3:] if with_lever else lever
+    return x[:3], arm, whole, jnp.sqrt(squares / jnp.maximum(jnp.sum(there) - size, 1))

@@ -1,0 +1,103 @@
+"""What an adjustment found of a sensor, and how well: for later fixes from single images."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.sensor import Sensor
+from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight
+from jaxgeo.uncertainty.sources import (
+    AbstractSource,
+    Boresight,
+    CameraMounting,
+    Correlated,
+    Distortion,
+    InteriorOrientation,
+    LeverArm,
+)
+
+INTERIOR = {"focal": "focal length", "principal column": "principal column", "principal row": "principal row"}
+TURNS = {"boresight z": "heading", "boresight y": "pitch", "boresight x": "roll"}
+LEVEL_TURNS = {"boresight x": "forward", "boresight y": "right", "boresight z": "down"}
+LEVERS = {"lever arm x": "forward", "lever arm y": "right", "lever arm z": "down"}
+
+
+class Calibration(NamedTuple):
+    """A sensor as it was found, and the source of what is still wrong with it, for an `ErrorModel`; None where nothing
+    of it was unknown."""
+
+    sensor: Sensor
+    source: Correlated | None
+
+
+def calibration(
+    adjustment: Adjustment,
+    sensor: Sensor | None = None,
+    *,
+    camera: str | None = None,
+    mount: str | None = None,
+    scaled: bool = True,
+    sharing: AbstractSharing | None = None,
+) -> Calibration:
+    """The adjusted camera and mount on the gimbal of `sensor`, and their errors with all correlations as one source.
+
+    `camera` and `mount` name which; they may be left out where there is one. Covariances are those of the adjustment,
+    times `sigma0` squared if `scaled`. `sharing` says where the errors are the same, by default in a flight.
+    Raises `ValueError` for names that there are not, and where the aspect of the pixels was unknown, of which error
+    models know nothing.
+    """
+    camera = _one(camera, list(adjustment.cameras), "camera")
+    found = Sensor(adjustment.cameras[camera]) if sensor is None else sensor
+    found = eqx.tree_at(lambda s: s.camera, found, adjustment.cameras[camera])
+    if adjustment.mounts:
+        mount = _one(mount, list(adjustment.mounts), "mount")
+        found = eqx.tree_at(lambda s: s.mount, found, adjustment.mounts[mount])
+    chosen = [(i, p) for i, p in enumerate(adjustment.parameters) if p.whose in (f"camera {camera}", f"mount {mount}")]
+    if any(p.name == "aspect" for _, p in chosen):
+        raise ValueError(f"the aspect of camera {camera} was unknown; adjust with aspect=Fixed() for an error model.")
+    if not chosen:
+        return Calibration(found, None)
+    sigma = {p.name: p.sigma * (adjustment.sigma0 if scaled else 1.0) for _, p in chosen}
+    level = found.gimbal.reference == "level"
+    parts, order = _sources(sigma, level)
+    at = {p.name: i for i, p in chosen}
+    correlation = np.eye(sum(len(part.axes) for part in parts))
+    known = [(row, at[name]) for row, name in enumerate(order) if name in at]
+    for row, i in known:
+        for column, j in known:
+            correlation[row, column] = adjustment.correlations[i, j]
+    sharing = EachFlight() if sharing is None else sharing
+    return Calibration(found, Correlated.of(*parts, correlation=correlation, sharing=sharing))
+
+
+def _sources(sigma: dict[str, float], level: bool) -> tuple[list[AbstractSource], list[str]]:
+    """Sources of what was unknown, and the names of the parameters in the order of their axes."""
+    parts: list[AbstractSource] = []
+    order: list[str] = []
+    turns = LEVEL_TURNS if level else TURNS
+    for names, source in (
+        (INTERIOR, InteriorOrientation),
+        (turns, CameraMounting if level else Boresight),
+        (LEVERS, LeverArm),
+    ):
+        if any(name in sigma for name in names):
+            parts.append(source(np.array([sigma.get(name, 0.0) for name in names])))
+            order += list(names)
+    known = {*INTERIOR, *turns, *LEVERS}
+    coefficients = tuple(name for name in sigma if name not in known)
+    if coefficients:
+        parts.append(Distortion(np.array([sigma[name] for name in coefficients]), coefficients=coefficients))
+        order += coefficients
+    return parts, order
+
+
+def _one(name: str | None, names: list[str], what: str) -> str:
+    if name is None and len(names) == 1:
+        return names[0]
+    if name not in names:
+        raise ValueError(f"{what}={name!r}: say which {what}; there are {', '.join(names)}.")
+    return name

@@ -1,0 +1,129 @@
+"""The observations of a block: image points by the collinearity of the sensor model, positions and attitudes of the
+navigation, and their derivatives, one at a time."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._numerics import cross, product, turned
+from jaxgeo._typing import Matrix3, Pixel, Scalar, Vector3
+from jaxgeo.adjust.values import with_interior
+from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
+from jaxgeo.sensor import FrameCamera
+
+
+def pixel_of(camera: FrameCamera, p_camera: Vector3) -> Pixel:
+    """Pixel of a point in the camera frame by the formulas of the camera alone, in its field or not.
+
+    `camera.project` is this and its checks, of which an adjustment makes use when it is done.
+    """
+    return camera.principal_px + camera.focal_px * camera.distortion.distort(p_camera[:2] / p_camera[2])
+
+
+class Linear(NamedTuple):
+    """A measured image point, weighted: residual (2), and derivatives by the point, the pose and the lens."""
+
+    residual: Float[Array, "2"]
+    by_point: Float[Array, "2 3"]
+    by_pose: Float[Array, "2 6"]
+    by_lens: Float[Array, "2 active"]
+
+
+def image_residual(
+    camera: FrameCamera, lens: Any, centre: Vector3, R: Matrix3, point: Vector3, uv: Pixel
+) -> Float[Array, "2"]:
+    """Pixel of a point less that measured, px; Xue et al. (2019), Eq 1."""
+    return pixel_of(with_interior(camera, lens), turned(R.T, point - centre)) - uv
+
+
+def image_linear(
+    camera: FrameCamera, lens: Any, active: tuple[int, ...], centre: Vector3, R: Matrix3, point: Vector3, uv: Pixel
+) -> Linear:
+    """Residual and derivatives of an image point, px. A turn of the camera turns what it sees the other way."""
+
+    def pixel(offset: Vector3, turn: Vector3, change: Any) -> Pixel:
+        d = turned(R.T, offset)
+        d = d - jnp.stack(cross(turn, d))  # to first order, which is all that a derivative at zero takes
+        return pixel_of(with_interior(camera, _changed(lens, active, change)), d)
+
+    predicted, pull = jax.vjp(pixel, point - centre, jnp.zeros(3), jnp.zeros(len(active)))
+    rows = [pull(row) for row in jnp.eye(2)]
+    by_point, by_turn, by_lens = (jnp.stack(parts) for parts in zip(*rows, strict=True))
+    return Linear(predicted - uv, by_point, jnp.concatenate([-by_point, by_turn], axis=1), by_lens)
+
+
+def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:
+    """The lens with its active columns changed; entry by entry, as scattering into many short vectors takes longer."""
+    parts = [entry + change[active.index(i)] if i in active else entry for i, entry in enumerate(lens)]
+    return jnp.stack(parts)
+
+
+class Observed(eqx.Module):
+    """What the navigation says of an image, or of all (leading axis), and its mount; see `Navigation`.
+
+    `centred_time` is s after the middle of the strip's; `level` whether the gimbal reports in local level.
+    """
+
+    position: Any
+    R_frame_from_body: Any
+    R_frame_from_reference: Any
+    R_base_from_head: Any
+    information_position: Any
+    information_attitude: Any
+    R_body_from_base: Any
+    R_head_from_camera: Any
+    lever_head: Any
+    level: Any
+    centred_time: Any
+
+
+def navigation_residual(
+    seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
+) -> Float[Array, "6"]:
+    """Position (m) and attitude (rad) that an orientation implies, less those observed, each weighted.
+
+    Positions by the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
+    Eq 5, where the lever arm's sign is that of the IMU seen from the camera); attitudes as the rotation vector between
+    the reference's observed and implied orientation, in its own axes (Eq 3, free of the singularity of its angles).
+    """
+    # The boresight turns the base against the body, or, where there is no base but local level, camera against head.
+    before = jnp.where(seen.level, jnp.eye(3), product(boresight, seen.R_body_from_base))
+    R_head_from_camera = jnp.where(seen.level, product(boresight, seen.R_head_from_camera), seen.R_head_from_camera)
+    R_frame_from_head = product(R, R_head_from_camera.T)
+    R_reference_from_head = product(before, seen.R_base_from_head)
+    implied = product(R_frame_from_head, R_reference_from_head.T)
+    turn = rotation_vector_from_R(product(seen.R_frame_from_reference.T, implied))
+    R_frame_from_body = jnp.where(seen.level, seen.R_frame_from_body, implied)
+    imu = centre - turned(R_frame_from_body, lever) - turned(R_frame_from_head, seen.lever_head)
+    off = imu + strip[:3] + seen.centred_time * strip[3:] - seen.position
+    return jnp.concatenate([turned(seen.information_position, off), turned(seen.information_attitude, turn)])
+
+
+def navigation_linear(
+    seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
+) -> tuple[Float[Array, "6"], Float[Array, "6 18"]]:
+    """The same and its derivatives by pose (6), mount (6) and strip (6)."""
+
+    def residual(step: Float[Array, "18"]) -> Float[Array, "6"]:
+        pose, mount, of_strip = step[:6], step[6:12], step[12:]
+        return navigation_residual(
+            seen,
+            centre + pose[:3],
+            product(R, R_from_rotation_vector(pose[3:])),
+            product(R_from_rotation_vector(mount[:3]), boresight),
+            lever + mount[3:],
+            strip + of_strip,
+        )
+
+    at = jnp.zeros(18)
+    return residual(at), jax.jacfwd(residual)(at)
+
+
+def half_sum(x: Float[Array, "..."]) -> Scalar:
+    """Half the sum of squares."""
+    return 0.5 * jnp.sum(x * x)

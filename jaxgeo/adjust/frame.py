@@ -1,0 +1,55 @@
+"""The frame in which a block is adjusted: Cartesian, in m, so that curvature and convergence have no part in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxgeo._checks import as_float64
+from jaxgeo._typing import Matrix3
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+
+
+class LocalFrame(eqx.Module):
+    """East-north-up at `origin`, turned and shifted from ECEF and nothing else: exact at any distance."""
+
+    origin: Geodetic
+
+    @property
+    def R_ecef_from_local(self) -> Matrix3:
+        """Rotation from the frame's axes to ECEF."""
+        return R_ecef_from_enu(self.origin)
+
+    def from_ecef(self, p_ecef: Any) -> jax.Array:
+        """Places (..., 3) in ECEF m as places in the frame, m."""
+        origin = WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
+        return (as_float64(p_ecef, "p_ecef") - origin) @ self.R_ecef_from_local
+
+    def to_ecef(self, p: Any) -> jax.Array:
+        """Places (..., 3) in the frame as places in ECEF, m."""
+        return as_float64(p, "p") @ self.R_ecef_from_local.T + WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
+
+    def from_geodetic(self, position: Geodetic) -> jax.Array:
+        """A position, or a batch of them (n,), as places (n, 3) in the frame, m."""
+        lat, lon, height = jnp.broadcast_arrays(
+            *(jnp.asarray(x) for x in (position.lat, position.lon, position.height))
+        )
+        flat = Geodetic(lat=lat.ravel(), lon=lon.ravel(), height=height.ravel())
+        return self.from_ecef(jax.vmap(WGS84.to_ecef)(flat)).reshape(*lat.shape, 3)
+
+    def to_geodetic(self, p: Any) -> Geodetic:
+        """Places (n, 3) or (3,) in the frame as positions."""
+        p = as_float64(p, "p")
+        found = jax.vmap(WGS84.to_geodetic)(self.to_ecef(p).reshape(-1, 3))
+        return jax.tree.map(lambda x: x.reshape(p.shape[:-1]), found)
+
+    def R_local_from_enu(self, position: Geodetic) -> Matrix3:
+        """Rotation from east-north-up at a position to the frame's axes."""
+        return self.R_ecef_from_local.T @ R_ecef_from_enu(position)
+
+
+class Cartesian(eqx.Module):
+    """A frame that stands nowhere on the Earth, such as a model's or a map's taken as Cartesian; m, z up."""

@@ -1,0 +1,148 @@
+"""The order in which a block is computed: points by the number of their rays, so that sums need no scattering."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+RAYS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 90, 128, 180, 256, 512, 1024, 1 << 30)  # limits of groups
+DENSE_COLUMNS = 1600  # of the reduced system, up to which every chunk of points has all of them
+DENSE_BYTES = 48_000_000  # of a chunk's rows
+SPARSE_POINTS = 64  # in a chunk, where it has columns of the images that see it only
+
+
+class Group(eqx.Module):
+    """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
+
+    Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
+    points are seen in (the number of images where there are fewer), `ray_of_slot` (chunks, size, q) which of a point's
+    rays comes from there (`rays` where none does).
+    """
+
+    rays: int = eqx.field(static=True)
+    chunks: int = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+    first: int = eqx.field(static=True)
+    first_row: int = eqx.field(static=True)
+    dense: bool = eqx.field(static=True)
+    slots: Int[Array, "chunks q"]
+    ray_of_slot: Int[Array, "chunks size q"]
+
+    @property
+    def rows(self) -> int:
+        return self.chunks * self.size
+
+
+class Layout(eqx.Module):
+    """Index arrays of a block. The last measurement is one without weight, to fill up with.
+
+    `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`
+    (n, most) the measurements of each image; `camera` (n,) of the images.
+    """
+
+    image: Int[Array, " obs"]
+    row: Int[Array, " obs"]
+    uv: Float[Array, "obs 2"]
+    information: Float[Array, "obs 2"]
+    of_image: Int[Array, "n most"]
+    camera: Int[Array, " n"]
+    groups: tuple[Group, ...]
+
+
+@dataclass(frozen=True)
+class Order:
+    """How to find things again: `row_of_point` by the point's number, `place` of each measurement in the layout."""
+
+    row_of_point: np.ndarray
+    place: np.ndarray
+    rows: int
+
+
+def layout_of(
+    image: np.ndarray, point: np.ndarray, uv: np.ndarray, sigma: np.ndarray, camera: np.ndarray, columns: int
+) -> tuple[Layout, Order]:
+    """Index arrays of measurements by the numbers of images and points; `columns` are those of the reduced system."""
+    n, points = len(camera), int(point.max()) + 1
+    order = np.lexsort((image, point))
+    image, point, uv, sigma = image[order], point[order], uv[order], sigma[order]
+    counts = np.bincount(point, minlength=points)
+    start = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    parts, groups, row_of_point = [], [], np.zeros(points, int)
+    first = first_row = lower = 0
+    for upper in RAYS:
+        chosen = np.flatnonzero((counts > lower) & (counts <= upper))
+        lower = upper
+        if chosen.size == 0:
+            continue
+        rays = int(counts[chosen].max())
+        there = np.arange(rays)[None, :] < counts[chosen][:, None]
+        taken = np.where(there, start[chosen][:, None] + np.arange(rays)[None, :], 0)
+        seen = np.where(there, image[taken], n)
+        sort = np.lexsort(seen.T[::-1])
+        chosen = chosen[sort]
+        dense = columns <= DENSE_COLUMNS
+        size, chunks = _chunks(len(chosen), columns if dense else None)
+        pad = size * chunks - len(chosen)
+        there, taken, seen = (
+            np.concatenate([x[sort], np.full((pad, rays), fill)]) for x, fill in ((there, False), (taken, 0), (seen, n))
+        )
+        slots, ray_of_slot = _slots(seen.reshape(chunks, size, rays), n, dense)
+        arrays = (jnp.asarray(x, jnp.int32) for x in (slots, ray_of_slot))
+        groups.append(Group(rays, chunks, size, first, first_row, dense, *arrays))
+        row_of_point[chosen] = first_row + np.arange(len(chosen))
+        rows = np.broadcast_to(np.arange(size * chunks)[:, None] + first_row, there.shape)
+        parts.append([x.T.ravel() for x in (taken, there, rows)])
+        first, first_row = first + there.size, first_row + size * chunks
+    taken, there, rows = (np.concatenate([*x, [0]]) for x in zip(*parts, strict=True))
+    there = there.astype(bool)
+    there[-1] = False
+    place = np.zeros(len(order), int)
+    place[order[taken[there]]] = np.flatnonzero(there)
+    image_of = np.where(there, image[taken], 0)
+    layout = Layout(
+        image=jnp.asarray(image_of, jnp.int32),
+        row=jnp.asarray(rows, jnp.int32),
+        uv=jnp.asarray(np.where(there[:, None], uv[taken], 0.0)),
+        information=jnp.asarray(np.where(there[:, None], 1.0 / sigma[taken], 0.0)),
+        of_image=jnp.asarray(_by_image(image_of, there, n), jnp.int32),
+        camera=jnp.asarray(camera, jnp.int32),
+        groups=tuple(groups),
+    )
+    return layout, Order(row_of_point, place, first_row)
+
+
+def _chunks(points: int, columns: int | None) -> tuple[int, int]:
+    """(points in a chunk, chunks); `columns` of a dense row, None where only those of the images that see it."""
+    most = SPARSE_POINTS if columns is None else max(64, DENSE_BYTES // (24 * columns))
+    chunks = -(-points // most)
+    return -(-points // chunks), chunks
+
+
+def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(slots (chunks, q), ray of each point in each slot) of the images (chunks, size, rays) that see the points."""
+    chunks, size, rays = seen.shape
+    own = [np.arange(n) if dense else np.unique(images[images < n]) for images in seen]
+    q = max(len(images) for images in own)
+    slots, ray_of_slot = np.full((chunks, q), n), np.full((chunks, size, q), rays)
+    ray = np.broadcast_to(np.arange(rays), (size, rays))
+    for chunk, images in enumerate(own):
+        slots[chunk, : len(images)] = images
+        by_image = np.full((size, n + 1), rays)
+        np.put_along_axis(by_image, seen[chunk], ray, axis=1)
+        ray_of_slot[chunk, :, : len(images)] = by_image[:, images]
+    return slots, ray_of_slot
+
+
+def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> np.ndarray:
+    """(n, most): places of the measurements of each image, filled up with the last place of all."""
+    places = np.flatnonzero(there)
+    places = places[np.argsort(image[places], kind="stable")]
+    counts = np.bincount(image[places], minlength=n)
+    table = np.full((n, counts.max()), len(image) - 1)
+    column = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
+    table[np.repeat(np.arange(n), counts), column] = places
+    return table

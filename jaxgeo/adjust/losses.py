@@ -1,0 +1,74 @@
+"""Losses: how much a residual counts, by its squared length s in units of its standard deviation."""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxgeo._typing import Numbers
+
+
+class AbstractLoss(eqx.Module):
+    """rho(s) with rho'(0) = 1, and its derivative, the weight that a residual keeps. The cost is half the sum of rho."""
+
+    @abc.abstractmethod
+    def rho(self, squared: Numbers) -> Numbers:
+        """What a residual of squared length `squared` costs, twice."""
+
+    @abc.abstractmethod
+    def weight(self, squared: Numbers) -> Numbers:
+        """Derivative of `rho`, in [0, 1]."""
+
+
+class LeastSquares(AbstractLoss):
+    """All count in full: rho = s."""
+
+    def rho(self, squared: Numbers) -> Numbers:
+        return squared
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return jnp.ones_like(squared)
+
+
+class Huber(AbstractLoss):
+    """Full weight up to `width` standard deviations, then falling with the distance: rho = 2 w sqrt(s) - w2.
+
+    Huber (1964).
+    """
+
+    width: float = 2.5
+
+    def rho(self, squared: Numbers) -> Numbers:
+        within = squared <= self.width**2
+        length = jnp.sqrt(jnp.where(within, self.width**2, squared))
+        return jnp.where(within, squared, 2.0 * self.width * length - self.width**2)
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return self.width / jnp.sqrt(jnp.maximum(squared, self.width**2))
+
+
+class Cauchy(AbstractLoss):
+    """Weight 1 / (1 + s / w2): rho = w2 log(1 + s / w2)."""
+
+    width: float = 3.0
+
+    def rho(self, squared: Numbers) -> Numbers:
+        return self.width**2 * jnp.log1p(squared / self.width**2)
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return 1.0 / (1.0 + squared / self.width**2)
+
+
+class Tukey(AbstractLoss):
+    """Nothing beyond `width` standard deviations: weight (1 - s / w2)2 within. Beaton and Tukey (1974)."""
+
+    width: float = 6.0
+
+    def rho(self, squared: Numbers) -> Numbers:
+        left = jnp.maximum(1.0 - squared / self.width**2, 0.0)
+        return self.width**2 / 3.0 * (1.0 - left**3)
+
+    def weight(self, squared: Numbers) -> Numbers:
+        return jnp.maximum(1.0 - squared / self.width**2, 0.0) ** 2

@@ -1,0 +1,152 @@
+"""What the navigation says of each image: where the IMU was and how the body lay, and how well that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxgeo._checks import as_float64, check_is
+from jaxgeo.adjust.frame import LocalFrame
+from jaxgeo.adjust.records import Names, as_names
+from jaxgeo.earth import R_ecef_from_enu
+from jaxgeo.sensor import Mount, Sensor, Shot
+from jaxgeo.sensor.platform import Station
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """Observed position and attitude of n images, as the adjustment takes them: all in the block's frame.
+
+    `position` (n, 3) of the IMU in m; `R_frame_from_body`; `R_frame_from_reference`, what the gimbal's angles are
+    reported against: the body, or local level; `R_base_from_head` by the gimbal's readings. `information_position` and
+    `information_attitude` (n, 3, 3) are W with W' W the inverse of the covariance, in frame axes and m, and of the
+    rotation vector of the reference in its own axes and rad; zero where nothing is observed. `mount`, `strip` and
+    `time` (s) tell to which mount and strip each image belongs, and when it was taken.
+    """
+
+    position: np.ndarray
+    R_frame_from_body: np.ndarray
+    R_frame_from_reference: np.ndarray
+    R_base_from_head: np.ndarray
+    information_position: np.ndarray
+    information_attitude: np.ndarray
+    mount: Names
+    strip: Names
+    time: np.ndarray
+    mounts: Mapping[str, tuple[Mount, bool]]
+    """By name: the mount, and whether its gimbal reports in local level."""
+
+    def loosened(self, factor: float) -> Navigation:
+        """The same with standard deviations `factor` times as large: for adjustments that it may start, but not pull."""
+        return replace(
+            self,
+            information_position=self.information_position / factor,
+            information_attitude=self.information_attitude / factor,
+        )
+
+
+def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
+    """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, as the navigation has them."""
+    sights = jax.vmap(sensor.sight)(as_float64(shots, "shots"))
+    R = np.asarray(frame.R_ecef_from_local).T
+    return np.asarray(frame.from_ecef(sights.centre)), R @ np.asarray(sights.R_ecef_from_camera)
+
+
+def navigation_of(
+    frame: LocalFrame, sensor: Sensor, shots: Shot, sigma_position: Any, sigma_attitude: Any, mount: str, strip: Names
+) -> Navigation:
+    """The navigation of n shots (fields with a leading axis), all through one mount.
+
+    `sigma_position` east, north, up in m: a number, (3,), (n, 3) or covariances (n, 3, 3); infinite: not observed.
+    `sigma_attitude` heading, pitch, roll in rad, the same way; for a gimbal that reports in local level about the axes
+    north, east and down. Raises `ValueError` for sigmas that are not positive.
+    """
+    check_is(shots, Shot, "shots", "One Shot, whose fields hold an entry for each image.")
+    count = np.shape(shots.time)[0]
+    stations = jax.vmap(Station.of)(as_float64(shots, "shots"))
+    R = np.asarray(frame.R_ecef_from_local).T
+    level = sensor.gimbal.reference == "level"
+    R_body, R_level = (R @ np.asarray(x) for x in (stations.R_ecef_from_body, stations.R_ecef_from_level))
+    R_base = np.asarray(jax.vmap(sensor.gimbal.R_base_from_head)(stations.gimbal_readings))
+    R_frame_from_enu = R @ np.asarray(jax.vmap(R_ecef_from_enu)(as_float64(shots.pose.position, "position")))
+    by_position = information(sigma_position, count, "sigma_position", "m") @ np.swapaxes(R_frame_from_enu, 1, 2)
+    turns = np.broadcast_to(np.eye(3), (count, 3, 3)) if level else _turn_by_angles(shots)
+    by_attitude = _of_turns(sigma_attitude, turns, count)
+    return Navigation(
+        position=np.asarray(frame.from_ecef(stations.p_ecef)),
+        R_frame_from_body=R_body,
+        R_frame_from_reference=R_level if level else R_body,
+        R_base_from_head=R_base,
+        information_position=by_position,
+        information_attitude=by_attitude,
+        mount=np.full(count, mount),
+        strip=as_names(strip, "strip"),
+        time=np.broadcast_to(np.asarray(shots.time, np.float64), (count,)),
+        mounts={mount: (sensor.mount, level)},
+    )
+
+
+def joined(parts: list[Navigation]) -> Navigation:
+    """The navigation of several lists of images as one."""
+    arrays = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in Navigation.__dataclass_fields__
+        if name != "mounts"
+    }
+    mounts = {name: mount for part in parts for name, mount in part.mounts.items()}
+    return Navigation(**arrays, mounts=mounts)
+
+
+def information(sigma: Any, count: int, what: str, unit: str) -> np.ndarray:
+    """W (n, 3, 3) with W' W = inverse covariance, from standard deviations or covariances; zero where infinite."""
+    sigma = np.asarray(sigma, np.float64)
+    if sigma.shape == (count, 3, 3):
+        return _of_covariances(sigma, what, unit)
+    if sigma.shape not in ((), (3,), (count, 3)):
+        raise ValueError(
+            f"{what} must be a number, (3,), ({count}, 3) or covariances ({count}, 3, 3); got shape {sigma.shape}."
+        )
+    sigma = np.broadcast_to(sigma, (count, 3))
+    if not np.all(sigma > 0.0):
+        image = int(np.argmax(~np.all(sigma > 0.0, axis=1)))
+        raise ValueError(
+            f"{what} of image {image} must be positive, in {unit} (infinite where nothing is observed); got "
+            f"{sigma[image].tolist()}."
+        )
+    return np.eye(3) * (1.0 / sigma)[:, None, :]
+
+
+def _of_covariances(covariance: np.ndarray, what: str, unit: str) -> np.ndarray:
+    symmetric = np.all(np.isfinite(covariance), axis=(1, 2)) & np.all(
+        np.abs(covariance - np.swapaxes(covariance, 1, 2))
+        <= 1e-12 * np.max(np.abs(covariance), axis=(1, 2))[:, None, None],
+        axis=(1, 2),
+    )
+    positive = symmetric.copy()
+    positive[symmetric] = np.linalg.eigvalsh(covariance[symmetric])[:, 0] > 0.0
+    if not np.all(positive):
+        image = int(np.argmax(~positive))
+        raise ValueError(
+            f"{what} of image {image} must be a symmetric, positive definite matrix, in {unit} squared; got "
+            f"{covariance[image].tolist()}."
+        )
+    return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def _of_turns(sigma: Any, turns: np.ndarray, count: int) -> np.ndarray:
+    """Information of rotation vectors e = T a from that of the angles a."""
+    return information(sigma, count, "sigma_attitude", "rad") @ np.linalg.inv(turns)
+
+
+def _turn_by_angles(shots: Shot) -> np.ndarray:
+    """Rotation vectors in body axes (columns) by small changes of heading, pitch and roll, (n, 3, 3)."""
+    count = np.shape(shots.time)[0]
+    pitch, roll = (np.broadcast_to(np.asarray(x, np.float64), (count,)) for x in (shots.pose.pitch, shots.pose.roll))
+    zero, one = np.zeros(count), np.ones(count)
+    heading = [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+    columns = [heading, [zero, np.cos(roll), -np.sin(roll)], [one, zero, zero]]
+    return np.stack([np.stack(column, axis=1) for column in columns], axis=2)

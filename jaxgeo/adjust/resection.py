@@ -1,0 +1,130 @@
+"""Where a camera stood, from ground points that it sees: orientations to start an adjustment from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy  # loads its parts when they are asked for
+
+from jaxgeo.adjust.block import Images
+from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.records import ImagePoints
+from jaxgeo.sensor import FrameCamera
+
+FLAT = 0.1  # thickness of the points over their width, below which they are taken as a plane to start with
+LEAST = 4
+
+
+def resect(
+    cameras: Mapping[str, FrameCamera], camera_of: Mapping[str, str], observations: ImagePoints, control: GroundPoints
+) -> Images:
+    """The orientations of images by the control points that they see, each image by itself, as a start.
+
+    `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares.
+    Raises `ValueError` for an image that sees fewer than four control points, or in which they stand in one line.
+    """
+    where = dict(zip(control.name.tolist(), control.place, strict=True))
+    centres, rotations = [], []
+    for image, camera in camera_of.items():
+        rows = [i for i in np.flatnonzero(observations.image == image) if observations.point[i] in where]
+        if len(rows) < LEAST:
+            raise ValueError(
+                f"image {image} sees {len(rows)} control points; a resection takes at least {LEAST}. Give it an "
+                f"orientation to start from."
+            )
+        places = np.array([where[name] for name in observations.point[rows].tolist()])
+        try:
+            centre, R = resected(cameras[camera], observations.uv[rows], places)
+        except ValueError as error:
+            raise ValueError(f"image {image}: {error}") from None
+        centres.append(centre)
+        rotations.append(R)
+    return Images(np.array(list(camera_of)), np.array(list(camera_of.values())), np.array(centres), np.array(rotations))
+
+
+def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(perspective centre, R_frame_from_camera) from pixels (k, 2) of places (k, 3), k at least 4.
+
+    Raises `ValueError` for places in one line, and where none of the starts leads anywhere.
+    """
+    rays, _ = jax.vmap(camera.ray)(jnp.asarray(uv))
+    ideal = np.asarray(rays[:, :2] / rays[:, 2:])
+    middle = places.mean(axis=0)
+    _, spread, axes = np.linalg.svd(places - middle)
+    if spread[1] < 1e-3 * spread[0]:
+        raise ValueError("the ground points lie in one line, from which no orientation follows.")
+    flat = len(places) < 6 or spread[2] < FLAT * spread[1]
+    starts = _of_plane(ideal, (places - middle) @ axes.T, axes) if flat else [_of_space(ideal, places - middle)]
+    best = min((_refined(ideal, places - middle, *start) for start in starts), key=lambda found: found[0])
+    if not np.isfinite(best[0]):
+        raise ValueError("no orientation puts all ground points in front of the camera; are image and points a pair?")
+    return best[1] + middle, best[2]
+
+
+def _of_plane(ideal: np.ndarray, places: np.ndarray, axes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(centre, R) by the homography of the points' plane, and with its tilt the other way: far off, both look alike."""
+    size = np.abs(places[:, :2]).max()
+    x, y = places[:, 0] / size, places[:, 1] / size
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    u, v = ideal.T
+    rows = [[x, y, one, zero, zero, zero, -u * x, -u * y, -u], [zero, zero, zero, x, y, one, -v * x, -v * y, -v]]
+    A = np.concatenate([np.stack(row, axis=1) for row in rows])
+    H = np.linalg.svd(A)[2][-1].reshape(3, 3)
+    H = H * np.sign(H[2, 2]) @ np.diag([1.0 / size, 1.0 / size, 1.0])
+    H = H / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
+    R = _nearest_rotation(np.stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])], axis=1))
+    centre = -R.T @ H[:, 2]
+    to_frame = axes.T @ np.diag([1.0, 1.0, np.linalg.det(axes)])  # of the plane's axes, right-handed
+    sight = -centre / np.linalg.norm(centre)
+    mirrored = np.diag([-1.0, -1.0, 1.0]) @ centre
+    turn = _between(sight, -mirrored / np.linalg.norm(mirrored))
+    return [(to_frame @ c, to_frame @ Rc) for c, Rc in ((centre, R.T), (mirrored, turn @ R.T))]
+
+
+def _of_space(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(centre, R) by the direct linear transformation of at least six points."""
+    size = np.abs(places).max()
+    X = np.concatenate([places / size, np.ones((len(places), 1))], axis=1)
+    zero = np.zeros_like(X)
+    rows = [np.concatenate([X, zero, -ideal[:, :1] * X], 1), np.concatenate([zero, X, -ideal[:, 1:] * X], 1)]
+    P = np.linalg.svd(np.concatenate(rows))[2][-1].reshape(3, 4)
+    P = P * np.sign(np.linalg.det(P[:, :3]))
+    R = _nearest_rotation(P[:, :3])
+    centre = -np.linalg.solve(P[:, :3], P[:, 3]) * size
+    return centre, R.T
+
+
+def _refined(
+    ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """(sum of squares, centre, R) of least squares from a start; infinite where points lie behind the camera."""
+    Rotation = scipy.spatial.transform.Rotation
+    size = np.linalg.norm(centre)
+
+    def off(step: np.ndarray) -> np.ndarray:
+        seen = (places - centre - step[:3] * size) @ (R @ Rotation.from_rotvec(step[3:]).as_matrix())
+        return (seen[:, :2] / seen[:, 2:] - ideal).ravel()
+
+    found = scipy.optimize.least_squares(off, np.zeros(6), method="lm", x_scale="jac")
+    centre = centre + found.x[:3] * size
+    R = R @ Rotation.from_rotvec(found.x[3:]).as_matrix()
+    ahead = np.all(((places - centre) @ R)[:, 2] > 0.0)
+    return (2.0 * found.cost if ahead else np.inf), centre, R
+
+
+def _nearest_rotation(M: np.ndarray) -> np.ndarray:
+    U, _, Vt = np.linalg.svd(M)
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The least rotation that turns one unit vector into another."""
+    axis = np.cross(a, b)
+    length = np.linalg.norm(axis)
+    if length < 1e-15:
+        return np.eye(3)
+    angle = np.arctan2(length, a @ b)
+    return scipy.spatial.transform.Rotation.from_rotvec(axis / length * angle).as_matrix()

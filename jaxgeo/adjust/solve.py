@@ -1,0 +1,136 @@
+"""Levenberg and Marquardt's method on the reduced normal equations, with a log of its iterations.
+
+A loop of its own: general solvers take the Jacobian as one operator, and so know nothing of points that see few images
+and can be eliminated one by one, which is what makes an adjustment of many points possible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._typing import Scalar
+from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
+from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.reduction import back_substituted, eliminated, reduced
+from jaxgeo.adjust.values import Values, moved
+
+LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One iteration: the cost after it, the decrease that its step promised and gave, the damping, and whether the step
+    was taken."""
+
+    number: int
+    cost: float
+    promised: float
+    decrease: float
+    damping: float
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Solver:
+    """When to stop, and how careful to begin.
+
+    It stops where a step promises to lessen the cost by less than `relative` of it or than `absolute`: half the squared
+    length of the step in standard deviations, so that 1e-8 leaves nothing further off than 1.4e-4 of them. `damping` is
+    the share by which the diagonal is first enlarged; `most` iterations are made.
+    """
+
+    relative: float = 0.0
+    absolute: float = 1e-8
+    damping: float = 1e-4
+    most: int = 100
+
+
+class Solution(NamedTuple):
+    """Where the iterations came to: values and the normal equations there, the log, and whether it has converged."""
+
+    values: Values
+    equations: Equations
+    log: tuple[Iteration, ...]
+    converged: bool
+
+
+def solve(
+    problem: Problem,
+    loss: AbstractLoss | None = None,
+    solver: Solver | None = None,
+    told: Callable[[Iteration], Any] | None = None,
+) -> Solution:
+    """The values of least cost near where the problem starts; `told` hears of every iteration."""
+    loss, solver = LeastSquares() if loss is None else loss, Solver() if solver is None else solver
+    values = problem.start
+    equations = equations_at(problem, values, loss)
+    cost = float(equations.cost)
+    log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
+    damping, growth, converged = solver.damping, 2.0, False
+    while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
+        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping))
+        new_cost, promised = float(new_cost), float(promised)
+        decrease = cost - new_cost
+        least = max(solver.relative * cost, solver.absolute)
+        # Where rounding is larger than what is left to gain, the decrease is a matter of chance.
+        accepted = promised > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and promised <= 1e-10 * cost))
+        gain = decrease / promised if promised > 0.0 else 0.0
+        log.append(Iteration(len(log), new_cost if accepted else cost, promised, decrease, damping, accepted))
+        if told is not None:
+            told(log[-1])
+        if accepted:
+            converged = promised <= least or (decrease <= least and gain > 0.5)
+            values, cost = trial, new_cost
+            equations = equations_at(problem, values, loss)
+            damping = max(damping * max(1.0 / 9.0, 1.0 - (2.0 * gain - 1.0) ** 3), LEAST_DAMPING)
+            growth = 2.0
+        else:
+            converged = 0.0 <= promised <= 1e-15 * cost
+            damping, growth = damping * growth, growth * 2.0
+    return Solution(values, equations, tuple(log), converged)
+
+
+@eqx.filter_jit
+def equations_at(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
+    return linearised(problem, values, loss)
+
+
+@eqx.filter_jit
+def _trial(
+    problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar
+) -> tuple[Values, Scalar, Scalar]:
+    """(values after a damped step, their cost, the decrease that the step promises)."""
+    points = eliminated(problem, equations, damping)
+    system = reduced(problem, equations, points, damping)
+    solution = -solved(system.matrix, system.gradient)
+    images = solution[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
+    shared = solution[problem.n * problem.of_image :]
+    of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
+    trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
+    return trial, cost_of(problem, trial, loss), promised_by(equations, images, shared, of_points, damping)
+
+
+def promised_by(equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar) -> Scalar:
+    """Decrease of the quadratic model by a damped step: half of (damping * D step - gradient) . step."""
+    diagonals = [jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared)]
+    of_points = jnp.diagonal(equations.points, axis1=0, axis2=1).T
+    pairs = (
+        (images, equations.image_gradient, diagonals[0]),
+        (shared, equations.shared_gradient, diagonals[1]),
+        (points, equations.point_gradient, of_points),
+    )
+    return 0.5 * sum((jnp.sum(x * (damping * d * x - g)) for x, g, d in pairs), start=jnp.zeros(()))
+
+
+def solved(matrix: Float[Array, "N N"], right: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Solution of a symmetric positive definite system, its unknowns scaled alike; NaN where it is not definite."""
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(matrix))
+    factor = jax.scipy.linalg.cho_factor(matrix * scale[:, None] * scale[None, :], lower=True)
+    return scale * jax.scipy.linalg.cho_solve(factor, scale * right)

@@ -1,0 +1,61 @@
+"""Where to start points from: the place nearest to all their rays."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.adjust.block import Block
+
+NEVER_MEETING = 1e-10  # smallest eigenvalue of the mean of I - d d': rays within some 1e-5 rad of each other
+
+
+def started(block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Places (rows, 3), those that are NaN put where the rays of their measurements meet; rows of no point too.
+
+    `row` and `image` are those of the measurements. Raises `ValueError` for a point whose rays never meet.
+    """
+    unknown = np.isnan(place[:, 0])
+    if not np.any(unknown[row]):
+        return np.where(unknown[:, None], place[row[0]], place)
+    chosen = np.flatnonzero(unknown[row])
+    origin, direction = rays_of(block, chosen, image[chosen])
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    normal, right = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
+    np.add.at(normal, row[chosen], across)
+    np.add.at(right, row[chosen], np.einsum("nij,nj->ni", across, origin))
+    rows = np.unique(row[chosen])
+    count = np.bincount(row[chosen], minlength=len(place))[rows]
+    least = np.linalg.eigvalsh(normal[rows])[:, 0] / count
+    if np.any(least < NEVER_MEETING):
+        worst = chosen[np.argmax(row[chosen] == rows[np.argmin(least)])]
+        raise ValueError(
+            f"the rays of point {block.observations.point[worst]} are parallel, so that it has no place to start from; "
+            f"leave it out, or give one with points=."
+        )
+    place = place.copy()
+    place[rows] = np.linalg.solve(normal[rows], right[rows][:, :, None])[:, :, 0]
+    return np.where(np.isnan(place[:, :1]), place[rows[0]], place)
+
+
+def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of some measurements.
+
+    Raises `ValueError` naming image and point where the lens has no ray for a pixel.
+    """
+    seen, images = block.observations, block.images
+    direction = np.empty((len(chosen), 3))
+    for name, camera in block.cameras.items():
+        own = np.flatnonzero(images.camera[image] == name)
+        if own.size:
+            rays, _ = jax.vmap(camera.ray)(jnp.asarray(seen.uv[chosen[own]]))
+            direction[own] = np.asarray(rays)
+    lost = ~np.all(np.isfinite(direction), axis=1)
+    if np.any(lost):
+        row = chosen[int(np.argmax(lost))]
+        raise ValueError(
+            f"point {seen.point[row]} in image {seen.image[row]}: the camera sees nothing at {seen.uv[row].tolist()} "
+            f"px, as its lens folds there; is the pixel, or the lens, that of another camera?"
+        )
+    return images.centre[image], np.einsum("nij,nj->ni", images.R_frame_from_camera[image], direction)

@@ -1,0 +1,81 @@
+"""What an adjustment finds: orientations, points, lenses, mounts, drifts; and how a step changes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._numerics import product
+from jaxgeo.rotations import R_from_rotation_vector
+from jaxgeo.sensor import FrameCamera
+
+POSE = 6  # of an image: shift of its perspective centre in m (frame axes), turn in rad (camera axes)
+MOUNT = 6  # of a mount: turn of the boresight in rad, lever arm in m (body axes)
+STRIP = 6  # of a strip: shift in m and drift in m/s of its positions (frame axes)
+INTERIOR = ("focal", "aspect", "principal column", "principal row")  # px, 1, px, px
+
+
+class Values(eqx.Module):
+    """Everything that may be unknown.
+
+    `centre` (n, 3) m and `R_frame_from_camera` (n, 3, 3) of the images; `points` (rows, 3) m in the order of the
+    layout; `lens` (cameras, all) interior orientation and coefficients; `boresight` (mounts, 3, 3) the turn so far;
+    `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s.
+    """
+
+    centre: Float[Array, "n 3"]
+    R_frame_from_camera: Float[Array, "n 3 3"]
+    points: Float[Array, "rows 3"]
+    lens: Float[Array, "cameras all"]
+    boresight: Float[Array, "mounts 3 3"]
+    lever: Float[Array, "mounts 3"]
+    strip: Float[Array, "strips 6"]
+
+
+class Step(eqx.Module):
+    """A change of all unknowns; of the lenses, the active columns only."""
+
+    pose: Float[Array, "n 6"]
+    points: Float[Array, "rows 3"]
+    lens: Float[Array, "cameras active"]
+    mount: Float[Array, "mounts 6"]
+    strip: Float[Array, "strips 6"]
+
+
+def moved(values: Values, step: Step, active: tuple[int, ...]) -> Values:
+    """The values after a step; turns are multiplied on, each about its own axes."""
+    turn = jax.vmap(R_from_rotation_vector)
+    lens = values.lens if not active else values.lens.at[:, jnp.array(active)].add(step.lens, unique_indices=True)
+    return Values(
+        centre=values.centre + step.pose[:, :3],
+        R_frame_from_camera=jax.vmap(product)(values.R_frame_from_camera, turn(step.pose[:, 3:])),
+        points=values.points + step.points,
+        lens=lens,
+        boresight=jax.vmap(product)(turn(step.mount[:, :3]), values.boresight),
+        lever=values.lever + step.mount[:, 3:],
+        strip=values.strip + step.strip,
+    )
+
+
+def interior_of(camera: FrameCamera) -> Float[Array, " all"]:
+    """A camera's interior orientation (`INTERIOR`) and the coefficients of its lens, as one vector."""
+    focal, principal = jnp.asarray(camera.focal_px), jnp.asarray(camera.principal_px)
+    head = jnp.stack([focal[0], focal[1] / focal[0], principal[0], principal[1]])
+    return jnp.concatenate([head, camera.distortion.coefficients()])
+
+
+def with_interior(camera: FrameCamera, interior: Any) -> FrameCamera:
+    """The camera with another interior orientation and lens."""
+    focal = jnp.stack([interior[0], interior[0] * interior[1]])
+    distortion = camera.distortion.with_coefficients(interior[4:])
+    changed = (focal, interior[2:4], distortion)
+    return eqx.tree_at(lambda c: (c.focal_px, c.principal_px, c.distortion), camera, changed)
+
+
+def names_of_interior(camera: FrameCamera) -> tuple[str, ...]:
+    """What the entries of `interior_of` are called."""
+    return (*INTERIOR, *camera.distortion.names)
