@@ -38,6 +38,8 @@ class Status(enum.IntEnum):
     outside_gimbal_range = 17
     crosses_horizon = 18
     images_apart = 19
+    too_few_rays = 20
+    weak_intersection = 21
 
     @property
     def message(self) -> str:
@@ -71,6 +73,8 @@ _MESSAGES = {
     Status.outside_gimbal_range: "The gimbal cannot turn that far: the readings are the nearest within its limits.",
     Status.crosses_horizon: "The footprint crosses the horizon: a part of the image sees no ground.",
     Status.images_apart: "The images share no ground across the flight, so that there is nowhere to overlap along it.",
+    Status.too_few_rays: "Fewer than two rays are used: one alone does not say how far away its point is.",
+    Status.weak_intersection: "The rays are too nearly parallel for their errors to say where they meet.",
 }
 
 

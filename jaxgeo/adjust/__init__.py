@@ -1,8 +1,9 @@
 """Many images together: intersection of rays, bundle adjustment, boresight, and what they say of the sensor."""
 
-from jaxgeo.adjust.adjustment import Adjustment, InnerConstraints, Parameter, adjust
+from jaxgeo.adjust.adjustment import Adjustment, Parameter
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
+from jaxgeo.adjust.bundle import InnerConstraints, adjust
 from jaxgeo.adjust.calibration import Calibration, calibration
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints

@@ -1,11 +1,9 @@
-"""Bundle adjustment: from a block to orientations, points and calibrations, with their covariances."""
+"""What an adjustment found: orientations, points and calibrations, with their covariances."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust.block import Block, Images
-from jaxgeo.adjust.datum import motions, unheld
 from jaxgeo.adjust.equations import free_columns, image_residuals, navigation_residuals
 from jaxgeo.adjust.ground_points import GroundPoints
-from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.posterior import (
     Datum,
     Posterior,
@@ -24,22 +21,13 @@ from jaxgeo.adjust.posterior import (
     covariance_of_reduced,
     posterior_of,
 )
-from jaxgeo.adjust.problem import Prepared, prepared
-from jaxgeo.adjust.reduction import back_substituted, eliminated, reduced
-from jaxgeo.adjust.solve import Iteration, Solution, Solver, equations_at, solve
+from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.solve import Iteration, Solution
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import POSE, with_interior
-from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, described
+from jaxgeo.adjust.weakness import Direction, weakest
+from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera, Mount
-
-SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
-DIRECTIONS = 1500  # unknowns up to which weak directions are looked for among all
-
-
-@dataclass(frozen=True)
-class InnerConstraints:
-    """A free network: what nothing holds of the whole (position, orientation, scale) is taken such that the points
-    stay, in the mean square, where they started; their covariances are the least that any datum gives."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +212,7 @@ class Adjustment:
     @cached_property
     def parameters(self) -> list[Parameter]:
         """Everything that is unknown of cameras, mounts and strips, with standard deviations of unit weight."""
-        problem, names, values = self.prepared.problem, self.prepared.names, self.solution.values
+        problem, values = self.prepared.problem, self.solution.values
         known = {
             "camera": (names.camera, values.lens, problem.lens),
             "mount": (names.mount, self._of_mounts, problem.mount),
@@ -232,7 +220,7 @@ class Adjustment:
         known["strip"] = (names.strip, values.strip, problem.strip)
         found = []
         for at, whose, name, kind, row, column in self._parameter_columns:
-            _, numbers, prior = known[kind]
+            numbers, prior = known[kind]
             if not float(prior.free[row, column]):
                 continue
             entry = problem.active[column] if kind == "camera" else column
@@ -245,8 +233,6 @@ class Adjustment:
     @cached_property
     def _of_mounts(self) -> np.ndarray:
         """Turn of the boresight from where it started (rotation vector, rad) and lever arm, m."""
-        from jaxgeo.rotations import rotation_vector_from_R
-
         values = self.solution.values
         return np.concatenate([np.asarray(jax.vmap(rotation_vector_from_R)(values.boresight)), values.lever], axis=1)
 
@@ -289,131 +275,4 @@ class Adjustment:
 
     def weak_directions(self, most: int = 3) -> list[Direction]:
         """The combinations of unknowns that are held least, the weakest first, in words."""
-        return _weakest(self.prepared, self.solution, most)
-
-
-def adjust(
-    block: Block,
-    unknowns: Unknowns | None = None,
-    *,
-    loss: AbstractLoss | None = None,
-    datum: InnerConstraints | None = None,
-    terrain: Any = None,
-    solver: Solver | None = None,
-    told: Callable[[Iteration], Any] | None = None,
-) -> Adjustment:
-    """The orientations, points and calibrations under which a block's observations are most likely.
-
-    Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
-    Eqs 1 and 3-5), image points with a `loss` if that is given. `terrain` ties points to a model of the ground
-    (`TerrainHeights`). `told` hears of every iteration.
-
-    Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
-    for a free network; and for any other combination of unknowns. Raises `ValueError` as `Unknowns` and `Block`.
-    """
-    unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
-    ready = prepared(block, unknowns, terrain)
-    solution = solve(ready.problem, loss, solver, told)
-    rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
-    rows = rows[np.any(rows != 0.0, axis=1)]
-    if len(rows) and datum is None:
-        words = datum_words(rows)
-        raise DeficientBlock(
-            f"nothing holds the {'; '.join(words)}. Give control or navigation that does, or adjust a free network "
-            f"with datum=InnerConstraints().",
-            [Direction(word, 0.0, {}) for word in words],
-        )
-    held = None
-    if len(rows):
-        solution = _at_start(ready, solution, loss)
-        held = _datum(ready.problem, solution.values, jnp.asarray(rows))
-    adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
-    if not np.all(np.isfinite(np.diagonal(np.asarray(adjustment.posterior.covariance)))) or _singular(adjustment):
-        weak = [d for d in _weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
-        words = "; ".join(str(direction) for direction in weak) or "the normal equations"
-        raise DeficientBlock(f"the block does not hold {words}. Fix some of it, or give priors.", weak)
-    return adjustment
-
-
-@eqx.filter_jit
-def _unheld(problem: Any, values: Any, equations: Any) -> Any:
-    return unheld(problem, values, equations)
-
-
-@eqx.filter_jit
-def _datum(problem: Any, values: Any, rows: Any) -> Datum:
-    z, x = motions(problem, values)
-    return Datum(rows @ z, jnp.einsum("dm,mir->dir", rows, x))
-
-
-def _singular(adjustment: Adjustment) -> bool:
-    """Whether the scaled inverse is so large that it is made of rounding."""
-    Q = np.asarray(adjustment.posterior.covariance)
-    problem, equations = adjustment.prepared.problem, adjustment.solution.equations
-    system = np.asarray(_reduced(problem, equations).matrix)
-    return bool(np.max(np.diagonal(Q) * np.diagonal(system)) > 0.1 / SINGULAR)
-
-
-@eqx.filter_jit
-def _reduced(problem: Any, equations: Any) -> Any:
-    return reduced(problem, equations, eliminated(problem, equations, 0.0), 0.0)
-
-
-@eqx.filter_jit
-def _points_along(problem: Any, equations: Any, vector: Any) -> Any:
-    """How points follow a change of the reduced unknowns, over their own standard deviations (3, rows)."""
-    points = eliminated(problem, equations, 0.0)
-    points = eqx.tree_at(lambda p: p.forward, points, jnp.zeros_like(points.forward))
-    images = vector[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
-    along = back_substituted(problem, points, images, vector[problem.n * problem.of_image :])
-    return along * jnp.sqrt(jnp.diagonal(equations.points, axis1=0, axis2=1).T) * problem.free_point.T
-
-
-def _weakest(ready: Prepared, solution: Solution, most: int) -> list[Direction]:
-    problem, names = ready.problem, ready.names
-    system = np.asarray(_reduced(problem, solution.equations).matrix)
-    scale = 1.0 / np.sqrt(np.diagonal(system))
-    scaled = system * scale[:, None] * scale[None, :]
-    import scipy  # loads its parts when they are asked for
-
-    few = min(most, len(scaled))
-    strengths, vectors = scipy.linalg.eigh(scaled, subset_by_index=[0, few - 1])
-    diagonals = [
-        np.diagonal(np.asarray(x), axis1=-2, axis2=-1) for x in (solution.equations.images, solution.equations.shared)
-    ]
-    weights = np.sqrt(np.concatenate([x.ravel() for x in diagonals]))
-    own = names.lens if problem.own_lens else ()
-    found = []
-    for strength, vector in zip(strengths, vectors.T, strict=True):
-        change = scale * vector
-        points = np.asarray(_points_along(problem, solution.equations, jnp.asarray(change))).T[ready.order.row_of_point]
-        parts, N = change * weights, problem.n * problem.of_image
-        images = parts[:N].reshape(problem.n, problem.of_image)
-        found.append(described(float(strength), images, parts[N:], points, (own, names.columns(problem))))
-    return found
-
-
-def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss) -> Solution:
-    """A free network moved as a whole so that its points lie, in the mean square, where they started."""
-    values, problem = solution.values, ready.problem
-    rows = ready.order.row_of_point
-    scale, R, shift = similarity(np.asarray(values.points)[rows], np.asarray(problem.start.points)[rows])
-    points = np.asarray(values.points) @ R.T * scale + shift
-    centre = np.asarray(values.centre) @ R.T * scale + shift
-    turned = R @ np.asarray(values.R_frame_from_camera)
-    changed = (jnp.asarray(centre), jnp.asarray(turned), jnp.asarray(points))
-    values = eqx.tree_at(lambda v: (v.centre, v.R_frame_from_camera, v.points), values, changed)
-    return Solution(values, equations_at(problem, values, loss), solution.log, solution.converged)
-
-
-def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """(scale, rotation, shift) that bring points (m, 3) nearest to others: target = scale R source + shift.
-
-    Umeyama (1991).
-    """
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    U, S, Vt = np.linalg.svd(b.T @ a)
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    R = U @ sign @ Vt
-    scale = float(np.trace(np.diag(S) @ sign) / np.sum(a * a))
-    return scale, R, target.mean(axis=0) - scale * R @ source.mean(axis=0)
+        return weakest(self.prepared, self.solution, most)

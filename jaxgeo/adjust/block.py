@@ -14,7 +14,7 @@ from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.navigation import Navigation, joined, navigation_of, sights_of
 from jaxgeo.adjust.records import ImagePoints, Names, as_names
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.sensor import FrameCamera, Sensor, Shot
 
 
@@ -78,7 +78,8 @@ class Block:
 
     def __post_init__(self) -> None:
         require_x64()
-        check_is(self.frame, (LocalFrame, Cartesian), "frame", "LocalFrame(origin), or Cartesian() off the Earth.")
+        if not isinstance(self.frame, LocalFrame | Cartesian):
+            raise TypeError(f"frame must be LocalFrame(origin), or Cartesian() off the Earth; got {self.frame!r}.")
         self._check_cameras()
         self._check_images()
         self._check_points()
@@ -112,31 +113,33 @@ class Block:
         images = Images(name, np.full(len(name), camera), centre, R)
         strip = np.full(len(name), "strip") if strip is None else strip
         navigation = navigation_of(frame, sensor, shots, sigma_position, sigma_attitude, camera, strip)
+        assert isinstance(sensor.camera, FrameCamera)
         return cls(frame, {camera: sensor.camera}, images, observations, control, navigation)
 
     def with_block(self, other: Block) -> Block:
         """Both blocks as one: more cameras, flights, observations over the same ground, in this block's frame.
 
-        Raises `ValueError` for frames that differ, and as `Block`.
+        Raises `ValueError` for frames that differ, for cameras, mounts and control points of one name that are not the
+        same, and as `Block`.
         """
         if not _same(self.frame, other.frame):
             raise ValueError("blocks are joined in one frame; make the other with frame=block.frame.")
+        _refuse_others("camera", self.cameras, other.cameras)
         mine, theirs = self.images, other.images
         fields = ("name", "camera", "centre", "R_frame_from_camera")
         images = Images(*(np.concatenate([getattr(mine, f), getattr(theirs, f)]) for f in fields))
         navigation = [part for part in (self.navigation, other.navigation) if part is not None]
         if len(navigation) == 1:
             raise ValueError("one of the blocks has navigation and the other has none; give both, or none.")
+        if len(navigation) == 2:
+            _refuse_others("mount", *(part.mounts for part in navigation))
         return replace(
             self,
             cameras={**self.cameras, **other.cameras},
             images=images,
             observations=ImagePoints.joined([self.observations, other.observations]),
-            control=self.control
-            if other.control is None
-            else other.control
-            if self.control is None
-            else None or _with_points(self.control, other.control),
+            control=_with_points(self.control, other.control, "control"),
+            points=_with_points(self.points, other.points, "points"),
             navigation=joined(navigation) if navigation else None,
         )
 
@@ -201,7 +204,6 @@ class Block:
 
 def frame_at(position: Geodetic) -> LocalFrame:
     """East-north-up at the middle of a batch of positions, on the ellipsoid."""
-    from jaxgeo.earth import WGS84
 
     ecef = np.asarray(
         jax.vmap(WGS84.to_ecef)(jax.tree.map(lambda x: np.atleast_1d(np.asarray(x, np.float64)), position))
@@ -210,13 +212,38 @@ def frame_at(position: Geodetic) -> LocalFrame:
     return LocalFrame(Geodetic(lat=middle.lat, lon=middle.lon, height=np.float64(0.0)))
 
 
-def _with_points(a: GroundPoints, b: GroundPoints) -> GroundPoints:
-    new = b.without([name for name in b.name.tolist() if name in set(a.name.tolist())])
-    return GroundPoints(
-        np.concatenate([a.name, new.name]), np.concatenate([a.place, new.place]), np.concatenate([a.sigma, new.sigma])
-    )
+def _with_points(a: GroundPoints | None, b: GroundPoints | None, what: str) -> GroundPoints | None:
+    """Both as one. Raises `ValueError` for a point that is in both, but not at the same place."""
+    if a is None or b is None:
+        return b if a is None else a
+    both = [name for name in b.name.tolist() if name in set(a.name.tolist())]
+    apart = np.any(a.of(both).place != b.of(both).place, axis=1) if both else np.zeros(0, bool)
+    if np.any(apart):
+        name = both[int(np.argmax(apart))]
+        raise ValueError(
+            f"{what}: point {name} is at {a.of([name]).place[0].tolist()} in one block and at "
+            f"{b.of([name]).place[0].tolist()} in the other; keep one of them."
+        )
+    new = b.without(both)
+    joined_ = {f: np.concatenate([getattr(a, f), getattr(new, f)]) for f in ("name", "place", "sigma")}
+    if a.covariance is None and new.covariance is None:
+        return GroundPoints(**joined_)
+    if not np.all(np.isfinite(joined_["sigma"]) & (joined_["sigma"] > 0.0)):
+        raise ValueError(f"{what}: one block gives covariances, the other sigmas that are zero or infinite; give one kind.")
+    parts = [np.eye(3) * x.sigma[:, None, :] ** 2 if x.covariance is None else x.covariance for x in (a, new)]
+    return GroundPoints(**joined_, covariance=np.concatenate(parts))
+
+
+def _refuse_others(what: str, mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> None:
+    for name in mine.keys() & theirs.keys():
+        if not _same(mine[name], theirs[name]):
+            raise ValueError(
+                f"{what} {name} is not the same in both blocks; name one of them otherwise: from_shots(camera=...)."
+            )
 
 
 def _same(a: Any, b: Any) -> bool:
     mine, theirs = jax.tree.leaves(a), jax.tree.leaves(b)
-    return type(a) is type(b) and all(bool(np.all(x == y)) for x, y in zip(mine, theirs, strict=True))
+    if type(a) is not type(b) or jax.tree.structure(a) != jax.tree.structure(b):
+        return False
+    return all(bool(np.array_equal(x, y)) for x, y in zip(mine, theirs, strict=True))

@@ -19,11 +19,12 @@ from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Mount
 
 STEPS = 8
+HELD = 1e-10  # of the correlations: below it some of what is asked for cannot be told from the rest
 
 
 class TwoStep(NamedTuple):
-    """A mount found from orientations: `turn` (3) the rotation vector of the boresight, rad, `lever` (3) m in body axes,
-    `covariance` (6, 6) of both, of unit weight (zero where held), `sigma0` of the navigation, and the `mount` itself."""
+    """A mount found from orientations: `turn` (3) the rotation vector of the boresight in rad, `lever` (3) in m and
+    body axes, `covariance` (6, 6) of both, of unit weight (zero where held), the navigation's `sigma0`, the `mount`."""
 
     mount: Mount
     turn: np.ndarray
@@ -44,8 +45,8 @@ def two_step_boresight(
     The adjusted orientations are compared with the navigation's, which must have been kept from pulling them: of an
     adjustment on control, with navigation that was `loosened`; `navigation` is then what it was before (Xue et al.
     2019, after their Eq 5; rotations are taken as such, not as angles to first order). Weights are the navigation's
-    and, with all correlations, those of the adjusted orientations. Raises `ValueError` without navigation, and for
-    fewer than two images.
+    and, with all correlations, those of the adjusted orientations. Raises `ValueError` without navigation, for fewer
+    than two images, and for navigation or a flight that does not tell what is asked for.
     """
     ready, block = adjustment.prepared, adjustment.block
     navigation = block.navigation if navigation is None else navigation
@@ -73,6 +74,14 @@ def two_step_boresight(
         lever,
     )
     turn, arm, covariance, sigma0 = (np.asarray(x) for x in found)
+    size = 6 if lever else 3
+    own = covariance[:size, :size]
+    sigma = np.sqrt(np.where(np.diagonal(own) > 0.0, np.diagonal(own), np.nan))
+    if not np.all(np.isfinite(own)) or not np.linalg.eigvalsh(np.nan_to_num(own / np.outer(sigma, sigma)))[0] > HELD:
+        what = "boresight and the lever arm" if lever else "boresight"
+        raise ValueError(
+            f"the navigation of mount {name} does not tell the {what}: observe what does, or fly in several directions."
+        )
     given, level = navigation.mounts[name]
     R = np.asarray(R_from_rotation_vector(jnp.asarray(turn)))
     where = (lambda m: m.R_head_from_camera) if level else (lambda m: m.R_body_from_base)

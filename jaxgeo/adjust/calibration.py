@@ -47,20 +47,24 @@ def calibration(
 
     `camera` and `mount` name which; they may be left out where there is one. Covariances are those of the adjustment,
     times `sigma0` squared if `scaled`. `sharing` says where the errors are the same, by default in a flight.
-    Raises `ValueError` for names that there are not, and where the aspect of the pixels was unknown, of which error
-    models know nothing.
+    Raises `ValueError` for names that there are not, for a gimbal that reports against something else than that of the
+    block, where the aspect of the pixels was unknown, of which error models know nothing, and for `scaled` without
+    redundancy, as `sigma0` then is unknown.
     """
     camera = _one(camera, list(adjustment.cameras), "camera")
     found = Sensor(adjustment.cameras[camera]) if sensor is None else sensor
     found = eqx.tree_at(lambda s: s.camera, found, adjustment.cameras[camera])
     if adjustment.mounts:
         mount = _one(mount, list(adjustment.mounts), "mount")
+        _check_reference(adjustment, mount, found)
         found = eqx.tree_at(lambda s: s.mount, found, adjustment.mounts[mount])
     chosen = [(i, p) for i, p in enumerate(adjustment.parameters) if p.whose in (f"camera {camera}", f"mount {mount}")]
     if any(p.name == "aspect" for _, p in chosen):
         raise ValueError(f"the aspect of camera {camera} was unknown; adjust with aspect=Fixed() for an error model.")
     if not chosen:
         return Calibration(found, None)
+    if scaled and not adjustment.redundancy > 0:
+        raise ValueError("the block has no redundancy, and so no sigma0 to scale by; give scaled=False.")
     sigma = {p.name: p.sigma * (adjustment.sigma0 if scaled else 1.0) for _, p in chosen}
     level = found.gimbal.reference == "level"
     parts, order = _sources(sigma, level)
@@ -93,6 +97,17 @@ def _sources(sigma: dict[str, float], level: bool) -> tuple[list[AbstractSource]
         parts.append(Distortion(np.array([sigma[name] for name in coefficients]), coefficients=coefficients))
         order += coefficients
     return parts, order
+
+
+def _check_reference(adjustment: Adjustment, mount: str, sensor: Sensor) -> None:
+    assert adjustment.block.navigation is not None
+    level = adjustment.block.navigation.mounts[mount][1]
+    if level != (sensor.gimbal.reference == "level"):
+        there, here = ("local level", "the body") if level else ("the body", "local level")
+        raise ValueError(
+            f"the gimbal of mount {mount} reports in {there}, that of the sensor in {here}; give the sensor that was "
+            f"flown."
+        )
 
 
 def _one(name: str | None, names: list[str], what: str) -> str:

@@ -3,14 +3,14 @@ navigation, and their derivatives, one at a time."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import cross, product, turned
+from jaxgeo._numerics import product, turned
 from jaxgeo._typing import Matrix3, Pixel, Scalar, Vector3
 from jaxgeo.adjust.values import with_interior
 from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
@@ -25,36 +25,21 @@ def pixel_of(camera: FrameCamera, p_camera: Vector3) -> Pixel:
     return camera.principal_px + camera.focal_px * camera.distortion.distort(p_camera[:2] / p_camera[2])
 
 
-class Linear(NamedTuple):
-    """A measured image point, weighted: residual (2), and derivatives by the point, the pose and the lens."""
+def pixel_linear(
+    camera: FrameCamera, lens: Any, active: tuple[int, ...], ideal: Pixel
+) -> tuple[Pixel, list[Pixel], list[Pixel]]:
+    """Pixel of a direction's tangents in the camera frame, and its derivatives by each of these and by each of the
+    lens's active columns, by autodiff."""
 
-    residual: Float[Array, "2"]
-    by_point: Float[Array, "2 3"]
-    by_pose: Float[Array, "2 6"]
-    by_lens: Float[Array, "2 active"]
+    def pixel(ideal: Pixel, change: Any) -> Pixel:
+        changed = with_interior(camera, _changed(lens, active, change))
+        return changed.principal_px + changed.focal_px * changed.distortion.distort(ideal)
 
-
-def image_residual(
-    camera: FrameCamera, lens: Any, centre: Vector3, R: Matrix3, point: Vector3, uv: Pixel
-) -> Float[Array, "2"]:
-    """Pixel of a point less that measured, px; Xue et al. (2019), Eq 1."""
-    return pixel_of(with_interior(camera, lens), turned(R.T, point - centre)) - uv
-
-
-def image_linear(
-    camera: FrameCamera, lens: Any, active: tuple[int, ...], centre: Vector3, R: Matrix3, point: Vector3, uv: Pixel
-) -> Linear:
-    """Residual and derivatives of an image point, px. A turn of the camera turns what it sees the other way."""
-
-    def pixel(offset: Vector3, turn: Vector3, change: Any) -> Pixel:
-        d = turned(R.T, offset)
-        d = d - jnp.stack(cross(turn, d))  # to first order, which is all that a derivative at zero takes
-        return pixel_of(with_interior(camera, _changed(lens, active, change)), d)
-
-    predicted, pull = jax.vjp(pixel, point - centre, jnp.zeros(3), jnp.zeros(len(active)))
-    rows = [pull(row) for row in jnp.eye(2)]
-    by_point, by_turn, by_lens = (jnp.stack(parts) for parts in zip(*rows, strict=True))
-    return Linear(predicted - uv, by_point, jnp.concatenate([-by_point, by_turn], axis=1), by_lens)
+    # Forward: backward, what takes parameters apart would be put together again, entry by entry.
+    none = jnp.zeros(len(active))
+    by_ideal = [jax.jvp(lambda x: pixel(x, none), (ideal,), (axis,))[1] for axis in jnp.eye(2)]
+    by_lens = [jax.jvp(lambda x: pixel(ideal, x), (none,), (axis,))[1] for axis in jnp.eye(len(active))]
+    return pixel(ideal, none), by_ideal, by_lens
 
 
 def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:

@@ -21,13 +21,13 @@ def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 N"], Floa
     """
     real = problem.free_point.any(axis=1)
     middle = jnp.sum(jnp.where(real[:, None], values.points, 0.0), axis=0) / jnp.sum(real)
-    offsets = jnp.where(real[:, None], values.points - middle, 0.0)
+    offsets = jnp.where(real[:, None], values.points - middle[None], 0.0)
     size = jnp.sqrt(jnp.sum(offsets**2) / jnp.sum(real))
-    centres, n = values.centre - middle, problem.n
+    centres, n = values.centre - middle[None], problem.n
     none = jnp.zeros((n, 3))
     poses, points = [], []
     for axis in jnp.eye(3):
-        poses.append(jnp.concatenate([none + axis, none], axis=1))
+        poses.append(jnp.concatenate([none + axis[None], none], axis=1))
         points.append(jnp.broadcast_to(axis, offsets.shape))
     for axis in jnp.eye(3):
         own = jax.vmap(lambda R, axis=axis: turned(R.T, axis))(values.R_frame_from_camera)
@@ -35,10 +35,10 @@ def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 N"], Floa
         points.append(jnp.cross(axis[None], offsets) / size)
     poses.append(jnp.concatenate([centres, none], axis=1) / size)
     points.append(offsets / size)
-    of_points = jnp.moveaxis(jnp.stack(points), -1, 1) * problem.free_point.T
+    of_points = jnp.moveaxis(jnp.stack(points), -1, 1) * problem.free_point.T[None]
     images = jnp.zeros((7, n, problem.of_image)).at[:, :, :6].set(jnp.stack(poses))
     free, _ = free_columns(problem)
-    whole = jnp.concatenate([(images * free).reshape(7, -1), jnp.zeros((7, problem.shared))], axis=1)
+    whole = jnp.concatenate([(images * free[None]).reshape(7, -1), jnp.zeros((7, problem.shared))], axis=1)
     return whole, of_points
 
 
@@ -55,7 +55,7 @@ def unheld(problem: Problem, values: Values, equations: Equations) -> Float[Arra
     for k in range(7):
         moved = jnp.einsum("cio,io->co", equations.coupling, x[k][:, rows])
         mixed = mixed.at[:, k].set(jnp.einsum("mco,co->m", jnp.moveaxis(images[:, image], 1, -1), moved))
-    of_points = jnp.einsum("mir,ijr,kjr->mk", x, equations.points * problem.free_point.any(axis=1), x)
+    of_points = jnp.einsum("mir,ijr,kjr->mk", x, equations.points * problem.free_point.any(axis=1)[None, None], x)
     cost = total + mixed + mixed.T + of_points
     by_parts = jnp.sqrt(jnp.diagonal(total) + jnp.diagonal(of_points))
     scaled = cost / (by_parts[:, None] * by_parts[None, :])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -13,14 +14,14 @@ from jaxgeo._typing import Scalar
 from jaxgeo.adjust.collinearity import (
     Observed,
     half_sum,
-    image_linear,
-    image_residual,
     navigation_linear,
     navigation_residual,
+    pixel_linear,
+    pixel_of,
 )
 from jaxgeo.adjust.layout import Layout
 from jaxgeo.adjust.losses import AbstractLoss
-from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Step, Values
+from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Step, Values, with_interior
 from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera
 
@@ -115,16 +116,19 @@ def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
 
 def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
     """Residuals (predicted less measured) of the image points over their standard deviations."""
-    layout, given = problem.layout, _of_measurements(problem, values)
+    layout = problem.layout
+    cameras, lens, R, offset = _of_measurements(problem, values)
+    ideal = in_camera(R, offset)
 
-    def one(camera: Any, lens: Any, centre: Any, R: Any, point: Any, uv: Any, information: Any) -> Array:
-        return image_residual(camera, lens, centre, R, point, uv) * information
+    def one(camera: Any, lens: Any, d: Any, uv: Any, information: Any) -> Array:
+        return (pixel_of(with_interior(camera, lens), d) - uv) * information
 
-    return jax.vmap(one, out_axes=-1)(*given, layout.uv, layout.information)
+    return jax.vmap(one, in_axes=(-1, -1, -1, 0, 0), out_axes=-1)(cameras, lens, ideal, layout.uv, layout.information)
 
 
 def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
     """Weighted residuals of positions and attitudes."""
+    assert problem.observed is not None
     return jax.vmap(navigation_residual)(problem.observed, *_of_images(problem, values))
 
 
@@ -139,8 +143,8 @@ def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equation
         part = slice(group.first, group.first + group.rays * group.rows)
         shape = (group.rays, group.rows)
         x, r = by_point[:, :, part].reshape(2, 3, *shape), residual[:, part].reshape(2, *shape)
-        points.append(_symmetric([[jnp.sum(_both(x[:, i], x[:, j]), axis=0) for j in range(3)] for i in range(3)]))
-        point_gradient.append(jnp.stack([jnp.sum(_both(x[:, i], r), axis=0) for i in range(3)]))
+        points.append(jnp.sum(x[:, :, None] * x[:, None], axis=(0, 3)))
+        point_gradient.append(jnp.sum(x * r[:, None], axis=(0, 2)))
         if problem.of_lenses:
             lens = by_lens[:, :, part].reshape(2, -1, *shape)
             shared_coupling.append(_of_lenses(problem, layout.camera[layout.image[part]].reshape(shape), lens, x))
@@ -169,41 +173,61 @@ def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equation
 
 
 def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[Array, ...]:
-    """Residual (2, obs) and derivatives (2, columns, obs) of image points, weighted, and rho; fixed columns zero."""
-    layout, given = problem.layout, _of_measurements(problem, values)
+    """Residual (2, obs) and derivatives (2, columns, obs) of image points, weighted, and rho; fixed columns zero.
 
-    def one(camera: Any, lens: Any, centre: Any, R: Any, point: Any, uv: Any, weight: Any, free: Any) -> Any:
-        found = image_linear(camera, lens, problem.active, centre, R, point, uv)
-        residual = found.residual * weight
-        squared = jnp.sum(residual**2)
-        weight = weight * jnp.sqrt(loss.weight(squared))
-        residual = found.residual * weight
-        by_point, by_pose, by_lens = (
-            by * weight[:, None] * may[None, :]
-            for by, may in zip((found.by_point, found.by_pose, found.by_lens), free, strict=True)
-        )
-        return residual, by_point, by_pose, by_lens, loss.rho(squared)
-
-    free = (
-        problem.free_point[layout.row],
-        problem.free_pose[layout.image],
-        problem.lens.free[layout.camera[layout.image]],
-    )
-    return jax.vmap(one, out_axes=-1)(*given, layout.uv, layout.information, free)
-
-
-def _of_measurements(problem: Problem, values: Values) -> tuple[Any, ...]:
-    """Camera, lens, centre, orientation and point of each measurement."""
+    By the point (3), the pose (6) and the lens's active columns. Of the camera by autodiff; how a point lies in it
+    follows at once, all measurements together, as a compiler would make again for each derivative what they share.
+    """
     layout = problem.layout
-    camera = layout.camera[layout.image]
-    cameras = jax.tree.map(lambda x: x[camera], problem.cameras)
-    return (
-        cameras,
-        values.lens[camera],
-        values.centre[layout.image],
-        values.R_frame_from_camera[layout.image],
-        values.points[layout.row],
-    )
+    image, camera = layout.image, layout.camera[layout.image]
+    cameras, lens, R, offset = _of_measurements(problem, values)
+    d = in_camera(R, offset)
+    ideal = d[:2] / d[2]
+    linear = jax.vmap(partial(_pixel_linear, problem.active), in_axes=-1, out_axes=-1)
+    found = jax.lax.optimization_barrier((R, d, ideal, linear(cameras, lens, ideal)))
+    R, d, ideal, (predicted, by_ideal, by_lens) = found
+    residual = (predicted - layout.uv.T) * layout.information.T
+    squared = residual[0] ** 2 + residual[1] ** 2
+    root = jnp.sqrt(loss.weight(squared))
+    weight = layout.information.T * root
+    x, y = (by * (weight / d[2]) for by in by_ideal)  # derivatives of both axes by d
+    z = -(x * ideal[0] + y * ideal[1])
+    by_point = [x * R[i, 0] + y * R[i, 1] + z * R[i, 2] for i in range(3)]
+    # A turn t of the camera turns what it sees the other way, d - t x d.
+    by_turn = [y * d[2] - z * d[1], z * d[0] - x * d[2], x * d[1] - y * d[0]]
+    free_point, free_pose = layout.to_rays(problem.free_point.T), gathered(problem.free_pose, image)
+    by_pose = [by * free for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
+    by_point = [by * free for by, free in zip(by_point, free_point, strict=True)]
+    by_lens = [by * weight * free for by, free in zip(by_lens, gathered(problem.lens.free, camera), strict=True)]
+    by_lens = jnp.stack(by_lens, axis=1) if by_lens else jnp.zeros((2, 0, image.shape[0]))
+    return residual * root, jnp.stack(by_point, axis=1), jnp.stack(by_pose, axis=1), by_lens, loss.rho(squared)
+
+
+def _pixel_linear(active: tuple[int, ...], camera: Any, lens: Any, ideal: Any) -> Any:
+    return pixel_linear(camera, lens, active, ideal)
+
+
+def _of_measurements(problem: Problem, values: Values) -> Any:
+    """Camera and lens of each measurement, its R_frame_from_camera, and where its point is from the perspective centre
+    (3, obs) in m; the measurements are the last axis of all."""
+    layout = problem.layout
+    image, camera = layout.image, layout.camera[layout.image]
+    cameras = jax.tree.map(lambda x: gathered(x, camera), problem.cameras)
+    offset = layout.to_rays(values.points.T) - gathered(values.centre, image)
+    given = cameras, gathered(values.lens, camera), gathered(values.R_frame_from_camera, image), offset
+    return jax.lax.optimization_barrier(given)
+
+
+def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[Array, "... obs"]:
+    """Entries of a short table, with the crowd last: number by number, which is quicker than row by row."""
+    columns = table.reshape(table.shape[0], -1).T
+    found = [column.at[at].get(mode="promise_in_bounds") for column in columns]
+    return jnp.stack(found).reshape(*table.shape[1:], at.shape[0]) if found else jnp.zeros((0, at.shape[0]))
+
+
+def in_camera(R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
+    """R' offset: a place in the camera frame."""
+    return _sum(R[i] * offset[i] for i in range(3))
 
 
 def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
@@ -219,12 +243,11 @@ def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
 
 def _of_lenses(problem: Problem, camera: Any, lens: Any, x: Any) -> Array:
     """Coupling (cameras * active, 3, rows) between points and lenses: sums over a point's rays, camera by camera."""
-    cameras = problem.lens.free.shape[0]
     found = []
-    for number in range(cameras):
-        mine = lens if cameras == 1 else jnp.where(camera == number, lens, 0.0)
-        found.append([[jnp.sum(_both(mine[:, a], x[:, i]), axis=0) for i in range(3)] for a in range(lens.shape[1])])
-    return jnp.stack([jnp.stack(row) for rows in found for row in rows])
+    for number in range(problem.lens.free.shape[0]):
+        mine = jnp.where(camera == number, lens, 0.0) if problem.lens.free.shape[0] > 1 else lens
+        found.append(jnp.sum(mine[:, :, None] * x[:, None], axis=(0, 3)))
+    return jnp.concatenate(found)
 
 
 def _of_images_and_shared(
@@ -233,7 +256,7 @@ def _of_images_and_shared(
     """Sums over the measurements of each image, what the navigation and priors add, and their cost."""
     layout, n, c, active = problem.layout, problem.n, problem.of_image, len(problem.active)
     rows = jnp.concatenate([by_pose, by_lens, residual[:, None]], axis=1)  # (2, 6 + active + 1, obs)
-    rows = jnp.moveaxis(rows, -1, 0)[layout.of_image]  # (n, most, 2, columns)
+    rows = jnp.moveaxis(rows, -1, 0).at[layout.of_image].get(mode="promise_in_bounds")  # (n, most, 2, columns)
     rows = rows.reshape(n, -1, rows.shape[-1])
     sums = jnp.einsum("nla,nlb->nab", rows[..., :-1], rows)
     matrix, gradient = sums[..., :-1], sums[..., -1]
@@ -347,13 +370,12 @@ def free_columns(problem: Problem) -> tuple[Array, Array]:
     return images, jnp.concatenate(shared)
 
 
-def _both(a: Any, b: Any) -> Array:
-    """Sum over the two axes of the image."""
-    return a[0] * b[0] + a[1] * b[1]
-
-
-def _symmetric(rows: Any) -> Array:
-    return jnp.stack([jnp.stack(row) for row in rows])
+def _sum(parts: Any) -> Array:
+    """Sum of a few arrays, in one pass."""
+    first, *others = parts
+    for part in others:
+        first = first + part
+    return first
 
 
 def _block_diagonal(blocks: Float[Array, "k a a"]) -> Float[Array, "ka ka"]:

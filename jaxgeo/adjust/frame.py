@@ -25,12 +25,17 @@ class LocalFrame(eqx.Module):
 
     def from_ecef(self, p_ecef: Any) -> jax.Array:
         """Places (..., 3) in ECEF m as places in the frame, m."""
-        origin = WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
-        return (as_float64(p_ecef, "p_ecef") - origin) @ self.R_ecef_from_local
+        p_ecef = as_float64(p_ecef, "p_ecef")
+        return (p_ecef - jnp.broadcast_to(self._origin_ecef, p_ecef.shape)) @ self.R_ecef_from_local
 
     def to_ecef(self, p: Any) -> jax.Array:
         """Places (..., 3) in the frame as places in ECEF, m."""
-        return as_float64(p, "p") @ self.R_ecef_from_local.T + WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
+        p = as_float64(p, "p")
+        return p @ self.R_ecef_from_local.T + jnp.broadcast_to(self._origin_ecef, p.shape)
+
+    @property
+    def _origin_ecef(self) -> jax.Array:
+        return WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
 
     def from_geodetic(self, position: Geodetic) -> jax.Array:
         """A position, or a batch of them (n,), as places (n, 3) in the frame, m."""

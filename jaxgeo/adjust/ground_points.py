@@ -43,7 +43,10 @@ class GroundPoints:
             covariance = np.asarray(self.covariance, np.float64)
             if covariance.shape != (len(name), 3, 3):
                 raise ValueError(f"covariance must have the shape ({len(name)}, 3, 3); got {covariance.shape}.")
-            symmetric = np.all(np.isfinite(covariance) & (covariance == np.swapaxes(covariance, 1, 2)), axis=(1, 2))
+            off = np.abs(covariance - np.swapaxes(covariance, 1, 2)).max(axis=(1, 2), initial=0.0)
+            symmetric = np.all(np.isfinite(covariance), axis=(1, 2)) & (
+                off <= 1e-12 * np.abs(covariance).max(axis=(1, 2), initial=0.0)
+            )
             positive = symmetric.copy()
             positive[symmetric] = np.linalg.eigvalsh(covariance[symmetric])[:, 0] > 0.0
             _refuse(name, ~positive, covariance, "covariance", "must be symmetric and positive definite, in m2")

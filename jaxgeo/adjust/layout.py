@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-RAYS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 90, 128, 180, 256, 512, 1024, 1 << 30)  # limits of groups
+GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
 DENSE_COLUMNS = 1600  # of the reduced system, up to which every chunk of points has all of them
 DENSE_BYTES = 48_000_000  # of a chunk's rows
 SPARSE_POINTS = 64  # in a chunk, where it has columns of the images that see it only
@@ -19,8 +19,8 @@ class Group(eqx.Module):
     """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
 
     Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
-    points are seen in (the number of images where there are fewer), `ray_of_slot` (chunks, size, q) which of a point's
-    rays comes from there (`rays` where none does).
+    points are seen in (the number of images where there are fewer), `measured` (chunks, size, q) the measurement of a
+    point there (the last of all, which has no weight, where there is none).
     """
 
     rays: int = eqx.field(static=True)
@@ -30,7 +30,7 @@ class Group(eqx.Module):
     first_row: int = eqx.field(static=True)
     dense: bool = eqx.field(static=True)
     slots: Int[Array, "chunks q"]
-    ray_of_slot: Int[Array, "chunks size q"]
+    measured: Int[Array, "chunks size q"]
 
     @property
     def rows(self) -> int:
@@ -52,6 +52,14 @@ class Layout(eqx.Module):
     camera: Int[Array, " n"]
     groups: tuple[Group, ...]
 
+    def to_rays(self, of_points: Float[Array, "k rows"]) -> Float[Array, "k obs"]:
+        """What points (rows) have, for each of their measurements; copied group by group, which no gathering equals."""
+        parts = []
+        for group in self.groups:
+            own = of_points[:, None, group.first_row : group.first_row + group.rows]
+            parts.append(jnp.broadcast_to(own, (own.shape[0], group.rays, group.rows)).reshape(own.shape[0], -1))
+        return jnp.concatenate([*parts, of_points[:, :1]], axis=1)
+
 
 @dataclass(frozen=True)
 class Order:
@@ -71,14 +79,11 @@ def layout_of(
     image, point, uv, sigma = image[order], point[order], uv[order], sigma[order]
     counts = np.bincount(point, minlength=points)
     start = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    parts, groups, row_of_point = [], [], np.zeros(points, int)
+    parts, given, row_of_point = [], [], np.zeros(points, int)
     first = first_row = lower = 0
-    for upper in RAYS:
-        chosen = np.flatnonzero((counts > lower) & (counts <= upper))
-        lower = upper
-        if chosen.size == 0:
-            continue
-        rays = int(counts[chosen].max())
+    for rays in _group_limits(counts):
+        chosen = np.flatnonzero((counts > lower) & (counts <= rays))
+        lower = rays
         there = np.arange(rays)[None, :] < counts[chosen][:, None]
         taken = np.where(there, start[chosen][:, None] + np.arange(rays)[None, :], 0)
         seen = np.where(there, image[taken], n)
@@ -91,8 +96,9 @@ def layout_of(
             np.concatenate([x[sort], np.full((pad, rays), fill)]) for x, fill in ((there, False), (taken, 0), (seen, n))
         )
         slots, ray_of_slot = _slots(seen.reshape(chunks, size, rays), n, dense)
-        arrays = (jnp.asarray(x, jnp.int32) for x in (slots, ray_of_slot))
-        groups.append(Group(rays, chunks, size, first, first_row, dense, *arrays))
+        row = np.arange(size * chunks).reshape(chunks, size, 1)
+        measured = np.where(ray_of_slot < rays, first + ray_of_slot * size * chunks + row, -1)
+        given.append((rays, chunks, size, first, first_row, dense, slots, measured))
         row_of_point[chosen] = first_row + np.arange(len(chosen))
         rows = np.broadcast_to(np.arange(size * chunks)[:, None] + first_row, there.shape)
         parts.append([x.T.ravel() for x in (taken, there, rows)])
@@ -103,6 +109,8 @@ def layout_of(
     place = np.zeros(len(order), int)
     place[order[taken[there]]] = np.flatnonzero(there)
     image_of = np.where(there, image[taken], 0)
+    last = len(there) - 1
+    groups = [Group(*sizes, *_indices(slots, np.where(at < 0, last, at))) for *sizes, slots, at in given]
     layout = Layout(
         image=jnp.asarray(image_of, jnp.int32),
         row=jnp.asarray(rows, jnp.int32),
@@ -113,6 +121,27 @@ def layout_of(
         groups=tuple(groups),
     )
     return layout, Order(row_of_point, place, first_row)
+
+
+def _indices(*arrays: np.ndarray) -> list[Any]:
+    return [jnp.asarray(array, jnp.int32) for array in arrays]
+
+
+def _group_limits(counts: np.ndarray) -> list[int]:
+    """Most rays of a point in each group, so that places and `GROUP_COST` together are least."""
+    rays, points = np.unique(counts[counts > 0], return_counts=True)
+    before = np.concatenate([[0], np.cumsum(points)])
+    best, first = np.full(len(rays) + 1, np.inf), np.zeros(len(rays) + 1, int)
+    best[0] = 0.0
+    for end in range(1, len(rays) + 1):
+        cost = best[:end] + (before[end] - before[:end]) * rays[end - 1] + GROUP_COST
+        first[end] = int(np.argmin(cost))
+        best[end] = cost[first[end]]
+    limits, end = [], len(rays)
+    while end:
+        limits.append(int(rays[end - 1]))
+        end = first[end]
+    return limits[::-1]
 
 
 def _chunks(points: int, columns: int | None) -> tuple[int, int]:

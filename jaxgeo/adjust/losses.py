@@ -11,7 +11,7 @@ from jaxgeo._typing import Numbers
 
 
 class AbstractLoss(eqx.Module):
-    """rho(s) with rho'(0) = 1, and its derivative, the weight that a residual keeps. The cost is half the sum of rho."""
+    """rho(s) with rho'(0) = 1, and its derivative, the weight that a residual keeps. The cost is half its sum."""
 
     @abc.abstractmethod
     def rho(self, squared: Numbers) -> Numbers:

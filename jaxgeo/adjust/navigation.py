@@ -41,7 +41,7 @@ class Navigation:
     """By name: the mount, and whether its gimbal reports in local level."""
 
     def loosened(self, factor: float) -> Navigation:
-        """The same with standard deviations `factor` times as large: for adjustments that it may start, but not pull."""
+        """The same with standard deviations `factor` times as large: to start an adjustment, but not to pull it."""
         return replace(
             self,
             information_position=self.information_position / factor,
@@ -50,7 +50,7 @@ class Navigation:
 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
-    """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, as the navigation has them."""
+    """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, by the navigation."""
     sights = jax.vmap(sensor.sight)(as_float64(shots, "shots"))
     R = np.asarray(frame.R_ecef_from_local).T
     return np.asarray(frame.from_ecef(sights.centre)), R @ np.asarray(sights.R_ecef_from_camera)

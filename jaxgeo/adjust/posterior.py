@@ -1,4 +1,4 @@
-"""Covariances after an adjustment, of unit weight: of images and what they share, of points, of adjusted measurements."""
+"""Covariances after an adjustment, of unit weight: of images and what they share, of points, of measurements."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo.adjust.equations import Equations, Problem
+from jaxgeo.adjust.equations import Equations, Problem, free_columns
 from jaxgeo.adjust.equations import image_points as weighted_image_points
 from jaxgeo.adjust.layout import Group
 from jaxgeo.adjust.losses import AbstractLoss
-from jaxgeo.adjust.reduction import Eliminated, backward, chunk_rows, eliminated, reduced, times_inverse
+from jaxgeo.adjust.reduction import Eliminated, Rows, backward, eliminate, gather, reduced, rows_of, times_inverse
 from jaxgeo.adjust.values import Values
 
 
@@ -35,17 +35,23 @@ class Posterior(eqx.Module):
     datum: Datum | None
 
 
-@eqx.filter_jit
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular."""
-    points = eliminated(problem, equations, 0.0)
-    system = reduced(problem, equations, points, 0.0).matrix
+    points = eliminate(problem, equations, jnp.zeros(()))
+    return Posterior(_inverse(problem, equations, gather(problem, points), datum), points, datum)
+
+
+@eqx.filter_jit
+def _inverse(
+    problem: Problem, equations: Equations, rows: tuple[Rows, ...], datum: Datum | None
+) -> Float[Array, "N N"]:
+    system = reduced(problem, equations, rows, 0.0).matrix
     if datum is not None:  # any weights on the motions make it regular, and change nothing else
         system = system + _weighted(datum.reduced, system)
     scale = 1.0 / jnp.sqrt(jnp.diagonal(system))
     factor = jax.scipy.linalg.cho_factor(system * scale[:, None] * scale[None, :], lower=True)
     inverse = jax.scipy.linalg.cho_solve(factor, jnp.eye(system.shape[0]))
-    return Posterior(inverse * scale[:, None] * scale[None, :], points, datum)
+    return inverse * scale[:, None] * scale[None, :]
 
 
 def _weighted(motions: Float[Array, "d N"], system: Float[Array, "N N"]) -> Float[Array, "N N"]:
@@ -57,13 +63,16 @@ def _weighted(motions: Float[Array, "d N"], system: Float[Array, "N N"]) -> Floa
 
 @eqx.filter_jit
 def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array, "N N"]:
-    """Covariance of images and what they share."""
+    """Covariance of images and what they share; zero for what is fixed."""
+    images, shared = free_columns(problem)
+    free = jnp.concatenate([images.ravel(), shared])
+    covariance = posterior.covariance * free[:, None] * free[None, :]
     if posterior.datum is None:
-        return posterior.covariance
+        return covariance
     transfer = _Transfer.of(problem, posterior)
     G, H = posterior.datum.reduced, transfer.of_reduced
     moved = G.T @ (transfer.inverse @ H)
-    return posterior.covariance - moved - moved.T + G.T @ (transfer.middle @ G)
+    return covariance - moved - moved.T + G.T @ (transfer.middle @ G)
 
 
 @eqx.filter_jit
@@ -86,7 +95,7 @@ def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: P
     _, by_point, by_pose, by_lens, _ = weighted_image_points(problem, values, loss)
     own = jnp.concatenate([by_pose, by_lens], axis=1)  # lenses are an image's own, or have columns of their camera
     own, by_point = (jnp.moveaxis(x, -1, 0) for x in (own, by_point))  # (obs, 2, columns)
-    factor = posterior.points.factor[:, layout.row]
+    factor = layout.to_rays(posterior.points.factor)
     half = jnp.moveaxis(times_inverse(factor, jnp.moveaxis(by_point, 0, -1)), -1, 0)  # J_p L'^-1
     inner, spread = [], []
     for group in layout.groups:
@@ -108,28 +117,30 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
     The second, of the columns of each ray's image and its lens, only if asked for; in the order of measurements.
     """
     layout, c, a = problem.layout, problem.of_image, len(problem.active)
-    rows, _ = chunk_rows(problem, group, posterior.points)
+    last = layout.image.shape[0] - 1
+    rows = rows_of(problem, group, posterior.points).joined()
     part = slice(group.first, group.first + group.rays * group.rows)
     camera = layout.camera[layout.image[part]].reshape(group.rays, group.chunks, group.size)
 
     def one(chunk: Any) -> tuple[Array, Array]:
-        slots, D, ray_of_slot, camera = chunk
-        spread = (D @ _local(problem, posterior.covariance, slots)).reshape(group.size, 3, -1)
-        D = D.reshape(group.size, 3, -1)
+        slots, D, measured, camera = chunk
+        spread = jnp.moveaxis((D @ _local(problem, posterior.covariance, slots)).reshape(3, group.size, -1), 0, 1)
+        D = jnp.moveaxis(D.reshape(3, group.size, -1), 0, 1)
         inner = jnp.sum(D[:, :, None, :] * spread[:, None, :, :], axis=-1)
         if not rays:
             return inner, jnp.zeros(())
         q = slots.shape[0]
         by_slot = jnp.moveaxis(spread[:, :, : q * c].reshape(group.size, 3, q, c), 2, 1)
         point = jnp.arange(group.size)[:, None]
-        of_rays = jnp.zeros((group.size, group.rays + 1, 3, c)).at[point, ray_of_slot].set(by_slot)[:, :-1]
+        ray = jnp.where(measured < last, (measured - group.first) // group.rows, group.rays)
+        of_rays = jnp.zeros((group.size, group.rays + 1, 3, c)).at[point, ray].set(by_slot)[:, :-1]
         if problem.of_lenses:
             of_lenses = spread[:, :, q * c :].reshape(group.size, 3, -1, a)
             of_lens = jnp.moveaxis(of_lenses, 2, 1)[point, camera.T]  # (size, rays, 3, a)
             of_rays = jnp.concatenate([of_rays, of_lens], axis=-1)
         return inner, of_rays
 
-    given = (group.slots, rows, group.ray_of_slot, jnp.moveaxis(camera, 1, 0))
+    given = (group.slots, rows, group.measured, jnp.moveaxis(camera, 1, 0))
     inner, of_rays = jax.lax.map(one, given)
     inner = inner.reshape(group.rows, 3, 3)
     if not rays:
@@ -174,15 +185,16 @@ class _Transfer(eqx.Module):
 
     @classmethod
     def of(cls, problem: Problem, posterior: Posterior) -> _Transfer:
+        assert posterior.datum is not None
         G, factor = posterior.datum.points, posterior.points.factor
         n, c, lenses = problem.n, problem.of_image, problem.of_lenses
         half = times_inverse(factor, G)  # L^-1 G of each point
         images, corner = jnp.zeros((G.shape[0], n, c)), jnp.zeros((G.shape[0], lenses))
         for group in problem.layout.groups:  # F = sum of (L^-1 G)' D over the points
-            rows, _ = chunk_rows(problem, group, posterior.points)
+            rows = rows_of(problem, group, posterior.points).joined()
             own = half[:, :, group.first_row : group.first_row + group.rows]
             own = own.reshape(-1, 3, group.chunks, group.size)
-            own = jnp.moveaxis(own, 1, -1).reshape(-1, group.chunks, group.size * 3)
+            own = jnp.moveaxis(own, 1, 2).reshape(-1, group.chunks, 3 * group.size)
             sums = jnp.einsum("dkr,krm->kdm", own, rows)
             q = group.slots.shape[1]
             by_slot = jnp.moveaxis(sums[:, :, : q * c].reshape(group.chunks, -1, q, c), 1, 2)
@@ -204,7 +216,7 @@ def _along_points(problem: Problem, posterior: Posterior, v: Float[Array, "d N"]
     n, c, lenses = problem.n, problem.of_image, problem.of_lenses
     images = v[:, : n * c].reshape(-1, n, c)
     layout = problem.layout
-    along = jnp.einsum("doc,cio->dio", images[:, layout.image], posterior.points.halves)
+    along = jnp.einsum("doc,ioc->dio", images[:, layout.image], posterior.points.halves)
     found = []
     for group in layout.groups:
         part = along[:, :, group.first : group.first + group.rays * group.rows]

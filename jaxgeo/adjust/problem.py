@@ -15,7 +15,7 @@ from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.layout import Order, layout_of
 from jaxgeo.adjust.starts import started
 from jaxgeo.adjust.terrain_heights import OnTerrain, TerrainHeights
-from jaxgeo.adjust.unknowns import Unknowns, spread
+from jaxgeo.adjust.unknowns import Free, Unknowns, spread
 from jaxgeo.adjust.values import INTERIOR, Values, interior_of, names_of_interior
 from jaxgeo.sensor import FrameCamera
 
@@ -64,7 +64,7 @@ def prepared(block: Block, unknowns: Unknowns, terrain: OnTerrain | None = None)
     columns = len(images) * (6 + (len(active) if own_lens else 0))
     seen = block.observations
     layout, order = layout_of(image, point, seen.uv, seen.sigma, camera, columns)
-    pose = spread(unknowns.images, images.name.tolist(), 1, "images", _free())
+    pose = spread(unknowns.images, images.name.tolist(), 1, "images", Free())
     if not np.all((pose == 0.0) | np.isinf(pose)):
         raise ValueError(
             "Unknowns.images takes Free() or Fixed(); a prior of an orientation is the block's navigation."
@@ -102,12 +102,6 @@ def prepared(block: Block, unknowns: Unknowns, terrain: OnTerrain | None = None)
         strips=bool(np.any(strip_sigma > 0.0)),
     )
     return Prepared(problem, Names(images.name, points, cameras, lens_names, mounts, strips), order)
-
-
-def _free() -> Any:
-    from jaxgeo.adjust.unknowns import Free
-
-    return Free()
 
 
 def _lenses(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-Names = np.ndarray  # (n,) of str
+if TYPE_CHECKING:  # any list of names is taken, and an array of str made of it
+    Names: TypeAlias = Any
+else:
+    Names: TypeAlias = np.ndarray | Sequence[str]
 
 
 @dataclass(frozen=True)

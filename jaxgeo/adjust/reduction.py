@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,11 +14,11 @@ from jaxgeo.adjust.layout import Group
 
 
 class Eliminated(eqx.Module):
-    """Points factored: `factor` (6, rows) the lower triangles L of their normal matrices L L', `halves` (c, 3, obs) of
+    """Points factored: `factor` (6, rows) the lower triangles L of their normal matrices L L', `halves` (3, obs, c) of
     images and (lenses, 3, rows) of lenses the couplings times L'^-1, `forward` (3, rows) the gradients L^-1 g."""
 
     factor: Float[Array, "6 rows"]
-    halves: Float[Array, "c 3 obs"]
+    halves: Float[Array, "3 obs c"]
     shared_halves: Float[Array, "lenses 3 rows"]
     forward: Float[Array, "3 rows"]
 
@@ -34,17 +34,16 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
     """Factors of the points' normal matrices, their diagonals larger by the share `damping`."""
     V = equations.points * (1.0 + damping * jnp.eye(3)[:, :, None])
     factor = _cholesky_3(V)
-    rows = problem.layout.row
-    of_obs = [f[rows] for f in factor]
+    of_obs = problem.layout.to_rays(jnp.stack(factor))
     return Eliminated(
         jnp.stack(factor),
-        times_inverse(of_obs, equations.coupling),
+        jnp.moveaxis(times_inverse(of_obs, equations.coupling), 0, -1),
         times_inverse(factor, equations.shared_coupling),
         _forward(factor, equations.point_gradient),
     )
 
 
-def reduced(problem: Problem, equations: Equations, points: Eliminated, damping: Any) -> Reduced:
+def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """The reduced system; its diagonal, too, is larger by the share `damping`, and one where columns are fixed."""
     n, c, s = problem.n, problem.of_image, problem.shared
     images = equations.images * (1.0 + damping * jnp.eye(c))
@@ -55,9 +54,10 @@ def reduced(problem: Problem, equations: Equations, points: Eliminated, damping:
     matrix = matrix.at[each, :, each, :].add(images + jnp.eye(c) * (1.0 - free_images)[:, :, None])
     border, corner = equations.images_shared, shared + jnp.diag(1.0 - free_shared)
     gradient, shared_gradient = equations.image_gradient, equations.shared_gradient
-    for group in problem.layout.groups:
-        state = (matrix, border, corner, gradient, shared_gradient)
-        matrix, border, corner, gradient, shared_gradient = _less_points(problem, group, points, state)
+    state = (matrix, border, corner, gradient, shared_gradient)
+    for group, own in zip(problem.layout.groups, rows, strict=True):
+        state = _less_points(problem, group, own, state)
+    matrix, border, corner, gradient, shared_gradient = state
     N = n * c
     matrix = matrix[:n, :, :n, :].reshape(N, N)
     border = border.reshape(N, s)
@@ -68,7 +68,7 @@ def reduced(problem: Problem, equations: Equations, points: Eliminated, damping:
 def back_substituted(problem: Problem, points: Eliminated, images: Any, shared: Any) -> Float[Array, "3 rows"]:
     """Steps of the points from those (n, c) of the images and (s,) of what they share."""
     layout = problem.layout
-    along = jnp.sum(points.halves * images.T[:, layout.image][:, None], axis=0)  # (3, obs)
+    along = jnp.sum(points.halves * images[layout.image][None], axis=-1)  # (3, obs)
     found = []
     for group in layout.groups:
         part = along[:, group.first : group.first + group.rays * group.rows]
@@ -79,54 +79,74 @@ def back_substituted(problem: Problem, points: Eliminated, images: Any, shared: 
     return -backward(points.factor, total)
 
 
-def chunk_rows(problem: Problem, group: Group, points: Eliminated) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """(rows (chunks, size * 3, q c + lenses) of the coupling times L'^-1, forward (chunks, size * 3)) of a group."""
-    c, lenses = problem.of_image, problem.of_lenses
-    part = points.halves[:, :, group.first : group.first + group.rays * group.rows]
-    part = part.reshape(c, 3, group.rays, group.chunks, group.size)
-    part = jnp.transpose(part, (3, 4, 1, 2, 0))  # chunks, size, 3, rays, c
-    part = jnp.concatenate([part, jnp.zeros((*part.shape[:3], 1, c))], axis=3)
-    rows = jnp.take_along_axis(part, group.ray_of_slot[:, :, None, :, None], axis=3)  # chunks, size, 3, q, c
-    rows = rows.reshape(group.chunks, group.size * 3, -1)
+class Rows(NamedTuple):
+    """The couplings times L'^-1 of a group's points, chunk by chunk: with the images of its slots (chunks, 3, size, q,
+    c), with lenses (chunks, 3, size, lenses), and the forward gradients (chunks, 3, size)."""
+
+    images: Float[Array, "chunks 3 size q c"]
+    lenses: Float[Array, "chunks 3 size lenses"]
+    forward: Float[Array, "chunks 3 size"]
+
+    def joined(self) -> Float[Array, "chunks rows columns"]:
+        """As one matrix for each chunk: its 3 size rows, columns of the images' slots and of the lenses."""
+        chunks, three, size, q, c = self.images.shape
+        both = (self.images.reshape(chunks, three, size, q * c), self.lenses)
+        return jnp.concatenate(both, axis=-1).reshape(chunks, three * size, -1)
+
+
+def rows_of(problem: Problem, group: Group, points: Eliminated) -> Rows:
+    """The rows of a group's points, gathered from their measurements."""
+    shape = (3, group.chunks, group.size)
+    images = points.halves.at[:, group.measured].get(mode="promise_in_bounds")
     own = slice(group.first_row, group.first_row + group.rows)
-    if lenses:
-        of_lenses = points.shared_halves[:, :, own].reshape(lenses, 3, group.chunks, group.size)
-        of_lenses = jnp.transpose(of_lenses, (2, 3, 1, 0)).reshape(group.chunks, group.size * 3, lenses)
-        rows = jnp.concatenate([rows, of_lenses], axis=-1)
-    forward = points.forward[:, own].reshape(3, group.chunks, group.size)
-    return rows, jnp.transpose(forward, (1, 2, 0)).reshape(group.chunks, group.size * 3)
+    lenses = jnp.moveaxis(points.shared_halves[:, :, own].reshape(problem.of_lenses, *shape), 0, -1)
+    forward = points.forward[:, own].reshape(shape)
+    return Rows(*(jnp.moveaxis(x, 1, 0) for x in (images, lenses, forward)))
 
 
-def _less_points(problem: Problem, group: Group, points: Eliminated, state: Any) -> Any:
+@eqx.filter_jit
+def eliminate(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
+    """`eliminated`, compiled."""
+    return eliminated(problem, equations, damping)
+
+
+@eqx.filter_jit
+def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
+    """The rows of all groups: a program of its own, as one with what comes before or after takes several times as long
+    (the compiler then makes again for each number gathered what it is gathered from, and where to)."""
+    return tuple(rows_of(problem, group, points) for group in problem.layout.groups)
+
+
+def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:
     """The reduced system less what the points of a group take from it."""
-    c, lenses = problem.of_image, problem.of_lenses
-    # Left to itself, the compiler would gather the rows once for each side of the product.
-    rows, forward = jax.lax.optimization_barrier(chunk_rows(problem, group, points))
-    q = group.slots.shape[1]
+    c, lenses, q = problem.of_image, problem.of_lenses, group.slots.shape[1]
 
     def one(state: Any, chunk: Any) -> tuple[Any, None]:
         matrix, border, corner, gradient, shared_gradient = state
-        slots, D, y = chunk
-        square, along = jax.lax.dot_general(D, D, (((0,), (0,)), ((), ()))), y @ D
-        images = square[: q * c, : q * c].reshape(q, c, q, c)
+        slots, (D, of_lenses, y) = chunk
+        D, of_lenses, y = D.reshape(3 * group.size, q * c), of_lenses.reshape(3 * group.size, lenses), y.reshape(-1)
+        square, along = _transposed_times(D, D).reshape(q, c, q, c), (y @ D).reshape(q, c)
         if group.dense:
-            matrix, gradient = matrix - images, gradient - along[: q * c].reshape(q, c)
+            matrix, gradient = matrix - square, gradient - along
         else:
-            at = (slots[:, None], jnp.arange(c)[None, :])
-            matrix = matrix.at[
-                at[0][:, :, None, None], at[1][:, :, None, None], at[0][None, None], at[1][None, None]
-            ].add(-images, mode="drop")
-            gradient = gradient.at[slots].add(-along[: q * c].reshape(q, c), mode="drop")
+            image, column = slots[:, None], jnp.arange(c)[None, :]
+            down, across = (x[:, :, None, None] for x in (image, column)), (image[None, None], column[None, None])
+            matrix = matrix.at[*down, *across].add(-square, mode="drop")
+            gradient = gradient.at[slots].add(-along, mode="drop")
         if lenses:
-            mixed = square[: q * c, q * c :].reshape(q, c, lenses)
+            mixed = _transposed_times(D, of_lenses).reshape(q, c, lenses)
             border = border.at[slots, :, :lenses].add(-mixed, mode="drop")
-            corner = corner.at[:lenses, :lenses].add(-square[q * c :, q * c :])
-            shared_gradient = shared_gradient.at[:lenses].add(-along[q * c :])
+            corner = corner.at[:lenses, :lenses].add(-_transposed_times(of_lenses, of_lenses))
+            shared_gradient = shared_gradient.at[:lenses].add(-(y @ of_lenses))
         return (matrix, border, corner, gradient, shared_gradient), None
 
     if group.chunks == 1:
-        return one(state, (group.slots[0], rows[0], forward[0]))[0]
-    return jax.lax.scan(one, state, (group.slots, rows, forward))[0]
+        return one(state, (group.slots[0], Rows(*(x[0] for x in rows))))[0]
+    return jax.lax.scan(one, state, (group.slots, rows))[0]
+
+
+def _transposed_times(A: Float[Array, "rows a"], B: Float[Array, "rows b"]) -> Float[Array, "a b"]:
+    return jax.lax.dot_general(A, B, (((0,), (0,)), ((), ())))
 
 
 def _dense(problem: Problem) -> bool:

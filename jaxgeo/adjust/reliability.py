@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import scipy  # loads its parts when they are asked for
 
-from jaxgeo.adjust.adjustment import Adjustment, adjust
+from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
+from jaxgeo.adjust.bundle import adjust
 from jaxgeo.adjust.posterior import leverages
 from jaxgeo.adjust.unknowns import Unknowns
 

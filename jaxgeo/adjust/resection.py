@@ -23,10 +23,15 @@ def resect(
 ) -> Images:
     """The orientations of images by the control points that they see, each image by itself, as a start.
 
-    `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares.
-    Raises `ValueError` for an image that sees fewer than four control points, or in which they stand in one line.
+    `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares. Points
+    with an infinite sigma are left out. Raises `ValueError` for a camera that there is not, and an image that sees fewer
+    than four control points, in which they stand in one line, or whose camera has no ray for one of them.
     """
-    where = dict(zip(control.name.tolist(), control.place, strict=True))
+    known = np.all(np.isfinite(control.sigma), axis=1)
+    where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
+    missing = [camera for camera in camera_of.values() if camera not in cameras]
+    if missing:
+        raise ValueError(f"there is no camera {missing[0]!r}; known are {', '.join(cameras)}.")
     centres, rotations = [], []
     for image, camera in camera_of.items():
         rows = [i for i in np.flatnonzero(observations.image == image) if observations.point[i] in where]
@@ -52,6 +57,11 @@ def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[n
     """
     rays, _ = jax.vmap(camera.ray)(jnp.asarray(uv))
     ideal = np.asarray(rays[:, :2] / rays[:, 2:])
+    lost = ~np.all(np.isfinite(ideal), axis=1)
+    if np.any(lost):
+        raise ValueError(
+            f"the camera sees nothing at {np.asarray(uv)[np.argmax(lost)].tolist()} px, where its lens folds."
+        )
     middle = places.mean(axis=0)
     _, spread, axes = np.linalg.svd(places - middle)
     if spread[1] < 1e-3 * spread[0]:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import back_substituted, eliminated, reduced
+from jaxgeo.adjust.reduction import Eliminated, Rows, back_substituted, eliminate, gather, reduced
 from jaxgeo.adjust.values import Values, moved
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
@@ -75,7 +75,10 @@ def solve(
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
     damping, growth, converged = solver.damping, 2.0, False
     while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
-        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping))
+        share = jnp.asarray(damping)
+        points = eliminate(problem, equations, share)
+        rows = gather(problem, points)
+        trial, new_cost, promised = _trial(problem, values, equations, (points, rows), loss, share)
         new_cost, promised = float(new_cost), float(promised)
         decrease = cost - new_cost
         least = max(solver.relative * cost, solver.absolute)
@@ -104,11 +107,16 @@ def equations_at(problem: Problem, values: Values, loss: AbstractLoss) -> Equati
 
 @eqx.filter_jit
 def _trial(
-    problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar
+    problem: Problem,
+    values: Values,
+    equations: Equations,
+    ready: tuple[Eliminated, tuple[Rows, ...]],
+    loss: AbstractLoss,
+    damping: Scalar,
 ) -> tuple[Values, Scalar, Scalar]:
     """(values after a damped step, their cost, the decrease that the step promises)."""
-    points = eliminated(problem, equations, damping)
-    system = reduced(problem, equations, points, damping)
+    points, rows = ready
+    system = reduced(problem, equations, rows, damping)
     solution = -solved(system.matrix, system.gradient)
     images = solution[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
     shared = solution[problem.n * problem.of_image :]

@@ -1,0 +1,136 @@
+"""Bundle adjustment: a block's most likely orientations, points and calibrations; free networks; what is not held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.block import Block
+from jaxgeo.adjust.datum import motions, unheld
+from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.posterior import Datum
+from jaxgeo.adjust.problem import Prepared, prepared
+from jaxgeo.adjust.solve import Iteration, Solution, Solver, equations_at, solve
+from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.unknowns import Unknowns
+from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, reduced_at, weakest
+
+SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
+NEAREST = 50  # steps that bring a free network to where it started
+
+
+@dataclass(frozen=True)
+class InnerConstraints:
+    """A free network: what nothing holds of the whole (position, orientation, scale) is taken such that the points
+    stay, in the mean square, where they started; their covariances are the least that any datum gives."""
+
+
+def adjust(
+    block: Block,
+    unknowns: Unknowns | None = None,
+    *,
+    loss: AbstractLoss | None = None,
+    datum: InnerConstraints | None = None,
+    terrain: OnTerrain | None = None,
+    solver: Solver | None = None,
+    told: Callable[[Iteration], Any] | None = None,
+) -> Adjustment:
+    """The orientations, points and calibrations under which a block's observations are most likely.
+
+    Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
+    Eqs 1 and 3-5), image points with a `loss` if that is given. `terrain` ties points to a model of the ground
+    (`TerrainHeights`). `told` hears of every iteration.
+
+    Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
+    for a free network; and for any other combination of unknowns. Raises `ValueError` as `Unknowns` and `Block`.
+    """
+    unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
+    ready = prepared(block, unknowns, terrain)
+    solution = solve(ready.problem, loss, solver, told)
+    rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+    rows = rows[np.any(rows != 0.0, axis=1)]
+    if len(rows) and datum is None:
+        words = datum_words(rows)
+        raise DeficientBlock(
+            f"nothing holds the {'; '.join(words)}. Give control or navigation that does, or adjust a free network "
+            f"with datum=InnerConstraints().",
+            [Direction(word, 0.0, {}) for word in words],
+        )
+    held = None
+    if len(rows):
+        solution = _at_start(ready, solution, loss, rows)
+        rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+        rows = rows[np.any(rows != 0.0, axis=1)]
+        held = _datum(ready.problem, solution.values, jnp.asarray(rows))
+    adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
+    if not np.all(np.isfinite(np.diagonal(np.asarray(adjustment.posterior.covariance)))) or _singular(adjustment):
+        weak = [d for d in weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
+        words = "; ".join(str(direction) for direction in weak) or "the normal equations"
+        raise DeficientBlock(f"the block does not hold {words}. Fix some of it, or give priors.", weak)
+    return adjustment
+
+
+@eqx.filter_jit
+def _unheld(problem: Any, values: Any, equations: Any) -> Any:
+    return unheld(problem, values, equations)
+
+
+@eqx.filter_jit
+def _datum(problem: Any, values: Any, rows: Any) -> Datum:
+    z, x = motions(problem, values)
+    return Datum(rows @ z, jnp.einsum("dm,mir->dir", rows, x))
+
+
+def _singular(adjustment: Adjustment) -> bool:
+    """Whether the scaled inverse is so large that it is made of rounding."""
+    Q = np.asarray(adjustment.posterior.covariance)
+    problem, equations = adjustment.prepared.problem, adjustment.solution.equations
+    system = np.asarray(reduced_at(problem, equations).matrix)
+    return bool(np.max(np.diagonal(Q) * np.diagonal(system)) > 0.1 / SINGULAR)
+
+
+def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.ndarray) -> Solution:
+    """A free network moved as a whole so that its points lie, in the mean square, where they started.
+
+    It is moved by what nothing holds, `rows` (d, 7) of `MOTIONS`, and by nothing else.
+    """
+    values, problem = solution.values, ready.problem
+    own = ready.order.row_of_point
+    scale, R, shift = nearest(np.asarray(values.points)[own], np.asarray(problem.start.points)[own], rows)
+    points = np.asarray(values.points) @ R.T * scale + shift
+    centre = np.asarray(values.centre) @ R.T * scale + shift
+    turned = R @ np.asarray(values.R_frame_from_camera)
+    changed = (jnp.asarray(centre), jnp.asarray(turned), jnp.asarray(points))
+    values = eqx.tree_at(lambda v: (v.centre, v.R_frame_from_camera, v.points), values, changed)
+    return Solution(values, equations_at(problem, values, loss), solution.log, solution.converged)
+
+
+def nearest(source: np.ndarray, target: np.ndarray, rows: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """(scale, rotation, shift) that bring points (m, 3) nearest to others by combinations (d, 7) of `MOTIONS` only."""
+    import scipy  # loads its parts when they are asked for
+
+    middle = source.mean(axis=0)
+    offsets, goal = source - middle, target - middle
+    size = np.sqrt(np.mean(np.sum(offsets**2, axis=1)))
+    generators = np.zeros((len(rows), 4, 4))  # of the group of similarities, of which those that nothing holds are one
+    for generator, row in zip(generators, rows / np.abs(rows).max(axis=1, keepdims=True), strict=True):
+        x, y, z = row[3:6] / size
+        generator[:3, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) + np.eye(3) * row[6] / size
+        generator[:3, 3] = row[:3]
+    total = np.eye(4)
+    for _ in range(NEAREST):
+        moved = offsets @ total[:3, :3].T + total[:3, 3]
+        along = np.stack([(moved @ g[:3, :3].T + g[:3, 3]).ravel() for g in generators], axis=1)
+        step = np.linalg.lstsq(along, (goal - moved).ravel(), rcond=None)[0]
+        total = scipy.linalg.expm(np.einsum("d,dij->ij", step, generators)) @ total
+        if np.linalg.norm(along @ step) <= 1e-12 * size:
+            break
+    scale = float(np.cbrt(np.linalg.det(total[:3, :3])))
+    R = total[:3, :3] / scale
+    return scale, R, middle + total[:3, 3] - scale * R @ middle

@@ -1,0 +1,270 @@
+"""Forward intersection: the point that is seen in two or more images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Int
+
+from jaxgeo._numerics import all_finite, finite_or
+from jaxgeo._typing import (
+    Matrix3,
+    Matrix3Field,
+    Numbers,
+    Scalar,
+    ScalarField,
+    StatusCode,
+    StatusField,
+    Vector3,
+    Vector3Field,
+)
+from jaxgeo.adjust._measured import Measured, checked_measurements
+from jaxgeo.adjust._solution import Root, Seen, ranges_of, solved, spread_of
+from jaxgeo.adjust.rays import (
+    Flags,
+    Image,
+    Rays,
+    Residuals,
+    Stacked,
+    has_pixel,
+    largest_angle,
+    moved_by_errors,
+    nearest_point,
+    residuals_of,
+    shared_covariance,
+    whitening,
+)
+from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_enu
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor.sensor import made_safe
+from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+
+CLOSE_ENOUGH = 1e-6  # m, and of the standard deviation: the longest last step
+WEAK = 0.1  # of the shortest slant range: a point less sure than this may as well lie anywhere along its rays
+NEARLY_PARALLEL = 0.02  # rad: rays that meet behind the camera within this angle are said to be weak, not wrong
+
+
+# Under `jit` what is no covariance, that of no point, gives NaN in place of an exception.
+_circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
+
+
+class Intersection(eqx.Module):
+    """A point seen in several images, how sure it is, and whether it can be trusted.
+
+    `position` and `p_ecef` (m) are the same point; `cov_enu` (3, 3) its covariance in m2 along east, north, up there,
+    by the errors given, not scaled by how well the rays meet. `residuals` (rays, 2) are the pixels of the point less
+    those measured, px; `chi_square` is what they come to against the errors given, with `degrees_of_freedom`; `angle`
+    in rad the largest between any two rays; `slant_ranges` (rays,) in m from each perspective centre; `used` (rays,)
+    whether a ray has a part in it. `status` is an int8 `Status`. What is not `ok`, and rays that are not used, have
+    NaN; the angle stays where there are rays. Under `vmap` all have a leading axis of points.
+    """
+
+    position: Geodetic
+    p_ecef: Vector3Field
+    cov_enu: Matrix3Field
+    residuals: Numbers
+    chi_square: ScalarField
+    angle: ScalarField
+    slant_ranges: Numbers
+    used: Bool[Array, "..."]
+    status: StatusField
+
+    @property
+    def ok(self) -> Bool[Array, "..."]:
+        """Whether there is a point."""
+        return jnp.asarray(self.status) == Status.hit
+
+    @property
+    def rays(self) -> Int[Array, "..."]:
+        """How many rays are used."""
+        return jnp.sum(self.used, axis=-1)
+
+    @property
+    def degrees_of_freedom(self) -> Int[Array, "..."]:
+        """By how much there are more measurements than coordinates: 2 rays - 3."""
+        return jnp.maximum(2 * self.rays - 3, 0)
+
+    @property
+    def sigma0(self) -> Numbers:
+        """How many times larger the residuals are than the errors given would have them: 1 if those are right."""
+        return jnp.sqrt(jnp.asarray(self.chi_square) / jnp.maximum(self.degrees_of_freedom, 1))
+
+    @property
+    def cov_ecef(self) -> Numbers:
+        """Covariance in ECEF, m2, (..., 3, 3)."""
+        cov, lat, lon = (jnp.asarray(x) for x in (self.cov_enu, self.position.lat, self.position.lon))
+
+        def turned_into_ecef(cov: Matrix3, lat: Scalar, lon: Scalar) -> Matrix3:
+            R = R_ecef_from_enu(Geodetic(lat=lat, lon=lon, height=jnp.zeros_like(lat)))
+            return R @ cov @ R.T
+
+        several = jax.vmap(turned_into_ecef)(cov.reshape(-1, 3, 3), lat.reshape(-1), lon.reshape(-1))
+        return several.reshape(cov.shape)
+
+    @property
+    def ce90(self) -> Numbers:
+        """Radius in m about the point, on the level plane, that holds the true one with 90 %."""
+        return self.circular_error(0.9)
+
+    @property
+    def le90(self) -> Numbers:
+        """Height in m above and below the point that holds the true one with 90 %."""
+        return self.linear_error(0.9)
+
+    def circular_error(self, probability: ArrayLike) -> Numbers:
+        """Radius in m about the point, on the level plane, that holds the true one with a probability."""
+        return _circular_error(jnp.asarray(self.cov_enu)[..., :2, :2], probability)
+
+    def linear_error(self, probability: ArrayLike) -> Numbers:
+        """Height in m above and below the point that holds the true one with a probability."""
+        return _linear_error(jnp.asarray(self.cov_enu)[..., 2, 2], probability)
+
+    def spherical_error(self, probability: ArrayLike) -> Numbers:
+        """Radius in m about the point that holds the true one in space with a probability."""
+        return _spherical_error(jnp.asarray(self.cov_enu), probability)
+
+
+def intersect_images(
+    sensor: Sensor | Any,
+    shots: Shot | Any,
+    uvs: Any,
+    *,
+    sigma: Any = None,
+    errors: Any = None,
+    use: Any = None,
+    atmosphere: Atmosphere | None = None,
+    shot_of: Any = None,
+    flight_of: Any = None,
+) -> Intersection:
+    """The point that pixels of several shots see, where their rays come together best, and how sure it is.
+
+    `shots` is a `Shot` with a leading axis (rays,), or a list of shots; `uvs` (rays, 2) the measured (column, row) in
+    px; `sensor` one for all, or a list, or a batch with a leading axis (rays,) on every number. `use` (rays,) says
+    which rays count (all if left out), so that points in different numbers of images can be padded to one shape, with
+    anything, and go through one `jax.vmap`. With an `atmosphere` the lines of sight are bent as in `jaxgeo.project`.
+
+    What errs, and so how rays are weighed, is said by one of these, or both:
+
+    * `sigma`: standard deviation of the measured pixels in px (a number, (rays,), or (rays, 2)), all independent. Least
+      squares with these weights, as if cameras and shots were without error.
+    * `errors`: an `ErrorModel`, or a tuple of sources. Generalised least squares with the covariance of all residuals,
+      in which what sources share from image to image is correlated (a boresight `EachFlight`, an attitude `EachShot`):
+      no linear unbiased estimate is better. It should have a `PixelMeasurement`. Errors of the terrain have no part.
+    * both: weighed by `sigma` alone, as most programs do; with the covariance that has under `errors`.
+
+    `shot_of` and `flight_of` (rays,) number the shot and the flight of each ray (all different; all one), as for
+    `jaxgeo.uncertainty.jointly`: two cameras that are exposed as one have the same shot. Cameras that are calibrated
+    each for itself need flights of their own. Times are those of the shots.
+
+    The equations are the collinearity equations, residuals in pixels, minimised by Gauss and Newton from the point
+    nearest to all rays. Xue, Zhang, Wang, Yu and Cao (2019), Eq 2, write them linear in the coordinates, l1 X + l2 Y +
+    l3 Z - lx = 0, whose residuals are those in pixels times the depth, so that far images count for more than near
+    ones; and lx is not the pixel, as is said there, but l1 Xs + l2 Ys + l3 Zs with the perspective centre. Correlations
+    are taken at the point that equal weights give. Position, covariance and all else are differentiable, to second
+    order, forward and reverse, by the implicit function theorem, in shots, sensor, pixels, air and sigmas.
+
+    The status says `too_few_rays` for fewer than two that are used; `weak_intersection` where the point's standard
+    deviation is over a tenth of the shortest slant range; `behind_camera`, `outside_distortion_field`, `invalid_input`
+    (NaN in a ray that is used), `not_converged`. A ray is never left out by itself. One that scans as it moves needs
+    shots at its pixels' own times.
+
+    Raises `RuntimeError` with 64-bit floats off; `TypeError` for float32 and arguments of the wrong kind; `ValueError`
+    for shapes that do not fit, fewer than two rays, a latitude beyond a pole, a sigma that is not positive, neither
+    sigma nor errors, and as `jaxgeo.uncertainty.propagate` does for errors.
+    """
+    measured = checked_measurements(sensor, shots, uvs, sigma, errors, use, atmosphere, shot_of, flight_of)
+    return _intersected(measured)
+
+
+@eqx.filter_jit
+def _intersected(measured: Measured) -> Intersection:
+    images, directions, rays, status = _lines(measured)
+    used, air = images.used, finite_or(measured.air, 1.0)
+    p_ecef, meet = nearest_point(*jax.lax.stop_gradient((images.sight.centre, directions)), used)
+    seen, errors = Seen(images, _pixel_weights(measured.sigma, used), air), None
+    p_ecef, step = solved(seen, p_ecef)
+    if measured.errors is not None:
+        errors = _errors_at(measured, rays, p_ecef, air)
+    if errors is not None and measured.sigma is None:
+        seen = Seen(images, errors[0], air)
+        p_ecef, step = solved(seen, p_ecef)
+    residuals, statuses = residuals_of(images, p_ecef, air)
+    cov, chi_square = spread_of(seen, errors, p_ecef, residuals)
+
+    ranges, angle = ranges_of(images, p_ecef), largest_angle(directions, used)
+    deviation = jnp.sqrt(jnp.maximum(jnp.trace(cov), 0.0))
+    is_far = ~(deviation <= WEAK * jnp.min(jnp.where(used, ranges, jnp.inf)))
+    unseen = _first(jnp.where(has_pixel(statuses), Status.hit.code, statuses), used)
+    is_weak = ~meet | is_far & ((unseen == Status.hit) | (angle < NEARLY_PARALLEL))
+    is_done = step <= CLOSE_ENOUGH * (1.0 + deviation)
+    status = first_failure(status, status_where(is_weak, Status.weak_intersection, Status.hit.code), unseen)
+    status = first_failure(status, status_where(is_done, Status.hit, Status.not_converged.code))
+
+    ok, position = status == Status.hit, WGS84.to_geodetic(p_ecef)
+    R = R_ecef_from_enu(position)
+    numbers = (position, p_ecef, R.T @ cov @ R, residuals, chi_square)
+    position, p_ecef, cov_enu, residuals, chi_square = jax.tree.map(lambda x: jnp.where(ok, x, jnp.nan), numbers)
+    residuals = jnp.where(used[:, None], residuals, jnp.nan)
+    ranges = jnp.where(ok & used, ranges, jnp.nan)
+    angle = jnp.where(jnp.sum(used) >= 2, angle, jnp.nan)
+    return Intersection(position, p_ecef, cov_enu, residuals, chi_square, angle, ranges, measured.use, status)
+
+
+def _lines(measured: Measured) -> tuple[Image, Rays, tuple[Sensor, Shot, Residuals, Flags], StatusCode]:
+    """(images; directions in ECEF; sensors, shots, pixels and which are sound and used; what is wrong with any used).
+
+    Rays that are not are stood in for by the first that is, so that all numbers and derivatives are finite.
+    """
+    valid, sensors, shots, uvs = jax.vmap(made_safe)(measured.sensors, measured.shots, measured.uvs)
+    sound = measured.use & valid
+    stands_in = jnp.argmax(sound)
+
+    def filled(numbers: Array) -> Array:
+        return jax.vmap(lambda number, own: jnp.where(own, number, numbers[stands_in]))(numbers, sound)
+
+    sensors, shots, uvs = jax.tree.map(filled, (sensors, shots, uvs))
+    sights = jax.vmap(Sensor.sight)(sensors, shots)
+    _, directions, seen = jax.vmap(Sensor.ray_from)(sensors, sights, uvs, sound)
+    has_ray = sound & has_pixel(seen)
+    directions = jnp.where(has_ray[:, None], directions, jnp.array([[1.0, 0.0, 0.0]]))
+    fit = all_finite((measured.air, measured.errors)) & jnp.all(~sound | _is_sigma(measured.sigma, sound))
+    is_valid = fit & jnp.all(valid | ~measured.use)
+    status = first_failure(
+        status_where(is_valid, Status.hit, Status.invalid_input.code),
+        status_where(jnp.sum(measured.use) < 2, Status.too_few_rays, Status.hit.code),
+        _first(jnp.where(has_pixel(seen), Status.hit.code, seen), sound),
+    )
+    return Image(sensors.camera, sights, uvs, has_ray), directions, (sensors, shots, uvs, has_ray), status
+
+
+def _is_sigma(sigma: Residuals | None, sound: Flags) -> Flags:
+    return sound if sigma is None else jnp.all(jnp.isfinite(sigma) & (sigma > 0.0), axis=1)
+
+
+def _first(statuses: Any, used: Flags) -> StatusCode:
+    """The first status that is not `hit`, of the rays that are used."""
+    failed = used & (statuses != Status.hit)
+    return jnp.where(jnp.any(failed), statuses[jnp.argmax(failed)], Status.hit.code)
+
+
+def _pixel_weights(sigma: Residuals | None, used: Flags) -> Root:
+    """Root of the weights by pixels: one over their standard deviations, or 1; zero for what is not used."""
+    root = jnp.ones((used.shape[0], 2))
+    if sigma is not None:
+        is_number = _is_sigma(sigma, used)[:, None]
+        root = jnp.where(is_number, 1.0 / jnp.where(is_number, sigma, 1.0), 0.0)
+    return jnp.where(used[:, None], root, 0.0).reshape(-1)
+
+
+def _errors_at(measured: Measured, rays: Any, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Root, Stacked]:
+    """(root of the inverse of the errors' covariance of the residuals of a point; that covariance, px2)."""
+    assert measured.errors is not None
+    model = finite_or(measured.errors, 1.0)
+    occasions = measured.occasions._replace(time=rays[1].time)
+    cov = shared_covariance(model, moved_by_errors(model, rays, p_ecef, air), occasions)
+    return whitening(cov), cov
