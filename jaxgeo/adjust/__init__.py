@@ -3,10 +3,11 @@
 from jaxgeo.adjust.adjustment import Adjustment, Parameter
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
-from jaxgeo.adjust.bundle import InnerConstraints, adjust
+from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, NotConverged, adjust
 from jaxgeo.adjust.calibration import Calibration, calibration
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.intersection import Intersection, intersect_images
 from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.records import ImagePoints
@@ -20,6 +21,7 @@ from jaxgeo.adjust.weakness import DeficientBlock, Direction
 __all__ = [
     "AbstractLoss",
     "Adjustment",
+    "BehindCamera",
     "Block",
     "Blunder",
     "Calibration",
@@ -34,10 +36,12 @@ __all__ = [
     "ImagePoints",
     "Images",
     "InnerConstraints",
+    "Intersection",
     "Iteration",
     "LeastSquares",
     "LocalFrame",
     "Navigation",
+    "NotConverged",
     "OnTerrain",
     "Parameter",
     "Prior",
@@ -49,6 +53,7 @@ __all__ = [
     "adjust",
     "blunders",
     "calibration",
+    "intersect_images",
     "reliability",
     "resect",
     "resected",

@@ -65,7 +65,7 @@ class Adjustment:
 
     @property
     def converged(self) -> bool:
-        """Whether the iterations came to an end."""
+        """Whether the iterations came to an end; `adjust` raises `NotConverged` where they do not."""
         return self.solution.converged
 
     @property
@@ -125,6 +125,22 @@ class Adjustment:
         """Residuals of the image points (k, 2) in px, adjusted less measured, in the order of the observations."""
         weighted = np.asarray(self._image_residuals).T[self.prepared.order.place]
         return weighted * self.block.observations.sigma
+
+    @cached_property
+    def visible(self) -> np.ndarray:
+        """Of each image point (k,), whether its adjusted point lies in front of the camera and in its lens's field."""
+        seen, images = self.block.observations, self.images
+        by_name = np.argsort(images.name)
+        image = by_name[np.searchsorted(images.name, seen.image, sorter=by_name)]
+        names = self.prepared.names.point
+        places = np.asarray(self.solution.values.points)[self.prepared.order.row_of_point]
+        offset = places[np.searchsorted(names, seen.point)] - images.centre[image]
+        d = np.einsum("kij,ki->kj", images.R_frame_from_camera[image], offset)
+        found = d[:, 2] > 0.0
+        for name, camera in self.cameras.items():
+            own = np.flatnonzero(found & (images.camera[image] == name))
+            found[own] = np.asarray(jax.vmap(camera.distortion.in_field)(jnp.asarray(d[own, :2] / d[own, 2:])))
+        return found
 
     @cached_property
     def navigation_residuals(self) -> np.ndarray | None:
@@ -214,10 +230,10 @@ class Adjustment:
         """Everything that is unknown of cameras, mounts and strips, with standard deviations of unit weight."""
         problem, values = self.prepared.problem, self.solution.values
         known = {
-            "camera": (names.camera, values.lens, problem.lens),
-            "mount": (names.mount, self._of_mounts, problem.mount),
+            "camera": (values.lens, problem.lens),
+            "mount": (self._of_mounts, problem.mount),
+            "strip": (values.strip, problem.strip),
         }
-        known["strip"] = (names.strip, values.strip, problem.strip)
         found = []
         for at, whose, name, kind, row, column in self._parameter_columns:
             numbers, prior = known[kind]

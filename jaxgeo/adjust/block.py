@@ -229,7 +229,9 @@ def _with_points(a: GroundPoints | None, b: GroundPoints | None, what: str) -> G
     if a.covariance is None and new.covariance is None:
         return GroundPoints(**joined_)
     if not np.all(np.isfinite(joined_["sigma"]) & (joined_["sigma"] > 0.0)):
-        raise ValueError(f"{what}: one block gives covariances, the other sigmas that are zero or infinite; give one kind.")
+        raise ValueError(
+            f"{what}: one block gives covariances, the other sigmas that are zero or infinite; give one kind."
+        )
     parts = [np.eye(3) * x.sigma[:, None, :] ** 2 if x.covariance is None else x.covariance for x in (a, new)]
     return GroundPoints(**joined_, covariance=np.concatenate(parts))
 

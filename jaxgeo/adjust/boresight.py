@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._numerics import product
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.collinearity import Observed, navigation_residual
 from jaxgeo.adjust.navigation import Navigation
@@ -101,33 +102,35 @@ def _two_step(
     with_lever: bool,
 ) -> tuple[Array, Array, Array, Array]:
     """(turn, lever, covariance, sigma0) by generalised least squares over all images at once."""
-    size = 6 if with_lever else 3
+    size, n = 6 if with_lever else 3, centre.shape[0]
 
-    def residual(x: Float[Array, " size"], step: Float[Array, "n 6"]) -> Float[Array, " all"]:
-        boresight = R_from_rotation_vector(x[:3])
+    def one(x: Float[Array, " size"], step: Float[Array, "6"], image: Any) -> Float[Array, "6"]:
+        seen, centre, R, strip = image
         arm = lever + x[3:] if with_lever else lever
+        R = product(R, R_from_rotation_vector(step[3:]))
+        return navigation_residual(seen, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip)
 
-        def one(seen: Observed, centre: Array, R: Array, strip: Array, step: Array) -> Array:
-            return navigation_residual(
-                seen, centre + step[:3], R @ R_from_rotation_vector(step[3:]), boresight, arm, strip
-            )
+    def linear(x: Float[Array, " size"], image: Any) -> tuple[Array, Array, Array]:
+        none = jnp.zeros(6)
+        return one(x, none, image), jax.jacfwd(one)(x, none, image), jax.jacfwd(one, argnums=1)(x, none, image)
 
-        return jax.vmap(one)(seen, centre, R, strip, step).ravel()
-
-    none = jnp.zeros((centre.shape[0], 6))
+    images = (seen, centre, R, strip)
     observed = jnp.concatenate([seen.information_position, seen.information_attitude], axis=1)
     there = jnp.any(observed != 0.0, axis=2).ravel()
-    x = jnp.zeros(size)
-    for _ in range(STEPS):
-        by_step = jax.jacfwd(residual, argnums=1)(x, none).reshape(there.size, -1)
-        spread = jnp.eye(there.size) + by_step @ covariance @ by_step.T
-        factor = jax.scipy.linalg.cho_factor(spread, lower=True)
-        J = jax.jacfwd(residual)(x, none) * there[:, None]
-        weighted = jax.scipy.linalg.cho_solve(factor, J)
-        normal = J.T @ weighted
-        x = x - jnp.linalg.solve(normal, weighted.T @ (residual(x, none) * there))
-    off = residual(x, none) * there
-    squares = off @ jax.scipy.linalg.cho_solve(factor, off)
+
+    def improved(_: Any, state: Any) -> tuple[Array, Array, Array]:
+        x = state[0]
+        off, J, by_step = jax.vmap(linear, in_axes=(None, 0))(x, images)
+        off, J = off.ravel() * there, J.reshape(-1, size) * there[:, None]
+        blocks = covariance.reshape(n, 6, n, 6)
+        spread = jnp.einsum("iab,ibjc,jdc->iajd", by_step, blocks, by_step).reshape(6 * n, 6 * n)
+        factor = jax.scipy.linalg.cho_factor(jnp.eye(6 * n) + spread, lower=True)
+        normal = J.T @ jax.scipy.linalg.cho_solve(factor, J)
+        weighted = jax.scipy.linalg.cho_solve(factor, off)
+        return x - jnp.linalg.solve(normal, J.T @ weighted), normal, off @ weighted
+
+    start = (jnp.zeros(size), jnp.zeros((size, size)), jnp.zeros(()))
+    x, normal, squares = jax.lax.fori_loop(0, STEPS, improved, start)
     whole = jnp.zeros((6, 6)).at[:size, :size].set(jnp.linalg.inv(normal))
     arm = lever + x[3:] if with_lever else lever
     return x[:3], arm, whole, jnp.sqrt(squares / jnp.maximum(jnp.sum(there) - size, 1))

@@ -25,6 +25,32 @@ SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the d
 NEAREST = 50  # steps that bring a free network to where it started
 
 
+class NotConverged(RuntimeError):
+    """The iterations did not come to an end: `log` tells how they went."""
+
+    def __init__(self, solution: Solution) -> None:
+        self.log = solution.log
+        last = solution.log[-1]
+        super().__init__(
+            f"the adjustment has not converged in {last.number} iterations; the cost is {last.cost:.6g}, the last step "
+            f"promised to lessen it by {last.promised:.3g}. Are the starts within some tens of metres and degrees, and "
+            f"do images, points and cameras belong together? More iterations: solver=Solver(most=...)."
+        )
+
+
+class BehindCamera(ValueError):
+    """Points that lie behind a camera that saw them, or beyond the field of its lens: `rows` of the observations."""
+
+    def __init__(self, block: Block, rows: np.ndarray) -> None:
+        self.rows = rows
+        seen, first = block.observations, rows[0]
+        super().__init__(
+            f"point {seen.point[first]} has come to lie behind image {seen.image[first]}, or beyond the field of its "
+            f"lens, though it was measured there in row {first} ({len(rows)} such measurements): its rays do not meet "
+            f"in front of the cameras. Leave these rows out (error.rows), or correct the orientations to start from."
+        )
+
+
 @dataclass(frozen=True)
 class InnerConstraints:
     """A free network: what nothing holds of the whole (position, orientation, scale) is taken such that the points
@@ -48,11 +74,15 @@ def adjust(
     (`TerrainHeights`). `told` hears of every iteration.
 
     Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
-    for a free network; and for any other combination of unknowns. Raises `ValueError` as `Unknowns` and `Block`.
+    for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log, where the
+    iterations come to no end, `BehindCamera` where points end up where no camera can have seen them, and `ValueError`
+    as `Unknowns` and `Block`.
     """
     unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
     ready = prepared(block, unknowns, terrain)
     solution = solve(ready.problem, loss, solver, told)
+    if not solution.converged:
+        raise NotConverged(solution)
     rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
     rows = rows[np.any(rows != 0.0, axis=1)]
     if len(rows) and datum is None:
@@ -73,6 +103,9 @@ def adjust(
         weak = [d for d in weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(f"the block does not hold {words}. Fix some of it, or give priors.", weak)
+    lost = np.flatnonzero(~adjustment.visible)
+    if len(lost):
+        raise BehindCamera(block, lost)
     return adjustment
 
 

@@ -25,6 +25,8 @@ from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Step, Values, with_interior
 from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera
 
+LEAST_WEIGHT = 1e-10  # that a robust loss leaves a measurement: with none at all, a point of few rays has no place
+
 
 class Known(eqx.Module):
     """What is known of some unknowns beforehand: 1 / sigma (zero where nothing), and 1 where they are free, else 0."""
@@ -182,13 +184,14 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     image, camera = layout.image, layout.camera[layout.image]
     cameras, lens, R, offset = _of_measurements(problem, values)
     d = in_camera(R, offset)
-    ideal = d[:2] / d[2]
+    ideal = d[:2] / d[2:]
     linear = jax.vmap(partial(_pixel_linear, problem.active), in_axes=-1, out_axes=-1)
     found = jax.lax.optimization_barrier((R, d, ideal, linear(cameras, lens, ideal)))
     R, d, ideal, (predicted, by_ideal, by_lens) = found
+    R, d, ideal = R[:, :, None], d[:, None], ideal[:, None]  # for both axes
     residual = (predicted - layout.uv.T) * layout.information.T
     squared = residual[0] ** 2 + residual[1] ** 2
-    root = jnp.sqrt(loss.weight(squared))
+    root = jnp.sqrt(jnp.maximum(loss.weight(squared), LEAST_WEIGHT))[None]
     weight = layout.information.T * root
     x, y = (by * (weight / d[2]) for by in by_ideal)  # derivatives of both axes by d
     z = -(x * ideal[0] + y * ideal[1])
@@ -196,9 +199,9 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     # A turn t of the camera turns what it sees the other way, d - t x d.
     by_turn = [y * d[2] - z * d[1], z * d[0] - x * d[2], x * d[1] - y * d[0]]
     free_point, free_pose = layout.to_rays(problem.free_point.T), gathered(problem.free_pose, image)
-    by_pose = [by * free for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
-    by_point = [by * free for by, free in zip(by_point, free_point, strict=True)]
-    by_lens = [by * weight * free for by, free in zip(by_lens, gathered(problem.lens.free, camera), strict=True)]
+    by_pose = [by * free[None] for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
+    by_point = [by * free[None] for by, free in zip(by_point, free_point, strict=True)]
+    by_lens = [by * weight * free[None] for by, free in zip(by_lens, gathered(problem.lens.free, camera), strict=True)]
     by_lens = jnp.stack(by_lens, axis=1) if by_lens else jnp.zeros((2, 0, image.shape[0]))
     return residual * root, jnp.stack(by_point, axis=1), jnp.stack(by_pose, axis=1), by_lens, loss.rho(squared)
 
@@ -227,7 +230,7 @@ def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[A
 
 def in_camera(R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
     """R' offset: a place in the camera frame."""
-    return _sum(R[i] * offset[i] for i in range(3))
+    return _sum(R[i] * offset[i][None] for i in range(3))
 
 
 def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:

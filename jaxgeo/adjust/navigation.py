@@ -139,7 +139,14 @@ def _of_covariances(covariance: np.ndarray, what: str, unit: str) -> np.ndarray:
 
 def _of_turns(sigma: Any, turns: np.ndarray, count: int) -> np.ndarray:
     """Information of rotation vectors e = T a from that of the angles a."""
-    return information(sigma, count, "sigma_attitude", "rad") @ np.linalg.inv(turns)
+    given = information(sigma, count, "sigma_attitude", "rad")
+    upright = np.abs(np.linalg.det(turns)) < 1e-6
+    if np.any(upright):
+        raise ValueError(
+            f"image {int(np.argmax(upright))} has a pitch of 90 degrees, where heading and roll are one angle, so that "
+            f"its attitude has no covariance by them."
+        )
+    return given @ np.linalg.inv(turns)
 
 
 def _turn_by_angles(shots: Shot) -> np.ndarray:

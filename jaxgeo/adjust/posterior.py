@@ -79,7 +79,7 @@ def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array
 def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array, "rows 3 3"]:
     """Covariance of each point, m2."""
     found = [_by_chunks(problem, group, posterior, rays=False)[0] for group in problem.layout.groups]
-    covariance = _between(posterior.points.factor, jnp.eye(3) + jnp.concatenate(found))
+    covariance = _between(posterior.points.factor, jnp.eye(3)[None] + jnp.concatenate(found))
     if posterior.datum is None:
         return covariance
     transfer = _Transfer.of(problem, posterior)
@@ -104,7 +104,7 @@ def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: P
         spread.append(of_rays)
     columns = own.shape[-1]
     of_rays = jnp.concatenate([*spread, jnp.zeros((1, 3, columns))])
-    of_points = jnp.eye(3) + jnp.concatenate(inner)[layout.row]
+    of_points = jnp.eye(3)[None] + jnp.concatenate(inner)[layout.row]
     blocks = _own_blocks(problem, posterior.covariance, n, c)[layout.image]
     mixed = jnp.einsum("oai,oic,obc->oab", half, of_rays, own)
     total = jnp.einsum("oai,oij,obj->oab", own, blocks, own) + jnp.einsum("oai,oij,obj->oab", half, of_points, half)
@@ -124,7 +124,9 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
 
     def one(chunk: Any) -> tuple[Array, Array]:
         slots, D, measured, camera = chunk
-        spread = jnp.moveaxis((D @ _local(problem, posterior.covariance, slots)).reshape(3, group.size, -1), 0, 1)
+        spread = jnp.moveaxis(
+            (D @ _local(problem, posterior.covariance, slots, group.dense)).reshape(3, group.size, -1), 0, 1
+        )
         D = jnp.moveaxis(D.reshape(3, group.size, -1), 0, 1)
         inner = jnp.sum(D[:, :, None, :] * spread[:, None, :, :], axis=-1)
         if not rays:
@@ -149,11 +151,11 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
     return inner, of_rays.reshape(group.rays * group.rows, 3, -1)
 
 
-def _local(problem: Problem, Q: Float[Array, "N N"], slots: Any) -> Float[Array, "k k"]:
+def _local(problem: Problem, Q: Float[Array, "N N"], slots: Any, dense: bool) -> Float[Array, "k k"]:
     """Rows and columns of the covariance of a chunk's images and of the lenses; zero for slots that hold none."""
     n, c, lenses = problem.n, problem.of_image, problem.of_lenses
     N = n * c
-    if slots.shape[0] == n:  # all of them, in order
+    if dense:  # all of them, in order
         return Q[: N + lenses, : N + lenses]
     there = jnp.repeat(slots < n, c)
     at = jnp.where(there, (jnp.minimum(slots, n - 1)[:, None] * c + jnp.arange(c)[None, :]).reshape(-1), 0)

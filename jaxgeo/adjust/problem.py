@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -205,10 +206,12 @@ def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.nd
             continue
         seen = np.array([i for i, name in enumerate(given.name.tolist()) if name in row_of], int)
         rows = np.array([row_of[name] for name in given.name[seen].tolist()], int)
-        place[rows] = given.place[seen]
-        if given is block.points:
-            continue
         sigma = given.sigma[seen]
+        if given is block.points:
+            place[rows] = given.place[seen]
+            continue
+        start = np.where(np.isnan(place[rows]), np.nan, place[rows])
+        place[rows] = np.where(np.isfinite(sigma), given.place[seen], start)  # what is not known starts by its rays
         with np.errstate(divide="ignore"):
             weight = np.where(sigma > 0.0, 1.0 / sigma, 0.0)
         known[rows] = np.eye(3) * weight[:, None, :]
@@ -234,7 +237,7 @@ def _on_terrain(block: Block, terrain: OnTerrain, points: np.ndarray, order: Ord
     information = np.zeros(order.rows)
     information[order.row_of_point[tied]] = 1.0 / terrain.sigma
     found = TerrainHeights(terrain.dem, block.frame, jnp.asarray(information))
-    unknown = ~np.isfinite(np.asarray(found.residuals(start)))[order.row_of_point]
+    unknown = ~np.isfinite(np.asarray(eqx.filter_jit(found.residuals)(start)))[order.row_of_point]
     if np.any(unknown):
         raise ValueError(
             f"point {points[np.argmax(unknown)]} lies over no known ground of the terrain ({int(np.sum(unknown))} such "

@@ -46,12 +46,12 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
 def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """The reduced system; its diagonal, too, is larger by the share `damping`, and one where columns are fixed."""
     n, c, s = problem.n, problem.of_image, problem.shared
-    images = equations.images * (1.0 + damping * jnp.eye(c))
+    images = equations.images * (1.0 + damping * jnp.eye(c))[None]
     shared = equations.shared * (1.0 + damping * jnp.eye(s))
     free_images, free_shared = free_columns(problem)
     matrix = jnp.zeros((n + 1, c, n + 1, c)) if not _dense(problem) else jnp.zeros((n, c, n, c))
     each = jnp.arange(n)
-    matrix = matrix.at[each, :, each, :].add(images + jnp.eye(c) * (1.0 - free_images)[:, :, None])
+    matrix = matrix.at[each, :, each, :].add(images + jnp.eye(c)[None] * (1.0 - free_images)[:, :, None])
     border, corner = equations.images_shared, shared + jnp.diag(1.0 - free_shared)
     gradient, shared_gradient = equations.image_gradient, equations.shared_gradient
     state = (matrix, border, corner, gradient, shared_gradient)
@@ -164,7 +164,7 @@ def _cholesky_3(V: Float[Array, "3 3 rows"]) -> tuple[Array, ...]:
 
 def times_inverse(factor: Any, coupling: Float[Array, "c 3 many"]) -> Float[Array, "c 3 many"]:
     """Coupling times L'^-1, that is L^-1 applied to each of its rows."""
-    l00, l10, l20, l11, l21, l22 = factor
+    l00, l10, l20, l11, l21, l22 = (entry[None] for entry in factor)
     a = coupling[:, 0] / l00
     b = (coupling[:, 1] - l10 * a) / l11
     return jnp.stack([a, b, (coupling[:, 2] - l20 * a - l21 * b) / l22], axis=1)

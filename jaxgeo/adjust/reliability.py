@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from jaxgeo.adjust.unknowns import Unknowns
 
 UNCHECKED = 1e-6  # redundancy below which nothing checks a measurement
 POWER = 0.8
+ALIKE = 1e-3  # by which the statistics of one point's measurements must differ to tell which is wrong
 
 
 @dataclass(frozen=True)
@@ -43,20 +44,23 @@ class Reliability:
 @dataclass(frozen=True)
 class Blunder:
     """A measurement that does not fit: its image and point, standardised residual, and error in px (u, v), estimated
-    with all the others held to be right."""
+    with all the others held to be right. `instead` are the images in which the point may as well be wrong: one of two
+    rays that do not meet is not to be told from the other."""
 
     image: str
     point: str
     row: int
     standardised: float
     error: tuple[float, float]
+    instead: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         u, v = self.error
-        return (
+        text = (
             f"point {self.point} in image {self.image} (row {self.row}): standardised residual "
             f"{self.standardised:.1f}, error about ({u:+.1f}, {v:+.1f}) px"
         )
+        return f"{text}; or as well in image {' or '.join(self.instead)}" if self.instead else text
 
 
 def reliability(adjustment: Adjustment, alpha: float = 0.001) -> Reliability:
@@ -105,7 +109,10 @@ def blunders(adjustment: Adjustment, alpha: float = 0.001) -> list[Blunder]:
             break
         size = error[row] * seen.sigma[row]
         given = (str(seen.image[row]), str(seen.point[row]), int(row), float(statistic[row]))
-        found.append(Blunder(*given, (float(size[0]), float(size[1]))))
+        alike = (seen.point == seen.point[row]) & (statistic > (1.0 - ALIKE) * statistic[row])
+        alike[row] = False
+        instead = tuple(seen.image[alike & (statistic < (1.0 + ALIKE) * statistic[row])].tolist())
+        found.append(Blunder(*given, (float(size[0]), float(size[1])), instead))
     return found
 
 
@@ -131,7 +138,7 @@ def without_blunders(
             break
         for blunder in found:
             original = int(origin[blunder.row])
-            out.append(Blunder(blunder.image, blunder.point, original, blunder.standardised, blunder.error))
+            out.append(replace(blunder, row=original))
             if told is not None:
                 told(out[-1])
         keep = np.ones(len(origin), bool)

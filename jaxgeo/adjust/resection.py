@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are asked for
 
 from jaxgeo.adjust.block import Images
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.records import ImagePoints
+from jaxgeo.adjust.starts import camera_rays
 from jaxgeo.sensor import FrameCamera
 
 FLAT = 0.1  # thickness of the points over their width, below which they are taken as a plane to start with
 LEAST = 4
+MOST_OFF = 0.02  # of the image that the points cover: residuals that no orientation close to the right one leaves
 
 
 def resect(
@@ -24,8 +24,8 @@ def resect(
     """The orientations of images by the control points that they see, each image by itself, as a start.
 
     `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares. Points
-    with an infinite sigma are left out. Raises `ValueError` for a camera that there is not, and an image that sees fewer
-    than four control points, in which they stand in one line, or whose camera has no ray for one of them.
+    with an infinite sigma are left out. Raises `ValueError` for a camera that there is not, and for an image that sees
+    fewer than four control points, in which they stand in one line, or whose camera has no ray for one of them.
     """
     known = np.all(np.isfinite(control.sigma), axis=1)
     where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
@@ -55,8 +55,8 @@ def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[n
 
     Raises `ValueError` for places in one line, and where none of the starts leads anywhere.
     """
-    rays, _ = jax.vmap(camera.ray)(jnp.asarray(uv))
-    ideal = np.asarray(rays[:, :2] / rays[:, 2:])
+    rays = camera_rays(camera, np.asarray(uv, np.float64))
+    ideal = rays[:, :2] / rays[:, 2:]
     lost = ~np.all(np.isfinite(ideal), axis=1)
     if np.any(lost):
         raise ValueError(
@@ -66,12 +66,35 @@ def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[n
     _, spread, axes = np.linalg.svd(places - middle)
     if spread[1] < 1e-3 * spread[0]:
         raise ValueError("the ground points lie in one line, from which no orientation follows.")
-    flat = len(places) < 6 or spread[2] < FLAT * spread[1]
-    starts = _of_plane(ideal, (places - middle) @ axes.T, axes) if flat else [_of_space(ideal, places - middle)]
-    best = min((_refined(ideal, places - middle, *start) for start in starts), key=lambda found: found[0])
+    offsets = places - middle
+    starts = [_vertical(ideal, offsets, side) for side in (axes, np.diag([1.0, -1.0, -1.0]) @ axes)]
+    if len(places) < 6 or spread[2] < FLAT * spread[1]:
+        starts += _of_plane(ideal, offsets @ axes.T, axes)
+    else:
+        starts += [_of_space(ideal, offsets)]
+    best = min((_refined(ideal, offsets, *start) for start in starts), key=lambda found: found[0])
     if not np.isfinite(best[0]):
         raise ValueError("no orientation puts all ground points in front of the camera; are image and points a pair?")
+    off = float(np.sqrt(best[0] / ideal.size))
+    if off > MOST_OFF * float(np.abs(ideal - ideal.mean(axis=0)).max()):
+        off_px = off * float(np.mean(np.asarray(camera.focal_px)))
+        raise ValueError(
+            f"no orientation was found that fits: the best leaves {off_px:.0f} px on average. Are image and points a "
+            f"pair, and the camera the right one?"
+        )
     return best[1] + middle, best[2]
+
+
+def _vertical(ideal: np.ndarray, offsets: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(centre, R) looking straight at the points' plane, from the side to which its third axis (row) shows."""
+    axes = np.diag([1.0, 1.0, np.linalg.det(axes)]) @ axes
+    p, q = offsets @ axes[:2].T, ideal - ideal.mean(axis=0)
+    along, across = np.sum(q[:, 0] * p[:, 0] - q[:, 1] * p[:, 1]), np.sum(q[:, 0] * p[:, 1] + q[:, 1] * p[:, 0])
+    length = np.hypot(along, across)
+    cos, sin, height = along / length, across / length, np.sum(p * p) / length
+    R = np.array([[cos, sin, 0.0], [sin, -cos, 0.0], [0.0, 0.0, -1.0]]).T
+    centre = height * (np.array([0.0, 0.0, 1.0]) - R[:, :2] @ ideal.mean(axis=0))
+    return axes.T @ centre, axes.T @ R
 
 
 def _of_plane(ideal: np.ndarray, places: np.ndarray, axes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

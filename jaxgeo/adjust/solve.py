@@ -36,6 +36,10 @@ class Iteration:
     damping: float
     accepted: bool
 
+    def __str__(self) -> str:
+        how = f"fell by {self.decrease:.4g}" if self.accepted else "step refused"
+        return f"iteration {self.number:2d}: cost {self.cost:.6e}, {how} (promised {self.promised:.4g})"
+
 
 @dataclass(frozen=True)
 class Solver:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust.block import Block
+from jaxgeo.sensor import FrameCamera
 
+PADDED = 64
 NEVER_MEETING = 1e-10  # smallest eigenvalue of the mean of I - d d': rays within some 1e-5 rad of each other
 
 
 def started(block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Places (rows, 3), those that are NaN put where the rays of their measurements meet; rows of no point too.
+    """Places (rows, 3), coordinates that are NaN put where the rays of their measurements meet; rows of no point too.
 
     `row` and `image` are those of the measurements. Raises `ValueError` for a point whose rays never meet.
     """
-    unknown = np.isnan(place[:, 0])
+    unknown = np.any(np.isnan(place), axis=1)
     if not np.any(unknown[row]):
         return np.where(unknown[:, None], place[row[0]], place)
     chosen = np.flatnonzero(unknown[row])
@@ -34,8 +37,9 @@ def started(block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray)
             f"the rays of point {block.observations.point[worst]} are parallel, so that it has no place to start from; "
             f"leave it out, or give one with points=."
         )
+    met = np.linalg.solve(normal[rows], right[rows][:, :, None])[:, :, 0]
     place = place.copy()
-    place[rows] = np.linalg.solve(normal[rows], right[rows][:, :, None])[:, :, 0]
+    place[rows] = np.where(np.isnan(place[rows]), met, place[rows])
     return np.where(np.isnan(place[:, :1]), place[rows[0]], place)
 
 
@@ -49,8 +53,7 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
     for name, camera in block.cameras.items():
         own = np.flatnonzero(images.camera[image] == name)
         if own.size:
-            rays, _ = jax.vmap(camera.ray)(jnp.asarray(seen.uv[chosen[own]]))
-            direction[own] = np.asarray(rays)
+            direction[own] = camera_rays(camera, seen.uv[chosen[own]])
     lost = ~np.all(np.isfinite(direction), axis=1)
     if np.any(lost):
         row = chosen[int(np.argmax(lost))]
@@ -59,3 +62,14 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
             f"px, as its lens folds there; is the pixel, or the lens, that of another camera?"
         )
     return images.centre[image], np.einsum("nij,nj->ni", images.R_frame_from_camera[image], direction)
+
+
+def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:
+    """Unit directions (k, 3) in the camera frame of pixels (k, 2); NaN where the lens has none."""
+    filled = np.concatenate([uv, np.repeat(uv[:1], -len(uv) % PADDED, axis=0)])  # few sizes, or each would be compiled
+    return np.asarray(_rays(camera, jnp.asarray(filled, jnp.float64)))[: len(uv)]
+
+
+@eqx.filter_jit
+def _rays(camera: FrameCamera, uv: jax.Array) -> jax.Array:
+    return jax.vmap(camera.ray)(uv)[0]

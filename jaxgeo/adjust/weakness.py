@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -18,7 +18,12 @@ from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
 
 SHARE = 0.05  # of the largest part: smaller parts of a direction are not named
+MOST = 5  # parts that are named
+COMMON = 0.95  # of a change that must be one motion of all to be called that
 AXES = ("east", "north", "height")
+
+
+Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # of points and of perspective centres
 
 
 @dataclass(frozen=True)
@@ -57,56 +62,103 @@ def _reduced(problem: Problem, equations: Equations, rows: Any, damping: Any) ->
 
 
 @eqx.filter_jit
-def _points_along(problem: Any, equations: Any, vector: Any) -> Any:
-    """How points follow a change of the reduced unknowns, over their own standard deviations (3, rows)."""
+def _points_along(problem: Problem, equations: Equations, vector: Any) -> Any:
+    """How points follow a change of the reduced unknowns (3, rows), m."""
     points = eliminated(problem, equations, 0.0)
     points = eqx.tree_at(lambda p: p.forward, points, jnp.zeros_like(points.forward))
     images = vector[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
     along = back_substituted(problem, points, images, vector[problem.n * problem.of_image :])
-    return along * jnp.sqrt(jnp.diagonal(equations.points, axis1=0, axis2=1).T) * problem.free_point.T
+    return along * problem.free_point.T
 
 
 def weakest(ready: Prepared, solution: Solution, most: int) -> list[Direction]:
     """The combinations of unknowns that the normal equations hold least, the weakest first."""
-    problem, names = ready.problem, ready.names
-    system = np.asarray(reduced_at(problem, solution.equations).matrix)
+    problem, names, equations = ready.problem, ready.names, solution.equations
+    system = np.asarray(reduced_at(problem, equations).matrix)
     scale = 1.0 / np.sqrt(np.diagonal(system))
-    scaled = system * scale[:, None] * scale[None, :]
-    few = min(most, len(scaled))
-    strengths, vectors = scipy.linalg.eigh(scaled, subset_by_index=[0, few - 1])
-    diagonals = [
-        np.diagonal(np.asarray(x), axis1=-2, axis2=-1) for x in (solution.equations.images, solution.equations.shared)
-    ]
-    weights = np.sqrt(np.concatenate([x.ravel() for x in diagonals]))
-    own = names.lens if problem.own_lens else ()
+    few = min(most, len(system))
+    strengths, vectors = scipy.linalg.eigh(system * scale[:, None] * scale[None, :], subset_by_index=[0, few - 1])
+    weights = [np.sqrt(np.diagonal(np.asarray(x), axis1=-2, axis2=-1)) for x in (equations.images, equations.shared)]
+    of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[ready.order.row_of_point]
+    places = np.asarray(solution.values.points)[ready.order.row_of_point], np.asarray(solution.values.centre)
     found = []
     for strength, vector in zip(strengths, vectors.T, strict=True):
-        change = scale * vector
-        points = np.asarray(_points_along(problem, solution.equations, jnp.asarray(change))).T[ready.order.row_of_point]
-        parts, N = change * weights, problem.n * problem.of_image
-        images = parts[:N].reshape(problem.n, problem.of_image)
-        found.append(described(float(strength), images, parts[N:], points, (own, names.columns(problem))))
+        change, N = scale * vector, problem.n * problem.of_image
+        points = np.asarray(_points_along(problem, equations, jnp.asarray(change))).T[ready.order.row_of_point]
+        images = change[:N].reshape(problem.n, -1)
+        # Of what images share, in units of what is left of their own weights: few of them, they would be lost else.
+        own = np.abs(vector[N:]) / np.max(np.abs(vector)) * max(_length(points * of_points), 1e-300)
+        sizes = _Sizes(points * of_points, images * weights[0], own)
+        parts = sizes.of_parameters(names.lens if problem.own_lens else (), names.columns(problem))
+        parts = sizes.of_motions((points, images[:, :3]), places) | parts
+        found.append(_named(float(strength), parts))
     return found
 
 
-def described(strength: float, images: np.ndarray, shared: np.ndarray, points: np.ndarray, names: Any) -> Direction:
-    """A direction in words, from its parts over their own standard deviations with all else known.
+@dataclass(frozen=True)
+class _Sizes:
+    """Parts of a direction over their own standard deviations with all else known: points (m, 3), images (n, columns),
+    and what they share (s,)."""
 
-    `images` (n, columns), `shared` (s,), `points` (m, 3); `names` are those of the lens columns that images have of
-    their own, and of what they share.
-    """
-    own, others = names
-    parts: dict[str, float] = {}
-    for axis, name in enumerate(AXES):
-        parts[f"{name} of the points"] = _length(points[:, axis])
-        parts[f"{name} of the perspective centres"] = _length(images[:, axis])
-    parts["attitudes"] = _length(images[:, 3:POSE])
-    parts |= {f"{name} of the cameras": _length(images[:, POSE + i]) for i, name in enumerate(own)}
-    parts |= {f"{what} of {whose}": abs(float(x)) for (whose, what), x in zip(others, shared, strict=True)}
+    points: np.ndarray
+    images: np.ndarray
+    shared: np.ndarray
+
+    def of_parameters(self, own: tuple[str, ...], shared: list[tuple[str, str]]) -> dict[str, float]:
+        """By name; the same of several cameras, mounts or strips together."""
+        parts = {f"{name} of the cameras": _length(self.images[:, POSE + i]) for i, name in enumerate(own)}
+        together: dict[tuple[str, str], list[tuple[str, float]]] = {}
+        for (whose, what), size in zip(shared, self.shared, strict=True):
+            together.setdefault((what, whose.split()[0]), []).append((whose, float(size)))
+        for (what, kind), each in together.items():
+            largest = max(size for _, size in each)
+            taking = [whose for whose, size in each if size > 0.3 * largest]
+            whose = taking[0] if len(taking) == 1 else f"{len(taking)} {kind}s"
+            parts[f"{what} of {whose}"] = float(np.sqrt(sum(size**2 for _, size in each)))
+        return parts
+
+    def of_motions(
+        self, changes: tuple[np.ndarray, np.ndarray], places: tuple[np.ndarray, np.ndarray]
+    ) -> dict[str, float]:
+        """Of points and perspective centres: as a motion of the whole where it is one, else axis by axis."""
+        together = _motion(np.concatenate(changes), np.concatenate(places))
+        sizes = {"points": _length(self.points), "centres": _length(self.images[:, :3])}
+        turns = {"attitudes": _length(self.images[:, 3:POSE])}
+        if together and min(sizes.values()) > 0.0:
+            return {f"{together} of the whole block": max(*sizes.values(), *turns.values())}
+        parts = {}
+        whole = (
+            ("points", self.points, changes[0], places[0]),
+            ("perspective centres", self.images, changes[1], places[1]),
+        )
+        for name, size, change, place in whole:
+            motion = _motion(change, place)
+            if motion:
+                parts[f"{motion} of all {name}"] = _length(size[:, :3])
+            else:
+                parts |= {f"{axis} of {name}": _length(size[:, i]) for i, axis in enumerate(AXES)}
+        return parts | turns
+
+
+def _motion(change: np.ndarray, place: np.ndarray) -> str:
+    """A common motion that a change (k, 3) of places (k, 3) is, in words; empty where it is none."""
+    offsets = place - place.mean(axis=0)
+    size = np.sqrt(np.mean(np.sum(offsets**2, axis=1)))
+    columns = [np.broadcast_to(axis, offsets.shape) for axis in np.eye(3)]
+    columns += [np.cross(axis[None], offsets) / size for axis in np.eye(3)] + [offsets / size]
+    A, total = np.stack([column.ravel() for column in columns], axis=1), np.sum(change**2)
+    found = np.linalg.lstsq(A, change.ravel(), rcond=None)[0]
+    if total == 0.0 or np.sum((A @ found - change.ravel()) ** 2) > (1.0 - COMMON) * total:
+        return ""
+    parts = np.abs(found) * np.linalg.norm(A, axis=0)
+    return " and ".join(MOTIONS[i] for i in np.argsort(-parts) if parts[i] > 0.3 * parts.max())
+
+
+def _named(strength: float, parts: dict[str, float]) -> Direction:
     largest = max(parts.values())
     named = {name: part / largest for name, part in parts.items() if part > SHARE * largest}
     named = dict(sorted(named.items(), key=lambda item: -item[1]))
-    return Direction(" with ".join(list(named)[:4]), strength, named)
+    return Direction(" with ".join(list(named)[:MOST]), strength, named)
 
 
 def _length(x: np.ndarray) -> float:
@@ -114,10 +166,26 @@ def _length(x: np.ndarray) -> float:
 
 
 def datum_words(rows: np.ndarray) -> list[str]:
-    """Each combination (7,) of motions that nothing holds, in words."""
+    """The motions that nothing holds, of their combinations (d, 7), in words."""
+    if len(rows) == len(MOTIONS):
+        return ["position, orientation and scale of the whole block"]
+    reduced = _echelon(rows)
     found = []
-    for row in rows:
+    for row in reduced:
         part = np.abs(row) / np.max(np.abs(row))
-        chosen = [MOTIONS[i] for i in np.argsort(-part) if part[i] > 0.3]
+        chosen = [MOTIONS[i] for i in np.argsort(-part, kind="stable") if part[i] > 0.1]
         found.append(" with ".join(chosen) + " of the whole block")
     return found
+
+
+def _echelon(rows: np.ndarray) -> np.ndarray:
+    """The same combinations with as few motions in each as may be (reduced row echelon form)."""
+    rows = rows / np.abs(rows).max(axis=1, keepdims=True)
+    for i in range(len(rows)):
+        row, column = np.unravel_index(np.argmax(np.abs(rows[i:])), rows[i:].shape)
+        rows[[i, i + row]] = rows[[i + row, i]]
+        rows[i] /= rows[i, column]
+        for other in range(len(rows)):
+            if other != i:
+                rows[other] = rows[other] - rows[other, column] * rows[i]
+    return np.where(np.abs(rows) > 1e-6, rows, 0.0)

@@ -51,6 +51,28 @@ def li2023_command(
         _show(li2023, lambda: li2023.run(samples=samples, seed=seed), output)
 
 
+@studies.command("xue2019")
+def xue2019_command(
+    output: Folder = None,
+    size: Annotated[
+        float, typer.Option(help="Side of the area, m; the paper's is 5000, with some 1600 images.")
+    ] = 1000.0,
+    trials: Annotated[int, typer.Option(help="Smaller blocks with other noise, to test the standard deviations.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    traceback: Traceback = False,
+) -> None:
+    """The block of Xue et al. (2019), simulated: direct georeferencing, free net, self-calibration, boresight.
+
+    Takes minutes, most of them to compile. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and
+    with --output the exit code is 1.
+    """
+    with mistakes_told(traceback):
+        _begin(output)
+        from jaxgeo.studies import xue2019
+
+        _show(xue2019, lambda: xue2019.run(seed, size, trials=trials), output)
+
+
 def _begin(folder: pathlib.Path | None) -> None:
     """The folder is made before the work."""
     from jaxgeo._checks import enable_x64

@@ -53,11 +53,11 @@ class Propagation(eqx.Module):
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m about the fix, on the level plane, within which it falls with a probability."""
-        return _circular_error(self.cov_enu[:2, :2], probability, self.bias_enu[:2])
+        return _circular_error(self.cov_enu[..., :2, :2], probability, self.bias_enu[..., :2])
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
         """Height in m above and below the fix within which it falls with a probability."""
-        return _linear_error(self.cov_enu[2, 2], probability, self.bias_enu[2])
+        return _linear_error(self.cov_enu[..., 2, 2], probability, self.bias_enu[..., 2])
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
         """Radius in m about the fix within which it falls in space with a probability."""

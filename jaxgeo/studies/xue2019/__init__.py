@@ -1,0 +1,26 @@
+"""The calibration of Xue et al. (2019), "High Precision Positioning of Unmanned Helicopter with Area Array Images",
+made again on a simulated block: direct georeferencing, free net, self-calibration and boresight beside the print."""
+
+from jaxgeo.studies.xue2019.cases import Case, Cases, Recovered, cases_of
+from jaxgeo.studies.xue2019.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.xue2019.simulation import Flown, Simulated, flown, measured, simulated
+from jaxgeo.studies.xue2019.trials import Trials, trials
+
+__all__ = [
+    "Case",
+    "Cases",
+    "Flown",
+    "Recovered",
+    "Report",
+    "Simulated",
+    "Trials",
+    "cases_of",
+    "flown",
+    "measured",
+    "run",
+    "sheets_of",
+    "simulated",
+    "trials",
+    "write_pictures",
+    "write_tables",
+]

@@ -1,0 +1,142 @@
+"""Blunders: that they are found and named, what robust losses leave of them, and what nothing checks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jaxgeo.adjust import (
+    Adjustment,
+    Block,
+    Cauchy,
+    Huber,
+    ImagePoints,
+    Tukey,
+    adjust,
+    blunders,
+    reliability,
+    without_blunders,
+)
+from tests.support.simulated_block import SIGMA_UV, simulated
+
+BLUNDER = np.array([8.0, -6.0])  # px: ten of them
+
+
+@pytest.fixture(scope="module")
+def good() -> Adjustment:
+    """A good block."""
+    return adjust(simulated().noisy(8).block())
+
+
+def often_seen(block: Block, least: int = 5) -> int:
+    """The row of a measurement of a point that many images see, near the middle of the list."""
+    seen = block.observations
+    counts = {name: int(np.sum(seen.point == name)) for name in np.unique(seen.point).tolist()}
+    rows = [i for i, name in enumerate(seen.point.tolist()) if counts[name] >= least]
+    return rows[len(rows) // 2]
+
+
+def with_blunder(block: Block, row: int, error: np.ndarray = BLUNDER) -> Block:
+    """The block with an error in one of its measurements."""
+    seen = block.observations
+    uv = seen.uv.copy()
+    uv[row] += error
+    return replace(block, observations=ImagePoints(seen.image, seen.point, uv, seen.sigma))
+
+
+def test_a_good_block_has_as_many_suspects_as_chance_lets_be(good: Adjustment) -> None:
+    k = len(good.block.observations)
+    assert len(blunders(good, alpha=1e-6)) == 0
+    assert 0.02 * k < len(blunders(good, alpha=0.1)) < 0.18 * k
+    found = reliability(good)
+    checked = found.redundancy > 0.1
+    assert np.std(found.standardised[checked]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_blunder_is_named_first_and_its_size_told(good: Adjustment) -> None:
+    row = often_seen(good.block)
+    block = with_blunder(good.block, row)
+    found = blunders(adjust(block))
+    seen = block.observations
+    assert (found[0].image, found[0].point, found[0].row) == (seen.image[row], seen.point[row], row)
+    assert f"point {seen.point[row]} in image {seen.image[row]} (row {row})" in str(found[0])
+    left = reliability(good).redundancy[row]
+    noise = np.abs(np.asarray(found[0].error) - BLUNDER)
+    assert np.all(noise < 3.0 * SIGMA_UV / np.sqrt(left) + 0.05)
+    assert [b.standardised for b in found] == sorted((b.standardised for b in found), reverse=True)
+
+
+@pytest.mark.slow
+def test_without_the_blunder_the_block_is_as_good_as_ever(good: Adjustment) -> None:
+    row, told = often_seen(good.block), []
+    block = with_blunder(good.block, row)
+    cleaned, out = without_blunders(block, alpha=1e-5, told=told.append)
+    assert [(b.image, b.point, b.row) for b in out] == [
+        (block.observations.image[row], block.observations.point[row], row)
+    ]
+    assert told == out
+    assert len(cleaned.block.observations) == len(block.observations) - 1
+    sigma = np.sqrt(np.diagonal(good.covariance_of_images, axis1=1, axis2=2))[:, :3]
+    assert np.abs((cleaned.images.centre - good.images.centre) / sigma).max() < 1.0
+    assert cleaned.sigma0 == pytest.approx(good.sigma0, abs=0.02)
+
+
+@pytest.mark.slow
+def test_rows_of_several_blunders_are_those_of_the_block_given(good: Adjustment) -> None:
+    rows = [often_seen(good.block) - 40, often_seen(good.block), often_seen(good.block) + 40]
+    block = good.block
+    for size, row in zip((20.0, 15.0, 10.0), rows, strict=True):
+        block = with_blunder(block, row, np.array([0.0, size]))
+    _, out = without_blunders(block, alpha=1e-5)
+    assert sorted(b.row for b in out) == rows
+    assert all(b.image == block.observations.image[b.row] for b in out)
+    assert all(b.point == block.observations.point[b.row] for b in out)
+
+
+@pytest.mark.parametrize(
+    "loss", [Huber(), pytest.param(Cauchy(), marks=pytest.mark.slow), pytest.param(Tukey(), marks=pytest.mark.slow)]
+)
+def test_robust_losses_hardly_feel_a_blunder(good: Adjustment, loss: Any) -> None:
+    block = with_blunder(good.block, often_seen(good.block))
+    robust, least_squares = adjust(block, loss=loss), adjust(block)
+    sigma = np.sqrt(np.diagonal(good.covariance_of_images, axis1=1, axis2=2))[:, :3]
+    assert robust.converged
+    assert np.abs((robust.images.centre - good.images.centre) / sigma).max() < 1.0
+    moved = np.linalg.norm(robust.points.place - good.points.place, axis=1)
+    assert np.max(moved / np.linalg.norm(good.points.sigma, axis=1)) < 1.0
+    assert robust.sigma0 < 0.9 * least_squares.sigma0
+    found = blunders(robust)[0]
+    assert (found.image, found.point) == (
+        block.observations.image[often_seen(block)],
+        block.observations.point[often_seen(block)],
+    )
+
+
+def test_what_an_error_shows_of_itself_is_its_redundancy_number(good: Adjustment) -> None:
+    row, size = often_seen(good.block), 0.05
+    moved = adjust(with_blunder(good.block, row, np.array([size, 0.0])))
+    shown = -(moved.residuals[row] - good.residuals[row]) / size
+    assert shown[0] == pytest.approx(reliability(good).redundancy[row, 0], abs=1e-3)
+
+
+def test_least_errors_that_are_found_grow_where_less_is_checked(good: Adjustment) -> None:
+    found = reliability(good, alpha=0.001)
+    assert found.critical == pytest.approx(3.2905, abs=1e-4)
+    checked = found.redundancy > 1e-3
+    expected = (3.2905 + 0.8416) * SIGMA_UV / np.sqrt(found.redundancy[checked])
+    np.testing.assert_allclose(found.detectable[checked], expected, rtol=1e-4)
+    assert np.all(np.isfinite(found.detectable) == (found.redundancy > 1e-6))
+    assert np.all(np.isnan(found.standardised) == (found.redundancy <= 1e-6))
+
+
+def test_along_the_epipolar_line_nothing_checks_a_point_of_two_rays(good: Adjustment) -> None:
+    seen = good.block.observations
+    names, counts = np.unique(seen.point, return_counts=True)
+    pair = [n for n in names[counts == 2].tolist() if n not in good.block.control.name]
+    rows = np.isin(seen.point, pair)
+    assert np.all(reliability(good).redundancy[rows].sum(axis=1) < 1.0)
+    for name in pair:  # two rays leave one condition
+        assert reliability(good).redundancy[seen.point == name].sum() < 1.0 + 1e-9
