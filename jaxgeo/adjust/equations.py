@@ -289,7 +289,7 @@ def _of_images_and_shared(
     cost = cost + half_sum(off_strip * strip.information)
     if problem.own_lens and active:
         squared = lens.information[layout.camera] ** 2
-        images = images.at[:, POSE:, POSE:].add(squared[:, :, None] * jnp.eye(active))
+        images = images.at[:, POSE:, POSE:].add(squared[:, :, None] * jnp.eye(active)[None])
         image_gradient = image_gradient.at[:, POSE:].add(squared * off_lens[layout.camera])
     diagonal, gradient = _priors(problem, off_lens, off_mount, off_strip)
     return {
