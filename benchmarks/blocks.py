@@ -27,10 +27,8 @@ from rich.table import Table
 from support.blocks import (
     Aerial,
     aerial,
-    angles_by_turn,
     in_map,
     large,
-    omega_phi_kappa,
     strasbourg,
     without_convergence,
 )
@@ -97,15 +95,11 @@ def residuals(found: Adjustment, classes: dict[str, np.ndarray]) -> dict[str, An
 def orientations(found: Adjustment) -> list[dict[str, Any]]:
     """Perspective centres in m and angles in deg, Rx(omega) Ry(phi) Rz(kappa) being the block's frame from the image
     (right, up, out of the scene), with standard deviations."""
-    cov, R = found.covariance_of_images, found.images.R_frame_from_camera
-    by_turn = angles_by_turn(R)
-    of_angles = by_turn @ cov[:, 3:, 3:] @ np.swapaxes(by_turn, 1, 2)
-    centre = np.sqrt(np.diagonal(cov[:, :3, :3], axis1=1, axis2=2))
-    angles = np.rad2deg(np.sqrt(np.diagonal(of_angles, axis1=1, axis2=2)))
+    centre, angles = found.sigma_of_images[:, :3], np.rad2deg(found.sigma_of_images[:, 3:])
     told = []
     for i, name in enumerate(found.images.name.tolist()):
         told.append({"image": name, "centre_m": found.images.centre[i].tolist()})
-        told[-1]["omega_phi_kappa_deg"] = np.rad2deg(omega_phi_kappa(R[i])).tolist()
+        told[-1]["omega_phi_kappa_deg"] = np.rad2deg(found.omega_phi_kappa[i]).tolist()
         for kind, factor in (("unit_weight", 1.0), ("scaled", found.sigma0)):
             told[-1][f"sigma_{kind}"] = {
                 "centre_m": (factor * centre[i]).tolist(),

@@ -44,6 +44,8 @@ NUMPY_FILES = {
     "adjust/bundle.py": "the same as adjustment.py",
     "adjust/calibration.py": "the same as adjustment.py",
     "adjust/reliability.py": "tests of finished residuals, by name",
+    "adjust/exterior.py": "the same as adjustment.py",
+    "adjust/summary.py": "the same as adjustment.py",
     "adjust/ground_points.py": "the same",
     "adjust/layout.py": "index arrays of a block, made once, outside any trace",
     "adjust/navigation.py": "the same as block.py",

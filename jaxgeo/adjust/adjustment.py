@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.equations import free_columns, image_residuals, navigation_residuals
+from jaxgeo.adjust.exterior import angles_by_turn, omega_phi_kappa
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.posterior import (
@@ -23,23 +24,31 @@ from jaxgeo.adjust.posterior import (
 )
 from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.solve import Iteration, Solution
+from jaxgeo.adjust.summary import summary
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import POSE, with_interior
 from jaxgeo.adjust.weakness import Direction, weakest
 from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera, Mount
 
+UNITS = {"focal": "px", "principal": "px", "boresight": "rad", "lever arm": "m", "shift": "m", "drift": "m/s"}
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a camera, a mount or a strip: its value and standard deviation (of unit weight), and the prior's
-    (infinite for none)."""
+    """A parameter of a camera, a mount or a strip: its value and standard deviation (of unit weight), the prior's
+    (infinite for none), and the unit of all three ("1" for none).
+
+    The boresight is the turn from where it started, as a rotation vector about the axes of the body (of the head, for a
+    gimbal that reports in local level); `Adjustment.mounts` have the whole.
+    """
 
     whose: str
     name: str
     value: float
     sigma: float
     prior: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -226,6 +235,23 @@ class Adjustment:
         return self.covariance[at[:, :, None], at[:, None, :]]
 
     @cached_property
+    def omega_phi_kappa(self) -> np.ndarray:
+        """Angles (n, 3) of the adjusted orientations in the block's frame, rad."""
+        return omega_phi_kappa(self.images.R_frame_from_camera)
+
+    @cached_property
+    def sigma_of_images(self) -> np.ndarray:
+        """Standard deviations (n, 6), of unit weight: centre in m (frame axes); omega, phi, kappa in rad."""
+        covariance, by_turn = self.covariance_of_images, angles_by_turn(self.images.R_frame_from_camera)
+        angles = np.einsum("nij,njk,nik->ni", by_turn, covariance[:, 3:, 3:], by_turn)
+        centres = np.diagonal(covariance, axis1=1, axis2=2)[:, :3]
+        return np.sqrt(np.maximum(np.concatenate([centres, angles], axis=1), 0.0))
+
+    def summary(self) -> str:
+        """What was found, in words and numbers for the screen."""
+        return summary(self)
+
+    @cached_property
     def parameters(self) -> list[Parameter]:
         """Everything that is unknown of cameras, mounts and strips, with standard deviations of unit weight."""
         problem, values = self.prepared.problem, self.solution.values
@@ -243,7 +269,8 @@ class Adjustment:
             information = float(prior.information[row, column])
             sigma = float(np.sqrt(self.covariance[at, at]))
             value = float(np.asarray(numbers)[row, entry])
-            found.append(Parameter(whose, name, value, sigma, 1.0 / information if information else float("inf")))
+            before = 1.0 / information if information else float("inf")
+            found.append(Parameter(whose, name, value, sigma, before, UNITS.get(name.rsplit(" ", 1)[0], "1")))
         return found
 
     @cached_property

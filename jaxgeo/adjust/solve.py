@@ -46,11 +46,12 @@ class Solver:
     """When to stop, and how careful to begin.
 
     It stops where a step promises to lessen the cost by less than `relative` of it or than `absolute`: half the squared
-    length of the step in standard deviations, so that 1e-8 leaves nothing further off than 1.4e-4 of them. `damping` is
-    the share by which the diagonal is first enlarged; `most` iterations are made.
+    length of the step in standard deviations, so that 1e-8 leaves nothing further off than 1.4e-4 of them. Left out,
+    `relative` is 0 for least squares, and 1e-8 with a robust loss, whose weights settle slowly. `damping` is the share
+    by which the diagonal is first enlarged; `most` iterations are made.
     """
 
-    relative: float = 0.0
+    relative: float | None = None
     absolute: float = 1e-8
     damping: float = 1e-4
     most: int = 100
@@ -73,6 +74,9 @@ def solve(
 ) -> Solution:
     """The values of least cost near where the problem starts; `told` hears of every iteration."""
     loss, solver = LeastSquares() if loss is None else loss, Solver() if solver is None else solver
+    relative = solver.relative
+    if relative is None:
+        relative = 0.0 if isinstance(loss, LeastSquares) else 1e-8
     values = problem.start
     equations = equations_at(problem, values, loss)
     cost = float(equations.cost)
@@ -85,7 +89,7 @@ def solve(
         trial, new_cost, promised = _trial(problem, values, equations, (points, rows), loss, share)
         new_cost, promised = float(new_cost), float(promised)
         decrease = cost - new_cost
-        least = max(solver.relative * cost, solver.absolute)
+        least = max(relative * cost, solver.absolute)
         # Where rounding is larger than what is left to gain, the decrease is a matter of chance.
         accepted = promised > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and promised <= 1e-10 * cost))
         gain = decrease / promised if promised > 0.0 else 0.0

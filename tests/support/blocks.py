@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pathlib
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -278,24 +277,3 @@ def _rows(path: pathlib.Path) -> list[list[str]]:
     """The comma-separated words of every line but comments."""
     lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
     return [[word.strip() for word in line.split(",")] for line in lines]
-
-
-def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
-    """Photogrammetric angles (n, 3) in rad, Rx(omega) Ry(phi) Rz(kappa) being frame from image (right, up, out)."""
-    return Rotation.from_matrix(np.asarray(R_frame_from_camera) @ CAMERA_FROM_IMAGE).as_euler("XYZ")
-
-
-def angles_by_turn(R_frame_from_camera: Any) -> np.ndarray:
-    """Derivatives (n, 3, 3) of these angles by a turn about the camera's axes, by which covariances are brought over.
-
-    A turn about the image's axes is Rz'Ry'(1,0,0) domega + Rz'(0,1,0) dphi + (0,0,1) dkappa.
-    """
-    _, phi, kappa = omega_phi_kappa(R_frame_from_camera).T
-    zero, one = np.zeros_like(phi), np.ones_like(phi)
-    columns = [
-        [np.cos(phi) * np.cos(kappa), -np.cos(phi) * np.sin(kappa), np.sin(phi)],
-        [np.sin(kappa), np.cos(kappa), zero],
-        [zero, zero, one],
-    ]
-    by_angles = np.stack([np.stack(column, axis=1) for column in columns], axis=2)
-    return np.linalg.inv(by_angles) @ CAMERA_FROM_IMAGE

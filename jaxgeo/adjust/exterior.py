@@ -1,0 +1,41 @@
+"""Exterior orientations in the angles of photogrammetry, and what small turns do to these."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxgeo.sensor.platform import R_IMAGE_FROM_CAMERA
+
+
+def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
+    """Angles (n, 3) in rad: R_frame_from_image = Rx(omega) Ry(phi) Rz(kappa), the image right, up, out of the scene.
+
+    Phi lies in [-pi/2, pi/2]; at its ends omega and kappa are one angle, and kappa is taken as zero.
+    """
+    R = np.asarray(R_frame_from_camera) @ R_IMAGE_FROM_CAMERA.T
+    cos_phi = np.hypot(R[:, 0, 0], R[:, 0, 1])
+    upright = cos_phi < 1e-12
+    phi = np.arctan2(R[:, 0, 2], cos_phi)
+    omega = np.where(upright, np.arctan2(R[:, 2, 1], R[:, 1, 1]), np.arctan2(-R[:, 1, 2], R[:, 2, 2]))
+    kappa = np.where(upright, 0.0, np.arctan2(-R[:, 0, 1], R[:, 0, 0]))
+    return np.stack([omega, phi, kappa], axis=1)
+
+
+def angles_by_turn(R_frame_from_camera: Any) -> np.ndarray:
+    """Derivatives (n, 3, 3) of these angles by a turn about the camera's axes; infinite where phi is 90 degrees.
+
+    A turn about the image's axes is Rz' Ry' (1, 0, 0) d omega + Rz' (0, 1, 0) d phi + (0, 0, 1) d kappa.
+    """
+    _, phi, kappa = omega_phi_kappa(R_frame_from_camera).T
+    zero, one = np.zeros_like(phi), np.ones_like(phi)
+    with np.errstate(divide="ignore"):
+        secant, tangent = 1.0 / np.cos(phi), np.tan(phi)
+    rows = [
+        [np.cos(kappa) * secant, -np.sin(kappa) * secant, zero],
+        [np.sin(kappa), np.cos(kappa), zero],
+        [-np.cos(kappa) * tangent, np.sin(kappa) * tangent, one],
+    ]
+    by_image = np.stack([np.stack(row, axis=1) for row in rows], axis=1)
+    return by_image @ R_IMAGE_FROM_CAMERA
