@@ -106,6 +106,7 @@ def test_footprint_of_the_scene(tmp_path: pathlib.Path) -> None:
     assert features[0]["properties"]["area_m2"] == pytest.approx(1e6 * area, abs=500.0)
 
 
+@pytest.mark.slow
 def test_footprints_of_a_table(tmp_path: pathlib.Path, shots_file: pathlib.Path) -> None:
     """A row for every shot, whatever became of it; the one over the horizon has no area, and says why."""
     output = tmp_path / "footprints.geojson"
@@ -184,6 +185,7 @@ def test_overlaps_of_a_flight(tmp_path: pathlib.Path, flight) -> None:
     assert "2 pairs" in result.stderr
 
 
+@pytest.mark.slow
 def test_overlaps_of_a_table_of_shots(shots_file: pathlib.Path) -> None:
     """The last image looks beyond the terrain: that pair has a status, and no numbers."""
     result = run("overlap", "--scene", scene_file(), "--dem", DEM, "--shots", shots_file, "--along", "rows")
@@ -208,6 +210,7 @@ def exposures(output: pathlib.Path) -> list[dict[str, str]]:
     [(("--timing", "fixed:2.5"), 2.5), (("--timing", "velocity-height", "--overlap", "0.9", "--start", "103"), None)],
     ids=["fixed", "velocity-height"],
 )
+@pytest.mark.slow
 def test_plan(tmp_path: pathlib.Path, flight, wishes: tuple[str, ...], interval: float | None) -> None:
     """The gimbal's readings are those of the scene, where the records have none."""
     output = tmp_path / "exposures.csv"

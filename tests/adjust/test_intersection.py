@@ -270,6 +270,7 @@ def test_plain_weights_with_errors_of_the_pixels_are_those_of_sigma() -> None:
     assert 0.3 < float(plain.sigma0) < 2.0
 
 
+@pytest.mark.slow
 def test_fused_fixes_come_to_the_same(drawn) -> None:
     """Fixes on ground of unknown height, fused with all that their errors have in common."""
     ground = ConstantHeight(float(POINT.height))
@@ -325,6 +326,7 @@ TURNED = (sources.Boresight.from_degrees(heading=0.04, pitch=0.03, roll=0.02), M
         pytest.param({"errors": TURNED}, id="errors", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences(said: dict) -> None:
     """Forward and reverse of the point and of its covariance, and the second of a coordinate."""
 

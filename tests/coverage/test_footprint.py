@@ -331,6 +331,7 @@ FLYING = Trajectory.steady(
 STANDING = Trajectory.steady(shot(20.0, heading=10.0), velocity_ned=[0.0, 0.0, 0.0], before=2.0, after=4.0)
 
 
+@pytest.mark.slow
 def test_the_outline_of_a_sweep_in_flight():
     exposure = Exposure(FLYING, 0.25)
     outline = footprint(SWEEP, exposure, GROUND, tolerance=0.5)

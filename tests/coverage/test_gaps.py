@@ -70,6 +70,7 @@ def test_without_noise_the_plan_is_flown(compensation):
     np.testing.assert_allclose(overlap.step, STRIP.step, rtol=1.5e-3)  # the ground goes by slower than the aircraft
 
 
+@pytest.mark.slow
 def test_flights_hang_on_key_and_number_alone(flights):
     fewer = fly(STRIP, NOISE, key=KEY, flights=7)
     np.testing.assert_allclose(fewer.near, flights.near[:7], rtol=0, atol=1e-11)
@@ -77,6 +78,7 @@ def test_flights_hang_on_key_and_number_alone(flights):
         fly(STRIP, NOISE, key=KEY, flights=1)
 
 
+@pytest.mark.slow
 def test_the_spread_of_overlaps_is_that_of_the_derivatives(flights, linear):
     spread = np.sqrt(np.diagonal(np.asarray(linear.cov.sum(axis=0))))[:5]
     np.testing.assert_allclose(np.asarray(flights.near).std(axis=0), spread, rtol=0.06)
@@ -95,6 +97,7 @@ def test_neighbouring_attitudes_go_together():
     assert kept == pytest.approx(math.exp(-float(STRIP.period) / 2.0), abs=0.08)
 
 
+@pytest.mark.slow
 def test_gaps_by_samples_and_by_derivatives_agree_where_the_terrain_is_trusted(flights, linear):
     assert np.all(trusts_linear(STRIP, NOISE))
     chance, (low, high) = flights.gap_probability(0.99)

@@ -216,6 +216,7 @@ def with_ridge(height: float, *, columns: int = 121) -> Dem:
     return Dem.from_array(posts, TangentGrid.centred(centre, spacing=(60.0, 60.0), shape=posts.shape))
 
 
+@pytest.mark.slow
 def test_a_ridge_takes_from_the_overlap() -> None:
     """Ground that is nearer by a share of the height makes the frame shorter by as much; the step stays."""
     flat, ridge = (shared(FIRST, shot(STEP), with_ridge(height)) for height in (0.0, 300.0))

@@ -209,6 +209,7 @@ def seen_on_ground(name: str, air: Atmosphere | None) -> None:
     assert np.all(seen | hidden | (found.status == Status.outside_gimbal_range))
 
 
+@pytest.mark.slow
 def test_what_terrain_hides_has_readings_and_its_status():
     seen_on_ground("two axes", None)
 

@@ -170,6 +170,7 @@ def with_a_rest() -> Trajectory:
 
 
 @pytest.mark.parametrize("timing", [VelocityHeight(WISHED), GroundShared(WISHED, stations=STATIONS)])
+@pytest.mark.slow
 def test_who_stands_still_takes_no_images_and_goes_on(timing: Any) -> None:
     found = planned(timing, trajectory=with_a_rest())
     times = np.asarray(found.times)

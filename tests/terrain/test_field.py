@@ -118,6 +118,7 @@ def assert_same(fix, expected) -> None:
     np.testing.assert_allclose(fix.slope, expected.slope, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_bias_for_each_ray_is_a_terrain_so_much_higher(rays, own_fields, plain):
     posts = with_voids()
     which = np.random.default_rng(0).integers(0, len(BIASES), RAYS)
