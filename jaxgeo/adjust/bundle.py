@@ -71,7 +71,7 @@ def adjust(
 
     Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
     Eqs 1 and 3-5), image points with a `loss` if that is given. `terrain` ties points to a model of the ground
-    (`TerrainHeights`). `told` hears of every iteration.
+    (`OnTerrain`). `told` hears of every iteration.
 
     Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
     for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log, where the
