@@ -591,7 +591,7 @@ def test_how_points_are_chunked_does_not_matter(cameras: int, monkeypatch: pytes
 
 @pytest.mark.slow
 def test_covariances_are_those_of_many_draws() -> None:
-    truth, draws = simulated(), 300
+    truth, draws = simulated(), 150
     rng = np.random.default_rng(0)
     places, centres, sigma0 = [], [], []
     for seed in range(draws):
@@ -606,7 +606,7 @@ def test_covariances_are_those_of_many_draws() -> None:
     whitened = np.einsum("pij,npj->npi", factor, np.stack(places))
     squares = np.sum(whitened**2, axis=0) / draws  # each about one, to sqrt(2 / draws)
     assert np.abs(squares - 1.0).max() < 5.0 * np.sqrt(2.0 / draws)
-    assert abs(squares.mean() - 1.0) < 0.05
+    assert abs(squares.mean() - 1.0) < 0.07
     cross = np.einsum("npi,npj->pij", whitened, whitened) / draws
     assert np.abs(cross - np.eye(3)[None]).max() < 5.0 * np.sqrt(2.0 / draws)
     own = np.sqrt(np.diagonal(found.covariance_of_images, axis1=1, axis2=2))[:, :3]

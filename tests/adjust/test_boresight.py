@@ -95,7 +95,7 @@ def test_one_step_and_two_agree() -> None:
 
 @pytest.mark.slow
 def test_covariance_of_two_steps_is_that_of_many_draws() -> None:
-    draws, off, sigma0 = 200, [], []
+    draws, off, sigma0 = 100, [], []
     for seed in range(draws):
         found = two_steps(simulated().noisy(500 + seed))
         off.append(np.asarray(rotation_vector_from_R(jnp.asarray(ASTRAY @ small_turn(*found.turn)))))
