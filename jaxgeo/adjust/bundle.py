@@ -14,12 +14,12 @@ from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.posterior import Datum
+from jaxgeo.adjust.posterior import Datum, Posterior
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, equations_at, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
 from jaxgeo.adjust.unknowns import Unknowns
-from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, reduced_at, weakest
+from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
 SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
 NEAREST = 50  # steps that bring a free network to where it started
@@ -99,7 +99,7 @@ def adjust(
         rows = rows[np.any(rows != 0.0, axis=1)]
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
     adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
-    if not np.all(np.isfinite(np.diagonal(np.asarray(adjustment.posterior.covariance)))) or _singular(adjustment):
+    if _singular(adjustment.posterior):
         weak = [d for d in weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(f"the block does not hold {words}. Fix some of it, or give priors.", weak)
@@ -120,12 +120,10 @@ def _datum(problem: Any, values: Any, rows: Any) -> Datum:
     return Datum(rows @ z, jnp.einsum("dm,mir->dir", rows, x))
 
 
-def _singular(adjustment: Adjustment) -> bool:
-    """Whether the scaled inverse is so large that it is made of rounding."""
-    Q = np.asarray(adjustment.posterior.covariance)
-    problem, equations = adjustment.prepared.problem, adjustment.solution.equations
-    system = np.asarray(reduced_at(problem, equations).matrix)
-    return bool(np.max(np.diagonal(Q) * np.diagonal(system)) > 0.1 / SINGULAR)
+def _singular(posterior: Posterior) -> bool:
+    """Whether the scaled inverse is not finite, or so large that it is made of rounding."""
+    scaled = np.diagonal(np.asarray(posterior.covariance)) * np.asarray(posterior.information)
+    return not bool(np.all(scaled <= 0.1 / SINGULAR))  # NaN is not
 
 
 def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.ndarray) -> Solution:

@@ -25,12 +25,14 @@ class Datum(eqx.Module):
 
 
 class Posterior(eqx.Module):
-    """Covariance (N, N) of images and what they share, points eliminated, and the points' factors.
+    """Covariance (N, N) of images and what they share, points eliminated, and the points' factors; `information` (N,)
+    is the diagonal of what was inverted.
 
     With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones.
     """
 
     covariance: Float[Array, "N N"]
+    information: Float[Array, " N"]
     points: Eliminated
     datum: Datum | None
 
@@ -38,20 +40,20 @@ class Posterior(eqx.Module):
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular."""
     points = eliminate(problem, equations, jnp.zeros(()))
-    return Posterior(_inverse(problem, equations, gather(problem, points), datum), points, datum)
+    return Posterior(*_inverse(problem, equations, gather(problem, points), datum), points, datum)
 
 
 @eqx.filter_jit
 def _inverse(
     problem: Problem, equations: Equations, rows: tuple[Rows, ...], datum: Datum | None
-) -> Float[Array, "N N"]:
+) -> tuple[Float[Array, "N N"], Float[Array, " N"]]:
     system = reduced(problem, equations, rows, 0.0).matrix
     if datum is not None:  # any weights on the motions make it regular, and change nothing else
         system = system + _weighted(datum.reduced, system)
     scale = 1.0 / jnp.sqrt(jnp.diagonal(system))
     factor = jax.scipy.linalg.cho_factor(system * scale[:, None] * scale[None, :], lower=True)
     inverse = jax.scipy.linalg.cho_solve(factor, jnp.eye(system.shape[0]))
-    return inverse * scale[:, None] * scale[None, :]
+    return inverse * scale[:, None] * scale[None, :], jnp.diagonal(system)
 
 
 def _weighted(motions: Float[Array, "d N"], system: Float[Array, "N N"]) -> Float[Array, "N N"]:
