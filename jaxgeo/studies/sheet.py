@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TextIO
@@ -49,6 +50,16 @@ class Sheet:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(self.columns)
         writer.writerows(self.rows)
+
+
+def write_sheets(title: str, sheets: Sequence[Sheet], folder: pathlib.Path, *, beside: Sequence[Sheet] = ()) -> None:
+    """Every table as CSV, and all under a title as one Markdown text, into a folder that is there; those `beside` as
+    CSV only."""
+    for sheet in (*sheets, *beside):
+        with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
+            sheet.write_csv(stream)
+    text = f"# {title}\n\n" + "\n".join(sheet.to_markdown() for sheet in sheets)
+    (folder / "tables.md").write_text(text, encoding="utf-8")
 
 
 def _shown(cell: Cell, spec: str) -> str:

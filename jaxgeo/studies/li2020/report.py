@@ -11,7 +11,7 @@ from jaxgeo.studies.li2020.flight import Sighting, StripPair, mean_depression, p
 from jaxgeo.studies.li2020.influence import Influence, tables_1_to_3
 from jaxgeo.studies.li2020.strips import Strips, strips
 from jaxgeo.studies.li2020.timing import Mountain, Period, mountain, periods
-from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.sheet import Sheet, write_sheets
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,7 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
     """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
-    tables = sheets_of(report)
-    for sheet in tables:
-        with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
-            sheet.write_csv(stream)
-    text = "# Li et al. (2020)\n\n" + "\n".join(sheet.to_markdown() for sheet in tables)
-    (folder / "tables.md").write_text(text, encoding="utf-8")
+    write_sheets("Li et al. (2020)", sheets_of(report), folder)
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:

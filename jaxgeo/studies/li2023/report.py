@@ -14,7 +14,7 @@ from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import Accuracy, over_fractal_ground, over_level_ground
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
-from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.sheet import Sheet, write_sheets
 
 SAMPLES = 50_000
 PLACES = 12
@@ -73,12 +73,7 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
     """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
-    tables = sheets_of(report)
-    for sheet in (*tables, sheets.places_sheet(report.positions)):
-        with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
-            sheet.write_csv(stream)
-    text = "# Li et al. (2023)\n\n" + "\n".join(sheet.to_markdown() for sheet in tables)
-    (folder / "tables.md").write_text(text, encoding="utf-8")
+    write_sheets("Li et al. (2023)", sheets_of(report), folder, beside=[sheets.places_sheet(report.positions)])
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:

@@ -6,7 +6,7 @@ import pathlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.sheet import Sheet, write_sheets
 from jaxgeo.studies.xue2019 import sheets
 from jaxgeo.studies.xue2019.cases import MODELS, Cases, cases_of
 from jaxgeo.studies.xue2019.simulation import Simulated, simulated
@@ -58,12 +58,7 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
     """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
-    tables = sheets_of(report)
-    for sheet in tables:
-        with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
-            sheet.write_csv(stream)
-    text = "# Xue et al. (2019)\n\n" + "\n".join(sheet.to_markdown() for sheet in tables)
-    (folder / "tables.md").write_text(text, encoding="utf-8")
+    write_sheets("Xue et al. (2019)", sheets_of(report), folder)
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:
