@@ -18,8 +18,10 @@ from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.posterior import (
     Datum,
     Posterior,
+    covariance_of_images,
     covariance_of_points,
     covariance_of_reduced,
+    covariance_of_shared,
     posterior_of,
 )
 from jaxgeo.adjust.problem import Prepared
@@ -85,7 +87,7 @@ class Adjustment:
     @cached_property
     def redundancy(self) -> int:
         """Observations, priors among them, less unknowns, and the datum's constraints."""
-        return self.observations - self.unknown_count + (0 if self.datum is None else self.datum.reduced.shape[0])
+        return self.observations - self.unknown_count + (0 if self.datum is None else self.datum.images.shape[0])
 
     @cached_property
     def observations(self) -> int:
@@ -216,8 +218,28 @@ class Adjustment:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance (N, N) of all orientations, image by image, and then of what images share (`columns`)."""
+        """Covariance (N, N) of all orientations, image by image, and then of what images share (`columns`).
+
+        With thousands of images it is made for this alone, and large (N is 6 an image at least): what single images,
+        points and parameters have is had without it.
+        """
         return np.asarray(covariance_of_reduced(self.prepared.problem, self.posterior))
+
+    @cached_property
+    def _of_images(self) -> np.ndarray:
+        """Covariance (n, c, c) of each image's own columns."""
+        return np.asarray(covariance_of_images(self.prepared.problem, self.posterior))
+
+    @cached_property
+    def covariance_of_shared(self) -> np.ndarray:
+        """Covariance (s, s) of what images share: the last of the `columns`."""
+        return np.asarray(covariance_of_shared(self.prepared.problem, self.posterior))
+
+    @cached_property
+    def _variances(self) -> np.ndarray:
+        """The diagonal of `covariance`."""
+        images = np.diagonal(self._of_images, axis1=1, axis2=2)
+        return np.concatenate([images.ravel(), np.diagonal(self.covariance_of_shared)])
 
     @cached_property
     def columns(self) -> list[tuple[str, str]]:
@@ -230,9 +252,7 @@ class Adjustment:
     @cached_property
     def covariance_of_images(self) -> np.ndarray:
         """Covariance (n, 6, 6) of each orientation: centre in m (frame axes), turn in rad about the camera's axes."""
-        n, c = self.prepared.problem.n, self.prepared.problem.of_image
-        at = np.arange(n)[:, None] * c + np.arange(POSE)[None, :]
-        return self.covariance[at[:, :, None], at[:, None, :]]
+        return self._of_images[:, :POSE, :POSE]
 
     @cached_property
     def omega_phi_kappa(self) -> np.ndarray:
@@ -267,7 +287,7 @@ class Adjustment:
                 continue
             entry = problem.active[column] if kind == "camera" else column
             information = float(prior.information[row, column])
-            sigma = float(np.sqrt(self.covariance[at, at]))
+            sigma = float(np.sqrt(self._variances[at]))
             value = float(np.asarray(numbers)[row, entry])
             before = 1.0 / information if information else float("inf")
             found.append(Parameter(whose, name, value, sigma, before, UNITS.get(name.rsplit(" ", 1)[0], "1")))
@@ -304,7 +324,12 @@ class Adjustment:
         """Correlations (k, k) between the `parameters`."""
         free = {(p.whose, p.name) for p in self.parameters}
         at = [entry[0] for entry in self._parameter_columns if entry[1:3] in free]
-        covariance = self.covariance[np.ix_(at, at)]
+        problem = self.prepared.problem
+        if problem.own_lens:
+            covariance = self.covariance[np.ix_(at, at)]
+        else:
+            own = np.array(at, int) - problem.n * problem.of_image
+            covariance = self.covariance_of_shared[np.ix_(own, own)]
         sigma = np.sqrt(np.diagonal(covariance))
         return covariance / np.outer(sigma, sigma)
 

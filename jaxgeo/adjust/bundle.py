@@ -117,13 +117,12 @@ def _unheld(problem: Any, values: Any, equations: Any) -> Any:
 @eqx.filter_jit
 def _datum(problem: Any, values: Any, rows: Any) -> Datum:
     z, x = motions(problem, values)
-    return Datum(rows @ z, jnp.einsum("dm,mir->dir", rows, x))
+    return Datum(jnp.einsum("dm,mnc->dnc", rows, z), jnp.einsum("dm,mir->dir", rows, x))
 
 
 def _singular(posterior: Posterior) -> bool:
-    """Whether the scaled inverse is not finite, or so large that it is made of rounding."""
-    scaled = np.diagonal(np.asarray(posterior.covariance)) * np.asarray(posterior.information)
-    return not bool(np.all(scaled <= 0.1 / SINGULAR))  # NaN is not
+    """Whether the inverse is not finite, or so large that it is made of rounding."""
+    return not float(posterior.least) >= 10.0 * SINGULAR  # NaN is not
 
 
 def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.ndarray) -> Solution:

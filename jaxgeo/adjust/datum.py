@@ -14,8 +14,8 @@ MOTIONS = ("shift east", "shift north", "shift up", "turn about east", "turn abo
 HELD = 1e-9  # of what a motion of the whole would cost part by part: below it nothing holds the motion
 
 
-def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 N"], Float[Array, "7 3 rows"]]:
-    """Changes of the reduced system's unknowns and of the points (rows) by `MOTIONS` about the middle of the points.
+def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Float[Array, "7 3 rows"]]:
+    """Changes of the images and of the points (rows) by `MOTIONS` about the middle of the points.
 
     Lengths in m, turns and scale such that the points' root mean square distance from the middle moves by 1 m.
     """
@@ -38,15 +38,12 @@ def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 N"], Floa
     of_points = jnp.moveaxis(jnp.stack(points), -1, 1) * problem.free_point.T[None]
     images = jnp.zeros((7, n, problem.of_image)).at[:, :, :6].set(jnp.stack(poses))
     free, _ = free_columns(problem)
-    whole = jnp.concatenate([(images * free[None]).reshape(7, -1), jnp.zeros((7, problem.shared))], axis=1)
-    return whole, of_points
+    return images * free[None], of_points
 
 
 def unheld(problem: Problem, values: Values, equations: Equations) -> Float[Array, "7 7"]:
     """Rows: combinations of `MOTIONS` that cost nothing, in order; rows of motions that are held are zero."""
-    z, x = motions(problem, values)
-    n, c = problem.n, problem.of_image
-    images = z[:, : n * c].reshape(7, n, c)
+    images, x = motions(problem, values)
     along = jnp.einsum("mnc,ncd->mnd", images, equations.images)
     total = jnp.einsum("mnd,knd->mk", along, images)
     # Each measurement's share is small only when that of its image and of its point are taken together.

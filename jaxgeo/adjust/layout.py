@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo.adjust.banded import Band, band_of, one_slab
+
 GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
 DENSE_COLUMNS = 1600  # of the reduced system, up to which every chunk of points has all of them
 DENSE_BYTES = 48_000_000  # of a chunk's rows
@@ -42,7 +44,7 @@ class Layout(eqx.Module):
     """Index arrays of a block. The last measurement is one without weight, to fill up with.
 
     `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`
-    (n, most) the measurements of each image; `camera` (n,) of the images.
+    (n, most) the measurements of each image; `camera` (n,) of the images; `band` their order in the reduced system.
     """
 
     image: Int[Array, " obs"]
@@ -51,6 +53,7 @@ class Layout(eqx.Module):
     information: Float[Array, "obs 2"]
     of_image: Int[Array, "n most"]
     camera: Int[Array, " n"]
+    band: Band
     groups: tuple[Group, ...]
 
     def to_rays(self, of_points: Float[Array, "k rows"]) -> Float[Array, "k obs"]:
@@ -75,7 +78,8 @@ def layout_of(
     image: np.ndarray, point: np.ndarray, uv: np.ndarray, sigma: np.ndarray, camera: np.ndarray, columns: int
 ) -> tuple[Layout, Order]:
     """Index arrays of measurements by the numbers of images and points; `columns` are those of the reduced system."""
-    n, points = len(camera), int(point.max()) + 1
+    n, points, dense = len(camera), int(point.max()) + 1, columns <= DENSE_COLUMNS
+    band = one_slab(n) if dense else band_of(image, point, n)
     order = np.lexsort((image, point))
     image, point, uv, sigma = image[order], point[order], uv[order], sigma[order]
     counts = np.bincount(point, minlength=points)
@@ -90,7 +94,6 @@ def layout_of(
         seen = np.where(there, image[taken], n)
         sort = np.lexsort(seen.T[::-1])
         chosen = chosen[sort]
-        dense = columns <= DENSE_COLUMNS
         size, chunks = _chunks(len(chosen), columns if dense else None)
         pad = size * chunks - len(chosen)
         there, taken, seen = (
@@ -119,6 +122,7 @@ def layout_of(
         information=jnp.asarray(np.where(there[:, None], 1.0 / sigma[taken], 0.0)),
         of_image=jnp.asarray(_by_image(image_of, there, n), jnp.int32),
         camera=jnp.asarray(camera, jnp.int32),
+        band=band,
         groups=tuple(groups),
     )
     return layout, Order(row_of_point, place, first_row)

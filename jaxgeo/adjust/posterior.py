@@ -7,34 +7,52 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
 from jaxgeo.adjust.equations import Equations, Problem, free_columns
 from jaxgeo.adjust.equations import image_points as weighted_image_points
 from jaxgeo.adjust.layout import Group
 from jaxgeo.adjust.losses import AbstractLoss
-from jaxgeo.adjust.reduction import Eliminated, Rows, backward, eliminate, gather, reduced, rows_of, times_inverse
+from jaxgeo.adjust.reduction import (
+    Eliminated,
+    Rows,
+    backward,
+    eliminate,
+    gather,
+    places,
+    reduced,
+    rows_of,
+    solved,
+    times_inverse,
+)
 from jaxgeo.adjust.values import Values
 
 
 class Datum(eqx.Module):
-    """Inner constraints: the motions that nothing holds, of the reduced unknowns (d, N) and the points (d, 3, rows)."""
+    """Inner constraints: the motions that nothing holds, of images (d, n, c) and points (d, 3, rows)."""
 
-    reduced: Float[Array, "d N"]
+    images: Float[Array, "d n c"]
     points: Float[Array, "d 3 rows"]
 
 
 class Posterior(eqx.Module):
-    """Covariance (N, N) of images and what they share, points eliminated, and the points' factors; `information` (N,)
-    is the diagonal of what was inverted.
+    """The reduced normal equations factored, the inverse where they have blocks, and the points' factors.
 
     With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones.
     """
 
-    covariance: Float[Array, "N N"]
-    information: Float[Array, " N"]
+    factor: Factor
+    inverse: Tridiagonal
     points: Eliminated
     datum: Datum | None
+
+    @property
+    def least(self) -> Float[Array, ""]:
+        """The least share of an unknown's weight that is left to it when the others are not known; NaN or not positive
+        where the system is singular."""
+        scales = self.factor.scale, self.factor.scale_shared
+        return jnp.min(jnp.concatenate([(x**2 / y).ravel() for x, y in zip(scales, self.inverse.own, strict=True)]))
 
 
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
@@ -46,35 +64,63 @@ def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) ->
 @eqx.filter_jit
 def _inverse(
     problem: Problem, equations: Equations, rows: tuple[Rows, ...], datum: Datum | None
-) -> tuple[Float[Array, "N N"], Float[Array, " N"]]:
-    system = reduced(problem, equations, rows, 0.0).matrix
+) -> tuple[Factor, Tridiagonal]:
+    matrix = reduced(problem, equations, rows, 0.0).matrix
     if datum is not None:  # any weights on the motions make it regular, and change nothing else
-        system = system + _weighted(datum.reduced, system)
-    scale = 1.0 / jnp.sqrt(jnp.diagonal(system))
-    factor = jax.scipy.linalg.cho_factor(system * scale[:, None] * scale[None, :], lower=True)
-    inverse = jax.scipy.linalg.cho_solve(factor, jnp.eye(system.shape[0]))
-    return inverse * scale[:, None] * scale[None, :], jnp.diagonal(system)
+        matrix = _held(problem, matrix, datum)
+    factor = factored(matrix)
+    return factor, selected_inverse(factor)
 
 
-def _weighted(motions: Float[Array, "d N"], system: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """Outer products of the motions, each with about the weight of the system's parts."""
-    weight = jnp.diagonal(system)
-    scaled = motions * weight[None, :]
-    return scaled.T @ (scaled / jnp.sum(motions * scaled, axis=1)[:, None])
+def _held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
+    """The motions held by the images of the middle slab, each with about the weight of the system's parts."""
+    band, middle = problem.layout.band, problem.layout.band.slabs // 2
+    motions = jax.vmap(band.to_slabs)(datum.images)[:, middle]
+    scaled = motions * jnp.diagonal(matrix.diagonal[middle])[None, :]
+    weighted = scaled.T @ (scaled / jnp.sum(motions * scaled, axis=1)[:, None])
+    return eqx.tree_at(lambda m: m.diagonal, matrix, matrix.diagonal.at[middle].add(weighted))
+
+
+@eqx.filter_jit
+def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array, "n c c"]:
+    """Covariance of each image's own columns; zero for what is fixed."""
+    covariance = _of_images(problem, posterior.inverse)
+    if posterior.datum is None:
+        return covariance
+    transfer = _Transfer.of(problem, posterior)
+    G, H = (jnp.moveaxis(x, 1, 0) for x in (posterior.datum.images, transfer.of_images))  # (n, d, c)
+    return _transferred(transfer, covariance, G, H)
+
+
+@eqx.filter_jit
+def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array, "s s"]:
+    """Covariance of what images share, the same in every datum; zero for what is fixed."""
+    _, free = free_columns(problem)
+    return posterior.inverse.corner * free[:, None] * free[None, :]
 
 
 @eqx.filter_jit
 def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array, "N N"]:
-    """Covariance of images and what they share; zero for what is fixed."""
+    """Covariance of images, in their order, and what they share; zero for what is fixed."""
     images, shared = free_columns(problem)
     free = jnp.concatenate([images.ravel(), shared])
-    covariance = posterior.covariance * free[:, None] * free[None, :]
+    N, s, c = images.size, shared.size, problem.of_image
+    if problem.layout.band.slabs == 1:
+        own, border = posterior.inverse.diagonal[0], posterior.inverse.border[0]
+        covariance = jnp.block([[own, border], [border.T, posterior.inverse.corner]])
+    else:
+        eye = jnp.eye(N + s)
+        whole = jax.vmap(lambda one, other: solved(problem, posterior.factor, one, other))
+        found = whole(eye[:, :N].reshape(-1, problem.n, c), eye[:, N:])
+        covariance = jnp.concatenate([found[0].reshape(N + s, N), found[1]], axis=1)
+        covariance = 0.5 * (covariance + covariance.T)
+    covariance = covariance * free[:, None] * free[None, :]
     if posterior.datum is None:
         return covariance
     transfer = _Transfer.of(problem, posterior)
-    G, H = posterior.datum.reduced, transfer.of_reduced
-    moved = G.T @ (transfer.inverse @ H)
-    return covariance - moved - moved.T + G.T @ (transfer.middle @ G)
+    G = jnp.pad(posterior.datum.images.reshape(-1, N), ((0, 0), (0, s)))
+    H = jnp.concatenate([transfer.of_images.reshape(-1, N), transfer.of_shared], axis=1)
+    return _transferred(transfer, covariance, G, H)
 
 
 @eqx.filter_jit
@@ -86,14 +132,13 @@ def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array,
         return covariance
     transfer = _Transfer.of(problem, posterior)
     G, H = (jnp.moveaxis(x, -1, 0) for x in (posterior.datum.points, transfer.of_points))  # (rows, d, 3)
-    moved = jnp.einsum("rdi,de,rej->rij", G, transfer.inverse, H)
-    return covariance - moved - jnp.swapaxes(moved, 1, 2) + jnp.einsum("rdi,de,rej->rij", G, transfer.middle, G)
+    return _transferred(transfer, covariance, G, H)
 
 
 @eqx.filter_jit
 def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: Posterior) -> Float[Array, "obs 2 2"]:
     """Covariance of each adjusted image point in units of that measured, J Q J'; the same in every datum."""
-    layout, c, n = problem.layout, problem.of_image, problem.n
+    layout = problem.layout
     _, by_point, by_pose, by_lens, _ = weighted_image_points(problem, values, loss)
     own = jnp.concatenate([by_pose, by_lens], axis=1)  # lenses are an image's own, or have columns of their camera
     own, by_point = (jnp.moveaxis(x, -1, 0) for x in (own, by_point))  # (obs, 2, columns)
@@ -107,7 +152,7 @@ def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: P
     columns = own.shape[-1]
     of_rays = jnp.concatenate([*spread, jnp.zeros((1, 3, columns))])
     of_points = jnp.eye(3)[None] + jnp.concatenate(inner)[layout.row]
-    blocks = _own_blocks(problem, posterior.covariance, n, c)[layout.image]
+    blocks = _with_lens(problem, posterior)[layout.image]
     mixed = jnp.einsum("oai,oic,obc->oab", half, of_rays, own)
     total = jnp.einsum("oai,oij,obj->oab", own, blocks, own) + jnp.einsum("oai,oij,obj->oab", half, of_points, half)
     return total - mixed - jnp.swapaxes(mixed, 1, 2)
@@ -123,12 +168,15 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
     rows = rows_of(problem, group, posterior.points).joined()
     part = slice(group.first, group.first + group.rays * group.rows)
     camera = layout.camera[layout.image[part]].reshape(group.rays, group.chunks, group.size)
+    Q, band = posterior.inverse, layout.band
+    whole = _together(problem, Q, Q.diagonal[0], Q.border[0]) if group.dense else None
+    apart = jnp.concatenate([Q.diagonal, Q.below]).reshape(-1, band.size, problem.of_image, band.size, problem.of_image)
+    border = band.of_images(Q.border)
 
     def one(chunk: Any) -> tuple[Array, Array]:
         slots, D, measured, camera = chunk
-        spread = jnp.moveaxis(
-            (D @ _local(problem, posterior.covariance, slots, group.dense)).reshape(3, group.size, -1), 0, 1
-        )
+        local = _local(problem, Q, apart, border, slots) if whole is None else whole
+        spread = jnp.moveaxis((D @ local).reshape(3, group.size, -1), 0, 1)
         D = jnp.moveaxis(D.reshape(3, group.size, -1), 0, 1)
         inner = jnp.sum(D[:, :, None, :] * spread[:, None, :, :], axis=-1)
         if not rays:
@@ -153,37 +201,70 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
     return inner, of_rays.reshape(group.rays * group.rows, 3, -1)
 
 
-def _local(problem: Problem, Q: Float[Array, "N N"], slots: Any, dense: bool) -> Float[Array, "k k"]:
-    """Rows and columns of the covariance of a chunk's images and of the lenses; zero for slots that hold none."""
-    n, c, lenses = problem.n, problem.of_image, problem.of_lenses
-    N = n * c
-    if dense:  # all of them, in order
-        return Q[: N + lenses, : N + lenses]
-    there = jnp.repeat(slots < n, c)
-    at = jnp.where(there, (jnp.minimum(slots, n - 1)[:, None] * c + jnp.arange(c)[None, :]).reshape(-1), 0)
-    at = jnp.concatenate([at, N + jnp.arange(lenses)])
-    there = jnp.concatenate([there, jnp.ones(lenses, bool)])
-    return jnp.where(there[:, None] & there[None, :], Q[at[:, None], at[None, :]], 0.0)
+def _of_images(problem: Problem, Q: Tridiagonal) -> Float[Array, "n c c"]:
+    """Covariance of each image's own columns in the datum at hand; zero for what is fixed."""
+    band, c, each = problem.layout.band, problem.of_image, jnp.arange(problem.layout.band.size)
+    blocks = Q.diagonal.reshape(band.slabs, band.size, c, band.size, c)
+    blocks = jnp.moveaxis(blocks[:, each, :, each, :], 0, 1).reshape(-1, c, c)
+    free, _ = free_columns(problem)
+    return (blocks if band.slabs == 1 else blocks[band.place]) * free[:, :, None] * free[:, None, :]
 
 
-def _own_blocks(problem: Problem, Q: Float[Array, "N N"], n: int, c: int) -> Float[Array, "n k k"]:
-    """Covariance of each image's own columns, with those of its lens where that is shared."""
-    N, a, each = n * c, len(problem.active), jnp.arange(n)
-    at = each[:, None] * c + jnp.arange(c)[None, :]
-    if problem.of_lenses:
-        at = jnp.concatenate([at, N + problem.layout.camera[:, None] * a + jnp.arange(a)[None, :]], axis=1)
-    return Q[at[:, :, None], at[:, None, :]]
+def _together(problem: Problem, Q: Tridiagonal, own: Array, border: Array) -> Float[Array, "k k"]:
+    """Covariance of some images' columns and those of the lenses that all share."""
+    lenses = problem.of_lenses
+    border = border[:, :lenses]
+    return jnp.block([[own, border], [border.T, Q.corner[:lenses, :lenses]]]) if lenses else own
+
+
+def _local(
+    problem: Problem,
+    Q: Tridiagonal,
+    blocks: Float[Array, "blocks size c size c"],
+    border: Float[Array, "n c s"],
+    slots: Int[Array, " q"],
+) -> Float[Array, "k k"]:
+    """Covariance of a chunk's images and of the lenses; zero for slots that hold none, and for images so far apart that
+    no point is seen by both. `blocks` are those of Q, `border` what it has of each image with what all share."""
+    band, c, q = problem.layout.band, problem.of_image, slots.shape[0]
+    lower = blocks.at[places(band, slots, c)].get(mode="fill", fill_value=0.0).reshape(q * c, q * c)
+    slab = jnp.repeat(band.place[jnp.minimum(slots, problem.n - 1)] // band.size, c)
+    own = lower + jnp.where(slab[:, None] < slab[None, :], lower.T, 0.0)
+    return _together(problem, Q, own, border.at[slots].get(mode="fill", fill_value=0.0).reshape(q * c, border.shape[2]))
+
+
+def _with_lens(problem: Problem, posterior: Posterior) -> Float[Array, "n k k"]:
+    """Covariance of each image's own columns, with those of its lens where that is shared, in the datum at hand."""
+    own = _of_images(problem, posterior.inverse)
+    if not problem.of_lenses:
+        return own
+    a, Q = len(problem.active), posterior.inverse
+    at = problem.layout.camera[:, None] * a + jnp.arange(a)[None, :]  # (n, a)
+    border = problem.layout.band.of_images(Q.border)  # (n, c, s)
+    mixed = jnp.take_along_axis(border, at[:, None, :], axis=2)
+    corner = Q.corner[at[:, :, None], at[:, None, :]]
+    return jnp.concatenate(
+        [jnp.concatenate([own, mixed], axis=2), jnp.concatenate([jnp.swapaxes(mixed, 1, 2), corner], axis=2)], axis=1
+    )
+
+
+def _transferred(transfer: _Transfer, covariance: Array, G: Array, H: Array) -> Array:
+    """Covariance (..., k, k) in the datum of the inner constraints, from parts (..., d, k) of the motions and of
+    G_s' Q."""
+    moved = jnp.einsum("...di,de,...ej->...ij", G, transfer.inverse, H)
+    return covariance - moved - jnp.swapaxes(moved, -1, -2) + jnp.einsum("...di,de,...ej->...ij", G, transfer.middle, G)
 
 
 class _Transfer(eqx.Module):
     """What turns covariances of any minimal constraints into those of the inner ones (S-transformation, Baarda 1973).
 
     With the motions G of all unknowns and G_s those of the points, which make the datum: `inverse` (G_s' G)^-1,
-    `of_reduced` and `of_points` the parts of G_s' Q, `middle` inverse G_s' Q G_s inverse.
+    `of_images`, `of_shared` and `of_points` the parts of G_s' Q, `middle` inverse G_s' Q G_s inverse.
     """
 
     inverse: Float[Array, "d d"]
-    of_reduced: Float[Array, "d N"]
+    of_images: Float[Array, "d n c"]
+    of_shared: Float[Array, "d s"]
     of_points: Float[Array, "d 3 rows"]
     middle: Float[Array, "d d"]
 
@@ -204,21 +285,19 @@ class _Transfer(eqx.Module):
             by_slot = jnp.moveaxis(sums[:, :, : q * c].reshape(group.chunks, -1, q, c), 1, 2)
             images = images.at[:, group.slots].add(jnp.moveaxis(by_slot, 2, 0), mode="drop")
             corner = corner + jnp.sum(sums[:, :, q * c :], axis=0)
-        F = jnp.concatenate([images.reshape(G.shape[0], -1), corner], axis=1)
-        F = jnp.pad(F, ((0, 0), (0, posterior.covariance.shape[0] - F.shape[1])))
-        of_reduced = -F @ posterior.covariance
-        spread = F @ posterior.covariance
-        along = _along_points(problem, posterior, spread)  # (F Q) D' of each point, (d, 3, rows)
+        corner = jnp.pad(corner, ((0, 0), (0, problem.shared - lenses)))
+        of_images, of_shared = jax.vmap(lambda x, y: solved(problem, posterior.factor, x, y))(images, corner)  # F Q
+        along = _along_points(problem, posterior, of_images, of_shared)  # (F Q) D' of each point, (d, 3, rows)
         of_points = _backward_rows(factor, half + along)
         inverse = jnp.linalg.inv(jnp.einsum("dir,eir->de", G, G))
         middle = jnp.einsum("dir,eir->de", of_points, G)
-        return cls(inverse, of_reduced, of_points, inverse @ (0.5 * (middle + middle.T)) @ inverse)
+        return cls(inverse, -of_images, -of_shared, of_points, inverse @ (0.5 * (middle + middle.T)) @ inverse)
 
 
-def _along_points(problem: Problem, posterior: Posterior, v: Float[Array, "d N"]) -> Float[Array, "d 3 rows"]:
+def _along_points(
+    problem: Problem, posterior: Posterior, images: Float[Array, "d n c"], shared: Float[Array, "d s"]
+) -> Float[Array, "d 3 rows"]:
     """Rows of the reduced space times D' of each point."""
-    n, c, lenses = problem.n, problem.of_image, problem.of_lenses
-    images = v[:, : n * c].reshape(-1, n, c)
     layout = problem.layout
     along = jnp.einsum("doc,ioc->dio", images[:, layout.image], posterior.points.halves)
     found = []
@@ -226,7 +305,7 @@ def _along_points(problem: Problem, posterior: Posterior, v: Float[Array, "d N"]
         part = along[:, :, group.first : group.first + group.rays * group.rows]
         found.append(jnp.sum(part.reshape(-1, 3, group.rays, group.rows), axis=2))
     total = jnp.concatenate(found, axis=-1)
-    return total + jnp.einsum("da,air->dir", v[:, n * c : n * c + lenses], posterior.points.shared_halves)
+    return total + jnp.einsum("da,air->dir", shared[:, : problem.of_lenses], posterior.points.shared_halves)
 
 
 def _between(factor: Any, inner: Float[Array, "rows 3 3"]) -> Float[Array, "rows 3 3"]:

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
 from jaxgeo.adjust.equations import Equations, Problem, free_columns
 from jaxgeo.adjust.layout import Group
 
@@ -24,10 +25,11 @@ class Eliminated(eqx.Module):
 
 
 class Reduced(eqx.Module):
-    """The normal equations of images and what they share, the points eliminated: `matrix` (N, N), `gradient` (N,)."""
+    """The normal equations of images and what they share, the points eliminated, and the gradients of both."""
 
-    matrix: Float[Array, "N N"]
-    gradient: Float[Array, " N"]
+    matrix: Tridiagonal
+    images: Float[Array, "n c"]
+    shared: Float[Array, " s"]
 
 
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
@@ -45,24 +47,39 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
 
 def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """The reduced system; its diagonal, too, is larger by the share `damping`, and one where columns are fixed."""
-    n, c, s = problem.n, problem.of_image, problem.shared
+    band, c, s = problem.layout.band, problem.of_image, problem.shared
     images = equations.images * (1.0 + damping * jnp.eye(c))[None]
     shared = equations.shared * (1.0 + damping * jnp.eye(s))
     free_images, free_shared = free_columns(problem)
-    matrix = jnp.zeros((n + 1, c, n + 1, c)) if not _dense(problem) else jnp.zeros((n, c, n, c))
-    each = jnp.arange(n)
-    matrix = matrix.at[each, :, each, :].add(images + jnp.eye(c)[None] * (1.0 - free_images)[:, :, None])
+    images = images + jnp.eye(c)[None] * (1.0 - free_images)[:, :, None]
     border, corner = equations.images_shared, shared + jnp.diag(1.0 - free_shared)
-    gradient, shared_gradient = equations.image_gradient, equations.shared_gradient
-    state = (matrix, border, corner, gradient, shared_gradient)
+    state = (_on_diagonal(band, images), border, corner, equations.image_gradient, equations.shared_gradient)
     for group, own in zip(problem.layout.groups, rows, strict=True):
         state = _less_points(problem, group, own, state)
-    matrix, border, corner, gradient, shared_gradient = state
-    N = n * c
-    matrix = matrix[:n, :, :n, :].reshape(N, N)
-    border = border.reshape(N, s)
-    whole = jnp.block([[matrix, border], [border.T, corner]]) if s else matrix
-    return Reduced(whole, jnp.concatenate([gradient.reshape(-1), shared_gradient]))
+    blocks, border, corner, image_gradient, shared_gradient = state
+    blocks = blocks.reshape(-1, band.size * c, band.size * c)
+    diagonal, below = blocks[: band.slabs], blocks[band.slabs :]
+    matrix = Tridiagonal(diagonal, below, band.to_slabs(border), corner)
+    return Reduced(matrix, image_gradient, shared_gradient)
+
+
+def _on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "blocks size c size c"]:
+    """Blocks of the slabs, and then of each with the next, that hold what images have with themselves."""
+    c, each = images.shape[1], jnp.arange(band.size)
+    eye = jnp.broadcast_to(jnp.eye(c), (band.slabs * band.size, c, c))
+    own = images if band.slabs == 1 else eye.at[band.place].set(images, unique_indices=True)
+    own = jnp.moveaxis(own.reshape(band.slabs, band.size, c, c), 1, 0)
+    blocks = jnp.zeros((2 * band.slabs - 1, band.size, c, band.size, c))
+    return blocks.at[: band.slabs, each, :, each, :].set(own, unique_indices=True)
+
+
+def solved(
+    problem: Problem, factor: Factor, images: Float[Array, "n c"], shared: Float[Array, " s"]
+) -> tuple[Float[Array, "n c"], Float[Array, " s"]]:
+    """The reduced system's inverse times one column."""
+    band = problem.layout.band
+    slabs, shared = factor.solved(band.to_slabs(images)[:, :, None], shared[:, None])
+    return band.of_images(slabs[:, :, 0]), shared[:, 0]
 
 
 def back_substituted(problem: Problem, points: Eliminated, images: Any, shared: Any) -> Float[Array, "3 rows"]:
@@ -122,35 +139,45 @@ def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:
     c, lenses, q = problem.of_image, problem.of_lenses, group.slots.shape[1]
 
     def one(state: Any, chunk: Any) -> tuple[Any, None]:
-        matrix, border, corner, gradient, shared_gradient = state
+        blocks, border, corner, gradient, shared_gradient = state
         slots, (D, of_lenses, y) = chunk
         D, of_lenses, y = D.reshape(3 * group.size, q * c), of_lenses.reshape(3 * group.size, lenses), y.reshape(-1)
         square, along = _transposed_times(D, D).reshape(q, c, q, c), (y @ D).reshape(q, c)
         if group.dense:
-            matrix, gradient = matrix - square, gradient - along
+            blocks, gradient = blocks - square[None], gradient - along
         else:
-            image, column = slots[:, None], jnp.arange(c)[None, :]
-            down, across = (x[:, :, None, None] for x in (image, column)), (image[None, None], column[None, None])
-            matrix = matrix.at[*down, *across].add(-square, mode="drop")
+            blocks = blocks.at[places(problem.layout.band, slots, c)].add(-square, mode="drop")
             gradient = gradient.at[slots].add(-along, mode="drop")
         if lenses:
             mixed = _transposed_times(D, of_lenses).reshape(q, c, lenses)
             border = border.at[slots, :, :lenses].add(-mixed, mode="drop")
             corner = corner.at[:lenses, :lenses].add(-_transposed_times(of_lenses, of_lenses))
             shared_gradient = shared_gradient.at[:lenses].add(-(y @ of_lenses))
-        return (matrix, border, corner, gradient, shared_gradient), None
+        return (blocks, border, corner, gradient, shared_gradient), None
 
     if group.chunks == 1:
         return one(state, (group.slots[0], Rows(*(x[0] for x in rows))))[0]
     return jax.lax.scan(one, state, (group.slots, rows))[0]
 
 
+def places(band: Band, slots: Int[Array, " q"], c: int) -> tuple[Array, ...]:
+    """Indices, each (q, c, q, c) when broadcast, of a chunk's images with each other in the blocks of the slabs.
+
+    Beyond the last where a slot has no image, where two images are not in the same slab nor the first in the one after
+    the second's, and so have no place: no point is seen by images that are further apart.
+    """
+    n, column = band.place.shape[0], jnp.arange(c)
+    slab, within = jnp.divmod(band.place[jnp.minimum(slots, n - 1)], band.size)
+    there, after = slots < n, slab[:, None] - slab[None, :]
+    block = jnp.where(after == 0, slab[None, :], band.slabs + slab[None, :])
+    kept = there[:, None] & there[None, :] & ((after == 0) | (after == 1))
+    block = jnp.where(kept, block, 2 * band.slabs)
+    row, across = within[:, None, None, None], within[None, None, :, None]
+    return block[:, None, :, None], row, column[None, :, None, None], across, column[None, None, None, :]
+
+
 def _transposed_times(A: Float[Array, "rows a"], B: Float[Array, "rows b"]) -> Float[Array, "a b"]:
     return jax.lax.dot_general(A, B, (((0,), (0,)), ((), ())))
-
-
-def _dense(problem: Problem) -> bool:
-    return problem.layout.groups[0].dense
 
 
 def _cholesky_3(V: Float[Array, "3 3 rows"]) -> tuple[Array, ...]:

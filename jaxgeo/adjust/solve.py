@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxgeo._typing import Scalar
+from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import Eliminated, Rows, back_substituted, eliminate, gather, reduced
+from jaxgeo.adjust.reduction import Eliminated, Rows, back_substituted, eliminate, gather, reduced, solved
 from jaxgeo.adjust.values import Values, moved
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
@@ -125,9 +124,7 @@ def _trial(
     """(values after a damped step, their cost, the decrease that the step promises)."""
     points, rows = ready
     system = reduced(problem, equations, rows, damping)
-    solution = -solved(system.matrix, system.gradient)
-    images = solution[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
-    shared = solution[problem.n * problem.of_image :]
+    images, shared = solved(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
     return trial, cost_of(problem, trial, loss), promised_by(equations, images, shared, of_points, damping)
@@ -143,10 +140,3 @@ def promised_by(equations: Equations, images: Any, shared: Any, points: Any, dam
         (points, equations.point_gradient, of_points),
     )
     return 0.5 * sum((jnp.sum(x * (damping * d * x - g)) for x, g, d in pairs), start=jnp.zeros(()))
-
-
-def solved(matrix: Float[Array, "N N"], right: Float[Array, " N"]) -> Float[Array, " N"]:
-    """Solution of a symmetric positive definite system, its unknowns scaled alike; NaN where it is not definite."""
-    scale = 1.0 / jnp.sqrt(jnp.diagonal(matrix))
-    factor = jax.scipy.linalg.cho_factor(matrix * scale[:, None] * scale[None, :], lower=True)
-    return scale * jax.scipy.linalg.cho_solve(factor, scale * right)

@@ -9,17 +9,20 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are asked for
+from jaxtyping import Array, Float
 
+from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
 from jaxgeo.adjust.equations import Equations, Problem
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.reduction import Reduced, back_substituted, eliminate, eliminated, gather, reduced
+from jaxgeo.adjust.reduction import back_substituted, eliminate, eliminated, gather, reduced
 from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
 
 SHARE = 0.05  # of the largest part: smaller parts of a direction are not named
 MOST = 5  # parts that are named
 COMMON = 0.95  # of a change that must be one motion of all to be called that
+SHIFT = 1e-10  # of the diagonal
 AXES = ("east", "north", "height")
 
 
@@ -50,44 +53,79 @@ class DeficientBlock(ValueError):
         self.directions = directions
 
 
-def reduced_at(problem: Problem, equations: Equations) -> Reduced:
-    """The reduced normal equations, not damped."""
+def scaled_at(
+    problem: Problem, equations: Equations
+) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
+    """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales."""
     none = jnp.zeros(())
     return _reduced(problem, equations, gather(problem, eliminate(problem, equations, none)), none)
 
 
 @eqx.filter_jit
-def _reduced(problem: Problem, equations: Equations, rows: Any, damping: Any) -> Reduced:
-    return reduced(problem, equations, rows, damping)
+def _reduced(problem: Problem, equations: Equations, rows: Any, damping: Any) -> Any:
+    matrix = reduced(problem, equations, rows, damping).matrix
+    scale = tuple(1.0 / jnp.sqrt(x) for x in matrix.own)
+    return matrix.scaled(*scale), scale
 
 
 @eqx.filter_jit
-def _points_along(problem: Problem, equations: Equations, vector: Any) -> Any:
+def _shifted(matrix: Tridiagonal) -> Factor:
+    """Factor of a scaled system with a little more on its diagonal, by which a singular one is regular."""
+    diagonal = matrix.diagonal + SHIFT * jnp.eye(matrix.diagonal.shape[1])[None]
+    corner = matrix.corner + SHIFT * jnp.eye(matrix.corner.shape[0])
+    return factored(Tridiagonal(diagonal, matrix.below, matrix.border, corner))
+
+
+@eqx.filter_jit
+def _solved(factor: Factor, column: Float[Array, " N"]) -> Float[Array, " N"]:
+    slabs, m, _ = factor.own.shape
+    images, shared = column[: slabs * m].reshape(slabs, m, 1), column[slabs * m :][:, None]
+    return jnp.concatenate([x.ravel() for x in factor.solved(images, shared)])
+
+
+def _least(matrix: Tridiagonal, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """(eigenvalues (k,), eigenvectors (k, N) slab by slab) of the least eigenvalues of a scaled system."""
+    slabs, m, s = matrix.border.shape
+    few = min(most, slabs * m + s)
+    if slabs == 1:
+        own, border, corner = (np.asarray(x) for x in (matrix.diagonal[0], matrix.border[0], matrix.corner))
+        whole = np.block([[own, border], [border.T, corner]]) if s else own
+        found = scipy.linalg.eigh(whole, subset_by_index=[0, few - 1])
+    else:  # Lanczos's method on the inverse
+        factor, size = _shifted(matrix), slabs * m + s
+        inverse = scipy.sparse.linalg.LinearOperator(
+            (size, size), matvec=lambda x: np.asarray(_solved(factor, jnp.asarray(x.ravel()))), dtype=np.float64
+        )
+        values, vectors = scipy.sparse.linalg.eigsh(inverse, few, which="LM", v0=np.ones(size))
+        order = np.argsort(-values)
+        found = 1.0 / values[order] - SHIFT, vectors[:, order]
+    return found[0], found[1].T
+
+
+@eqx.filter_jit
+def _points_along(problem: Problem, equations: Equations, images: Any, shared: Any) -> Any:
     """How points follow a change of the reduced unknowns (3, rows), m."""
     points = eliminated(problem, equations, 0.0)
     points = eqx.tree_at(lambda p: p.forward, points, jnp.zeros_like(points.forward))
-    images = vector[: problem.n * problem.of_image].reshape(problem.n, problem.of_image)
-    along = back_substituted(problem, points, images, vector[problem.n * problem.of_image :])
-    return along * problem.free_point.T
+    return back_substituted(problem, points, images, shared) * problem.free_point.T
 
 
 def weakest(ready: Prepared, solution: Solution, most: int) -> list[Direction]:
     """The combinations of unknowns that the normal equations hold least, the weakest first."""
     problem, names, equations = ready.problem, ready.names, solution.equations
-    system = np.asarray(reduced_at(problem, equations).matrix)
-    scale = 1.0 / np.sqrt(np.diagonal(system))
-    few = min(most, len(system))
-    strengths, vectors = scipy.linalg.eigh(system * scale[:, None] * scale[None, :], subset_by_index=[0, few - 1])
+    matrix, (scale, scale_shared) = scaled_at(problem, equations)
+    strengths, vectors = _least(matrix, most)
     weights = [np.sqrt(np.diagonal(np.asarray(x), axis1=-2, axis2=-1)) for x in (equations.images, equations.shared)]
     of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[ready.order.row_of_point]
     places = np.asarray(solution.values.points)[ready.order.row_of_point], np.asarray(solution.values.centre)
     found = []
-    for strength, vector in zip(strengths, vectors.T, strict=True):
-        change, N = scale * vector, problem.n * problem.of_image
-        points = np.asarray(_points_along(problem, equations, jnp.asarray(change))).T[ready.order.row_of_point]
-        images = change[:N].reshape(problem.n, -1)
+    for strength, vector in zip(strengths, vectors, strict=True):
+        change, shared = jnp.asarray(vector[: scale.size]).reshape(scale.shape) * scale, vector[scale.size :]
+        of_images = problem.layout.band.of_images(change)
+        points = np.asarray(_points_along(problem, equations, of_images, jnp.asarray(shared) * scale_shared))
+        points, images = points.T[ready.order.row_of_point], np.asarray(of_images)
         # Of what images share, in units of what is left of their own weights: few of them, they would be lost else.
-        own = np.abs(vector[N:]) / np.max(np.abs(vector)) * max(_length(points * of_points), 1e-300)
+        own = np.abs(shared) / np.max(np.abs(vector)) * max(_length(points * of_points), 1e-300)
         sizes = _Sizes(points * of_points, images * weights[0], own)
         parts = sizes.of_parameters(names.lens if problem.own_lens else (), names.columns(problem))
         parts = sizes.of_motions((points, images[:, :3]), places) | parts
