@@ -1,6 +1,6 @@
 """How fast blocks are adjusted: beside Ceres, compiled, by pycolmap and pyceres; and how it grows with the images.
 
-Run: python -m benchmarks.adjustment [--repeats 5] [--full] [--skip-growth] [--json out.json]
+Run: python -m benchmarks.adjustment [--repeats 5] [--skip-growth] [--json out.json]
 Solves are warm and interleaved; medians. Ours stops as Ceres does, where a step changes the cost by less than 1e-6 of
 it. Building the problem, in Python for both, is told apart from solving it; so is compiling. BAL is read from the
 folder JAXGEO_TEST_DATA.
@@ -15,7 +15,7 @@ import pathlib
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,7 +45,7 @@ from jaxgeo.adjust import (
     Unknowns,
     adjust,
 )
-from jaxgeo.adjust.posterior import covariance_of_points, covariance_of_reduced, posterior_of
+from jaxgeo.adjust.posterior import covariance_of_images, covariance_of_points, covariance_of_shared, posterior_of
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.solve import Solution, solve
 from jaxgeo.sensor import BrownConrady, FrameCamera, Mount
@@ -55,7 +55,7 @@ DATA = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).re
 BAL = DATA / "bal" / "problem-16-22106-pre.txt.bz2"
 TOLERANCE, CORES = 1e-6, 2
 STRIP = 25  # images of a strip, in the blocks that grow
-SIZES, LARGEST = (50, 150, 400), 1300
+SIZES = (50, 150, 400, 1300)
 DENSITY = 25.0  # points to a base squared: some 200 in an image
 
 
@@ -112,10 +112,10 @@ def solved(ready: Prepared) -> Solution:
 
 
 def covariances(ready: Prepared, found: Solution) -> Any:
-    """Of all orientations and lenses, and of all points."""
+    """Of each orientation, of the lenses together, and of each point."""
     posterior = posterior_of(ready.problem, found.equations, None)
-    told = covariance_of_reduced(ready.problem, posterior), covariance_of_points(ready.problem, posterior)
-    return jax.block_until_ready(told)
+    told = (covariance_of_images, covariance_of_shared, covariance_of_points)
+    return jax.block_until_ready([of(ready.problem, posterior) for of in told])
 
 
 # Beside Ceres.
@@ -225,7 +225,7 @@ def spreads(name: str, problem: BlockProblem, repeats: int) -> Table:
         t = float(np.median(wall[kind]))
         spread = 100.0 * (max(wall[kind]) - min(wall[kind])) / t
         table.rows.append([title, t, spread, min(processor[kind]), own / t, first[kind]])
-    mine = np.asarray(kept["jaxgeo"][1])[ready.order.row_of_point]
+    mine = np.asarray(kept["jaxgeo"][2])[ready.order.row_of_point]
     names = [int(point[1:]) for point in ready.names.point.tolist()]
     apart = np.sqrt(np.diagonal(mine, axis1=1, axis2=2) / np.diagonal(kept["peer"][1][names], axis1=1, axis2=2))
     table.notes.append(f"standard deviations of the points agree to {np.abs(apart - 1.0).max():.1e}")
@@ -331,7 +331,7 @@ def _redundancy(problem: BlockProblem) -> int:
     return 2 * len(problem.uv) - 3 * len(problem.points) - 5
 
 
-def growth(sizes: list[int]) -> Table:
+def growth(sizes: Sequence[int]) -> Table:
     """Blocks of strips, each in a process of its own."""
     columns = [Column("images"), Column("points"), Column("measurements"), Column("iterations")]
     columns += [Column("solve", "s", "lower"), Column("each iteration", "s", "lower")]
@@ -392,7 +392,6 @@ def main() -> None:
     """Measure, print, and write it down."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--full", action="store_true", help=f"grow to {LARGEST} images")
     parser.add_argument("--skip-growth", action="store_true")
     parser.add_argument("--grown", type=int, help="one block of so many images in this process, as JSON")
     parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")
@@ -428,7 +427,7 @@ def _tables(options: argparse.Namespace) -> Any:
             print(error, file=sys.stderr)
         yield whole(name, problem)
     if not options.skip_growth:
-        yield growth([*SIZES, *([LARGEST] if options.full else [])])
+        yield growth(SIZES)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.adjust.block import Block, Images
-from jaxgeo.adjust.equations import free_columns, image_residuals, navigation_residuals
+from jaxgeo.adjust.equations import free_columns, image_residuals, in_view, navigation_residuals
 from jaxgeo.adjust.exterior import angles_by_turn, omega_phi_kappa
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.losses import AbstractLoss
@@ -140,18 +140,7 @@ class Adjustment:
     @cached_property
     def visible(self) -> np.ndarray:
         """Of each image point (k,), whether its adjusted point lies in front of the camera and in its lens's field."""
-        seen, images = self.block.observations, self.images
-        by_name = np.argsort(images.name)
-        image = by_name[np.searchsorted(images.name, seen.image, sorter=by_name)]
-        names = self.prepared.names.point
-        places = np.asarray(self.solution.values.points)[self.prepared.order.row_of_point]
-        offset = places[np.searchsorted(names, seen.point)] - images.centre[image]
-        d = np.einsum("kij,ki->kj", images.R_frame_from_camera[image], offset)
-        found = d[:, 2] > 0.0
-        for name, camera in self.cameras.items():
-            own = np.flatnonzero(found & (images.camera[image] == name))
-            found[own] = np.asarray(jax.vmap(camera.distortion.in_field)(jnp.asarray(d[own, :2] / d[own, 2:])))
-        return found
+        return np.asarray(in_view(self.prepared.problem, self.solution.values))[self.prepared.order.place]
 
     @cached_property
     def navigation_residuals(self) -> np.ndarray | None:

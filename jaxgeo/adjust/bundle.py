@@ -13,10 +13,11 @@ import numpy as np
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
+from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.posterior import Datum, Posterior
 from jaxgeo.adjust.problem import Prepared, prepared
-from jaxgeo.adjust.solve import Iteration, Solution, Solver, equations_at, solve
+from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
@@ -138,7 +139,7 @@ def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.
     turned = R @ np.asarray(values.R_frame_from_camera)
     changed = (jnp.asarray(centre), jnp.asarray(turned), jnp.asarray(points))
     values = eqx.tree_at(lambda v: (v.centre, v.R_frame_from_camera, v.points), values, changed)
-    return Solution(values, equations_at(problem, values, loss), solution.log, solution.converged)
+    return Solution(values, linearised(problem, values, loss), solution.log, solution.converged)
 
 
 def nearest(source: np.ndarray, target: np.ndarray, rows: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:

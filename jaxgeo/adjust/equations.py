@@ -8,7 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.collinearity import (
@@ -128,6 +128,18 @@ def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
     return jax.vmap(one, in_axes=(-1, -1, -1, 0, 0), out_axes=-1)(cameras, lens, ideal, layout.uv, layout.information)
 
 
+@eqx.filter_jit
+def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
+    """Whether the point of each measurement lies in front of the camera and in its lens's field."""
+    cameras, lens, R, offset = _of_measurements(problem, values)
+
+    def one(camera: Any, lens: Any, d: Any) -> Array:
+        ahead = d[2] > 0.0
+        return ahead & with_interior(camera, lens).distortion.in_field(d[:2] / jnp.where(ahead, d[2], 1.0))
+
+    return jax.vmap(one, in_axes=-1)(cameras, lens, in_camera(R, offset))
+
+
 def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
     """Weighted residuals of positions and attitudes."""
     assert problem.observed is not None
@@ -135,32 +147,58 @@ def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"
 
 
 def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
-    """The normal equations at some values. With a robust loss each image point has the weight that it leaves it."""
+    """The normal equations at some values. With a robust loss each image point has the weight that it leaves it.
+
+    In three programs: one of all of it makes many things again where they are used, and takes twice as long.
+    """
+    seen = _image_points(problem, values, loss)
+    return _normal(problem, values, seen, _by_image(problem, seen))
+
+
+@eqx.filter_jit
+def _image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[Array, ...]:
+    return image_points(problem, values, loss)
+
+
+@eqx.filter_jit
+def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "n most columns"]]:
+    """Derivatives by pose and lens, and residuals, of the measurements of each image, for both axes."""
+    residual, _, by_pose, by_lens, _ = seen
+    found = []
+    for axis in range(2):
+        rows = jnp.concatenate([by_pose[axis], by_lens[axis], residual[axis][None]])
+        found.append(rows.T.at[problem.layout.of_image].get(mode="promise_in_bounds"))
+    return found
+
+
+@eqx.filter_jit
+def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image: list[Array]) -> Equations:
     layout = problem.layout
-    residual, by_point, by_pose, by_lens, rho = image_points(problem, values, loss)
+    residual, by_point, by_pose, by_lens, rho = seen
     own = jnp.concatenate([by_pose, by_lens], axis=1) if problem.own_lens else by_pose
     coupling = own[0][:, None] * by_point[0][None] + own[1][:, None] * by_point[1][None]
-    points, point_gradient, shared_coupling = [], [], []
-    for group in layout.groups:
+    x, y = by_point
+    products = _of_points(
+        problem, [x[i] * x[j] + y[i] * y[j] for i, j in ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))]
+    )
+    gradients = _of_points(problem, [x[i] * residual[0] + y[i] * residual[1] for i in range(3)])
+    shared_coupling = []
+    for group in layout.groups if problem.of_lenses else ():
         part = slice(group.first, group.first + group.rays * group.rows)
         shape = (group.rays, group.rows)
-        x, r = by_point[:, :, part].reshape(2, 3, *shape), residual[:, part].reshape(2, *shape)
-        points.append(jnp.sum(x[:, :, None] * x[:, None], axis=(0, 3)))
-        point_gradient.append(jnp.sum(x * r[:, None], axis=(0, 2)))
-        if problem.of_lenses:
-            lens = by_lens[:, :, part].reshape(2, -1, *shape)
-            shared_coupling.append(_of_lenses(problem, layout.camera[layout.image[part]].reshape(shape), lens, x))
+        lens, own = by_lens[:, :, part].reshape(2, -1, *shape), by_point[:, :, part].reshape(2, 3, *shape)
+        shared_coupling.append(_of_lenses(problem, layout.camera[layout.image[part]].reshape(shape), lens, own))
     rows = values.points.shape[0]
     off = _known_points(problem, values)
     known = problem.known_point
-    V = jnp.concatenate(points, axis=-1) + jnp.einsum("rki,rkj->ijr", known, known)
-    g = jnp.concatenate(point_gradient, axis=-1) + jnp.einsum("rki,rk->ir", known, off)
+    V = products[jnp.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])] + jnp.einsum("rki,rkj->ijr", known, known)
+    g = gradients + jnp.einsum("rki,rk->ir", known, off)
     if problem.terrain is not None:
         height, slope = problem.terrain.linearised(values.points)
         V, g = V + slope.T[:, None] * slope.T[None, :], g + slope.T * height[None, :]
     free = problem.free_point.T
     V, g = V * free[:, None] * free[None, :] + jnp.eye(3)[:, :, None] * (1.0 - free)[:, None], g * free
-    sums = _of_images_and_shared(problem, values, residual, by_pose, by_lens)
+    sums = _of_images_and_shared(problem, values, by_image)
     cost = 0.5 * jnp.sum(rho) + half_sum(off) + sums.pop("cost")
     if problem.terrain is not None:
         cost = cost + half_sum(height)
@@ -244,6 +282,15 @@ def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
     )
 
 
+def _of_points(problem: Problem, terms: list[Float[Array, " obs"]]) -> Float[Array, "k rows"]:
+    """Sums of k numbers over the measurements of each point."""
+    found = []
+    for group in problem.layout.groups:
+        part = slice(group.first, group.first + group.rays * group.rows)
+        found.append(jnp.stack([jnp.sum(term[part].reshape(group.rays, group.rows), axis=0) for term in terms]))
+    return jnp.concatenate(found, axis=-1)
+
+
 def _of_lenses(problem: Problem, camera: Any, lens: Any, x: Any) -> Array:
     """Coupling (cameras * active, 3, rows) between points and lenses: sums over a point's rays, camera by camera."""
     found = []
@@ -253,16 +300,11 @@ def _of_lenses(problem: Problem, camera: Any, lens: Any, x: Any) -> Array:
     return jnp.concatenate(found)
 
 
-def _of_images_and_shared(
-    problem: Problem, values: Values, residual: Any, by_pose: Any, by_lens: Any
-) -> dict[str, Any]:
+def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array]) -> dict[str, Any]:
     """Sums over the measurements of each image, what the navigation and priors add, and their cost."""
     layout, n, c, active = problem.layout, problem.n, problem.of_image, len(problem.active)
-    rows = jnp.concatenate([by_pose, by_lens, residual[:, None]], axis=1)  # (2, 6 + active + 1, obs)
-    rows = jnp.moveaxis(rows, -1, 0).at[layout.of_image].get(mode="promise_in_bounds")  # (n, most, 2, columns)
-    rows = rows.reshape(n, -1, rows.shape[-1])
-    sums = jnp.einsum("nla,nlb->nab", rows[..., :-1], rows)
-    matrix, gradient = sums[..., :-1], sums[..., -1]
+    sums = _sum(jnp.einsum("nla,nlb->nab", rows, rows) for rows in by_image)
+    matrix, gradient = sums[:, :-1, :-1], sums[:, :-1, -1]
     images, image_gradient = matrix[:, :c, :c], gradient[:, :c]
     s = problem.shared
     images_shared, shared, shared_gradient = jnp.zeros((n, c, s)), jnp.zeros((s, s)), jnp.zeros(s)

@@ -13,17 +13,21 @@ from jaxtyping import Array, Float, Int
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
 GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
-DENSE_COLUMNS = 1600  # of the reduced system, up to which every chunk of points has all of them
-DENSE_BYTES = 48_000_000  # of a chunk's rows
-SPARSE_POINTS = 64  # in a chunk, where it has columns of the images that see it only
+DENSE_COLUMNS = 1600  # of the reduced system, up to which it is one slab and chunks of points may have all of them
+DENSE_BYTES, DENSE_POINTS = 48_000_000, 64  # of a chunk's rows, and points that it has at least
+POINTS = (16, 32, 64, 128, 256)  # in a chunk, where it has columns of the images that see it only
+BATCH_BYTES = 8_000_000  # of the products of a batch of chunks
+# What it takes, in ns: to multiply and add, to gather a number, to add a number to its place, to begin with a chunk.
+MULTIPLY, GATHER, SCATTER, BEGIN = 0.04, 1.5, 8.0, 3000.0
 
 
 class Group(eqx.Module):
     """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
 
     Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
-    points are seen in (the number of images where there are fewer), `measured` (chunks, size, q) the measurement of a
-    point there (the last of all, which has no weight, where there is none).
+    points are seen in (the number of images where there are fewer; all, in order, where the group is `dense`),
+    `measured` (chunks, size, q) the measurement of a point there (the last of all, which has no weight, where there is
+    none). `batch` chunks are multiplied at a time.
     """
 
     rays: int = eqx.field(static=True)
@@ -32,6 +36,7 @@ class Group(eqx.Module):
     first: int = eqx.field(static=True)
     first_row: int = eqx.field(static=True)
     dense: bool = eqx.field(static=True)
+    batch: int = eqx.field(static=True)
     slots: Int[Array, "chunks q"]
     measured: Int[Array, "chunks size q"]
 
@@ -94,15 +99,15 @@ def layout_of(
         seen = np.where(there, image[taken], n)
         sort = np.lexsort(seen.T[::-1])
         chosen = chosen[sort]
-        size, chunks = _chunks(len(chosen), columns if dense else None)
+        size, chunks, batch, own = _chunking(seen[sort], n, columns // n, dense)
         pad = size * chunks - len(chosen)
         there, taken, seen = (
             np.concatenate([x[sort], np.full((pad, rays), fill)]) for x, fill in ((there, False), (taken, 0), (seen, n))
         )
-        slots, ray_of_slot = _slots(seen.reshape(chunks, size, rays), n, dense)
+        slots, ray_of_slot = _slots(seen.reshape(chunks, size, rays), n, own)
         row = np.arange(size * chunks).reshape(chunks, size, 1)
         measured = np.where(ray_of_slot < rays, first + ray_of_slot * size * chunks + row, -1)
-        given.append((rays, chunks, size, first, first_row, dense, slots, measured))
+        given.append((rays, chunks, size, first, first_row, own, batch, slots, measured))
         row_of_point[chosen] = first_row + np.arange(len(chosen))
         rows = np.broadcast_to(np.arange(size * chunks)[:, None] + first_row, there.shape)
         parts.append([x.T.ravel() for x in (taken, there, rows)])
@@ -149,11 +154,30 @@ def _group_limits(counts: np.ndarray) -> list[int]:
     return limits[::-1]
 
 
-def _chunks(points: int, columns: int | None) -> tuple[int, int]:
-    """(points in a chunk, chunks); `columns` of a dense row, None where only those of the images that see it."""
-    most = SPARSE_POINTS if columns is None else max(64, DENSE_BYTES // (24 * columns))
-    chunks = -(-points // most)
-    return -(-points // chunks), chunks
+def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, int, bool]:
+    """(points in a chunk, chunks, of them in a batch, whether each has the columns of all images) of what takes least.
+
+    `seen` (points, rays) are the images, n for none; an image has c columns.
+    """
+    points, best = len(seen), (np.inf, 0, 0, 0, False)
+    if dense:
+        most = max(DENSE_POINTS, DENSE_BYTES // (24 * n * c))
+        chunks = -(-points // most)
+        cost = chunks * BEGIN + points * (6.0 * (n * c) ** 2 * MULTIPLY + 3.0 * n * c * GATHER)
+        best = (cost, -(-points // chunks), chunks, 1, True)
+    for size in POINTS:
+        chunks = -(-points // size)
+        there = np.zeros((chunks, n + 1), bool)
+        there[np.arange(points)[:, None] // size, seen] = True
+        columns = c * int(there[:, :n].sum(axis=1).max())
+        batch = min(chunks, max(1, BATCH_BYTES // (8 * columns**2)))
+        batches = -(-chunks // batch)
+        batch = -(-chunks // batches)
+        chunks = batch * batches
+        each = size * (6.0 * columns**2 * MULTIPLY + 3.0 * columns * GATHER) + columns**2 * SCATTER + BEGIN
+        if chunks * each < best[0]:
+            best = (chunks * each, size, chunks, batch, False)
+    return best[1:]
 
 
 def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -16,12 +16,11 @@ from jaxgeo.adjust.layout import Group
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.reduction import (
     Eliminated,
-    Rows,
     backward,
     eliminate,
     gather,
     places,
-    reduced,
+    reduce,
     rows_of,
     solved,
     times_inverse,
@@ -57,15 +56,14 @@ class Posterior(eqx.Module):
 
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular."""
-    points = eliminate(problem, equations, jnp.zeros(()))
-    return Posterior(*_inverse(problem, equations, gather(problem, points), datum), points, datum)
+    none = jnp.zeros(())
+    points = eliminate(problem, equations, none)
+    matrix = reduce(problem, equations, gather(problem, points), none).matrix
+    return Posterior(*_inverse(problem, matrix, datum), points, datum)
 
 
 @eqx.filter_jit
-def _inverse(
-    problem: Problem, equations: Equations, rows: tuple[Rows, ...], datum: Datum | None
-) -> tuple[Factor, Tridiagonal]:
-    matrix = reduced(problem, equations, rows, 0.0).matrix
+def _inverse(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> tuple[Factor, Tridiagonal]:
     if datum is not None:  # any weights on the motions make it regular, and change nothing else
         matrix = _held(problem, matrix, datum)
     factor = factored(matrix)

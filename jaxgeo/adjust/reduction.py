@@ -134,50 +134,64 @@ def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
     return tuple(rows_of(problem, group, points) for group in problem.layout.groups)
 
 
+@eqx.filter_jit
+def reduce(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
+    """`reduced`, compiled."""
+    return reduced(problem, equations, rows, damping)
+
+
 def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:
     """The reduced system less what the points of a group take from it."""
     c, lenses, q = problem.of_image, problem.of_lenses, group.slots.shape[1]
 
-    def one(state: Any, chunk: Any) -> tuple[Any, None]:
+    def one(state: Any, batch: Any) -> tuple[Any, None]:
         blocks, border, corner, gradient, shared_gradient = state
-        slots, (D, of_lenses, y) = chunk
-        D, of_lenses, y = D.reshape(3 * group.size, q * c), of_lenses.reshape(3 * group.size, lenses), y.reshape(-1)
-        square, along = _transposed_times(D, D).reshape(q, c, q, c), (y @ D).reshape(q, c)
+        slots, (D, of_lenses, y) = batch  # (batch, ...)
+        D = D.reshape(group.batch, 3 * group.size, q * c)
+        of_lenses = of_lenses.reshape(group.batch, 3 * group.size, lenses)
+        y = y.reshape(group.batch, 3 * group.size, 1)
+        square = _transposed_times(D, D).reshape(-1, q, c, q, c)
+        along = _transposed_times(D, y).reshape(-1, q, c)
         if group.dense:
-            blocks, gradient = blocks - square[None], gradient - along
+            blocks, gradient = blocks - square, gradient - along[0]
         else:
             blocks = blocks.at[places(problem.layout.band, slots, c)].add(-square, mode="drop")
             gradient = gradient.at[slots].add(-along, mode="drop")
         if lenses:
-            mixed = _transposed_times(D, of_lenses).reshape(q, c, lenses)
+            mixed = _transposed_times(D, of_lenses).reshape(-1, q, c, lenses)
             border = border.at[slots, :, :lenses].add(-mixed, mode="drop")
-            corner = corner.at[:lenses, :lenses].add(-_transposed_times(of_lenses, of_lenses))
-            shared_gradient = shared_gradient.at[:lenses].add(-(y @ of_lenses))
+            own = jnp.sum(_transposed_times(of_lenses, of_lenses), axis=0)
+            corner = corner.at[:lenses, :lenses].add(-own)
+            shared_gradient = shared_gradient.at[:lenses].add(-jnp.einsum("kri,krj->j", y, of_lenses))
         return (blocks, border, corner, gradient, shared_gradient), None
 
-    if group.chunks == 1:
-        return one(state, (group.slots[0], Rows(*(x[0] for x in rows))))[0]
-    return jax.lax.scan(one, state, (group.slots, rows))[0]
+    number = group.chunks // group.batch
+    batches = jax.tree.map(lambda x: x.reshape(number, group.batch, *x.shape[1:]), (group.slots, rows))
+    if number == 1:
+        return one(state, jax.tree.map(lambda x: x[0], batches))[0]
+    return jax.lax.scan(one, state, batches)[0]
 
 
-def places(band: Band, slots: Int[Array, " q"], c: int) -> tuple[Array, ...]:
-    """Indices, each (q, c, q, c) when broadcast, of a chunk's images with each other in the blocks of the slabs.
+def places(band: Band, slots: Int[Array, "*batch q"], c: int) -> tuple[Array, ...]:
+    """Indices, each (..., q, c, q, c) when broadcast, of chunks' images with each other in the blocks of the slabs.
 
     Beyond the last where a slot has no image, where two images are not in the same slab nor the first in the one after
     the second's, and so have no place: no point is seen by images that are further apart.
     """
     n, column = band.place.shape[0], jnp.arange(c)
     slab, within = jnp.divmod(band.place[jnp.minimum(slots, n - 1)], band.size)
-    there, after = slots < n, slab[:, None] - slab[None, :]
-    block = jnp.where(after == 0, slab[None, :], band.slabs + slab[None, :])
-    kept = there[:, None] & there[None, :] & ((after == 0) | (after == 1))
-    block = jnp.where(kept, block, 2 * band.slabs)
-    row, across = within[:, None, None, None], within[None, None, :, None]
-    return block[:, None, :, None], row, column[None, :, None, None], across, column[None, None, None, :]
+    there, after = slots < n, slab[..., :, None] - slab[..., None, :]
+    block = jnp.where(after == 0, slab[..., None, :], band.slabs + slab[..., None, :])
+    kept = there[..., :, None] & there[..., None, :] & ((after == 0) | (after == 1))
+    block = jnp.where(kept, block, 2 * band.slabs)[..., :, None, :, None]
+    row, across = within[..., :, None, None, None], within[..., None, None, :, None]
+    like = (1,) * (slots.ndim - 1)
+    down, along = column.reshape(*like, 1, c, 1, 1), column.reshape(*like, 1, 1, 1, c)
+    return block, row, down, across, along
 
 
-def _transposed_times(A: Float[Array, "rows a"], B: Float[Array, "rows b"]) -> Float[Array, "a b"]:
-    return jax.lax.dot_general(A, B, (((0,), (0,)), ((), ())))
+def _transposed_times(A: Float[Array, "batch rows a"], B: Float[Array, "batch rows b"]) -> Float[Array, "batch a b"]:
+    return jax.lax.dot_general(A, B, (((1,), (1,)), ((0,), (0,))))
 
 
 def _cholesky_3(V: Float[Array, "3 3 rows"]) -> tuple[Array, ...]:

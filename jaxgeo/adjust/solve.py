@@ -17,7 +17,7 @@ from jaxgeo._typing import Scalar
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import Eliminated, Rows, back_substituted, eliminate, gather, reduced, solved
+from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminate, gather, reduce, solved
 from jaxgeo.adjust.values import Values, moved
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
@@ -77,15 +77,12 @@ def solve(
     if relative is None:
         relative = 0.0 if isinstance(loss, LeastSquares) else 1e-8
     values = problem.start
-    equations = equations_at(problem, values, loss)
+    equations = linearised(problem, values, loss)
     cost = float(equations.cost)
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
     damping, growth, converged = solver.damping, 2.0, False
     while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
-        share = jnp.asarray(damping)
-        points = eliminate(problem, equations, share)
-        rows = gather(problem, points)
-        trial, new_cost, promised = _trial(problem, values, equations, (points, rows), loss, share)
+        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping, jnp.float64))
         new_cost, promised = float(new_cost), float(promised)
         decrease = cost - new_cost
         least = max(relative * cost, solver.absolute)
@@ -98,7 +95,7 @@ def solve(
         if accepted:
             converged = promised <= least or (decrease <= least and gain > 0.5)
             values, cost = trial, new_cost
-            equations = equations_at(problem, values, loss)
+            equations = linearised(problem, values, loss)
             damping = max(damping * max(1.0 / 9.0, 1.0 - (2.0 * gain - 1.0) ** 3), LEAST_DAMPING)
             growth = 2.0
         else:
@@ -107,23 +104,25 @@ def solve(
     return Solution(values, equations, tuple(log), converged)
 
 
-@eqx.filter_jit
-def equations_at(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
-    return linearised(problem, values, loss)
-
-
-@eqx.filter_jit
 def _trial(
+    problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar
+) -> tuple[Values, Scalar, Scalar]:
+    """(values after a damped step, their cost, the decrease that the step promises)."""
+    points = eliminate(problem, equations, damping)
+    system = reduce(problem, equations, gather(problem, points), damping)
+    return _stepped(problem, values, equations, (points, system), loss, damping)
+
+
+@eqx.filter_jit
+def _stepped(
     problem: Problem,
     values: Values,
     equations: Equations,
-    ready: tuple[Eliminated, tuple[Rows, ...]],
+    ready: tuple[Eliminated, Reduced],
     loss: AbstractLoss,
     damping: Scalar,
 ) -> tuple[Values, Scalar, Scalar]:
-    """(values after a damped step, their cost, the decrease that the step promises)."""
-    points, rows = ready
-    system = reduced(problem, equations, rows, damping)
+    points, system = ready
     images, shared = solved(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)

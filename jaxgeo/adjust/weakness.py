@@ -15,7 +15,7 @@ from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
 from jaxgeo.adjust.equations import Equations, Problem
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.reduction import back_substituted, eliminate, eliminated, gather, reduced
+from jaxgeo.adjust.reduction import back_substituted, eliminate, eliminated, gather, reduce
 from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
 
@@ -58,12 +58,12 @@ def scaled_at(
 ) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
     """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales."""
     none = jnp.zeros(())
-    return _reduced(problem, equations, gather(problem, eliminate(problem, equations, none)), none)
+    rows = gather(problem, eliminate(problem, equations, none))
+    return _scaled(reduce(problem, equations, rows, none).matrix)
 
 
 @eqx.filter_jit
-def _reduced(problem: Problem, equations: Equations, rows: Any, damping: Any) -> Any:
-    matrix = reduced(problem, equations, rows, damping).matrix
+def _scaled(matrix: Tridiagonal) -> Any:
     scale = tuple(1.0 / jnp.sqrt(x) for x in matrix.own)
     return matrix.scaled(*scale), scale
 

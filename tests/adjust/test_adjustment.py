@@ -558,23 +558,29 @@ def replace_static(problem: Any, **changes: Any) -> Any:
     return type(problem)(**fields)
 
 
+CHUNKS = {  # settings, whether all groups then have all columns (or some do not), whether any has many chunks
+    "all columns": ({"SCATTER": 1e9}, True, False),
+    "all columns, in parts": ({"SCATTER": 1e9, "DENSE_BYTES": 1, "DENSE_POINTS": 20}, True, True),
+    "few columns": ({"DENSE_COLUMNS": 0, "POINTS": (5,)}, False, True),
+    "few columns, in batches": ({"DENSE_COLUMNS": 0, "POINTS": (5,), "BATCH_BYTES": 1}, False, True),
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cameras", [1, 5])
 def test_how_points_are_chunked_does_not_matter(cameras: int, monkeypatch: pytest.MonkeyPatch) -> None:
     block, unknowns = small(cameras)
-    dense_way = adjust(block, unknowns)
-    assert all(group.dense and group.chunks == 1 for group in dense_way.prepared.problem.layout.groups)
-    with monkeypatch.context() as patch:
-        patch.setattr(layouts, "DENSE_COLUMNS", 0)
-        patch.setattr(layouts, "SPARSE_POINTS", 5)
-        sparse_way = adjust(block, unknowns)
-    assert any(group.chunks > 1 and not group.dense for group in sparse_way.prepared.problem.layout.groups)
-    patched = [sparse_way]
-    with monkeypatch.context() as patch:
-        patch.setattr(layouts, "_chunks", lambda points, columns: (-(-points // 3), 3) if points > 3 else (points, 1))
-        patched.append(adjust(block, unknowns))
-    assert any(group.chunks > 1 and group.dense for group in patched[1].prepared.problem.layout.groups)
-    for found in patched:
+    ways = []
+    for settings, dense_columns, many in CHUNKS.values():
+        with monkeypatch.context() as patch:
+            for name, value in settings.items():
+                patch.setattr(layouts, name, value)
+            ways.append(adjust(block, unknowns))
+        groups = ways[-1].prepared.problem.layout.groups
+        assert all(group.dense for group in groups) == dense_columns
+        assert any(group.chunks > 1 for group in groups) == many
+    dense_way = ways[0]
+    for found in ways[1:]:
         assert found.cost == pytest.approx(dense_way.cost, rel=1e-10)
         np.testing.assert_allclose(found.images.centre, dense_way.images.centre, rtol=0.0, atol=1e-7)  # m
         np.testing.assert_allclose(found.points.place, dense_way.points.place, rtol=0.0, atol=1e-7)  # m

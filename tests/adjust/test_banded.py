@@ -79,7 +79,7 @@ def test_an_adjustment_in_slabs_is_that_of_the_whole(held: str, monkeypatch: pyt
     dense = adjust(block, unknowns, datum=datum)
     with monkeypatch.context() as patch:
         patch.setattr(layouts, "DENSE_COLUMNS", 0)
-        patch.setattr(layouts, "SPARSE_POINTS", 5)
+        patch.setattr(layouts, "POINTS", (5,))
         long = adjust(block, unknowns, datum=datum)
     band = long.prepared.problem.layout.band
     assert dense.prepared.problem.layout.band.slabs == 1
