@@ -78,6 +78,7 @@ def test_a_bent_ray_meets_the_first_ground_on_its_bent_way(mountains, rays, fixe
     assert np.min(above[:, :-1]) > 0.0
 
 
+@pytest.mark.slow
 def test_refraction_brings_the_hit_nearer_and_may_choose_another_hill(fixes):
     straight, bent = fixes
     both = np.asarray(straight.found & bent.found)
@@ -87,6 +88,7 @@ def test_refraction_brings_the_hit_nearer_and_may_choose_another_hill(fixes):
     assert 1.0 < np.median(nearer) < 100.0
 
 
+@pytest.mark.slow
 def test_bisection_lies_on_the_bent_ray_too(mountains, rays, fixes):
     def bisected(ray, dem):
         return jaxgeo.intersect(ray, dem, atmosphere=AIR, search=Bisection())
@@ -150,6 +152,7 @@ def test_derivatives_by_the_air_and_the_pose_over_terrain(mountains, rays, fixes
     assert np.all(np.linalg.norm(J, axis=0) > 1e-3)
 
 
+@pytest.mark.slow
 def test_air_that_is_not_finite_is_told_and_poisons_no_gradient():
     sensor, shot = a_view()
 

@@ -280,7 +280,18 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize("arguments, words", MISTAKES, ids=[f"{k}-{one[0]}" for k, (one, _) in enumerate(MISTAKES)])
+LATE = ("46.2,-84.2", "fixed:30")  # those of these mistakes are seen only after programs were compiled
+
+
+def is_late(arguments: list[str]) -> bool:
+    return any(argument in LATE for argument in arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [pytest.param(*one, marks=pytest.mark.slow if is_late(one[0]) else ()) for one in MISTAKES],
+    ids=[f"{k}-{one[0]}" for k, (one, _) in enumerate(MISTAKES)],
+)
 def test_mistakes(tmp_path, monkeypatch, flight, shots_file, arguments: list[str], words: list[str]) -> None:
     monkeypatch.chdir(tmp_path)
     files = {"FLIGHT": flight(), "SHOTS": shots_file}

@@ -82,7 +82,9 @@ GIMBALS = {
 }
 
 
-@pytest.mark.parametrize("name", GIMBALS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("three") else name for name in GIMBALS]
+)
 def test_project_is_the_inverse_of_locate(name):
     rng = np.random.default_rng(5)
     gimbal = GIMBALS[name]

@@ -117,7 +117,9 @@ def some_pixels(camera, count: int = 64) -> np.ndarray:
     return rng.uniform([-0.49, -0.49], [camera.width - 0.51, camera.height - 0.51], (count, 2))
 
 
-@pytest.mark.parametrize("name", ["pushbroom", "rolling shutter"])
+@pytest.mark.parametrize(
+    "name", [name if name == "sweep" else pytest.param(name, marks=pytest.mark.slow) for name in SCENES]
+)
 def test_from_pixel_to_level_ground_and_back(name):
     sensor, flight, _ = SCENES[name]
     uv = some_pixels(sensor.camera)
@@ -128,7 +130,8 @@ def test_from_pixel_to_level_ground_and_back(name):
     np.testing.assert_allclose(back.uv, uv, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", [n if n == "sweep" else pytest.param(n, marks=pytest.mark.slow) for n in SCENES])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
 def test_from_pixel_to_rough_ground_and_back(name):
     sensor, flight, terrain = SCENES[name]
     uv = some_pixels(sensor.camera)
@@ -243,6 +246,7 @@ def test_derivatives_by_every_knot_equal_differences():
             np.testing.assert_allclose(predicted, difference, rtol=0, atol=1e-6, err_msg=str(path))  # px
 
 
+@pytest.mark.slow
 def test_a_camera_at_rest_and_a_frame_on_a_trajectory_are_their_shots():
     """What a sweep from a still platform sees, its shot has at the same pixel; a frame sees at the image's time."""
     _, flight, _ = SCENES["sweep"]

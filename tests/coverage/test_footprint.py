@@ -300,14 +300,18 @@ def test_a_pixel_s_size_is_that_of_differences(terrain):
         assert float(found.area) == pytest.approx(lengths(np.cross(by_column, by_row)), rel=tolerance)
 
 
-def test_no_ground_has_no_size():
-    for image, ground, status in (
+@pytest.mark.parametrize(
+    "image, ground, status",
+    [
         (shot(89.0, roll=-10.0), GROUND, Status.rises_away),
-        (shot(lon=12.0), DEM, Status.ray_misses_terrain),
-    ):
-        found = ground_sampling(SENSOR, image, MIDDLE, ground)
-        assert found.fix.status == status
-        assert all(np.isnan(getattr(found, name)) for name in (*SCALES, "area"))
+        pytest.param(shot(lon=12.0), DEM, Status.ray_misses_terrain, marks=pytest.mark.slow),
+    ],
+    ids=["over the horizon", "beside the terrain"],
+)
+def test_no_ground_has_no_size(image, ground, status):
+    found = ground_sampling(SENSOR, image, MIDDLE, ground)
+    assert found.fix.status == status
+    assert all(np.isnan(getattr(found, name)) for name in (*SCALES, "area"))
 
 
 # A camera that sweeps while it flies.

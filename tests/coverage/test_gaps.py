@@ -62,11 +62,17 @@ def linear():
 
 @pytest.mark.parametrize("compensation", [NOTHING, TIMED], ids=lambda c: c.words)
 def test_without_noise_the_plan_is_flown(compensation):
-    overlap = eqx.filter_jit(flown)(STRIP, QUIET, jnp.ones(normals_of(STRIP)), compensation)
-    assert np.all(np.asarray(overlap.status) == Status.hit)
+    flights = fly(STRIP, QUIET, key=KEY, flights=2, compensation=compensation)
+    assert np.all(np.asarray(flights.status) == Status.hit)
     # The formula's length is that of a range over a curved Earth, the measured one that on the map.
-    np.testing.assert_allclose(overlap.near, 0.15, rtol=0, atol=2e-3)
-    assert np.ptp(np.asarray(overlap.near)) < 1e-5  # every pair is like the first
+    np.testing.assert_allclose(flights.near, 0.15, rtol=0, atol=2e-3)
+    assert np.ptp(np.asarray(flights.near)) < 1e-5  # every pair is like the first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compensation", [NOTHING, TIMED], ids=lambda c: c.words)
+def test_without_noise_steps_are_as_planned(compensation):
+    overlap = eqx.filter_jit(flown)(STRIP, QUIET, jnp.ones(normals_of(STRIP)), compensation)
     np.testing.assert_allclose(overlap.step, STRIP.step, rtol=1.5e-3)  # the ground goes by slower than the aircraft
 
 
@@ -108,6 +114,7 @@ def test_gaps_by_samples_and_by_derivatives_agree_where_the_terrain_is_trusted(f
         assert abs(value - slopes[name]) < 4.0 * error
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_linear_probability_equal_differences(linear):
     slopes, step = linear.gap_derivatives(), 1e-3
     for name in ("heading", "speed", "gimbal"):
@@ -119,6 +126,7 @@ def test_derivatives_of_the_linear_probability_equal_differences(linear):
         assert slopes[name] * sigma == pytest.approx((around[0] - around[1]) / (2.0 * step), rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_of_samples_equal_differences_with_the_same_numbers():
     """Score against flying again with a little more noise, on both sides; ten thousand flights."""
     noise = FlightNoise.from_degrees(heading=0.15, pitch=0.15, gimbal=0.02, lasting=20.0)
@@ -159,6 +167,7 @@ def test_timing_by_the_ground_follows_mountains():
     assert off[1] < 0.5 * off[0]
 
 
+@pytest.mark.slow
 def test_a_wider_margin_makes_strips_free_of_gaps():
     planned = overlap_to_plan(STRIP, NOISE, free=0.99)
     assert 0.15 < planned < 0.5
@@ -222,6 +231,7 @@ def test_mistakes_are_told_in_words(name):
         mistake()
 
 
+@pytest.mark.slow
 def test_images_that_miss_each_other_sideways_are_gaps_to_both_ways():
     """Roll that changes from image to image by as much as the field of view is wide."""
     noise = FlightNoise.from_degrees(roll=0.3, lasting=1e-3)

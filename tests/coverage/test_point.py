@@ -73,11 +73,7 @@ ONE_AXIS = {
     "roll alone": Sensor(LENS, Gimbal.from_degrees(axes={"roll": "x"}, sign=-1.0), Mount.nadir(**HELD)),
 }
 EVERY = SENSORS | ONE_AXIS
-LATER = (
-    "three axes, body",
-    "pan and tilt, geared",
-    "pan alone",
-)  # much like others of the table, and a program of their own
+LATER = set(EVERY) - {"two axes", "mirror, 2:1"}  # much like others of the table, and a program of their own each
 
 
 def rows(names):
@@ -193,7 +189,8 @@ def test_the_optical_axis_is_the_default_and_lines_of_sight_are_what_it_takes():
     np.testing.assert_allclose(again.readings, found.readings, rtol=0, atol=1e-12)
 
 
-def seen_on_ground(name: str, air: Atmosphere | None) -> None:
+def seen_on_ground(name: str, air: Atmosphere | None) -> np.ndarray:
+    """The readings with which many pixels are found to see their ground, or to be hidden from it."""
     looks = random_looks(SENSORS[name], seed=5)
     found, origin, direction, _ = asked(SENSORS[name], looks, air, DEM)
     fix = met(air is not None)(Ray(jnp.asarray(origin), jnp.asarray(direction)), DEM)
@@ -207,6 +204,7 @@ def seen_on_ground(name: str, air: Atmosphere | None) -> None:
     assert np.all(np.isfinite(found.readings))
     assert np.all(found.miss[seen | hidden] < 1e-9)
     assert np.all(seen | hidden | (found.status == Status.outside_gimbal_range))
+    return found.readings
 
 
 @pytest.mark.slow
@@ -217,10 +215,8 @@ def test_what_terrain_hides_has_readings_and_its_status():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["pan and tilt, geared", "three axes, level"])  # the rest is as without air
 def test_through_the_air_the_pixel_sees_what_it_is_pointed_at(name):
-    seen_on_ground(name, AIR)
-    straight, bent = (
-        asked(SENSORS[name], random_looks(SENSORS[name], seed=5), air, DEM)[0].readings for air in (None, AIR)
-    )
+    bent = seen_on_ground(name, AIR)
+    straight = asked(SENSORS[name], random_looks(SENSORS[name], seed=5))[0].readings
     assert np.max(np.abs(straight - bent)) > 1e-6
 
 
@@ -477,6 +473,7 @@ SINGULAR = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SINGULAR)
 def test_along_an_axis_that_axis_stays_where_it_is(name):
     sensor, ned, start, expected = SINGULAR[name]
@@ -605,6 +602,7 @@ def test_a_flight_is_pointed_knot_by_knot_without_jumps():
     np.testing.assert_allclose(sensed[:, :2] / sensed[:, 2:], 0.0, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_without_a_singularity_a_flight_is_what_its_knots_are():
     first = jax.tree.map(lambda x: x[:5], FLIGHT)
     poses = jax.tree.map(lambda x: jnp.concatenate([x[:5]] * 2 + [x[:3]]), FLIGHT.poses)

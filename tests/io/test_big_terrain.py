@@ -35,7 +35,9 @@ from jaxgeo.io import DemError, crowds, intersect_files, locate_files, open_dem,
 pytestmark = pytest.mark.usefixtures("small_blocks")
 
 
-@pytest.mark.parametrize("kind", ["whole.tif", "shared", "beside/*.tif", "mosaic.vrt"])
+@pytest.mark.parametrize(
+    "kind", ["whole.tif", "shared", pytest.param("beside/*.tif", marks=pytest.mark.slow), "mosaic.vrt"]
+)
 def test_every_answer_is_that_over_the_whole(
     ridge: pathlib.Path, expected: Fix, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

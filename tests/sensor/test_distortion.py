@@ -187,7 +187,13 @@ def derivatives(lens, point, inverse):
     return forward(x), jax.jacrev(f)(x), jax.jacfwd(jax.jacrev(f))(x), *differences
 
 
-@ROWS
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if isinstance(lens, Ebner | BrownPhysical) else name
+        for name, (lens, _) in DISTORTIONS.items()
+    ],
+)
 @pytest.mark.parametrize("inverse", [False, True], ids=["distort", "undistort"])
 def test_derivatives_equal_differences_and_forward_equals_reverse(name, inverse):
     lens, radius = DISTORTIONS[name]

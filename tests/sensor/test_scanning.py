@@ -68,7 +68,14 @@ def test_rows_are_exposed_one_after_another(name):
     np.testing.assert_allclose(last - first, abs(camera.line_time) * camera.height, rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", [name for name in CAMERAS if "pushbroom" not in name])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if "distorted" in name else name
+        for name in CAMERAS
+        if "pushbroom" not in name
+    ],
+)
 def test_standing_still_they_are_cameras_like_any_other(name):
     """Each pixel back from its ray, with its derivative; a point beside the image keeps its pixel."""
     camera = CAMERAS[name]

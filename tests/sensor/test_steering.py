@@ -59,6 +59,7 @@ def test_a_steered_gimbal_follows_a_way_over_the_ground():
     assert np.max(np.abs(steered.gimbal_readings[8] - steered.gimbal_readings[0])) > 0.05  # against the turning body
 
 
+@pytest.mark.slow
 def test_a_steered_gimbal_stares_at_one_point_with_a_pixel():
     steered = SENSOR.steered(FLIGHT, point(), uv=(900.0, 800.0))
     for time in (FLIGHT.start, FLIGHT.end):
@@ -122,7 +123,7 @@ XI, ETA = 25.0, -18.0  # arc seconds
 TILTED = Deflection.from_arcseconds(xi=XI, eta=ETA)
 
 
-@pytest.mark.parametrize("reference", ["body", "level"])
+@pytest.mark.parametrize("reference", ["body", pytest.param("level", marks=pytest.mark.slow)])
 def test_a_deflected_vertical_moves_what_lies_below(reference):
     """A plumb line whose zenith leans north and east meets the ground south and west."""
     gimbal = Gimbal.three_axis(reference=reference)

@@ -14,7 +14,7 @@ from jaxgeo.terrain import ConstantField, TangentGrid
 from jaxgeo.terrain.search.beam import Beam, Spread
 
 SIZE = 201  # posts on a side: 6 km
-SPREAD = Spread(origin=2.0, direction=4e-3, rise=6.0)
+SPREAD = Spread(*jnp.array([2.0, 4e-3, 6.0]))  # arrays: one program serves every spread
 MIDDLE = local_ray(-1000.0, -900.0, 2500.0, azimuth=45.0, elevation=-50.0)
 
 
@@ -108,8 +108,10 @@ def test_it_starts_before_a_tower_that_some_rays_may_meet(plain, beam):
 @pytest.mark.parametrize("what", ["beside the grid", "wider than the way to the ground"])
 def test_where_nothing_is_known_to_be_clear_it_holds_nobody(plain, dem, what):
     outside = local_ray(-9000.0, -9000.0, 220.0, azimuth=45.0, elevation=-1.0)
-    middle, spread = (outside, SPREAD) if what == "beside the grid" else (MIDDLE, SPREAD._replace(origin=4000.0))
-    found = beam_about(middle, jnp.asarray(9500.0) if middle is outside else jnp.median(plain.near), dem, spread)
+    wide = SPREAD._replace(origin=jnp.full_like(SPREAD.origin, 4000.0))
+    middle, spread = (outside, SPREAD) if what == "beside the grid" else (MIDDLE, wide)
+    reach = jnp.median(plain.near)
+    found = beam_about(middle, jnp.full_like(reach, 9500.0) if middle is outside else reach, dem, spread)
     assert found.start == 0.0
     assert not found.holds(middle, dem)
 
@@ -155,7 +157,7 @@ def test_it_may_be_wide_or_point_straight_down(dem, elevation, spread):
     rise = rng.uniform(-5.0, 0.999, 2100) * spread.rise
     rays = Ray(jnp.asarray(origin), jnp.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True)))
     plain = brackets(rays, rise, dem, FirstHit())
-    beam = beam_about(middle, jnp.median(plain.near), dem, spread)
+    beam = beam_about(middle, jnp.median(plain.near), dem, Spread(*jnp.array(spread)))
     found = brackets(rays, rise, dem, FirstHit(beam))
     np.testing.assert_array_equal(found.status, plain.status)
     np.testing.assert_allclose(found.near, plain.near, rtol=0.0, atol=1e-6)

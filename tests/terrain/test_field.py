@@ -223,14 +223,20 @@ def test_a_bias_moves_the_hit_on_a_plain_by_the_tangent_of_the_incidence(derivat
     np.testing.assert_allclose(np.linalg.norm(moved[0]), 1.0 / np.cos(incidence), rtol=0, atol=1e-6)
 
 
-def test_a_field_that_is_not_finite_is_invalid_input_with_derivatives_of_zero(derivatives, rays, own_fields):
+def not_finite() -> list[SumField]:
     bad = line(11)
     bad = LineField(bad.values.at[64].set(jnp.nan), bad.first, bad.step)  # a node that no ray comes near
-    fields = [sum_of(jnp.nan, None), SumField(ConstantField(jnp.asarray(0.0)), bad), sum_of(jnp.inf, 11)]
-    dem = small_dem(POSTS)
-    for leaf in jax.tree.leaves(derivatives(stacked(fields), slanted(), dem)):
+    return [sum_of(jnp.nan, None), SumField(ConstantField(jnp.asarray(0.0)), bad), sum_of(jnp.inf, 11)]
+
+
+@pytest.mark.slow
+def test_derivatives_by_a_field_that_is_not_finite_are_zero(derivatives):
+    for leaf in jax.tree.leaves(derivatives(stacked(not_finite()), slanted(), small_dem(POSTS))):
         np.testing.assert_array_equal(leaf, 0.0)
-    fix = own_fields(rays, stacked(fields + [sum_of(1.0, 11)] * (RAYS - 3)), dem)
+
+
+def test_a_field_that_is_not_finite_is_invalid_input(rays, own_fields):
+    fix = own_fields(rays, stacked(not_finite() + [sum_of(1.0, 11)] * (RAYS - 3)), small_dem(POSTS))
     assert [Status(int(code)) for code in fix.status[:3]] == [Status.invalid_input] * 3
     assert np.all(np.isnan(fix.ecef[:3]))
     assert not np.any(fix.status[3:] == Status.invalid_input)

@@ -37,6 +37,7 @@ def test_every_ray_over_rough_mountains_meets_the_same_ground_as_an_exhaustive_w
     assert set(count_statuses(fix.status)) <= {Status.hit, Status.enters_from_side, Status.near_tangent}
 
 
+@pytest.mark.slow
 def test_bisection_finds_a_crossing_but_not_always_the_first(mountains):
     rays = jax.tree.map(lambda x: x[:200], mountains.rays)
     fix = jax.jit(jax.vmap(lambda ray, dem: intersect(ray, dem, search=Bisection()), in_axes=(0, None)))(
@@ -255,6 +256,7 @@ def test_a_void_ceiling_below_all_ground_is_reached():
 
 
 @pytest.mark.parametrize("lon, lat", [(0.0, 0.0), (90.0, 10.0), (-150.0, -80.0), (20.0, 89.0)])
+@pytest.mark.slow
 def test_a_grid_of_the_whole_earth_is_met_everywhere(lon, lat):
     affine = (30.0, 0.0, -180.0, 0.0, -30.0, 90.0)
     posts = np.full((9, 13), 100.0)  # the last two rows do not count
@@ -266,6 +268,7 @@ def test_a_grid_of_the_whole_earth_is_met_everywhere(lon, lat):
     assert fix.position.height[0] == pytest.approx(100.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_track_that_bends_over_a_line_of_posts_and_back_is_settled_on_each_side():
     """Quarter-degree cells at 60 degrees north, a valley along a parallel: straight lines bulge over it by metres."""
     step, posts = 0.25, np.zeros((9, 13))  # of the shape above, so that nothing new is compiled
@@ -298,6 +301,7 @@ def test_a_track_that_bends_over_a_line_of_posts_and_back_is_settled_on_each_sid
         assert abs(float(after[0])) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_ray_that_turns_within_a_hair_of_a_line_of_posts_comes_to_its_end():
     """Near the pole, where a level ray turns back within a cell: a step to the line may lead to where it began."""
     posts = np.random.default_rng(0).normal(size=(200, 160)) * 60.0 + 200.0

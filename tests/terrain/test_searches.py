@@ -256,7 +256,9 @@ def test_statuses(search) -> None:
     assert over_void.status[0] == Status.hits_void
 
 
-@pytest.mark.parametrize("search", [FastIteration(window=AREA), ImprovedLiteral(start=30.0)])
+@pytest.mark.parametrize(
+    "search", [FastIteration(window=AREA), pytest.param(ImprovedLiteral(start=30.0), marks=pytest.mark.slow)]
+)
 def test_single_and_nested_rays_run_as_in_a_batch(search) -> None:
     dem, _ = ridge()
     rays = [profile_ray(dem, 0.0, 5.0 + 9.0 * n, depression=math.radians(20.0), altitude=5000.0) for n in range(BATCH)]

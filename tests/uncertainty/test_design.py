@@ -152,6 +152,7 @@ def test_samples_certify_a_design(look, today):
     assert certificate._replace(target=certificate.sampled.high).is_proven
 
 
+@pytest.mark.slow
 def test_what_samples_show_is_designed_again(look, today):
     """A propagation that says three quarters of how far the fix errs needs sigmas of three quarters."""
     optimistic = eqx.tree_at(lambda p: p.jacobian, look, 0.75 * look.jacobian)

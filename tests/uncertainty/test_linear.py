@@ -55,6 +55,7 @@ def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
     assert all("node" in axis for axis in idle)  # of a field along the approach only those about the fix count
 
 
+@pytest.mark.slow
 def test_gauss_helmert_gives_the_same_covariance() -> None:
     """Through `project` and not through `locate`. From 15 km, so that the nanometre of an ECEF position is nothing."""
     plain = jaxgeo.FrameCamera.from_pixels(focal_px=9000.0, width=1600, height=1200)

@@ -40,7 +40,7 @@ def drawn():
     return sample(*SCENE, key=KEY, count=3000, chunk=1000, keep=True)
 
 
-@pytest.mark.parametrize("chunk", [1000, 1700, 100_000])
+@pytest.mark.parametrize("chunk", [1000, pytest.param(1700, marks=pytest.mark.slow), 100_000])
 def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: int) -> None:
     other = sample(*SCENE, key=KEY, count=3000, chunk=chunk, keep=True)
     np.testing.assert_allclose(other.errors_enu, drawn.errors_enu, atol=1e-8)  # m: programs round differently
@@ -76,6 +76,7 @@ def test_figures_are_those_of_the_samples(drawn) -> None:
     assert drawn.linear_error(0.5).value == pytest.approx(np.sort(np.abs(errors[:, 2]))[1499], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_errors_about_the_mean(drawn) -> None:
     about = sample(*SCENE, key=KEY, count=3000, chunk=1000, keep=True, about_mean=True)
     np.testing.assert_allclose(about.errors_enu.mean(axis=0), 0.0, atol=1e-8)
@@ -160,6 +161,7 @@ def test_sampling_stops_when_it_is_sure_enough(drawn) -> None:
     assert sum(sure.statuses.values()) == sure.count == len(sure.radii["CE"])
 
 
+@pytest.mark.slow
 def test_sobol_points_in_any_chunks() -> None:
     first, second = (
         sample(*SCENE, key=KEY, count=16 * 128, draws=Sobol(), chunk=chunk, keep=True) for chunk in (500, 100_000)

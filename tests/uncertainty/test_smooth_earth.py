@@ -60,7 +60,7 @@ def test_published_derivatives(linear) -> None:
     assert abs(axes["terrain height: height"][1]) == pytest.approx(3.947, abs=1e-3)
 
 
-@pytest.mark.parametrize("method", [second_order, sigma_points])
+@pytest.mark.parametrize("method", [pytest.param(second_order, marks=pytest.mark.slow), sigma_points])
 def test_middle_ways_agree(scene, linear, method) -> None:
     moments = method(*scene)
     for probability in (0.5, 0.9):

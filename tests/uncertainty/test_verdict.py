@@ -93,6 +93,7 @@ def test_on_a_plain_the_samples_bear_every_method_out(dem) -> None:
     assert comparison.jumped == comparison.failed == 0.0
 
 
+@pytest.mark.slow
 def test_constant_height_needs_no_samples() -> None:
     result = accuracy(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL)
     assert result.trust is Trust.facet
