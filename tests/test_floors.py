@@ -39,6 +39,7 @@ NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
     "_doors.py": "looks at concrete values before they are traced",
     "adjust/adjustment.py": "hands out what an adjustment found, by name, outside any trace",
+    "adjust/banded.py": "orders the images of a block, once and outside any trace",
     "adjust/block.py": "names and checks of records, outside any trace",
     "adjust/boresight.py": "picks images by name, outside any trace",
     "adjust/bundle.py": "the same as adjustment.py",

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
 from jaxgeo.adjust.equations import Equations, Problem, free_columns
 from jaxgeo.adjust.equations import image_points as weighted_image_points
@@ -54,12 +55,13 @@ class Posterior(eqx.Module):
         return jnp.min(jnp.concatenate([(x**2 / y).ravel() for x, y in zip(scales, self.inverse.own, strict=True)]))
 
 
+@one_thread()
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular."""
     none = jnp.zeros(())
     points = eliminate(problem, equations, none)
     matrix = reduce(problem, equations, gather(problem, points), none).matrix
-    return Posterior(*_inverse(problem, matrix, datum), points, datum)
+    return jax.block_until_ready(Posterior(*_inverse(problem, matrix, datum), points, datum))
 
 
 @eqx.filter_jit

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._typing import Scalar
+from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
@@ -65,6 +66,7 @@ class Solution(NamedTuple):
     converged: bool
 
 
+@one_thread()
 def solve(
     problem: Problem,
     loss: AbstractLoss | None = None,
