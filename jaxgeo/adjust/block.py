@@ -155,6 +155,16 @@ class Block:
         control = np.zeros(len(rows), bool) if self.control is None else np.isin(seen.point, self.control.name)
         return rows & (often | control)
 
+    def parts(self) -> list[np.ndarray]:
+        """The names of the images of each part of the block that no point joins to the others, the largest first."""
+        import scipy  # loads its parts when they are asked for
+
+        images, image = np.unique(self.observations.image, return_inverse=True)
+        points, point = np.unique(self.observations.point, return_inverse=True)
+        seen = scipy.sparse.coo_array((np.ones(len(image)), (image, point)), shape=(len(images), len(points)))
+        count, part = scipy.sparse.csgraph.connected_components((seen @ seen.T).tocsr(), directed=False)
+        return sorted((images[part == k] for k in range(count)), key=len, reverse=True)
+
     def _check_cameras(self) -> None:
         for name, camera in self.cameras.items():
             check_is(camera, FrameCamera, f"camera {name}", "Blocks are of frame cameras.")

@@ -90,7 +90,7 @@ def adjust(
         words = datum_words(rows)
         raise DeficientBlock(
             f"nothing holds the {'; '.join(words)}. Give control or navigation that does, or adjust a free network "
-            f"with datum=InnerConstraints().",
+            f"with datum=InnerConstraints().{_in_parts(block)}",
             [Direction(word, 0.0, {}) for word in words],
         )
     held = None
@@ -103,11 +103,22 @@ def adjust(
     if _singular(adjustment.posterior):
         weak = [d for d in weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
-        raise DeficientBlock(f"the block does not hold {words}. Fix some of it, or give priors.", weak)
+        raise DeficientBlock(
+            f"the block does not hold {words}. Fix some of it, or give priors.{_in_parts(block)}", weak
+        )
     lost = np.flatnonzero(~adjustment.visible)
     if len(lost):
         raise BehindCamera(block, lost)
     return adjustment
+
+
+def _in_parts(block: Block) -> str:
+    """A sentence where a block falls apart; else nothing."""
+    parts = block.parts()
+    if len(parts) == 1:
+        return ""
+    named = "; ".join(f"{len(part)} images, image {part[0]} among them" for part in parts[:3])
+    return f" No point joins the {len(parts)} parts of the block ({named}{'; ...' if len(parts) > 3 else ''})."
 
 
 @eqx.filter_jit

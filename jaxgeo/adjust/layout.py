@@ -164,9 +164,9 @@ def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, 
         most = max(DENSE_POINTS, DENSE_BYTES // (24 * n * c))
         chunks = -(-points // most)
         cost = chunks * BEGIN + points * (6.0 * (n * c) ** 2 * MULTIPLY + 3.0 * n * c * GATHER)
-        best = (cost, -(-points // chunks), chunks, 1, True)
+        best = (cost, rounded(-(-points // chunks)), chunks, 1, True)
     for size in POINTS:
-        chunks = -(-points // size)
+        chunks = rounded(-(-points // size))
         there = np.zeros((chunks, n + 1), bool)
         there[np.arange(points)[:, None] // size, seen] = True
         columns = c * int(there[:, :n].sum(axis=1).max())
@@ -178,6 +178,13 @@ def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, 
         if chunks * each < best[0]:
             best = (chunks * each, size, chunks, batch, False)
     return best[1:]
+
+
+def rounded(count: int) -> int:
+    """A count rounded up by a sixteenth at most: blocks that differ by a few measurements are of one shape then, and
+    what is compiled for one serves the others."""
+    step = 2 ** max(0, count.bit_length() - 5)
+    return -(-count // step) * step
 
 
 def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +207,7 @@ def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> np.ndarray:
     places = np.flatnonzero(there)
     places = places[np.argsort(image[places], kind="stable")]
     counts = np.bincount(image[places], minlength=n)
-    table = np.full((n, counts.max()), len(image) - 1)
+    table = np.full((n, rounded(int(counts.max()))), len(image) - 1)
     column = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
     table[np.repeat(np.arange(n), counts), column] = places
     return table

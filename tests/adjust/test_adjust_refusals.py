@@ -275,6 +275,29 @@ def test_no_control_and_no_navigation(words: Any) -> None:
     assert "InnerConstraints()" in said
 
 
+def in_two_parts() -> Block:
+    """A block whose last strip has points of its own."""
+    block = replace(simulated().block(), navigation=None, control=None)
+    seen = block.observations
+    own = np.isin(seen.image, block.images.name[10:])
+    seen = ImagePoints(seen.image, np.where(own, np.char.add("x", seen.point), seen.point), seen.uv, seen.sigma)
+    often = np.unique(seen.point, return_counts=True)
+    return replace(block, observations=seen.of(np.isin(seen.point, often[0][often[1] > 1])), points=None)
+
+
+def test_a_block_tells_its_parts() -> None:
+    block = in_two_parts()
+    first, last = block.parts()
+    assert (first.tolist(), last.tolist()) == (block.images.name[:10].tolist(), block.images.name[10:].tolist())
+    assert len(simulated().block().parts()) == 1
+
+
+@pytest.mark.slow
+def test_what_is_not_held_because_no_point_joins_it(words: Any) -> None:
+    said = words(in_two_parts())
+    assert "No point joins the 2 parts of the block (10 images, image i00 among them; 5 images, image i10" in said
+
+
 def test_control_of_two_points_leaves_a_turn(words: Any) -> None:
     of = simulated()
     said = words(of.block(control=of.control(names=CONTROL[:2]), sigma_position=np.inf, sigma_attitude=np.inf))

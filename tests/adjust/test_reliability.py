@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from jaxgeo.adjust import (
     reliability,
     without_blunders,
 )
+from jaxgeo.adjust.problem import prepared
 from tests.support.simulated_block import CONTROL, SIGMA_UV, simulated
 
 BLUNDER = np.array([8.0, -6.0])  # px: ten of them
@@ -82,6 +84,15 @@ def test_without_the_blunder_the_block_is_as_good_as_ever(good: Adjustment) -> N
     sigma = np.sqrt(np.diagonal(good.covariance_of_images, axis1=1, axis2=2))[:, :3]
     assert np.abs((cleaned.images.centre - good.images.centre) / sigma).max() < 1.0
     assert cleaned.sigma0 == pytest.approx(good.sigma0, abs=0.02)
+
+
+def test_without_a_measurement_a_block_keeps_its_shape(good: Adjustment) -> None:
+    keep = np.ones(len(good.block.observations), bool)
+    keep[often_seen(good.block)] = False  # so nothing is compiled anew for what is left
+    less = prepared(good.block.of(keep), good.unknowns).problem
+    shapes = [jax.tree.map(lambda x: (x.shape, x.dtype), problem) for problem in (good.prepared.problem, less)]
+    assert jax.tree.structure(good.prepared.problem) == jax.tree.structure(less)
+    assert jax.tree.leaves(shapes[0]) == jax.tree.leaves(shapes[1])
 
 
 @pytest.mark.slow
