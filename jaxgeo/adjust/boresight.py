@@ -9,13 +9,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxgeo._numerics import product
+from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.banded import Tridiagonal, factored
 from jaxgeo.adjust.collinearity import Observed, navigation_residual
+from jaxgeo.adjust.equations import Problem, free_columns
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.problem import observed_of
+from jaxgeo.adjust.reduction import on_diagonal, solved, undamped
+from jaxgeo.adjust.values import POSE, Values
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Mount
 
@@ -34,6 +39,7 @@ class TwoStep(NamedTuple):
     sigma0: float
 
 
+@one_thread()
 def two_step_boresight(
     adjustment: Adjustment,
     mount: str | None = None,
@@ -63,15 +69,13 @@ def two_step_boresight(
     if len(own) < 2:
         raise ValueError(f"mount {name} has {len(own)} images; a boresight in two steps takes at least two.")
     problem, values = ready.problem, adjustment.solution.values
-    c = problem.of_image
-    at = (own[:, None] * c + np.arange(6)[None, :]).ravel()
+    observed = observed_of(replace(block, navigation=navigation), ready.names)
     found = _two_step(
-        jax.tree.map(lambda x: x[own], observed_of(replace(block, navigation=navigation), ready.names)),
-        values.centre[own],
-        values.R_frame_from_camera[own],
-        values.lever[names.index(name)],
-        values.strip[problem.strip_of[own]],
-        jnp.asarray(adjustment.covariance[np.ix_(at, at)]),
+        problem,
+        undamped(problem, adjustment.solution.equations)[1],
+        observed,
+        values,
+        jnp.asarray(names.index(name)),
         lever,
     )
     turn, arm, covariance, sigma0 = (np.asarray(x) for x in found)
@@ -93,16 +97,17 @@ def two_step_boresight(
 
 @eqx.filter_jit
 def _two_step(
-    seen: Observed,
-    centre: Float[Array, "n 3"],
-    R: Float[Array, "n 3 3"],
-    lever: Float[Array, "3"],
-    strip: Float[Array, "n 6"],
-    covariance: Float[Array, "k k"],
-    with_lever: bool,
+    problem: Problem, matrix: Tridiagonal, observed: Observed, values: Values, mount: Int[Array, ""], with_lever: bool
 ) -> tuple[Array, Array, Array, Array]:
-    """(turn, lever, covariance, sigma0) by generalised least squares over all images at once."""
-    size, n = 6 if with_lever else 3, centre.shape[0]
+    """(turn, lever, covariance, sigma0) by generalised least squares over all images at once.
+
+    The adjusted orientations' covariance is the inverse of the reduced normal equations. With B the derivatives of the
+    navigation's residuals by the orientations, and M that matrix, (1 + B M^-1 B')^-1 = 1 - B (M + B'B)^-1 B', which
+    needs no covariance and keeps M's form.
+    """
+    size, band, lever = 6 if with_lever else 3, problem.layout.band, values.lever[mount]
+    mine = problem.mount_of == mount
+    free, _ = free_columns(problem)
 
     def one(x: Float[Array, " size"], step: Float[Array, "6"], image: Any) -> Float[Array, "6"]:
         seen, centre, R, strip = image
@@ -114,23 +119,26 @@ def _two_step(
         none = jnp.zeros(6)
         return one(x, none, image), jax.jacfwd(one)(x, none, image), jax.jacfwd(one, argnums=1)(x, none, image)
 
-    images = (seen, centre, R, strip)
-    observed = jnp.concatenate([seen.information_position, seen.information_attitude], axis=1)
-    there = jnp.any(observed != 0.0, axis=2).ravel()
+    images = (observed, values.centre, values.R_frame_from_camera, values.strip[problem.strip_of])
+    weights = jnp.concatenate([observed.information_position, observed.information_attitude], axis=1)
+    count = jnp.sum(jnp.any(weights != 0.0, axis=2) & mine[:, None])
 
     def improved(_: Any, state: Any) -> tuple[Array, Array, Array]:
         x = state[0]
-        off, J, by_step = jax.vmap(linear, in_axes=(None, 0))(x, images)
-        off, J = off.ravel() * there, J.reshape(-1, size) * there[:, None]
-        blocks = covariance.reshape(n, 6, n, 6)
-        spread = jnp.einsum("iab,ibjc,jdc->iajd", by_step, blocks, by_step).reshape(6 * n, 6 * n)
-        factor = jax.scipy.linalg.cho_factor(jnp.eye(6 * n) + spread, lower=True)
-        normal = J.T @ jax.scipy.linalg.cho_solve(factor, J)
-        weighted = jax.scipy.linalg.cho_solve(factor, off)
-        return x - jnp.linalg.solve(normal, J.T @ weighted), normal, off @ weighted
+        off, J, B = (y * mine.reshape(-1, *(1,) * (y.ndim - 1)) for y in jax.vmap(linear, in_axes=(None, 0))(x, images))
+        B = jnp.pad(B, ((0, 0), (0, 0), (0, problem.of_image - POSE))) * free[:, None, :]
+        own = on_diagonal(band, jnp.einsum("nka,nkb->nab", B, B))[: band.slabs].reshape(matrix.diagonal.shape)
+        factor = factored(eqx.tree_at(lambda m: m.diagonal, matrix, matrix.diagonal + own))
+        columns = jnp.concatenate([J, off[:, :, None]], axis=2)  # of x and of what is left
+        right = jnp.einsum("nka,nkj->nja", B, columns)
+        none = jnp.zeros((size + 1, problem.shared))
+        left = jax.vmap(lambda r, s: solved(problem, factor, r, s)[0])(jnp.moveaxis(right, 1, 0), none)
+        total = jnp.einsum("nki,nkj->ij", columns, columns) - jnp.einsum("nia,jna->ij", right, left)
+        normal = total[:size, :size]
+        return x - jnp.linalg.solve(normal, total[:size, size]), normal, total[size, size]
 
     start = (jnp.zeros(size), jnp.zeros((size, size)), jnp.zeros(()))
     x, normal, squares = jax.lax.fori_loop(0, STEPS, improved, start)
     whole = jnp.zeros((6, 6)).at[:size, :size].set(jnp.linalg.inv(normal))
     arm = lever + x[3:] if with_lever else lever
-    return x[:3], arm, whole, jnp.sqrt(squares / jnp.maximum(jnp.sum(there) - size, 1))
+    return x[:3], arm, whole, jnp.sqrt(squares / jnp.maximum(count - size, 1))

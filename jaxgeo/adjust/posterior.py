@@ -18,13 +18,11 @@ from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.reduction import (
     Eliminated,
     backward,
-    eliminate,
-    gather,
     places,
-    reduce,
     rows_of,
     solved,
     times_inverse,
+    undamped,
 )
 from jaxgeo.adjust.values import Values
 
@@ -58,9 +56,7 @@ class Posterior(eqx.Module):
 @one_thread()
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular."""
-    none = jnp.zeros(())
-    points = eliminate(problem, equations, none)
-    matrix = reduce(problem, equations, gather(problem, points), none).matrix
+    points, matrix = undamped(problem, equations)
     return jax.block_until_ready(Posterior(*_inverse(problem, matrix, datum), points, datum))
 
 

@@ -53,7 +53,7 @@ def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damp
     free_images, free_shared = free_columns(problem)
     images = images + jnp.eye(c)[None] * (1.0 - free_images)[:, :, None]
     border, corner = equations.images_shared, shared + jnp.diag(1.0 - free_shared)
-    state = (_on_diagonal(band, images), border, corner, equations.image_gradient, equations.shared_gradient)
+    state = (on_diagonal(band, images), border, corner, equations.image_gradient, equations.shared_gradient)
     for group, own in zip(problem.layout.groups, rows, strict=True):
         state = _less_points(problem, group, own, state)
     blocks, border, corner, image_gradient, shared_gradient = state
@@ -63,7 +63,7 @@ def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damp
     return Reduced(matrix, image_gradient, shared_gradient)
 
 
-def _on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "blocks size c size c"]:
+def on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "blocks size c size c"]:
     """Blocks of the slabs, and then of each with the next, that hold what images have with themselves."""
     c, each = images.shape[1], jnp.arange(band.size)
     eye = jnp.broadcast_to(jnp.eye(c), (band.slabs * band.size, c, c))
@@ -138,6 +138,13 @@ def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
 def reduce(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """`reduced`, compiled."""
     return reduced(problem, equations, rows, damping)
+
+
+def undamped(problem: Problem, equations: Equations) -> tuple[Eliminated, Tridiagonal]:
+    """The points eliminated, and the matrix of the reduced normal equations, as they are."""
+    none = jnp.zeros(())
+    points = eliminate(problem, equations, none)
+    return points, reduce(problem, equations, gather(problem, points), none).matrix
 
 
 def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:

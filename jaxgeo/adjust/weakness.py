@@ -15,7 +15,7 @@ from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
 from jaxgeo.adjust.equations import Equations, Problem
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.reduction import back_substituted, eliminate, eliminated, gather, reduce
+from jaxgeo.adjust.reduction import back_substituted, eliminated, undamped
 from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
 
@@ -57,9 +57,7 @@ def scaled_at(
     problem: Problem, equations: Equations
 ) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
     """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales."""
-    none = jnp.zeros(())
-    rows = gather(problem, eliminate(problem, equations, none))
-    return _scaled(reduce(problem, equations, rows, none).matrix)
+    return _scaled(undamped(problem, equations)[1])
 
 
 @eqx.filter_jit
