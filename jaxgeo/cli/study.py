@@ -12,6 +12,8 @@ from rich.console import Console
 from jaxgeo.cli._common import Traceback, compile_quickly, mistakes_told
 from jaxgeo.cli._screen import tell
 
+WIDE = 150  # characters of a line in a file
+
 studies = typer.Typer(help="What papers print, made again.", no_args_is_help=True)
 
 Folder = Annotated[
@@ -86,10 +88,12 @@ def _begin(folder: pathlib.Path | None) -> None:
 def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None) -> None:
     """Tables on the screen, and with pictures into a folder."""
     console = Console()
+    if not console.is_terminal:  # a file has room for all of a table
+        console = Console(width=WIDE)
     with console.status("computing ..."):
         report = run()
     for sheet in study.sheets_of(report):
-        console.print(sheet.to_rich())
+        console.print(sheet.to_rich(console.width))
     if folder is None:
         return
     study.write_tables(report, folder)

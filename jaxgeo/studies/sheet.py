@@ -12,6 +12,7 @@ from rich import box
 from rich.table import Table
 
 Cell = str | int | float | None
+WORDS = 24  # characters that a column of words needs at least, if it has so many
 
 
 @dataclass(frozen=True)
@@ -29,13 +30,27 @@ class Sheet:
         formats = list(self.columns.values())
         return [[_shown(cell, spec) for cell, spec in zip(row, formats, strict=True)] for row in self.rows]
 
-    def to_rich(self) -> Table:
-        """For the screen."""
-        table = Table(title=self.title, caption=self.note, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    def to_rich(self, width: int) -> Table:
+        """For a screen of so many characters. Numbers are never cut; where long remarks, the last column, would have no
+        room beside them, they stand below."""
+        names, rows = list(self.columns), self.texts()
+        # Names of numbers stand in as many lines as they have words, those of words in one.
+        heads = [name.replace(" ", "\n") if spec else name for name, spec in self.columns.items()]
+        widths = [
+            max(len(line) for cell in (head, *(row[i] for row in rows)) for line in cell.split("\n")) + 1
+            for i, head in enumerate(heads)
+        ]
+        needed = [w if spec else min(w, WORDS) for w, spec in zip(widths, self.columns.values(), strict=True)]
+        notes = [self.note] if self.note else []
+        if widths[-1] > WORDS and not self.columns[names[-1]] and sum(needed) > width:
+            said = [row[-1] for row in rows]
+            rows = [[*row[:-1], str(i) if row[-1] else ""] for i, row in enumerate(rows, 1)]
+            notes += [f"{i}: {remark}" for i, remark in enumerate(said, 1) if remark]
+        table = Table(title=self.title, caption="\n".join(notes), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.title_justify = table.caption_justify = "left"
-        for name, spec in self.columns.items():
-            table.add_column(name, justify="right" if spec else "left")
-        for row in self.texts():
+        for head, spec in zip(heads, self.columns.values(), strict=True):
+            table.add_column(head, justify="right" if spec else "left", no_wrap=bool(spec))
+        for row in rows:
             table.add_row(*row)
         return table
 

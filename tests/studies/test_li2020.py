@@ -121,7 +121,7 @@ def test_tables_show_what_was_found(report, tmp_path) -> None:
     with (tmp_path / "sightings.csv").open() as stream:
         rows = list(csv.reader(stream))
     assert float(rows[1][1]) == pytest.approx(report.sightings[0].azimuth, abs=1e-12)
-    assert sheets["sightings"].to_rich().row_count == 5
+    assert sheets["sightings"].to_rich(100).row_count == 5
 
 
 @pytest.mark.slow

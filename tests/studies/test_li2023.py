@@ -172,7 +172,7 @@ def test_tables_show_what_was_found(level, pointing) -> None:
     assert "medians over 3 places" in sheet.note
     text = sheets.circles_sheet(level).to_markdown().splitlines()
     assert text[4].startswith("| plain | real tile | printed | 114.79 | – |")
-    assert sheets.pointing_sheet(pointing).to_rich().row_count == 8
+    assert sheets.pointing_sheet(pointing).to_rich(100).row_count == 8
 
 
 def test_refusals(tmp_path, monkeypatch) -> None:
