@@ -15,7 +15,7 @@ from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
 from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.posterior import Datum, Posterior
+from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
@@ -84,6 +84,7 @@ def adjust(
     solution = solve(ready.problem, loss, solver, told)
     if not solution.converged:
         raise NotConverged(solution)
+    _check_parallax(block, ready, solution)
     rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
     rows = rows[np.any(rows != 0.0, axis=1)]
     if len(rows) and datum is None:
@@ -100,8 +101,8 @@ def adjust(
         rows = rows[np.any(rows != 0.0, axis=1)]
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
     adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
-    if _singular(adjustment.posterior):
-        weak = [d for d in weakest(ready, solution, 6 + len(rows)) if d.strength < SINGULAR][len(rows) :]
+    if not float(least_share(ready.problem, adjustment.posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
+        weak = [direction for direction in weakest(ready, solution, 6, held) if direction.strength < SINGULAR]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(
             f"the block does not hold {words}. Fix some of it, or give priors.{_in_parts(block)}", weak
@@ -110,6 +111,25 @@ def adjust(
     if len(lost):
         raise BehindCamera(block, lost)
     return adjustment
+
+
+def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
+    """Refuse points that nothing holds along their rays, whatever holds the cameras."""
+    own = ready.order.row_of_point
+    normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
+    scale = 1.0 / np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
+    least = np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])[:, 0]
+    lost = np.flatnonzero(~(least >= SINGULAR))
+    if len(lost) == 0:
+        return
+    names = ready.names.point[lost]
+    seen = block.observations
+    first = ", ".join(np.unique(seen.image[seen.point == names[0]]).tolist()[:4])
+    raise DeficientBlock(
+        f"nothing holds the distance of point {names[0]}: its rays, of images {first}, are parallel ({len(lost)} such "
+        f"points). Leave it out, or give images from further apart, control or terrain.",
+        [Direction(f"distance of point {name}", float(least[i]), {}) for i, name in zip(lost, names, strict=True)],
+    )
 
 
 def _in_parts(block: Block) -> str:
@@ -132,11 +152,6 @@ def _datum(problem: Any, values: Any, rows: Any) -> Datum:
     return Datum(jnp.einsum("dm,mnc->dnc", rows, z), jnp.einsum("dm,mir->dir", rows, x))
 
 
-def _singular(posterior: Posterior) -> bool:
-    """Whether the inverse is not finite, or so large that it is made of rounding."""
-    return not float(posterior.least) >= 10.0 * SINGULAR  # NaN is not
-
-
 def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.ndarray) -> Solution:
     """A free network moved as a whole so that its points lie, in the mean square, where they started.
 
@@ -157,9 +172,9 @@ def nearest(source: np.ndarray, target: np.ndarray, rows: np.ndarray) -> tuple[f
     """(scale, rotation, shift) that bring points (m, 3) nearest to others by combinations (d, 7) of `MOTIONS` only."""
     import scipy  # loads its parts when they are asked for
 
-    middle = source.mean(axis=0)
+    middle = np.median(source, axis=0)  # as `motions` has them
     offsets, goal = source - middle, target - middle
-    size = np.sqrt(np.mean(np.sum(offsets**2, axis=1)))
+    size = np.sqrt(np.median(np.sum(offsets**2, axis=1)))
     generators = np.zeros((len(rows), 4, 4))  # of the group of similarities, of which those that nothing holds are one
     for generator, row in zip(generators, rows / np.abs(rows).max(axis=1, keepdims=True), strict=True):
         x, y, z = row[3:6] / size

@@ -17,12 +17,13 @@ HELD = 1e-9  # of what a motion of the whole would cost part by part: below it n
 def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Float[Array, "7 3 rows"]]:
     """Changes of the images and of the points (rows) by `MOTIONS` about the middle of the points.
 
-    Lengths in m, turns and scale such that the points' root mean square distance from the middle moves by 1 m.
+    Lengths in m, turns and scale such that points at their median distance from the middle move by 1 m.
     """
     real = problem.free_point.any(axis=1)
-    middle = jnp.sum(jnp.where(real[:, None], values.points, 0.0), axis=0) / jnp.sum(real)
+    places = jnp.where(real[:, None], values.points, jnp.nan)
+    middle = jnp.nanmedian(places, axis=0)  # of points that lie nearly at infinity it does not hang on
+    size = jnp.sqrt(jnp.nanmedian(jnp.sum((places - middle[None]) ** 2, axis=1)))
     offsets = jnp.where(real[:, None], values.points - middle[None], 0.0)
-    size = jnp.sqrt(jnp.sum(offsets**2) / jnp.sum(real))
     centres, n = values.centre - middle[None], problem.n
     none = jnp.zeros((n, 3))
     poses, points = [], []

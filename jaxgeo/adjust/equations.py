@@ -120,7 +120,7 @@ def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
     """Residuals (predicted less measured) of the image points over their standard deviations."""
     layout = problem.layout
     cameras, lens, R, offset = _of_measurements(problem, values)
-    ideal = in_camera(R, offset)
+    ideal = _in_camera(layout, R, offset)
 
     def one(camera: Any, lens: Any, d: Any, uv: Any, information: Any) -> Array:
         return (pixel_of(with_interior(camera, lens), d) - uv) * information
@@ -137,7 +137,7 @@ def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
         ahead = d[2] > 0.0
         return ahead & with_interior(camera, lens).distortion.in_field(d[:2] / jnp.where(ahead, d[2], 1.0))
 
-    return jax.vmap(one, in_axes=-1)(cameras, lens, in_camera(R, offset))
+    return jax.vmap(one, in_axes=-1)(cameras, lens, _in_camera(problem.layout, R, offset))
 
 
 def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
@@ -221,7 +221,7 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     layout = problem.layout
     image, camera = layout.image, layout.camera[layout.image]
     cameras, lens, R, offset = _of_measurements(problem, values)
-    d = in_camera(R, offset)
+    d = _in_camera(layout, R, offset)
     ideal = d[:2] / d[2:]
     linear = jax.vmap(partial(_pixel_linear, problem.active), in_axes=-1, out_axes=-1)
     found = jax.lax.optimization_barrier((R, d, ideal, linear(cameras, lens, ideal)))
@@ -266,9 +266,12 @@ def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[A
     return jnp.stack(found).reshape(*table.shape[1:], at.shape[0]) if found else jnp.zeros((0, at.shape[0]))
 
 
-def in_camera(R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
-    """R' offset: a place in the camera frame."""
-    return _sum(R[i] * offset[i][None] for i in range(3))
+def _in_camera(layout: Layout, R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
+    """R' offset: a place in the camera frame; straight ahead where there is no measurement, as any number may be there
+    that a weight of zero would not take away."""
+    found = _sum(R[i] * offset[i][None] for i in range(3))
+    there = layout.information[:, 0] > 0.0
+    return jnp.where(there[None], found, jnp.array([0.0, 0.0, 1.0])[:, None])
 
 
 def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:

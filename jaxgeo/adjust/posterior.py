@@ -45,13 +45,6 @@ class Posterior(eqx.Module):
     points: Eliminated
     datum: Datum | None
 
-    @property
-    def least(self) -> Float[Array, ""]:
-        """The least share of an unknown's weight that is left to it when the others are not known; NaN or not positive
-        where the system is singular."""
-        scales = self.factor.scale, self.factor.scale_shared
-        return jnp.min(jnp.concatenate([(x**2 / y).ravel() for x, y in zip(scales, self.inverse.own, strict=True)]))
-
 
 @one_thread()
 def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
@@ -63,18 +56,33 @@ def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) ->
 @eqx.filter_jit
 def _inverse(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> tuple[Factor, Tridiagonal]:
     if datum is not None:  # any weights on the motions make it regular, and change nothing else
-        matrix = _held(problem, matrix, datum)
+        matrix = held(problem, matrix, datum)
     factor = factored(matrix)
     return factor, selected_inverse(factor)
 
 
-def _held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
+def held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
     """The motions held by the images of the middle slab, each with about the weight of the system's parts."""
     band, middle = problem.layout.band, problem.layout.band.slabs // 2
     motions = jax.vmap(band.to_slabs)(datum.images)[:, middle]
     scaled = motions * jnp.diagonal(matrix.diagonal[middle])[None, :]
     weighted = scaled.T @ (scaled / jnp.sum(motions * scaled, axis=1)[:, None])
     return eqx.tree_at(lambda m: m.diagonal, matrix, matrix.diagonal.at[middle].add(weighted))
+
+
+@eqx.filter_jit
+def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
+    """The least share of an unknown's weight that is left to it when the others are not known either.
+
+    Not positive where the system is singular.
+    """
+    variances = jnp.diagonal(covariance_of_images(problem, posterior), axis1=1, axis2=2)
+    scales = problem.layout.band.of_images(posterior.factor.scale), posterior.factor.scale_shared
+    pairs = zip(scales, (variances, jnp.diagonal(covariance_of_shared(problem, posterior))), strict=True)
+    free = jnp.concatenate([x.ravel() for x in free_columns(problem)])
+    share = jnp.concatenate([(scale**2 / variance).ravel() for scale, variance in pairs])
+    share = jnp.where(free > 0.0, share, 1.0)
+    return jnp.min(jnp.where(jnp.isfinite(share), share, 0.0))  # a minimum of many may pass over NaN
 
 
 @eqx.filter_jit

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
 from jaxgeo.adjust.equations import Equations, Problem
+from jaxgeo.adjust.posterior import Datum, held
 from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.reduction import back_substituted, eliminated, undamped
 from jaxgeo.adjust.solve import Solution
@@ -54,14 +55,16 @@ class DeficientBlock(ValueError):
 
 
 def scaled_at(
-    problem: Problem, equations: Equations
+    problem: Problem, equations: Equations, datum: Datum | None
 ) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
     """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales."""
-    return _scaled(undamped(problem, equations)[1])
+    return _scaled(problem, undamped(problem, equations)[1], datum)
 
 
 @eqx.filter_jit
-def _scaled(matrix: Tridiagonal) -> Any:
+def _scaled(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> Any:
+    if datum is not None:
+        matrix = held(problem, matrix, datum)
     scale = tuple(1.0 / jnp.sqrt(x) for x in matrix.own)
     return matrix.scaled(*scale), scale
 
@@ -108,10 +111,10 @@ def _points_along(problem: Problem, equations: Equations, images: Any, shared: A
     return back_substituted(problem, points, images, shared) * problem.free_point.T
 
 
-def weakest(ready: Prepared, solution: Solution, most: int) -> list[Direction]:
-    """The combinations of unknowns that the normal equations hold least, the weakest first."""
+def weakest(ready: Prepared, solution: Solution, most: int, datum: Datum | None = None) -> list[Direction]:
+    """The combinations of unknowns that the normal equations, and a `datum`, hold least, the weakest first."""
     problem, names, equations = ready.problem, ready.names, solution.equations
-    matrix, (scale, scale_shared) = scaled_at(problem, equations)
+    matrix, (scale, scale_shared) = scaled_at(problem, equations, datum)
     strengths, vectors = _least(matrix, most)
     weights = [np.sqrt(np.diagonal(np.asarray(x), axis1=-2, axis2=-1)) for x in (equations.images, equations.shared)]
     of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[ready.order.row_of_point]

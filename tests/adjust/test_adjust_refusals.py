@@ -375,3 +375,32 @@ def test_points_that_come_to_lie_behind_their_cameras() -> None:
     with pytest.raises(BehindCamera, match=f"point {point} has come to lie behind image") as caught:
         adjust(replace(truth.block(), observations=replace(seen, uv=uv)))
     assert set(caught.value.rows) == set(rows)
+
+
+def test_a_point_whose_rays_are_parallel() -> None:
+    of = simulated()
+    block = of.block()
+    seen, images = block.observations, block.images
+    row = int(np.flatnonzero((seen.image == "i00") & ~np.isin(seen.point, block.control.name))[0])
+    again = np.append(np.arange(len(images)), 0)  # a second exposure at the first one's place
+    twins = Images(
+        np.append(images.name, "twin"),
+        images.camera[again],
+        images.centre[again],
+        images.R_frame_from_camera[again],
+    )
+    keep = (seen.point != seen.point[row]) | (np.arange(len(seen)) == row)
+    own = np.flatnonzero(keep)
+    more = np.concatenate([own, [row], np.flatnonzero((seen.image == "i00") & keep)[1:6]])
+    names = np.concatenate([seen.image[own], np.full(len(more) - len(own), "twin")])
+    pairs = np.array([f"{a} {b}" for a, b in zip(names, seen.point[more], strict=True)])
+    _, first = np.unique(pairs, return_index=True)
+    more, names = more[np.sort(first)], names[np.sort(first)]
+    observations = ImagePoints(names, seen.point[more], seen.uv[more], 0.5)
+    point = str(seen.point[row])
+    block = replace(block, images=twins, observations=observations, navigation=None)
+    with pytest.raises(ValueError, match=f"the rays of point {point} are parallel, so that it has no place to start"):
+        adjust(block)
+    block = replace(block, points=of.points.of(np.setdiff1d(observations.point, block.control.name)))
+    with pytest.raises(DeficientBlock, match=f"nothing holds the distance of point {point}: its rays, of images i00, "):
+        adjust(block)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import threadpoolctl
 
 from jaxgeo import FrameCamera
 from jaxgeo.adjust import (
     Adjustment,
     Block,
     Cartesian,
+    DeficientBlock,
     Free,
     GroundPoints,
     ImagePoints,
@@ -25,7 +29,10 @@ from jaxgeo.adjust import (
     reliability,
 )
 from jaxgeo.adjust import layout as layouts
+from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.banded import Tridiagonal, band_of, factored, one_slab, selected_inverse
+from jaxgeo.adjust.equations import image_residuals
+from jaxgeo.adjust.problem import prepared
 
 STRIPS, EACH = 2, 14
 
@@ -94,6 +101,45 @@ def test_an_adjustment_in_slabs_is_that_of_the_whole(held: str, monkeypatch: pyt
             assert next(iter(one.parts)) == next(iter(other.parts))
 
 
+def test_where_nothing_is_measured_nothing_is_computed() -> None:
+    problem = prepared(*flight("by control")[:2]).problem
+    first, layout = np.asarray(problem.layout.image) == 0, problem.layout
+    unseen = int(np.setdiff1d(np.asarray(layout.row), np.asarray(layout.row)[first])[0])
+    beside = problem.start.centre[0] + 100.0 * problem.start.R_frame_from_camera[0, :, 0]  # in its focal plane
+    values = eqx.tree_at(lambda v: v.points, problem.start, problem.start.points.at[unseen].set(beside))
+    empty = np.asarray(layout.information)[:, 0] == 0.0
+    assert np.any(empty)
+    np.testing.assert_array_equal(np.asarray(image_residuals(problem, values))[:, empty], 0.0)
+
+
+@pytest.mark.slow
+def test_a_long_block_that_is_not_held_is_refused() -> None:
+    held, _, _ = flight("by control", each=350)
+    seen, points = held.observations, held.control.place[:, 1] < 200.0
+    first = np.char.startswith(seen.image, "i") & (np.array([int(name[1:]) for name in seen.image]) < 350)
+    apart = ImagePoints(seen.image, np.where(first, seen.point, np.char.add("x", seen.point)), seen.uv, 0.3)
+    names, count = np.unique(apart.point, return_counts=True)
+    control = held.control.of(held.control.name[points])
+    apart = apart.of(np.isin(apart.point, np.concatenate([names[count > 1], control.name])))
+    with pytest.raises(DeficientBlock, match="No point joins the 2 parts of the block"):
+        adjust(replace(held, observations=apart, control=control))
+
+
+def test_threads_are_as_many_as_before_when_the_last_is_out() -> None:
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpoolctl.threadpool_info() if library["user_api"] == "blas"]
+
+    with one_thread():
+        pass
+    before, one, other = threads(), one_thread(), one_thread()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    assert threads() == [1] * len(before)
+    other.__exit__(None, None, None)
+    assert threads() == before
+
+
 def assert_alike(one: Adjustment, other: Adjustment) -> None:
     """Assert the same covariances of images, points and parameters."""
     scale = np.sqrt(np.maximum(np.diagonal(other.covariance), 1e-300))
@@ -110,20 +156,20 @@ def assert_alike(one: Adjustment, other: Adjustment) -> None:
     np.testing.assert_allclose(one.correlations, other.correlations, rtol=0.0, atol=1e-6)
 
 
-def flight(held: str) -> tuple[Block, Unknowns, InnerConstraints | None]:
+def flight(held: str, each: int = EACH) -> tuple[Block, Unknowns, InnerConstraints | None]:
     """Long strips of vertical images, 60 % along and 30 % across, with noise, held by control or not."""
     rng = np.random.default_rng(7)
-    along, row = np.meshgrid(np.arange(EACH), np.arange(STRIPS))
+    along, row = np.meshgrid(np.arange(each), np.arange(STRIPS))
     centres = np.stack([along.ravel() * 320.0, row.ravel() * 560.0, 1000.0 + rng.normal(0.0, 5.0, along.size)], axis=1)
-    points = rng.uniform([-300.0, -300.0, -30.0], [EACH * 320.0, STRIPS * 560.0 - 200.0, 30.0], (220, 3))
+    points = rng.uniform([-300.0, -300.0, -30.0], [each * 320.0, STRIPS * 560.0 - 200.0, 30.0], (220 * each // EACH, 3))
     R = np.diag([1.0, -1.0, -1.0])
     d = (points[None] - centres[:, None]) @ R  # R' for each
     uv = 1000.0 * d[..., :2] / d[..., 2:]
     seen = np.all(np.abs(uv) < 400.0, axis=2)
     seen &= seen.sum(axis=0) >= 2
     image, point = np.nonzero(seen)
-    names = np.array([f"i{i:02d}" for i in range(len(centres))])
-    of_points = np.array([f"p{i:03d}" for i in range(len(points))])
+    names = np.array([f"i{i:03d}" for i in range(len(centres))])
+    of_points = np.array([f"p{i:04d}" for i in range(len(points))])
     own = held == "each camera"
     camera = FrameCamera.from_pixels(focal_px=1000.0, width=1000, height=1000, principal_px=(0.0, 0.0))
     cameras = {f"c{i:02d}": camera for i in range(len(centres))} if own else {"camera": camera}
