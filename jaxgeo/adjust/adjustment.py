@@ -10,11 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo.adjust.arrays import free_columns
 from jaxgeo.adjust.block import Block, Images
-from jaxgeo.adjust.equations import free_columns, image_residuals, in_view, navigation_residuals
+from jaxgeo.adjust.equations import navigation_residuals
 from jaxgeo.adjust.exterior import angles_by_turn, omega_phi_kappa
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.losses import AbstractLoss
+from jaxgeo.adjust.measurements import image_residuals, in_view
 from jaxgeo.adjust.posterior import (
     Datum,
     Posterior,

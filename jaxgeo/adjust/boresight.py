@@ -14,9 +14,9 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._numerics import product
 from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Tridiagonal, factored
 from jaxgeo.adjust.collinearity import Observed, navigation_residual
-from jaxgeo.adjust.equations import Problem, free_columns
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.problem import observed_of
 from jaxgeo.adjust.reduction import on_diagonal, solved, undamped

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import turned
-from jaxgeo.adjust.equations import Equations, Problem, free_columns
+from jaxgeo.adjust.arrays import Problem, free_columns
+from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.values import Values
 
 MOTIONS = ("shift east", "shift north", "shift up", "turn about east", "turn about north", "turn about up", "scale")

@@ -10,11 +10,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgeo.adjust._lapack import one_thread
+from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
-from jaxgeo.adjust.equations import Equations, Problem, free_columns
-from jaxgeo.adjust.equations import image_points as weighted_image_points
+from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.layout import Group
 from jaxgeo.adjust.losses import AbstractLoss
+from jaxgeo.adjust.measurements import image_points
 from jaxgeo.adjust.reduction import (
     Eliminated,
     backward,
@@ -143,7 +144,7 @@ def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array,
 def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: Posterior) -> Float[Array, "obs 2 2"]:
     """Covariance of each adjusted image point in units of that measured, J Q J'; the same in every datum."""
     layout = problem.layout
-    _, by_point, by_pose, by_lens, _ = weighted_image_points(problem, values, loss)
+    _, by_point, by_pose, by_lens, _ = image_points(problem, values, loss)
     own = jnp.concatenate([by_pose, by_lens], axis=1)  # lenses are an image's own, or have columns of their camera
     own, by_point = (jnp.moveaxis(x, -1, 0) for x in (own, by_point))  # (obs, 2, columns)
     factor = layout.to_rays(posterior.points.factor)

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo.adjust.arrays import Known, Problem
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.collinearity import Observed
-from jaxgeo.adjust.equations import Known, Problem
 from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.adjust.layout import Order, layout_of
 from jaxgeo.adjust.starts import started

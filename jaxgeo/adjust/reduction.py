@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
-from jaxgeo.adjust.equations import Equations, Problem, free_columns
+from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.layout import Group
 
 

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust._lapack import one_thread
+from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
-from jaxgeo.adjust.equations import Equations, Problem, cost_of, linearised, step_of
+from jaxgeo.adjust.equations import Equations, cost_of, linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminate, gather, reduce, solved
 from jaxgeo.adjust.values import Values, moved

@@ -11,9 +11,10 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 from jaxtyping import Array, Float
 
+from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
-from jaxgeo.adjust.equations import Equations, Problem
+from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.posterior import Datum, held
 from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.reduction import back_substituted, eliminated, undamped

@@ -31,7 +31,7 @@ from jaxgeo.adjust import (
 from jaxgeo.adjust import layout as layouts
 from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.banded import Tridiagonal, band_of, factored, one_slab, selected_inverse
-from jaxgeo.adjust.equations import image_residuals
+from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.problem import prepared
 
 STRIPS, EACH = 2, 14

@@ -1,0 +1,98 @@
+"""A block as arrays, and the columns of what is unknown of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxgeo.adjust.collinearity import Observed
+from jaxgeo.adjust.layout import Layout
+from jaxgeo.adjust.values import POSE, Step, Values
+from jaxgeo.sensor import FrameCamera
+
+
+class Known(eqx.Module):
+    """What is known of some unknowns beforehand: 1 / sigma (zero where nothing), and 1 where they are free, else 0."""
+
+    information: Float[Array, "some size"]
+    free: Float[Array, "some size"]
+
+
+class Problem(eqx.Module):
+    """A block in the order of its layout, and what is unknown of it.
+
+    `active` are the columns of the lenses that are unknown; with `own_lens` each image has a camera, and so a lens, of
+    its own, which is eliminated and solved for with the image. `mounts` and `strips` say whether any of these is
+    unknown. Control points are `place` (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
+    """
+
+    layout: Layout
+    cameras: FrameCamera
+    observed: Observed | None
+    mount_of: Int[Array, " n"]
+    strip_of: Int[Array, " n"]
+    start: Values
+    place: Float[Array, "rows 3"]
+    known_point: Float[Array, "rows 3 3"]
+    free_point: Float[Array, "rows 3"]
+    free_pose: Float[Array, "n 6"]
+    lens: Known
+    mount: Known
+    strip: Known
+    terrain: Any
+    active: tuple[int, ...] = eqx.field(static=True)
+    own_lens: bool = eqx.field(static=True)
+    mounts: bool = eqx.field(static=True)
+    strips: bool = eqx.field(static=True)
+
+    @property
+    def n(self) -> int:
+        """Images."""
+        return self.layout.camera.shape[0]
+
+    @property
+    def of_image(self) -> int:
+        """Columns of an image in the reduced system."""
+        return POSE + (len(self.active) if self.own_lens else 0)
+
+    @property
+    def of_lenses(self) -> int:
+        """Columns of lenses that images share."""
+        return 0 if self.own_lens else self.lens.free.shape[0] * len(self.active)
+
+    @property
+    def shared(self) -> int:
+        """Columns of what images share: lenses, mounts, strips."""
+        return self.of_lenses + self.mounts * self.mount.free.size + self.strips * self.strip.free.size
+
+
+def step_of(problem: Problem, images: Any, shared: Any, points: Any) -> Step:
+    """The step that solutions (n, c), (s,) and (3, rows) mean."""
+    active, first = len(problem.active), problem.of_lenses
+    lens = jnp.zeros(problem.lens.free.shape)
+    if problem.own_lens and active:
+        lens = lens.at[problem.layout.camera].set(images[:, POSE:], unique_indices=True)
+    elif first:
+        lens = shared[:first].reshape(lens.shape)
+    mount, strip = jnp.zeros(problem.mount.free.shape), jnp.zeros(problem.strip.free.shape)
+    if problem.mounts:
+        mount = shared[first : first + mount.size].reshape(mount.shape)
+        first += mount.size
+    if problem.strips:
+        strip = shared[first:].reshape(strip.shape)
+    return Step(pose=images[:, :POSE], points=points.T, lens=lens, mount=mount, strip=strip)
+
+
+def free_columns(problem: Problem) -> tuple[Array, Array]:
+    """1 for each column of the images (n, c) and of what they share (s,) that is free, else 0."""
+    images = problem.free_pose
+    if problem.own_lens:
+        images = jnp.concatenate([images, problem.lens.free[problem.layout.camera]], axis=1)
+    shared = [jnp.zeros(0)]
+    shared += [problem.lens.free.ravel()] if problem.of_lenses else []
+    shared += [problem.mount.free.ravel()] if problem.mounts else []
+    shared += [problem.strip.free.ravel()] if problem.strips else []
+    return images, jnp.concatenate(shared)

@@ -1,0 +1,113 @@
+"""The image points of a block: residuals and derivatives of all of them together."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgeo.adjust.arrays import Problem
+from jaxgeo.adjust.collinearity import pixel_linear, pixel_of
+from jaxgeo.adjust.layout import Layout
+from jaxgeo.adjust.losses import AbstractLoss
+from jaxgeo.adjust.values import Values, with_interior
+
+LEAST_WEIGHT = 1e-10  # that a robust loss leaves a measurement: with none at all, a point of few rays has no place
+
+
+def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
+    """Residuals (predicted less measured) of the image points over their standard deviations."""
+    layout = problem.layout
+    cameras, lens, R, offset = _of_measurements(problem, values)
+    ideal = _in_camera(layout, R, offset)
+
+    def one(camera: Any, lens: Any, d: Any, uv: Any, information: Any) -> Array:
+        return (pixel_of(with_interior(camera, lens), d) - uv) * information
+
+    return jax.vmap(one, in_axes=(-1, -1, -1, 0, 0), out_axes=-1)(cameras, lens, ideal, layout.uv, layout.information)
+
+
+@eqx.filter_jit
+def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
+    """Whether the point of each measurement lies in front of the camera and in its lens's field."""
+    cameras, lens, R, offset = _of_measurements(problem, values)
+
+    def one(camera: Any, lens: Any, d: Any) -> Array:
+        ahead = d[2] > 0.0
+        return ahead & with_interior(camera, lens).distortion.in_field(d[:2] / jnp.where(ahead, d[2], 1.0))
+
+    return jax.vmap(one, in_axes=-1)(cameras, lens, _in_camera(problem.layout, R, offset))
+
+
+def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[Array, ...]:
+    """Residual (2, obs) and derivatives (2, columns, obs) of image points, weighted, and rho; fixed columns zero.
+
+    By the point (3), the pose (6) and the lens's active columns. Of the camera by autodiff; how a point lies in it
+    follows at once, all measurements together, as a compiler would make again for each derivative what they share.
+    """
+    layout = problem.layout
+    image, camera = layout.image, layout.camera[layout.image]
+    cameras, lens, R, offset = _of_measurements(problem, values)
+    d = _in_camera(layout, R, offset)
+    ideal = d[:2] / d[2:]
+    linear = jax.vmap(partial(_pixel_linear, problem.active), in_axes=-1, out_axes=-1)
+    found = jax.lax.optimization_barrier((R, d, ideal, linear(cameras, lens, ideal)))
+    R, d, ideal, (predicted, by_ideal, by_lens) = found
+    R, d, ideal = R[:, :, None], d[:, None], ideal[:, None]  # for both axes
+    residual = (predicted - layout.uv.T) * layout.information.T
+    squared = residual[0] ** 2 + residual[1] ** 2
+    root = jnp.sqrt(jnp.maximum(loss.weight(squared), LEAST_WEIGHT))[None]
+    weight = layout.information.T * root
+    x, y = (by * (weight / d[2]) for by in by_ideal)  # derivatives of both axes by d
+    z = -(x * ideal[0] + y * ideal[1])
+    by_point = [x * R[i, 0] + y * R[i, 1] + z * R[i, 2] for i in range(3)]
+    # A turn t of the camera turns what it sees the other way, d - t x d.
+    by_turn = [y * d[2] - z * d[1], z * d[0] - x * d[2], x * d[1] - y * d[0]]
+    free_point, free_pose = layout.to_rays(problem.free_point.T), gathered(problem.free_pose, image)
+    by_pose = [by * free[None] for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
+    by_point = [by * free[None] for by, free in zip(by_point, free_point, strict=True)]
+    by_lens = [by * weight * free[None] for by, free in zip(by_lens, gathered(problem.lens.free, camera), strict=True)]
+    by_lens = jnp.stack(by_lens, axis=1) if by_lens else jnp.zeros((2, 0, image.shape[0]))
+    return residual * root, jnp.stack(by_point, axis=1), jnp.stack(by_pose, axis=1), by_lens, loss.rho(squared)
+
+
+def _pixel_linear(active: tuple[int, ...], camera: Any, lens: Any, ideal: Any) -> Any:
+    return pixel_linear(camera, lens, active, ideal)
+
+
+def _of_measurements(problem: Problem, values: Values) -> Any:
+    """Camera and lens of each measurement, its R_frame_from_camera, and where its point is from the perspective centre
+    (3, obs) in m; the measurements are the last axis of all."""
+    layout = problem.layout
+    image, camera = layout.image, layout.camera[layout.image]
+    cameras = jax.tree.map(lambda x: gathered(x, camera), problem.cameras)
+    offset = layout.to_rays(values.points.T) - gathered(values.centre, image)
+    given = cameras, gathered(values.lens, camera), gathered(values.R_frame_from_camera, image), offset
+    return jax.lax.optimization_barrier(given)
+
+
+def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[Array, "... obs"]:
+    """Entries of a short table, with the crowd last: number by number, which is quicker than row by row."""
+    columns = table.reshape(table.shape[0], -1).T
+    found = [column.at[at].get(mode="promise_in_bounds") for column in columns]
+    return jnp.stack(found).reshape(*table.shape[1:], at.shape[0]) if found else jnp.zeros((0, at.shape[0]))
+
+
+def _in_camera(layout: Layout, R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
+    """R' offset: a place in the camera frame; straight ahead where there is no measurement, as any number may be there
+    that a weight of zero would not take away."""
+    found = _sum(R[i] * offset[i][None] for i in range(3))
+    there = layout.information[:, 0] > 0.0
+    return jnp.where(there[None], found, jnp.array([0.0, 0.0, 1.0])[:, None])
+
+
+def _sum(parts: Any) -> Array:
+    """Sum of a few arrays, in one pass."""
+    first, *others = parts
+    for part in others:
+        first = first + part
+    return first
