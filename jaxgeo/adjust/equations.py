@@ -76,7 +76,7 @@ def _image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple
 
 
 @eqx.filter_jit
-def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "n most columns"]]:
+def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "rows width columns"]]:
     """Derivatives by pose and lens, and residuals, of the measurements of each image, for both axes."""
     residual, _, by_pose, by_lens, _ = seen
     found = []
@@ -161,6 +161,8 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
     layout, n, c, active = problem.layout, problem.n, problem.of_image, len(problem.active)
     first, second = (jnp.einsum("nla,nlb->nab", rows, rows) for rows in by_image)
     sums = first + second
+    if len(layout.owner) > n:
+        sums = jnp.zeros((n, *sums.shape[1:])).at[layout.owner].add(sums)
     matrix, gradient = sums[:, :-1, :-1], sums[:, :-1, -1]
     images, image_gradient = matrix[:, :c, :c], gradient[:, :c]
     s = problem.shared

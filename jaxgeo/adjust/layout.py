@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
 GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
+MOST_UNLIKE = 3  # times the mean number of measurements of an image, up to which each has one row
 DENSE_COLUMNS = 1600  # of the reduced system, up to which it is one slab and chunks of points may have all of them
 DENSE_BYTES, DENSE_POINTS = 48_000_000, 64  # of a chunk's rows, and points that it has at least
 POINTS = (16, 32, 64, 128, 256)  # in a chunk, where it has columns of the images that see it only
@@ -49,14 +50,16 @@ class Layout(eqx.Module):
     """Index arrays of a block. The last measurement is one without weight, to fill up with.
 
     `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`
-    (n, most) the measurements of each image; `camera` (n,) of the images; `band` their order in the reduced system.
+    (rows, width) those of one image, that of number `owner` (rows,); `camera` (n,) of the images; `band` their order in
+    the reduced system.
     """
 
     image: Int[Array, " obs"]
     row: Int[Array, " obs"]
     uv: Float[Array, "obs 2"]
     information: Float[Array, "obs 2"]
-    of_image: Int[Array, "n most"]
+    of_image: Int[Array, "rows width"]
+    owner: Int[Array, " rows"]
     camera: Int[Array, " n"]
     band: Band
     groups: tuple[Group, ...]
@@ -119,13 +122,15 @@ def layout_of(
     place[order[taken[there]]] = np.flatnonzero(there)
     image_of = np.where(there, image[taken], 0)
     last = len(there) - 1
+    of_image, owner = _by_image(image_of, there, n)
     groups = [Group(*sizes, *_indices(slots, np.where(at < 0, last, at))) for *sizes, slots, at in given]
     layout = Layout(
         image=jnp.asarray(image_of, jnp.int32),
         row=jnp.asarray(rows, jnp.int32),
         uv=jnp.asarray(np.where(there[:, None], uv[taken], 0.0)),
         information=jnp.asarray(np.where(there[:, None], 1.0 / sigma[taken], 0.0)),
-        of_image=jnp.asarray(_by_image(image_of, there, n), jnp.int32),
+        of_image=jnp.asarray(of_image, jnp.int32),
+        owner=jnp.asarray(owner, jnp.int32),
         camera=jnp.asarray(camera, jnp.int32),
         band=band,
         groups=tuple(groups),
@@ -202,12 +207,18 @@ def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarra
     return slots, ray_of_slot
 
 
-def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> np.ndarray:
-    """(n, most): places of the measurements of each image, filled up with the last place of all."""
+def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, width): places of the measurements of each image, filled up with the last place of all, and (rows,) whose
+    they are. An image has one row, or several where some have many times the measurements of others."""
     places = np.flatnonzero(there)
     places = places[np.argsort(image[places], kind="stable")]
     counts = np.bincount(image[places], minlength=n)
-    table = np.full((n, rounded(int(counts.max()))), len(image) - 1)
-    column = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
-    table[np.repeat(np.arange(n), counts), column] = places
-    return table
+    mean, most = -(-len(places) // n), int(counts.max())
+    width = rounded(most if most <= MOST_UNLIKE * mean else mean)
+    rows = np.maximum(-(-counts // width), 1)
+    owner = np.repeat(np.arange(n), rows)
+    table = np.full((len(owner), width), len(image) - 1)
+    within = np.arange(len(places)) - np.repeat(np.cumsum(counts) - counts, counts)
+    first = np.repeat(np.cumsum(rows) - rows, counts)
+    table[first + within // width, within % width] = places
+    return table, owner

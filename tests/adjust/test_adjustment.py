@@ -562,6 +562,7 @@ CHUNKS = {  # settings, whether all groups then have all columns (or some do not
     "all columns": ({"SCATTER": 1e9}, True, False),
     "all columns, in parts": ({"SCATTER": 1e9, "DENSE_BYTES": 1, "DENSE_POINTS": 20}, True, True),
     "few columns": ({"DENSE_COLUMNS": 0, "POINTS": (5,)}, False, True),
+    "images in many rows": ({"SCATTER": 1e9, "MOST_UNLIKE": 0}, True, False),
     "few columns, in batches": ({"DENSE_COLUMNS": 0, "POINTS": (5,), "BATCH_BYTES": 1}, False, True),
 }
 
