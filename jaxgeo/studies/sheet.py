@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import pathlib
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TextIO
@@ -32,24 +33,22 @@ class Sheet:
 
     def to_rich(self, width: int) -> Table:
         """For a screen of so many characters. Numbers are never cut; where long remarks, the last column, would have no
-        room beside them, they stand below."""
-        names, rows = list(self.columns), self.texts()
-        # Names of numbers stand in as many lines as they have words, those of words in one.
-        heads = [name.replace(" ", "\n") if spec else name for name, spec in self.columns.items()]
-        widths = [
-            max(len(line) for cell in (head, *(row[i] for row in rows)) for line in cell.split("\n")) + 1
-            for i, head in enumerate(heads)
-        ]
-        needed = [w if spec else min(w, WORDS) for w, spec in zip(widths, self.columns.values(), strict=True)]
+        room beside them, they stand below, and where even that is too wide, the columns' names are broken."""
+        names, specs, rows = list(self.columns), list(self.columns.values()), self.texts()
         notes = [self.note] if self.note else []
-        if widths[-1] > WORDS and not self.columns[names[-1]] and sum(needed) > width:
-            said = [row[-1] for row in rows]
+        cells = [max((len(row[i]) for row in rows), default=0) for i in range(len(names))]
+        heads = [_stacked(name, 80) if spec else name for name, spec in zip(names, specs, strict=True)]
+        if not specs[-1] and cells[-1] > WORDS and _needed(heads, cells, specs) > width:
+            notes += [f"{i}: {row[-1]}" for i, row in enumerate(rows, 1) if row[-1]]
             rows = [[*row[:-1], str(i) if row[-1] else ""] for i, row in enumerate(rows, 1)]
-            notes += [f"{i}: {remark}" for i, remark in enumerate(said, 1) if remark]
+            heads[-1], cells[-1] = "", 2
+        if _needed(heads, cells, specs) > width:
+            each = zip(heads, cells, specs, strict=True)
+            heads = [_stacked(head, max(5, cell)) if spec else head for head, cell, spec in each]
         table = Table(title=self.title, caption="\n".join(notes), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
         table.title_justify = table.caption_justify = "left"
-        for head, spec in zip(heads, self.columns.values(), strict=True):
-            table.add_column(head, justify="right" if spec else "left", no_wrap=bool(spec))
+        for head, spec in zip(heads, specs, strict=True):
+            table.add_column(head, justify="right" if spec else "left", no_wrap=bool(spec), overflow="fold")
         for row in rows:
             table.add_row(*row)
         return table
@@ -75,6 +74,18 @@ def write_sheets(title: str, sheets: Sequence[Sheet], folder: pathlib.Path, *, b
             sheet.write_csv(stream)
     text = f"# {title}\n\n" + "\n".join(sheet.to_markdown() for sheet in sheets)
     (folder / "tables.md").write_text(text, encoding="utf-8")
+
+
+def _stacked(name: str, width: int) -> str:
+    """A column's name word under word, words of more than so many characters broken."""
+    return "\n".join(line for word in name.split() for line in textwrap.wrap(word, width))
+
+
+def _needed(heads: Sequence[str], cells: Sequence[int], specs: Sequence[str]) -> int:
+    """Characters that a table takes at least."""
+    longest = [max(len(line) for line in head.split("\n")) for head in heads]
+    widths = [max(cell, line) + 1 for cell, line in zip(cells, longest, strict=True)]
+    return 2 + sum(w if spec else min(w, WORDS) for w, spec in zip(widths, specs, strict=True))
 
 
 def _shown(cell: Cell, spec: str) -> str:

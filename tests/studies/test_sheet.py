@@ -19,7 +19,7 @@ SHEET = Sheet(
 )
 
 
-@pytest.mark.parametrize("width", [70, 90, 150])
+@pytest.mark.parametrize("width", [56, 70, 90, 150])
 def test_numbers_and_remarks_are_never_cut(width: int) -> None:
     stream = io.StringIO()
     Console(file=stream, width=width).print(SHEET.to_rich(width))
