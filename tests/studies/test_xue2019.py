@@ -178,3 +178,14 @@ def test_standard_deviations_are_true(whole) -> None:
     np.testing.assert_allclose(found.normalised.mean(axis=0), 0.0, rtol=0, atol=0.33)
     assert found.sigma0.mean() == pytest.approx(1.0, abs=0.01)
     assert xue2019.sheets_of(whole)[-1].name == "trials"
+
+
+@pytest.mark.parametrize("size", [-5.0, 0.0, 100.0, float("nan"), float("inf")])
+def test_an_area_has_room_for_strips(size: float) -> None:
+    with pytest.raises(ValueError, match=r"the area's size must be 243 m or more, and finite; got"):
+        xue2019.run(size=size)
+
+
+def test_fewer_trials_than_none() -> None:
+    with pytest.raises(ValueError, match="trials must be 0 or more; got -3"):
+        xue2019.run(trials=-3)

@@ -33,8 +33,11 @@ def run(
 ) -> Report:
     """The study over `size` m squared, with the noise of a `seed`; and `trials` smaller blocks with other noise.
 
-    `models` names those of self-calibration; `told` hears which case is next.
+    `models` names those of self-calibration; `told` hears which case is next. Raises `ValueError` for an area without
+    room for strips, and for fewer trials than none.
     """
+    if trials < 0:
+        raise ValueError(f"trials must be 0 or more; got {trials}.")
     block = simulated(size, seed)
     cases = cases_of(block, told, models)
     if not trials:

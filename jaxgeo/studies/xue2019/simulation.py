@@ -134,8 +134,11 @@ def flown(size: float, *, ties: int = TIES, lens: BrownConrady | None = LENS, ri
     """A flight over an area, with so many tie points in an image.
 
     The true camera has the focal length and principal point of the paper's Brown model, and its boresight; `lens` and
-    `ripple` (px) are what the maker's calibration has left of the distortion.
+    `ripple` (px) are what the maker's calibration has left of the distortion. Raises `ValueError` for an area that is
+    smaller than what lies between two strips.
     """
+    if not spacing()[1] <= size < math.inf:
+        raise ValueError(f"the area's size must be {math.ceil(spacing()[1])} m or more, and finite; got {size:g} m.")
     mount = Mount.nadir(R_body_from_base=true_boresight(), lever_body=np.array(LEVER))
     true = Sensor(_camera(printed.INTERIORS["Brown"], lens), mount=mount)
     frame = LocalFrame(Geodetic.from_degrees(lat=ORIGIN[0], lon=ORIGIN[1], height=0.0))
