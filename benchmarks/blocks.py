@@ -51,6 +51,7 @@ jaxgeo.enable_x64()
 DATA = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"))
 SIGMA_POSITION, SIGMA_ATTITUDE, SEED = 1.0, float(np.deg2rad(0.05)), 1  # m, rad: of the navigation that is made up
 SHOWN = 12  # rows of points that a table shows
+DISTURBANCES = 40  # of `ign_block`
 TIES_PX = 0.2  # sigma of the tie points of `ign_block`
 MOST_BLUNDERS = 400
 LEAST_SEEN = 4  # points in an image of a free network
@@ -197,6 +198,7 @@ def ign_block() -> dict[str, Any]:
     ).tolist()
     told["against_given"] = against(flown, found, undisturbed)
     told["undisturbed_against_given"] = against(flown, undisturbed, undisturbed)
+    told["many_disturbances"] = many_disturbances(flown)
     told["blunders"] = outliers(flown, block, found)
     told["ways_to_read_it"] = readings(flown)
     told["free_networks"] = free_networks(flown)
@@ -240,6 +242,22 @@ def against(flown: Aerial, found: Adjustment, undisturbed: Adjustment) -> dict[s
         },
         "after_similarity": [_form(found, part) for part in flown.parts(LEAST_SEEN)],
         "points_rms_m": np.sqrt(np.mean(found.differences(flown.ground) ** 2, axis=0)).tolist(),
+    }
+
+
+def many_disturbances(flown: Aerial) -> dict[str, Any]:
+    """Differences to the given orientations over their standard deviations, times sigma0, of many made-up navigations:
+    one moves the block as a whole this way or that, so that its images are no sample."""
+    found = []
+    for seed in range(DISTURBANCES):
+        adjusted = adjust(flown.with_navigation(SIGMA_POSITION, SIGMA_ATTITUDE, seed))
+        variances = np.diagonal(adjusted.covariance_of_images, axis1=1, axis2=2)
+        found.append(from_images(adjusted, flown.given) / (adjusted.sigma0 * np.sqrt(variances)))
+    off = np.abs(np.array(found))
+    return {
+        "disturbances": DISTURBANCES,
+        "normalised_rms": np.sqrt(np.mean(off**2, axis=(0, 1))).tolist(),
+        "shares_within_1_2_3_sigma": [float(np.mean(off < k)) for k in (1.0, 2.0, 3.0)],
     }
 
 
@@ -360,7 +378,13 @@ def show(told: dict[str, Any]) -> None:
     _rows(console, "Points, m", told["points_m"])
     if "checks" in told:
         _rows(console, "Check points, m", told["checks"]["points"])
-    for name in set(told) & {"against_given", "undisturbed_against_given", "blunders", "free_networks"}:
+    for name in set(told) & {
+        "against_given",
+        "undisturbed_against_given",
+        "many_disturbances",
+        "blunders",
+        "free_networks",
+    }:
         _rows(console, name, [{"what": key, "value": value} for key, value in told[name].items()])
     if "ways_to_read_it" in told:
         _rows(console, "Ways to read it", [{"way": name, **row} for name, row in told["ways_to_read_it"].items()])

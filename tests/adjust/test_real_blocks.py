@@ -229,6 +229,18 @@ def test_disturbed_orientations_return_to_those_given(
     assert change @ np.linalg.solve(found.covariance, change) == pytest.approx(expected, abs=4.0 * width)
 
 
+@pytest.mark.slow
+def test_over_many_disturbances_orientations_lie_within_their_standard_deviations(flown: blocks.Aerial) -> None:
+    off = []
+    for seed in range(12):
+        found = adjust(flown.with_navigation(SIGMA_POSITION, SIGMA_ATTITUDE, seed))
+        sigma = found.sigma0 * np.sqrt(np.diagonal(found.covariance_of_images, axis1=1, axis2=2))
+        off.append(np.abs(off_given(found, flown.given)) / sigma)
+    assert np.sqrt(np.mean(np.square(off))) < 1.4
+    assert np.mean(np.array(off) < 2.0) > 0.85
+    assert np.mean(np.array(off) < 3.0) > 0.97
+
+
 def off_given_images(found: Adjustment, flown: blocks.Aerial) -> np.ndarray:
     """Where the adjustment started, less the given orientations."""
     start = found.block.images
