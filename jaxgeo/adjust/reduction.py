@@ -33,6 +33,7 @@ class Reduced(eqx.Module):
     shared: Float[Array, " s"]
 
 
+@eqx.filter_jit
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
     """Factors of the points' normal matrices, their diagonals larger by the share `damping`."""
     V = equations.points * (1.0 + damping * jnp.eye(3)[:, :, None])
@@ -46,6 +47,7 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
     )
 
 
+@eqx.filter_jit
 def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
     """The reduced system; its diagonal, too, is larger by the share `damping`, and one where columns are fixed."""
     band, c, s = problem.layout.band, problem.of_image, problem.shared
@@ -123,29 +125,17 @@ def rows_of(problem: Problem, group: Group, points: Eliminated) -> Rows:
 
 
 @eqx.filter_jit
-def eliminate(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
-    """`eliminated`, compiled."""
-    return eliminated(problem, equations, damping)
-
-
-@eqx.filter_jit
 def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
     """The rows of all groups: a program of its own, as one with what comes before or after takes several times as long
     (the compiler then makes again for each number gathered what it is gathered from, and where to)."""
     return tuple(rows_of(problem, group, points) for group in problem.layout.groups)
 
 
-@eqx.filter_jit
-def reduce(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
-    """`reduced`, compiled."""
-    return reduced(problem, equations, rows, damping)
-
-
 def undamped(problem: Problem, equations: Equations) -> tuple[Eliminated, Tridiagonal]:
     """The points eliminated, and the matrix of the reduced normal equations, as they are."""
     none = jnp.zeros(())
-    points = eliminate(problem, equations, none)
-    return points, reduce(problem, equations, gather(problem, points), none).matrix
+    points = eliminated(problem, equations, none)
+    return points, reduced(problem, equations, gather(problem, points), none).matrix
 
 
 def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:

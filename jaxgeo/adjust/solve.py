@@ -19,7 +19,7 @@ from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, cost_of, linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminate, gather, reduce, solved
+from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminated, gather, reduced, solved
 from jaxgeo.adjust.values import Values, moved
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
@@ -111,8 +111,8 @@ def _trial(
     problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar
 ) -> tuple[Values, Scalar, Scalar]:
     """(values after a damped step, their cost, the decrease that the step promises)."""
-    points = eliminate(problem, equations, damping)
-    system = reduce(problem, equations, gather(problem, points), damping)
+    points = eliminated(problem, equations, damping)
+    system = reduced(problem, equations, gather(problem, points), damping)
     return _stepped(problem, values, equations, (points, system), loss, damping)
 
 
