@@ -39,7 +39,7 @@ from jaxgeo.uncertainty import (
 )
 
 if TYPE_CHECKING:
-    from jaxgeo import adjust, coverage, io, plot
+    from jaxgeo import adjust, coverage, io, plot, register
 
 __all__ = [
     "WGS84",
@@ -81,12 +81,13 @@ __all__ = [
     "plot",
     "project",
     "propagate",
+    "register",
     "sample",
     "spherical_error",
     "uncertainty",
 ]
 
-_ON_DEMAND = ("adjust", "coverage", "io", "plot")  # not all need them; two load rasterio and pyproj, or matplotlib
+_ON_DEMAND = ("adjust", "coverage", "io", "plot", "register")  # two load rasterio and pyproj, or matplotlib
 
 
 def __getattr__(name: str) -> Any:

@@ -348,10 +348,23 @@ def visibility(
     distance, straight = safe_norm(line), safe_norm(p_ecef - origin)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
     fix, bracket = met_by(jax.lax.stop_gradient(ray), Status.hit.code, terrain, FIRST_HIT, air)
-    met = fix.status
     ahead = jnp.where(fix.found, straight - fix.slant_range, distance - bracket.lower)
-    is_nearer = ahead > tolerance
-    is_ground = fix.found & (met != Status.hits_void) | (met == Status.enters_below_terrain)
+    return _in_sight(jnp.asarray(fix.status), ahead > tolerance)
+
+
+def sight_along(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> StatusCode:
+    """`visibility` without air, for crowds: what is met is not polished further than one step."""
+    line = p_ecef - origin
+    distance = safe_norm(line)
+    ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
+    met, status = touched_by(ray, Status.hit.code, terrain, FIRST_HIT)
+    ahead = jnp.where(has_point(status), distance - safe_norm(met - origin), distance)
+    return _in_sight(status, ahead > tolerance)
+
+
+def _in_sight(met: StatusCode, is_nearer: Flag) -> StatusCode:
+    """Whether a point is in sight, by what a ray towards it has met, and whether that lies before it."""
+    is_ground = has_point(met) & (met != Status.hits_void) | (met == Status.enters_below_terrain)
     sees_past = (met == Status.rises_away) | (met == Status.hit) | (met == Status.near_tangent)
     sees_past |= ~is_nearer & ((met == Status.hits_void) | (met == Status.leaves_terrain))
     sees_past |= ~is_nearer & (met == Status.enters_below_terrain)

@@ -64,6 +64,19 @@ class AbstractGrid(eqx.Module):
         steps = jax.jacfwd(lambda rowcol: surface_point(self.normal(rowcol)))(centre)
         return jnp.sqrt(jnp.sum(steps**2, axis=0))
 
+    def coarser(self: GridT, factor: float | int) -> GridT:
+        """The grid whose cells are `factor` posts long and wide: its post (0, 0) lies amid the first of these squares.
+
+        A factor below one makes a finer grid.
+        """
+        first = (jnp.asarray(factor, jnp.float64) - 1.0) / 2.0
+        grid = eqx.tree_at(lambda grid: grid.rowcol0, self, (jnp.asarray(self.rowcol0, jnp.float64) - first) / factor)
+        return grid._with_steps(float(factor))
+
+    def _with_steps(self: GridT, factor: float) -> GridT:
+        """The grid with steps so many times as long about its reference point."""
+        return eqx.tree_at(lambda grid: grid.step, self, jnp.asarray(self.step) * factor)  # pyright: ignore
+
     def window(self: GridT, row: ScalarField, col: ScalarField) -> GridT:
         """The grid of a window whose first post is this grid's post (row, col)."""
         first = jnp.stack([jnp.asarray(row, jnp.float64), jnp.asarray(col, jnp.float64)])
@@ -194,6 +207,9 @@ class FittedGrid(AbstractGrid):
         slope = jax.jacfwd(self._rowcol_of_plane)(plane)
         plane = plane - jnp.stack(times(_inverse(slope), self._rowcol_of_plane(plane) - rowcol))
         return _normal_of_plane(self.R_enu_from_ecef, plane * self.plane_half)
+
+    def _with_steps(self, factor: float) -> FittedGrid:
+        return eqx.tree_at(lambda grid: grid.rowcol_half, self, jnp.asarray(self.rowcol_half) / factor)
 
     def _rowcol_of_plane(self, plane: Float[Array, "2"]) -> RowCol:
         return self.rowcol0 + self.rowcol_half * chebyshev_map(self.coefficients, plane)

@@ -1,0 +1,62 @@
+"""The pose of an image from a map: rectification, matching with a reference, the update of the pose, and its errors."""
+
+from jaxgeo.register.affine import AffineCheck
+from jaxgeo.register.blocks import BlockOutcome, Matches, blocks_of, count_outcomes
+from jaxgeo.register.chance import false_alarms, runner_up
+from jaxgeo.register.choice import AbstractChoice, Chosen
+from jaxgeo.register.clusters import Clusters
+from jaxgeo.register.consensus import PoseConsensus
+from jaxgeo.register.flattening import flattened
+from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Cubic, Nearest
+from jaxgeo.register.matching import match
+from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.register.outcome import Outcome
+from jaxgeo.register.passes import Pass
+from jaxgeo.register.posterior import Update
+from jaxgeo.register.prior import Prior
+from jaxgeo.register.rectify import Rectified, Rectifier, rectify
+from jaxgeo.register.registration import Limits, Registration, register
+from jaxgeo.register.render import Rendered, render
+from jaxgeo.register.sequence import next_prior
+from jaxgeo.register.tie_errors import FullJacobian, LevelGround, TieErrors
+from jaxgeo.register.ties import TiePoints
+from jaxgeo.register.update import update
+
+__all__ = [
+    "AbstractChoice",
+    "AbstractInterpolation",
+    "AffineCheck",
+    "Bilinear",
+    "BlockOutcome",
+    "Chosen",
+    "Clusters",
+    "Cubic",
+    "FullJacobian",
+    "LevelGround",
+    "Limits",
+    "Matches",
+    "Nearest",
+    "Orthoimage",
+    "Outcome",
+    "Pass",
+    "PoseConsensus",
+    "Prior",
+    "Rectified",
+    "Rectifier",
+    "Registration",
+    "Rendered",
+    "TieErrors",
+    "TiePoints",
+    "Update",
+    "blocks_of",
+    "count_outcomes",
+    "false_alarms",
+    "flattened",
+    "match",
+    "next_prior",
+    "rectify",
+    "register",
+    "render",
+    "runner_up",
+    "update",
+]

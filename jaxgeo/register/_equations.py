@@ -1,0 +1,189 @@
+"""The equations of an update about a look: residuals of ties, their weights, and what they tell of the unknowns."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxgeo._typing import Flag, Matrix3, Scalar, StatusCode, Vector3
+from jaxgeo.adjust.losses import AbstractLoss, Huber
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.register.prior import Prior
+from jaxgeo.register.tie_errors import (
+    AbstractTiePropagation,
+    AbstractWhitener,
+    Blocks,
+    Pixels,
+    Sensitivity,
+    TieErrors,
+    Weights,
+    information_of,
+    inverse_roots,
+    robust_weights,
+    tie_covariances,
+    whitener,
+)
+from jaxgeo.register.ties import PaddedTies
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor.exposure import image_of_point
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain, Dem
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel
+
+Cells = Int[Array, "ties 2"]
+Unknowns = Float[Array, " unknowns"]
+Square = Float[Array, "unknowns unknowns"]
+
+
+class Problem(eqx.Module):
+    """The navigation's look with its errors, the ties with theirs, and what was known before."""
+
+    look: Look
+    model: ErrorModel
+    ties: PaddedTies
+    tie_errors: TieErrors
+    prior: Prior
+    loss: AbstractLoss
+    propagation: AbstractTiePropagation
+
+
+class Moving(NamedTuple):
+    """What errors move, but for the terrain, to which they are added all at once."""
+
+    sensor: Sensor
+    motion: Shot | Trajectory
+    time: Scalar
+    air: Atmosphere | None
+
+    @classmethod
+    def of(cls, look: Look) -> Moving:
+        return cls(look.sensor, look.motion, jnp.asarray(look.time), look.air)
+
+    def over(self, look: Look) -> Look:
+        """With the pixel and terrain of a look."""
+        return Look(self.sensor, self.motion, self.time, look.uv, look.terrain, self.air)
+
+
+class Equations(NamedTuple):
+    """Residuals of ties in px, their weights, and the normal equations in unknowns of one standard deviation each.
+
+    `seen` says what keeps a tie from being imaged; `cells` are those of the terrain that the ties lie in.
+    """
+
+    residuals: Pixels
+    covariances: Blocks
+    weights: Weights
+    whiten: AbstractWhitener
+    normal: Square
+    gradient: Unknowns
+    seen: StatusCode
+    cells: Cells
+
+
+def on_surface(terrain: AbstractTerrain, p_ecef: Vector3, cell: Int[Array, "2"] | None = None) -> Vector3:
+    """The point of the terrain, or of the surface of one cell, below or above a point in ECEF m."""
+    cell = _cell(terrain, p_ecef) if cell is None else cell
+    normal, _ = WGS84.normal_and_height(p_ecef)
+    return p_ecef - terrain.clearance(p_ecef, cell) * normal
+
+
+def equations_about(
+    problem: Problem, factor: Square, moving: Moving, place: Unknowns, settled: Flag, cells: Cells | None = None
+) -> Equations:
+    """Residuals and normal equations about a look, with ties on the surfaces of these cells or of those they lie in."""
+    ties, count = problem.ties, problem.model.size
+    unknowns = jnp.asarray(problem.prior.mean) + factor @ place
+    about = moving.over(problem.look)
+    places, R = _places(problem, unknowns[-2:])
+    cells = cells_of(problem, place, factor) if cells is None else cells
+    given = (places, R, cells) if ties.rise is None else (places, R, cells, ties.rise)
+
+    def images(change: Float[Array, " changes"]) -> tuple[Pixels, Any]:
+        return _images(problem, about, unknowns, change, given)
+
+    derivatives, (uv, statuses, p_ecef) = jax.jacfwd(images, has_aux=True)(jnp.zeros(count + 5))
+    by_error, by_surface, by_enu = jnp.split(derivatives, [count, count + 2], axis=2)
+    has_image = (statuses == Status.hit) | (statuses == Status.outside_image)
+    seen = ties.used & has_image
+    residuals = jnp.where(ties.used[:, None], jnp.where(seen[:, None], ties.uv - uv, jnp.inf), 0.0)
+
+    sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2], p_ecef)
+    cov = tie_covariances(ties, problem.tie_errors, sensitivity)
+    roots = inverse_roots(cov)
+    weights = robust_weights(problem.loss, roots, residuals, ties)
+    weights = jnp.where(settled, weights, robust_weights(Huber(), roots, residuals, ties))
+    whiten = whitener(cov, roots, weights, ties, problem.tie_errors, sensitivity)
+
+    jacobian = jnp.concatenate([-by_error, by_surface], axis=2)
+    jacobian = jnp.where(seen[:, None, None], jacobian, 0.0)
+    rows = jnp.concatenate([jnp.einsum("tij,jk->tik", jacobian, factor), residuals[:, :, None]], axis=2)
+    rows = whiten(rows)
+    normal = information_of(rows[:, :-1]) + jnp.eye(count + 2)
+    gradient = rows[:, :-1].T @ rows[:, -1] + place
+    unseen = ties.used & ~has_image
+    worst = jnp.where(jnp.any(unseen), statuses[jnp.argmax(unseen)], Status.hit.code)
+    return Equations(residuals, cov, weights, whiten, normal, gradient, worst, cells)
+
+
+def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
+    """The terrain's cells that the ties lie in."""
+    shift = jnp.asarray(problem.prior.mean)[-2:] + (factor @ place)[-2:]
+    places, _ = _places(problem, shift)
+    return jax.vmap(lambda p: _cell(problem.look.terrain, p))(places)
+
+
+def _images(
+    problem: Problem, look: Look, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
+) -> tuple[Pixels, Any]:
+    """Pixels of the ties; and these, their statuses and places, from a look changed by three things one after another.
+
+    By errors, by the places along the surface (east, north), and by the points themselves (east, north, up), m: one
+    function, that is compiled once.
+    """
+    error, along, enu = jnp.split(change, [problem.model.size, problem.model.size + 2])
+    moved = Moving.of(problem.model.moved(look, error))
+    terrain = problem.model.moved(problem.look, unknowns[:-2] + error).terrain
+
+    def image(
+        place: Vector3, R: Matrix3, cell: Int[Array, "2"], rise: Float[Array, "2"] | None = None
+    ) -> tuple[Float[Array, "2"], StatusCode, Vector3]:
+        p_ecef = place + R[:, :2] @ along
+        if rise is None:
+            p_ecef = on_surface(terrain, p_ecef, cell)
+        else:
+            lift = problem.look.terrain.clearance(place, cell) - terrain.clearance(place, cell)
+            p_ecef = p_ecef + R[:, 2] * (jnp.sum(rise * along) + lift)
+        p_ecef = p_ecef + R @ enu
+        uv, status, _ = image_of_point(moved.sensor, moved.motion, moved.time, p_ecef, moved.air)
+        return uv, status, p_ecef
+
+    uv, statuses, p_ecef = jax.vmap(image)(*ties)
+    return uv, (uv, statuses, p_ecef)
+
+
+def _places(problem: Problem, shift: Float[Array, "2"]) -> tuple[Float[Array, "ties 3"], Float[Array, "ties 3 3"]]:
+    """Where the ties truly are, by the map less its shift, in ECEF, m: at about their height, or on planes that they
+    have; and their frames, ENU."""
+    ties = problem.ties
+
+    def place(lat: Scalar, lon: Scalar, height: Scalar, *rise: Float[Array, "2"]) -> tuple[Vector3, Matrix3]:
+        position = Geodetic(lat=lat, lon=lon, height=height)
+        R, p_ecef = R_ecef_from_enu(position), WGS84.to_ecef(position)
+        if rise:
+            return p_ecef - R[:, :2] @ shift - R[:, 2] * jnp.sum(rise[0] * shift), R
+        return on_surface(problem.look.terrain, p_ecef) - R[:, :2] @ shift, R
+
+    planes = () if ties.rise is None else (ties.rise,)
+    return jax.vmap(place)(ties.lat, ties.lon, ties.height, *planes)
+
+
+def _cell(terrain: AbstractTerrain, p_ecef: Vector3) -> Int[Array, "2"]:
+    if not isinstance(terrain, Dem):
+        return jnp.zeros(2, jnp.int32)
+    return terrain.cell_of(jax.lax.stop_gradient(terrain.over(p_ecef)[0]))

@@ -1,0 +1,71 @@
+"""Whether blocks that agree could do so by chance, and whether others agree on something else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxgeo.register.blocks import Matches
+from jaxgeo.register.choice import AbstractChoice, Chosen
+
+
+def false_alarms(matches: Matches, chosen: Chosen) -> float:
+    """How many sets as large as the chosen one are to be expected if all candidates lay anywhere: the smaller, the
+    surer.
+
+    A-contrario reasoning after Desolneux, Moisan and Morel (2000), "Meaningful alignments", and Moisan and Stival
+    (2004), "A probabilistic criterion to detect rigid point matches between two images": the number of hypotheses that
+    were compared, times the probability that so many blocks agree with one by chance. A block agrees by chance with
+    probability 1 - (1 - area / searched)^candidates, its candidates spread evenly over the part that was searched. The
+    blocks that a hypothesis was made of agree with it in any case and do not count: those with the least probability
+    are left out. One alarm in a million such images is a usual limit. At most `chosen.hypotheses`, which is also what
+    no agreement gives; and 1 at least where there is no candidate at all.
+    """
+    candidates = np.sum(matches.is_candidate, axis=1)
+    offered = candidates > 0
+    if chosen.count == 0 or not offered.any():
+        return float(max(chosen.hypotheses, 1))
+    share = np.clip(np.asarray(chosen.area)[offered] / np.maximum(np.asarray(matches.searched)[offered], 1), 0.0, 1.0)
+    probability = np.sort(1.0 - (1.0 - share) ** candidates[offered])[chosen.fitted :]
+    return float(chosen.hypotheses * at_least(probability, chosen.count - chosen.fitted))
+
+
+def at_least(probability: Float[np.ndarray, " n"], count: int) -> float:
+    """Probability that `count` or more of independent events happen (the tail of the Poisson-binomial distribution)."""
+    if count <= 0:
+        return 1.0
+    if count > len(probability):
+        return 0.0
+    happened = np.zeros(len(probability) + 1)
+    happened[0] = 1.0
+    for p in probability:
+        happened[1:] = happened[1:] * (1.0 - p) + happened[:-1] * p
+        happened[0] *= 1.0 - p
+    return float(min(np.sum(happened[count:]), 1.0))
+
+
+def runner_up(
+    choice: AbstractChoice,
+    matches: Matches,
+    chosen: Chosen,
+    jacobian: Any = None,
+    cov_error: Any = None,
+    *,
+    apart: float = 6.0,
+) -> Chosen:
+    """The best set that shares no candidate with the chosen one, nor has any within `apart` cells of one.
+
+    Blocks without a chosen candidate keep all that they have. Over a texture that repeats itself this set is about as
+    large as the chosen one: then neither is to be trusted.
+    """
+    return choice.choose(matches.only(_elsewhere(matches, chosen, apart)), jacobian, cov_error)
+
+
+def _elsewhere(matches: Matches, chosen: Chosen, apart: float) -> Bool[np.ndarray, "n peaks"]:
+    """Which candidates lie apart from the chosen one of their block."""
+    taken = chosen.of(matches.shift)
+    squared = np.sum((np.asarray(matches.shift) - taken[:, None, :]) ** 2, axis=-1)
+    with np.errstate(invalid="ignore"):
+        return matches.is_candidate & ~(squared < apart**2)

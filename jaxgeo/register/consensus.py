@@ -1,0 +1,176 @@
+"""Choice by the navigation's own errors: candidates that one error of the pose explains."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxgeo.register.blocks import Matches
+from jaxgeo.register.choice import AbstractChoice, Chosen, nearest_within, none_chosen
+
+ROUNDS = 40
+CHUNK = 64
+FITTED = 2
+
+
+class _Errors(NamedTuple):
+    """Errors of the navigation z ~ N(0, I), and what shifts say of them."""
+
+    H: Float[np.ndarray, "n 2 z"]  # of the shift of a block by z
+    shift: Float[np.ndarray, "n peaks 2"]  # zero where there is no candidate
+    cov: Float[np.ndarray, "n peaks 2 2"]
+    is_candidate: np.ndarray
+    weighed: Float[np.ndarray, "n peaks z z"]  # H' cov^-1 H
+    right: Float[np.ndarray, "n peaks z"]  # H' cov^-1 shift
+    offer: Float[np.ndarray, " n"]  # logarithm of the searched cells for each candidate
+
+
+class _Seen(NamedTuple):
+    """Candidates as hypotheses have them: squared distances in standard deviations, and areas for each unit of it."""
+
+    squared: Float[np.ndarray, "k n peaks"]
+    area: Float[np.ndarray, "k n peaks"]
+
+
+class PoseConsensus(AbstractChoice):
+    """Candidates whose shifts are those of one error of the navigation, as likely as it says: s = G e + noise.
+
+    Hypotheses are the errors that single candidates, and pairs of two blocks, suggest together with the prior (the
+    conditional Gaussian): all pairs up to `pairs`, else as many drawn by `seed`. A block agrees that has a candidate
+    within the gate: the ellipse that holds it with `probability`, by what the hypothesis leaves uncertain, the
+    covariance of the match and `tolerance` cells (standard deviation on both axes) for what is not modelled. They are
+    ranked by how much likelier their candidates are than anywhere in the searched part; the `refitted` best are fitted
+    to all blocks that agree until these stay the same. Most blocks win, then the least squared distances.
+    """
+
+    tolerance: float = 1.0
+    probability: float = 0.99
+    pairs: int = 2000
+    refitted: int = 20
+    seed: int = 0
+
+    def choose(self, matches: Matches, jacobian: Any = None, cov_error: Any = None) -> Chosen:
+        """See `AbstractChoice`. Raises `ValueError` without jacobian and covariance, or where they do not fit."""
+        errors = self._errors(matches, jacobian, cov_error)
+        sets = self._hypotheses(errors)
+        if not len(sets):
+            return none_chosen(matches, 0, FITTED)
+        worth = np.concatenate([self._worth(errors, sets[k : k + CHUNK]) for k in range(0, len(sets), CHUNK)])
+        order = np.argsort(-worth, kind="stable")[: self.refitted]
+        settled = [self._settled(errors, sets[k]) for k in order]
+        count, _, peak, area = max(settled, key=lambda one: one[:2])
+        if count < 2:
+            return none_chosen(matches, len(sets), FITTED)
+        return Chosen(peak, area, len(sets), FITTED)
+
+    @property
+    def gate(self) -> float:
+        """Largest squared distance of what agrees: chi-square of two degrees of freedom."""
+        return -2.0 * math.log1p(-self.probability)
+
+    def _errors(self, matches: Matches, jacobian: Any, cov_error: Any) -> _Errors:
+        n, peaks = matches.is_candidate.shape
+        if jacobian is None or cov_error is None:
+            raise ValueError("PoseConsensus needs jacobian (n, 2, axes) and cov_error (axes, axes) of the navigation.")
+        jacobian, cov_error = np.asarray(jacobian, float), np.asarray(cov_error, float)
+        axes = len(cov_error)
+        if cov_error.shape != (axes, axes) or jacobian.shape != (n, 2, axes):
+            raise ValueError(
+                f"jacobian must be (n, 2, axes) for {n} blocks, and cov_error (axes, axes); got {jacobian.shape} and "
+                f"{cov_error.shape}."
+            )
+        used = np.any(matches.is_candidate, axis=1)
+        if not (np.all(np.isfinite(jacobian[used])) and np.all(np.isfinite(cov_error))):
+            raise ValueError("jacobian and cov_error must be finite for every block that has a candidate.")
+        values, vectors = np.linalg.eigh(cov_error)
+        kept = np.flatnonzero(values > 1e-14 * np.max(values, initial=0.0))
+        H = np.where(used[:, None, None], jacobian, 0.0) @ (vectors[:, kept] * np.sqrt(values[kept]))
+        ok = matches.is_candidate
+        shift = np.where(ok[..., None], matches.shift, 0.0)
+        cov = np.where(ok[..., None, None], matches.covariance, 0.0) + self.tolerance**2 * np.eye(2)
+        spread = np.linalg.solve(cov, np.broadcast_to(H[:, None], (n, peaks, *H.shape[1:])))
+        weighed = np.einsum("naz,npay->npzy", H, spread)
+        right = np.einsum("npaz,npa->npz", spread, shift)
+        offer = np.log(np.maximum(matches.searched, 1) / np.maximum(np.sum(ok, axis=1), 1))
+        return _Errors(H, shift, cov, ok, weighed, right, offer)
+
+    def _hypotheses(self, errors: _Errors) -> Int[np.ndarray, "k 2 2"]:
+        """Pairs of (block, peak); a single candidate is paired with itself."""
+        all_of_them = np.argwhere(errors.is_candidate)
+        first, second = np.triu_indices(len(all_of_them), 1)
+        if len(first) > 100 * self.pairs:  # enough to draw from
+            rng = np.random.default_rng(self.seed)
+            first, second = rng.integers(len(all_of_them), size=(2, 2 * self.pairs))
+        apart = np.flatnonzero(all_of_them[first, 0] != all_of_them[second, 0])
+        if len(apart) > self.pairs:
+            apart = np.random.default_rng(self.seed).choice(apart, self.pairs, replace=False)
+        pairs = np.stack([all_of_them[first[apart]], all_of_them[second[apart]]], axis=1)
+        return np.concatenate([np.stack([all_of_them, all_of_them], axis=1), pairs])
+
+    def _worth(self, errors: _Errors, sets: Int[np.ndarray, "k 2 2"]) -> Float[np.ndarray, " k"]:
+        """Logarithm of how much likelier the candidates within the gate are than anywhere, of several hypotheses."""
+        block, peak = sets[..., 0], sets[..., 1]
+        counts = np.where(np.all(sets[:, 0] == sets[:, 1], axis=1), 0.5, 1.0)[:, None]  # once, what is there twice
+        weighed = np.sum(errors.weighed[block, peak] * counts[..., None, None], axis=1)
+        right = np.sum(errors.right[block, peak] * counts[..., None], axis=1)
+        mean, cov = _posterior(weighed, right)
+        seen = _seen(errors, mean, cov)
+        gain = -0.5 * seen.squared - np.log(2.0 * seen.area) + errors.offer[None, :, None]
+        gain = np.where(seen.squared <= self.gate, gain, 0.0)
+        return np.sum(np.max(gain, axis=2, initial=0.0), axis=1) - 0.5 * np.sum(mean**2, axis=1)
+
+    def _settled(self, errors: _Errors, pair: Int[np.ndarray, "2 2"]) -> tuple[int, float, Any, Any]:
+        """(how many blocks agree, less what it costs, their peaks, areas of their gates) when the set stays the same.
+
+        Every candidate is held against what the other blocks say with the prior: by a fit that it has a part in, one
+        alone would always be confirmed. After half of the rounds blocks can leave only, so that there is an end.
+        """
+        n, peaks = errors.is_candidate.shape
+        chosen, squared, mean, area = np.full(n, -1), np.zeros(n), np.zeros(0), np.zeros(n)
+        chosen[pair[:, 0]] = pair[:, 1]
+        for round_ in range(ROUNDS):
+            if round_ > 0 and np.count_nonzero(chosen >= 0) < FITTED:
+                return 0, 0.0, np.full(n, -1), area
+            before, is_member = chosen, chosen[:, None] == np.arange(peaks)[None, :]
+            mean, cov = _posterior(
+                np.sum(errors.weighed[is_member], axis=0)[None], np.sum(errors.right[is_member], axis=0)[None]
+            )
+            seen = _seen(errors, mean, cov, is_member)
+            chosen, squared = nearest_within(seen.squared[0], self.gate)
+            chosen = np.where((before < 0) & (round_ >= ROUNDS // 2), -1, chosen)
+            area = self.gate * seen.area[0][np.arange(n), np.maximum(chosen, 0)]
+            if np.array_equal(before, chosen):
+                break
+        cost = float(np.sum(squared) + np.sum(mean**2))
+        return int(np.count_nonzero(chosen >= 0)), -cost, chosen, area
+
+
+def _posterior(
+    weighed: Float[np.ndarray, "k z z"], right: Float[np.ndarray, "k z"]
+) -> tuple[Float[np.ndarray, "k z"], Float[np.ndarray, "k z z"]]:
+    """Mean and covariance of the errors, from N(0, I) and what shifts say."""
+    cov = np.linalg.inv(np.eye(weighed.shape[-1]) + weighed)
+    return np.einsum("kzy,ky->kz", cov, right), cov
+
+
+def _seen(
+    errors: _Errors, mean: Float[np.ndarray, "k z"], cov: Float[np.ndarray, "k z z"], is_member: Any = None
+) -> _Seen:
+    """All candidates as some hypotheses predict them; members of the fit as they would be predicted without them.
+
+    For these (R - H P H')^-1 takes the place of (R + H P H')^-1 in the squared distance, R (R - H P H')^-1 R that of
+    R + H P H' as the covariance.
+    """
+    H, R = errors.H, errors.cov
+    away = errors.shift[None] - np.einsum("naz,kz->kna", H, mean)[:, :, None, :]
+    predicted = np.einsum("knaz,nbz->knab", np.einsum("naz,kzy->knay", H, cov), H)
+    sign = np.where(is_member, -1.0, 1.0) if is_member is not None else np.ones(R.shape[:2])
+    total = sign[None, ..., None, None] * predicted[:, :, None] + R[None]
+    a, b, c = total[..., 0, 0], total[..., 0, 1], total[..., 1, 1]
+    det = np.maximum(a * c - b**2, 1e-12 * a * c)
+    squared = (c * away[..., 0] ** 2 - 2.0 * b * away[..., 0] * away[..., 1] + a * away[..., 1] ** 2) / det
+    root = np.where(sign[None] < 0.0, np.linalg.det(R)[None] / np.sqrt(det), np.sqrt(det))
+    return _Seen(np.where(errors.is_candidate[None], squared, np.inf), math.pi * root)

@@ -1,0 +1,108 @@
+"""Comparison on the map: the image is rectified onto cells of the reference."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.register.blocks import Matches
+from jaxgeo.register.choice import Chosen
+from jaxgeo.register.comparison import AbstractComparison, on_ground, tied
+from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.orthoimage import cell_side
+from jaxgeo.register.outcome import Outcome
+from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
+from jaxgeo.register.rectify import Rectifier
+from jaxgeo.register.ties import TiePoints
+from jaxgeo.sensor import Shot
+from jaxgeo.terrain.grid import AbstractGrid, surface_point
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel
+
+TILE = 256  # cells on a side: one size, so that no other window compiles anything
+
+
+class MapPlace(NamedTuple):
+    """Cells of `factor` cells of the reference, and the `window` (first row, first col, last row + 1, last col + 1) of
+    them in which the image lies."""
+
+    factor: int
+    window: tuple[int, int, int, int]
+
+
+class OnMap(AbstractComparison):
+    """As Gu and Qiao (2017): for images from above, whose parts are only shifted by an error of the pose."""
+
+    def __init__(self, look: Look, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
+        level = images.level(place.factor)
+        top, left, bottom, right = window = _wider(place.window, level.known.shape, 4 * block)
+        self._look, self._model = look, model
+        self._grid = level.grid.window(float(top), float(left))
+        grey, self.known = _rectified(look, images, self._grid, place.window, window)
+        if not self.known.any():
+            raise Stopped(Outcome.unknown_ground)
+        part = np.s_[top:bottom, left:right]
+        self.grey = images.even(grey, self.known)
+        self.reference, self.known_reference = level.grey[part], level.known[part]
+        self.cell = cell_side(self._grid)
+
+    def shifts(self, places: np.ndarray, reach: float) -> Shifts:
+        return shifts_of(self._look, self._model, self._grid, places, reach)
+
+    def ties(self, matches: Matches, chosen: Chosen, shifts: Shifts) -> TiePoints:
+        kept = tied(chosen, shifts)
+        shift, per_metre = chosen.of(matches.shift)[kept], np.asarray(shifts.cells_per_metre)[kept]
+        lat, lon = in_chunks(lambda part: _lat_lon(self._grid, part), np.asarray(matches.centre)[kept] + shift)
+        rise, away = np.asarray(shifts.rise)[kept], np.linalg.solve(per_metre, shift[:, :, None])[:, :, 0]
+        height = np.asarray(shifts.height)[kept] + np.sum(rise * away, axis=1)
+        covariance = on_ground(chosen.of(matches.covariance)[kept], per_metre)
+        return TiePoints(np.asarray(shifts.uv)[kept], Geodetic(lat=lat, lon=lon, height=height), covariance, rise=rise)
+
+
+def _wider(window: tuple[int, int, int, int], shape: tuple[int, ...], aside: int) -> tuple[int, int, int, int]:
+    """A window with room beside it, as far as the reference goes."""
+    return (
+        max(window[0] - aside, 0),
+        max(window[1] - aside, 0),
+        min(window[2] + aside, shape[0]),
+        min(window[3] + aside, shape[1]),
+    )
+
+
+def _rectified(
+    look: Look,
+    images: Images,
+    grid: AbstractGrid,
+    inner: tuple[int, int, int, int],
+    outer: tuple[int, int, int, int],
+) -> tuple[np.ndarray, np.ndarray]:
+    """(grey, known) of the image on the outer window, on whose cells the grid counts; it is sought in the inner one."""
+    shape = outer[2] - outer[0], outer[3] - outer[1]
+    time = None if isinstance(look.motion, Shot) else look.time
+    rectifier = Rectifier(
+        look.sensor, look.motion, images.grey, images.known, look.terrain, grid, time=time, atmosphere=look.air
+    )
+    grey, known = np.zeros(shape, np.float32), np.zeros(shape, bool)
+    first, last = np.array(inner[:2]) - outer[:2], np.array(inner[2:]) - outer[:2]
+    for row in range(int(first[0]), int(last[0]), TILE):
+        for col in range(int(first[1]), int(last[1]), TILE):
+            tile = rectifier.tile(row, col, (TILE, TILE))
+            here = np.s_[row : min(row + TILE, shape[0]), col : min(col + TILE, shape[1])]
+            cut = np.s_[: here[0].stop - row, : here[1].stop - col]
+            grey[here], known[here] = tile.values[0][cut], tile.known[cut]
+    return grey, known
+
+
+@eqx.filter_jit
+def _lat_lon(grid: AbstractGrid, places: Float[Array, "n 2"]) -> tuple[Array, Array]:
+    def one(place: Float[Array, "2"]) -> tuple[Array, Array]:
+        position = WGS84.to_geodetic(surface_point(grid.normal(place)))
+        return jnp.asarray(position.lat), jnp.asarray(position.lon)
+
+    return jax.vmap(one)(places)

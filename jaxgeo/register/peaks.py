@@ -1,0 +1,132 @@
+"""The part of the reference in which a block may lie, and the peaks of its correlation there."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgeo._typing import Scalar
+from jaxgeo.register.correlation import Block, Known, KnownWindow, Surface, Window, correlation
+
+MARGIN = 1.0  # cells by which the semi-axes of the searched ellipse are longer
+HALF_WIDTHS = tuple(
+    width for power in range(2, 11) for width in (2**power, 3 * 2 ** (power - 1))
+)  # 4, 6, 8, 12, 16 ...
+
+Cells = Float[Array, "shifts_down shifts_across"]
+Inside = Bool[Array, "shifts_down shifts_across"]
+
+
+class Peaks(NamedTuple):
+    """The best local maxima of a block's correlation: whole shifts (row, col), scores (NaN for none), and counts.
+
+    `offset` is the top of a paraboloid through the nine scores less the whole shift; `inside` how many shifts lie in
+    the ellipse, `overlapping` at how many of those enough is known, `searched` how many have a score; `level` the best
+    score to be expected of so many by chance.
+    """
+
+    shift: Int[Any, "*batch peaks 2"]
+    offset: Float[Any, "*batch peaks 2"]
+    score: Float[Any, "*batch peaks"]
+    inside: Int[Any, "*batch"]
+    overlapping: Int[Any, "*batch"]
+    searched: Int[Any, "*batch"]
+    level: Float[Any, "*batch"]
+
+
+def ellipses(
+    covariance: Float[np.ndarray, "n 2 2"], probability: float
+) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2"]]:
+    """(W, half extents in cells): a shift d is searched where |W d| <= 1, which holds it with `probability`.
+
+    d' covariance^-1 d <= -2 ln(1 - probability), semi-axes one cell longer.
+    """
+    values, axes = np.linalg.eigh(covariance)
+    longest = math.sqrt(-2.0 * math.log1p(-probability)) * np.sqrt(np.maximum(values, 0.0)) + MARGIN
+    whitening = np.swapaxes(axes, 1, 2) / longest[:, :, None]
+    return whitening, np.sqrt(np.sum((axes * longest[:, None, :]) ** 2, axis=2))
+
+
+def half_widths(extent: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
+    """Half widths (rows, cols) of the windows to search: a few sizes, so that few programs are compiled.
+
+    One cell wider than the ellipse at least, since a peak is known by its neighbours. Raises `ValueError` where the
+    extent is beyond the largest.
+    """
+    most = HALF_WIDTHS[-2]
+    if extent.size and np.max(extent) + 1 > most:
+        worst = int(np.argmax(np.max(extent, axis=1)))
+        raise ValueError(
+            f"block {worst} would have to be searched {np.max(extent):.0f} cells far, beyond the {most - 1} allowed; "
+            f"match coarser images first, and use what that gives as the prediction."
+        )
+    return np.asarray(HALF_WIDTHS)[np.searchsorted(HALF_WIDTHS, np.floor(extent) + 1)]
+
+
+@partial(jax.jit, static_argnames=("peaks",))
+def best_peaks(
+    blocks: Float[Array, "n rows cols"],
+    known: Bool[Array, "n rows cols"],
+    windows: Float[Array, "n more_rows more_cols"],
+    known_windows: Bool[Array, "n more_rows more_cols"],
+    whitening: Float[Array, "n 2 2"],
+    least_overlap: Scalar,
+    separation: Scalar,
+    *,
+    peaks: int,
+) -> Peaks:
+    """Peaks of each block in its window, inside its ellipse (see `ellipses`), `separation` cells or more apart."""
+
+    def of_one(block: Block, known: Known, window: Window, known_window: KnownWindow, W: Float[Array, "2 2"]) -> Peaks:
+        surface = correlation(block, known, window, known_window, least_overlap)
+        return highest(surface, W, separation, peaks)
+
+    return jax.vmap(of_one)(blocks, known, windows, known_windows, whitening)
+
+
+def highest(surface: Surface, whitening: Float[Array, "2 2"], separation: Scalar, peaks: int) -> Peaks:
+    """The highest local maxima inside an ellipse about the window's middle; what has no eight scored neighbours is
+    none, nor what lies on the ellipse's rim with a higher score outside."""
+    down, across = (jnp.arange(side) - side // 2 for side in surface.score.shape)
+    places = jnp.stack(jnp.broadcast_arrays(down[:, None], across[None, :]), axis=-1).astype(float)
+    inside = jnp.sum((places @ whitening.T) ** 2, axis=-1) <= 1.0
+    searched = inside & ~jnp.isnan(surface.score)
+    left = jnp.where(inside & _is_local_maximum(surface.score), surface.score, -jnp.inf)
+
+    def taken(left: Cells, _: None) -> tuple[Cells, tuple[Int[Array, "2"], Float[Array, "2"], Scalar]]:
+        row, col = jnp.unravel_index(jnp.argmax(left), left.shape)
+        top = left[row, col]
+        shift = jnp.stack([down[row], across[col]])
+        apart = jnp.sum((places - shift[None, None, :]) ** 2, axis=-1) >= separation**2
+        offset = _top_of_paraboloid(surface.score, row, col)
+        return jnp.where(apart, left, -jnp.inf), (shift, offset, jnp.where(jnp.isfinite(top), top, jnp.nan))
+
+    _, (shift, offset, score) = jax.lax.scan(taken, left, None, length=peaks)
+    count = jnp.sum(searched)
+    several = jnp.maximum(count / jnp.maximum(surface.area, 1.0), 2.0)  # shifts whose scores are independent
+    level = jnp.tanh(surface.chance * jnp.sqrt(2.0 * jnp.log(several)))
+    return Peaks(shift, offset, score, jnp.sum(inside), jnp.sum(inside & surface.overlaps), count, level)
+
+
+def _is_local_maximum(score: Cells) -> Inside:
+    """Where no neighbour is higher, and all eight have a score."""
+    rows, cols = score.shape
+    padded = jnp.pad(score, 1, constant_values=jnp.nan)
+    steps = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    neighbours = jnp.stack([padded[i : i + rows, j : j + cols] for i, j in steps])
+    return jnp.all(score[None, :, :] >= neighbours, axis=0)  # False by NaN
+
+
+def _top_of_paraboloid(score: Cells, row: Int[Array, ""], col: Int[Array, ""]) -> Float[Array, "2"]:
+    """Where the paraboloid through nine scores, by least squares, has its top; within half a cell of the middle."""
+    nine = jax.lax.dynamic_slice(jnp.nan_to_num(score), (row - 1, col - 1), (3, 3))
+    by_row, by_col = jnp.sum(nine, axis=1), jnp.sum(nine, axis=0)
+    slope = jnp.stack([by_row[2] - by_row[0], by_col[2] - by_col[0]]) / 6.0
+    bend = jnp.stack([by_row[2] - 2.0 * by_row[1] + by_row[0], by_col[2] - 2.0 * by_col[1] + by_col[0]]) / 3.0
+    return jnp.clip(-slope / jnp.where(bend < 0.0, bend, -jnp.inf), -0.5, 0.5)

@@ -1,0 +1,94 @@
+"""Where the blocks of a registration lie on the ground, and by how much image and reference differ there."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_enu
+from jaxgeo.fix import Fix
+from jaxgeo.locate import locate
+from jaxgeo.register.prediction import in_chunks
+from jaxgeo.register.registration import Registration
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain
+
+
+class BlockPlaces(NamedTuple):
+    """Of the blocks of the last pass: the pixels `uv` (n, 2) of their middles, and the ground (n,) that these see from
+    the registration's shot, NaN where they see none. `tie` (n,) is the index of a block's tie point, -1 for none;
+    `residual` (n, 2) the residual of that in m east and north on the ground, where the image has it less where the
+    reference, its shift taken off, shows it; NaN without a tie, or an update."""
+
+    uv: Float[Any, "n 2"]
+    ground: Geodetic
+    tie: Int[Any, " n"]
+    residual: Float[Any, "n 2"]
+
+    @property
+    def known(self) -> Bool[np.ndarray, " n"]:
+        """Whether the ground is known."""
+        return np.isfinite(np.asarray(self.ground.lat))
+
+
+def places_of_blocks(
+    registration: Registration, *, time: ArrayLike | None = None, atmosphere: Atmosphere | None = None
+) -> BlockPlaces:
+    """Where the blocks of the last pass lie, by the updated shot if there is one, else by the navigation's.
+
+    `time` (of a trajectory) and `atmosphere` are as for `register`. Raises `ValueError` for a registration that came to
+    no pass.
+    """
+    if not registration.passes:
+        raise ValueError(f"no block was matched: {registration.outcome.name}: {registration.outcome.message}")
+    last, update = registration.passes[-1], registration.update
+    seen = np.asarray(last.shifts.seen)
+    uv = np.where(seen[:, None], np.asarray(last.shifts.uv), np.nan)
+    tied = np.asarray(last.chosen.is_chosen) & seen
+    tie = np.full(len(uv), -1)
+    tie[tied] = np.arange(np.count_nonzero(tied))
+    residual = np.full((len(uv), 2), np.nan)
+    if update is not None:
+        residual[tied] = np.asarray(update.residuals)
+        time, atmosphere = update.time, update.atmosphere
+    scene = _Scene(registration.sensor, registration.shot, registration.terrain, time, atmosphere)
+    lat, lon, height, on_ground = in_chunks(lambda rows: _seen(scene, rows), np.concatenate([uv, residual], axis=1))
+    return BlockPlaces(uv, Geodetic(lat=lat, lon=lon, height=height), tie, on_ground)
+
+
+class _Scene(eqx.Module):
+    """What looks at what."""
+
+    sensor: Sensor
+    motion: Shot | Trajectory
+    terrain: AbstractTerrain
+    time: Any
+    air: Atmosphere | None
+
+
+@eqx.filter_jit
+def _seen(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
+    """(lat, lon, height of the ground, residual there) of rows of a pixel and its residual."""
+
+    def ground(pixel: Float[Array, "2"]) -> tuple[Array, Fix]:
+        fix = locate(scene.sensor, scene.motion, pixel, scene.terrain, time=scene.time, atmosphere=scene.air)
+        return fix.ecef, fix
+
+    def one(row: Float[Array, "4"]) -> tuple[Array, Array, Array, Array]:
+        is_pixel = jnp.isfinite(row[0])
+        by_pixel, fix = jax.jacfwd(ground, has_aux=True)(jnp.where(is_pixel, row[:2], 0.0))
+        found = is_pixel & (jnp.asarray(fix.status) == Status.hit)
+        here = fix.position
+        safe = Geodetic(lat=jnp.where(found, here.lat, 0.0), lon=jnp.where(found, here.lon, 0.0), height=jnp.zeros(()))
+        aside = R_ecef_from_enu(safe)[:, :2].T @ by_pixel @ row[2:]
+        lat, lon, height = (jnp.where(found, jnp.asarray(x), jnp.nan) for x in (here.lat, here.lon, here.height))
+        return lat, lon, height, jnp.where(found, aside, jnp.nan)
+
+    return jax.vmap(one)(rows)

@@ -1,0 +1,183 @@
+"""How the next pass of a registration goes: on the map or in the image, in which cells, how large its blocks are."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+
+from jaxgeo.register.choice import AbstractChoice
+from jaxgeo.register.comparison import AbstractComparison
+from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.in_image import ImagePlace, InImage, shifts_in_image
+from jaxgeo.register.on_map import MapPlace, OnMap
+from jaxgeo.register.outcome import Outcome
+from jaxgeo.register.prediction import Shifts, shifts_of, window_of
+from jaxgeo.terrain.grid import AbstractGrid
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel
+
+SIDES = (32, 48, 64, 96, 128, 192, 256, 300)  # cells of a block: few sizes, few compilations
+LATTICE = 9  # places along a side of the window, by which shifts are foretold
+FAR = 40.0  # cells: standard deviation of a shift, over which coarser cells are taken
+SURE = 5.0  # cells: under which blocks may be many and small
+FEW, MANY = 16, 48  # blocks that are aimed at
+BENT = 2.5  # cells by which the edge of a block may be shifted otherwise than its middle, one standard deviation
+FEWEST_CELLS = 64  # on a side of the image, at the least
+FAR_IN_IMAGE = 20.0  # the same of a comparison in the image, where the reference is rendered cell by cell
+OBLIQUE = 2.0  # times that the ground is drawn out along the look, from which on images are compared as they are
+WIDE = 3.7  # standard deviations by which the reference is rendered beside the image
+STEP = 8  # cells: that room is a multiple of it
+
+
+class Search(NamedTuple):
+    """What was asked for: the choice of candidates, the probability of the search, the largest block in cells."""
+
+    choice: AbstractChoice
+    probability: float
+    block: int
+
+
+class Plan(eqx.Module):
+    """A pass: how image and reference are compared, and where; blocks of `block` cells. `is_last` where nothing finer
+    comes."""
+
+    comparison: type[AbstractComparison] = eqx.field(static=True)
+    place: Any
+    block: int
+    is_last: bool
+
+
+class _Size(NamedTuple):
+    """Of the cells of a pass: `factor`, the side of a block, and whether nothing finer comes."""
+
+    factor: int
+    block: int
+    is_last: bool
+
+
+def planned(
+    look: Look, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
+) -> Plan:
+    """The plan of a pass from a look whose errors have a covariance (axes and the map's shift).
+
+    `coarser` halves the resolution so many times more than needed. Raises `Stopped` where there is nothing to match.
+    """
+    reference = images.reference
+    window = window_of(look, reference.grid, reference.shape)
+    if window is None:
+        raise Stopped(Outcome.no_overlap)
+    shifts, share = _foretold(look, model, reference.grid, window)
+    finest = max(1, round(float(np.median(shifts.ground_sampling)) / reference.ground_sampling))
+    side = np.sqrt(share * (window[2] - window[0]) * (window[3] - window[1]))
+    if float(np.median(shifts.stretch)) > OBLIQUE:
+        return _in_image(look, model, covariance, images, search, coarser)
+    bends = _bends(shifts, covariance)
+    size = _sized(side, _spread(shifts.covariance(covariance)), bends, finest, FAR, search, coarser)
+    if size.block * bends > 2.0 * BENT:
+        return _in_image(look, model, covariance, images, search, coarser)
+    top, left, bottom, right = window
+    coarse = top // size.factor, left // size.factor, -(-bottom // size.factor), -(-right // size.factor)
+    return Plan(OnMap, MapPlace(size.factor, coarse), size.block, size.is_last)
+
+
+def _in_image(
+    look: Look, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
+) -> Plan:
+    """The plan of a pass that compares in the image."""
+    rows, cols = images.grey.shape[1:]
+    t = (np.arange(LATTICE) + 0.5) / LATTICE
+    row, col = np.meshgrid(t * rows - 0.5, t * cols - 0.5, indexing="ij")
+    found = shifts_in_image(look, model, np.stack([col.ravel(), row.ravel()], axis=1), 1)
+    seen = np.asarray(found.seen)
+    if not seen.any():
+        raise Stopped(Outcome.unknown_ground)
+    shifts = Shifts(*(np.asarray(part)[seen] for part in found))
+    moved = shifts.covariance(covariance)
+    sampling, cell = float(np.median(shifts.ground_sampling)), images.reference.ground_sampling
+    finest = max(1, round(cell / sampling))
+    side = np.sqrt(seen.mean() * rows * cols)
+    size = _sized(side, _spread(moved), 0.0, finest, FAR_IN_IMAGE, search, coarser)
+    extent = WIDE * np.sqrt(np.quantile(np.diagonal(moved, axis1=1, axis2=2), 0.9, axis=0)) / size.factor
+    down, across = (int(STEP * np.ceil((x + 2.0) / STEP)) for x in extent)
+    source = max(1, round(0.7 * size.factor * sampling / cell))
+    return Plan(InImage, ImagePlace(size.factor, source, (down, across), sampling), size.block, size.is_last)
+
+
+def _sized(side: float, spread: float, bends: float, finest: int, far: float, search: Search, coarser: int) -> _Size:
+    """How large cells and blocks are, of an image with so many of the finest cells' units on a side."""
+    factor = finest
+    while spread > far * factor and side / (2 * factor) >= FEWEST_CELLS:
+        factor *= 2
+    while coarser > 0 and side / (2 * factor) >= FEWEST_CELLS:
+        factor, coarser = factor * 2, coarser - 1
+    if side / factor < SIDES[0]:
+        raise Stopped(Outcome.too_small)
+    is_sure = spread <= SURE * factor
+    fits = side / factor / np.sqrt(MANY if is_sure else FEW)
+    straight = 2.0 * BENT / max(bends, 1e-9)
+    return _Size(factor, _side(min(search.block, fits, straight)), is_sure and factor == finest)
+
+
+def _foretold(
+    look: Look, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
+) -> tuple[Shifts, float]:
+    """(shifts of places in the window that the image shows, (seen places); their share of all places)."""
+    t = (np.arange(LATTICE) + 0.5) / LATTICE
+    row, col = np.meshgrid(
+        window[0] + t * (window[2] - window[0]) - 0.5, window[1] + t * (window[3] - window[1]) - 0.5, indexing="ij"
+    )
+    reach = 0.5 * min(window[2] - window[0], window[3] - window[1]) / LATTICE
+    shifts = shifts_of(look, model, grid, np.stack([row.ravel(), col.ravel()], axis=1), reach)
+    seen = np.asarray(shifts.seen)
+    if not seen.any():
+        raise Stopped(Outcome.unknown_ground)
+    return Shifts(*(np.asarray(part)[seen] for part in shifts)), float(seen.mean())
+
+
+def _bends(shifts: Shifts, covariance: np.ndarray) -> float:
+    """By how much the shift changes over a cell, one standard deviation: by that the navigation's errors stretch and
+    turn the image."""
+    change = _changes(shifts) @ _root(covariance)
+    return _typical(change) if len(change) else 0.0
+
+
+def _changes(shifts: Shifts) -> np.ndarray:
+    """Differences of the shifts' derivatives between neighbouring places, for each cell between them, (pairs, 2, axes).
+
+    Neighbours are told from their pixels' places on the grid, which the shifts' own order keeps.
+    """
+    uv = np.asarray(shifts.uv)
+    by_error = np.asarray(shifts.by_error)
+    per_metre = np.asarray(shifts.cells_per_metre)
+    if len(uv) < 2:
+        return np.zeros((0, *by_error.shape[1:]))
+    apart = np.linalg.norm(uv[:, None] - uv[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    nearest = np.argmin(apart, axis=1)
+    pixels = apart[np.arange(len(uv)), nearest]
+    cells = pixels * np.asarray(shifts.ground_sampling) * np.sqrt(np.abs(np.linalg.det(per_metre)))
+    return (by_error - by_error[nearest]) / cells[:, None, None]
+
+
+def _typical(change: np.ndarray) -> float:
+    """Of changes (pairs, 2, axes) by errors of one standard deviation each, that which one pair in four surpasses."""
+    return float(np.quantile(np.sqrt(np.sum(change**2, axis=(1, 2)) / 2.0), 0.75))
+
+
+def _spread(covariance: np.ndarray) -> float:
+    """Of covariances (n, 2, 2) in cells2, the larger standard deviation that one in ten surpasses."""
+    return float(np.quantile(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]), 0.9))
+
+
+def _side(cells: float) -> int:
+    return max(side for side in SIDES if side <= max(cells, SIDES[0]))
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """A root of a covariance that may be singular, of axes in different units."""
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,0 +1,69 @@
+"""What is known of the navigation's errors and of the map's shift before an image is compared with the map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64, check_finite, check_is
+from jaxgeo._numerics import safe_sqrt
+from jaxgeo._typing import Numbers
+from jaxgeo.register.tie_errors import TieErrors
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.sources.base import check_covariance
+
+SHIFT = ("shift: east", "shift: north")
+NOTHING = 1e-14  # of the largest eigenvalue of a correlation: less is rounding
+
+
+class Prior(eqx.Module):
+    """A normal distribution of the unknowns: the axes of an error model, and the map's shift to the east and north, m.
+
+    `mean` (unknowns,) is about the navigation's own look; `covariance` (unknowns, unknowns) may be singular.
+    """
+
+    mean: Numbers
+    covariance: Numbers
+
+    @classmethod
+    def of(cls, model: ErrorModel, errors: TieErrors) -> Prior:
+        """Without a history: no error is the likeliest, and the spread is that of the sources and of the map."""
+        count = model.size
+        shift = jnp.asarray(errors.shift, jnp.float64) ** 2 * jnp.eye(2)
+        total = jnp.zeros((count + 2, count + 2)).at[:count, :count].set(model.covariance())
+        return cls(jnp.zeros(count + 2), total.at[count:, count:].set(shift))
+
+    def factor(self) -> Float[Array, "unknowns unknowns"]:
+        """F with F F' = covariance, of unknowns brought to one scale; zero columns for what is known already."""
+        covariance = jnp.asarray(self.covariance)
+        sigma = safe_sqrt(jnp.diagonal(covariance))
+        scale = jnp.where(sigma > 0.0, sigma, 1.0)
+        values, vectors = jnp.linalg.eigh(covariance / (scale[:, None] * scale[None, :]))
+        values = jnp.where(values > NOTHING * values[-1], values, 0.0)
+        return sigma[:, None] * vectors * safe_sqrt(values)[None, :]
+
+
+def checked_prior(prior: Any, model: ErrorModel) -> Prior:
+    """A prior of a model in float64.
+
+    Raises `TypeError` for anything else, `ValueError` for another number of unknowns, what is not finite, and a
+    covariance that is none.
+    """
+    check_is(prior, Prior, "prior")
+    prior = as_float64(prior, "prior")
+    unknowns = model.size + 2
+    for name, shape in (("mean", (unknowns,)), ("covariance", (unknowns, unknowns))):
+        if jnp.shape(getattr(prior, name)) != shape:
+            raise ValueError(
+                f"prior.{name} must have the shape {shape}: the {model.size} axes of the errors and the map's shift; "
+                f"got {jnp.shape(getattr(prior, name))}."
+            )
+    check_finite(prior.mean, "prior.mean", "rad, m, px, s, K or Pa")
+    covariance = jnp.asarray(prior.covariance)
+    sigma = safe_sqrt(jnp.diagonal(covariance))
+    scale = jnp.where(sigma > 0.0, sigma, 1.0)
+    check_covariance(covariance / (scale[:, None] * scale[None, :]), "prior.covariance, scaled to ones,")
+    return prior

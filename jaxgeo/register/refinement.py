@@ -1,0 +1,153 @@
+"""Least-squares matching: the shift of a block to a small part of a cell, with its covariance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxgeo._typing import Flag, Index, Scalar
+from jaxgeo.register.correlation import Block, Known, standardised
+
+TAPS = 5  # cells on either side over which both images are smoothed
+WIDTH = 1.0  # cells: standard deviation of the Gaussian that smooths both, and interpolates one
+FURTHEST = 1.2  # cells from the whole shift
+STEPS = 8
+CLOSE_ENOUGH = 2e-3  # cells: the longest last step
+FEWEST = 64  # cells in common
+
+Wider = Float[Array, "wide_rows wide_cols"]
+KnownWider = Bool[Array, "wide_rows wide_cols"]
+Weights = Float[Array, " taps"]
+
+
+_State: TypeAlias = tuple[Float[Array, "2"], Scalar, Index]  # the shift, the length of the last step, steps
+
+
+class Refined(NamedTuple):
+    """`shift` (2,) in cells from the whole shift, its `covariance` (2, 2) in cells2, and whether it was found."""
+
+    shift: Float[Array, "*batch 2"]
+    covariance: Float[Array, "*batch 2 2"]
+    found: Bool[Array, "*batch"]
+
+
+class _Smooth(NamedTuple):
+    value: Block
+    down: Block
+    across: Block
+
+
+def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: Float[Array, "2"]) -> Refined:
+    """The shift d by which T(p) = gain S(p + d) + offset, for p in a block with `TAPS` more cells on every side.
+
+    Both images are smoothed by a Gaussian of one cell, at whole cells or in between: of what that leaves, little is
+    lost by sampling, so that places between cells are as good as others (cubic interpolation of images as they are
+    draws noisy ones towards half cells). The equations are those of least-squares matching (Foerstner 1982), but
+    multiplied with the gradients of T rather than of the interpolated S: noise in the two is independent, and so biases
+    neither the shift nor the normal matrix. Cells take part where all that is smoothed into them is known.
+
+    The covariance is that of the estimate by residuals with the autocorrelation that they show themselves: the
+    product of their power spectrum and that of the weights by which residuals become a shift.
+    """
+    known = _all_known(known_T) & _all_known(known_S)
+    mask = known.astype(float)
+    S = standardised(S, known_S)
+    fixed = _smooth(standardised(T, known_T), jnp.zeros(2))
+
+    def goes_on(state: _State) -> Flag:
+        _, last, steps = state
+        return (last > CLOSE_ENOUGH) & (steps < STEPS)
+
+    def step(state: _State) -> _State:
+        d, _, steps = state
+        normal, Z, residual = _equations(fixed, _smooth(S, d), mask)
+        change = (_inverse(normal) @ (Z @ residual.reshape(-1)))[:2]
+        new = jnp.clip(d + jnp.clip(change, -0.5, 0.5), -FURTHEST, FURTHEST)
+        return new, jnp.max(jnp.abs(new - d)), steps + 1
+
+    d, last, _ = jax.lax.while_loop(goes_on, step, (start, jnp.asarray(jnp.inf), jnp.asarray(0)))
+    normal, Z, residual = _equations(fixed, _smooth(S, d), mask)
+    count = jnp.sum(mask)
+    covariance = _spread(_inverse(normal)[:2] @ Z, residual, count)
+    return Refined(d, covariance, _is_found(d, last, covariance, count))
+
+
+@jax.jit
+def refine_all(
+    T: Float[Array, "n wide_rows wide_cols"],
+    known_T: Bool[Array, "n wide_rows wide_cols"],
+    S: Float[Array, "n wide_rows wide_cols"],
+    known_S: Bool[Array, "n wide_rows wide_cols"],
+    start: Float[Array, "n 2"],
+) -> Refined:
+    """`refine` of several candidates, one after the other: what one needs stays in the processor's cache."""
+    return jax.lax.map(lambda one: refine(*one), (T, known_T, S, known_S, start))
+
+
+def _equations(
+    fixed: _Smooth, moved: _Smooth, mask: Block
+) -> tuple[Float[Array, "4 4"], Float[Array, "4 cells"], Block]:
+    """(Z'X, Z, residuals) of shift, gain and offset at a shift, the gain at its best there."""
+    count = jnp.maximum(jnp.sum(mask), 1.0)
+    mean_T, mean_S = (jnp.sum(mask * x) / count for x in (fixed.value, moved.value))
+    centred_T, centred_S = mask * (fixed.value - mean_T), mask * (moved.value - mean_S)
+    power = jnp.sum(centred_S**2)
+    gain = jnp.sum(centred_T * centred_S) / jnp.where(power > 0.0, power, 1.0)
+    Z = jnp.stack([mask * fixed.down, mask * fixed.across, centred_S, mask]).reshape(4, -1)
+    X = jnp.stack([gain * mask * moved.down, gain * mask * moved.across, centred_S, mask]).reshape(4, -1)
+    return Z @ X.T, Z, centred_T - gain * centred_S
+
+
+def _is_found(d: Float[Array, "2"], last: Scalar, covariance: Float[Array, "2 2"], count: Scalar) -> Flag:
+    is_number = jnp.all(jnp.isfinite(d)) & jnp.all(jnp.isfinite(covariance))
+    return is_number & (last <= CLOSE_ENOUGH) & jnp.all(jnp.abs(d) < FURTHEST) & (count >= FEWEST)
+
+
+def _spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) -> Float[Array, "2 2"]:
+    """Covariance of weights @ residuals, residuals stationary with the autocovariance that they have."""
+    rows, cols = residual.shape
+    R = jnp.fft.fft2(residual)
+    Y = jnp.fft.fft2(weights.reshape(2, rows, cols)).reshape(2, -1)
+    power = (jnp.abs(R) ** 2).reshape(-1) / jnp.maximum(count - 4.0, 1.0)
+    return jnp.real((Y * power[None, :]) @ jnp.conj(Y).T) / (rows * cols)
+
+
+def _inverse(normal: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+    """Inverse, NaN where there is none: scaled to ones on the diagonal first."""
+    size = jnp.sqrt(jnp.abs(jnp.diagonal(normal)))
+    scale = 1.0 / jnp.where(size > 0.0, size, 1.0)
+    return jnp.linalg.inv(normal * scale[:, None] * scale[None, :]) * scale[:, None] * scale[None, :]
+
+
+def _smooth(values: Wider, d: Float[Array, "2"]) -> _Smooth:
+    """Smoothed values and their derivatives (by row, by col) at the block's cells moved by `d`."""
+    (down, slope_down), (across, slope_across) = _gaussian(d[0]), _gaussian(d[1])
+    rows = _weighted(values, down, 0)
+    return _Smooth(
+        _weighted(rows, across, 1),
+        _weighted(_weighted(values, slope_down, 0), across, 1),
+        _weighted(rows, slope_across, 1),
+    )
+
+
+def _gaussian(d: Scalar) -> tuple[Weights, Weights]:
+    """Weights of the cells about a place, of sum one, and their derivatives by it."""
+    away = d - jnp.arange(-TAPS, TAPS + 1)
+    bell = jnp.exp(-0.5 * (away / WIDTH) ** 2)
+    total, slope = jnp.sum(bell), -away / WIDTH**2 * bell
+    return bell / total, slope / total - bell * jnp.sum(slope) / total**2
+
+
+def _weighted(values: Float[Array, "r c"], weights: Weights, axis: int) -> Float[Array, "r2 c2"]:
+    """Sum over neighbours along one axis, where all are there."""
+    length = values.shape[axis] - 2 * TAPS
+    parts = [jax.lax.slice_in_dim(values, k, k + length, axis=axis) for k in range(2 * TAPS + 1)]
+    return sum((weights[k] * part for k, part in enumerate(parts[1:], 1)), weights[0] * parts[0])
+
+
+def _all_known(known: KnownWider) -> Known:
+    ones = jnp.ones(2 * TAPS + 1)
+    return _weighted(_weighted(known.astype(float), ones, 0), ones, 1) > ones.size**2 - 0.5

@@ -1,0 +1,285 @@
+"""Registration: an image matched with a reference map, pass after pass, until its pose is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy  # loads its parts when they are asked for
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, check_is, require_x64
+from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo.adjust.losses import AbstractLoss, Huber
+from jaxgeo.earth import Atmosphere
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.register.choice import AbstractChoice
+from jaxgeo.register.consensus import PoseConsensus
+from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.register.outcome import Outcome
+from jaxgeo.register.passes import Pass, one_pass
+from jaxgeo.register.plan import Search, planned
+from jaxgeo.register.posterior import Update
+from jaxgeo.register.prior import Prior, checked_prior
+from jaxgeo.register.rectify import checked_image
+from jaxgeo.register.tie_errors import TieErrors
+from jaxgeo.register.ties import TiePoints
+from jaxgeo.register.update import update
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.linear import Propagation
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+
+LEAST_REGISTRATION = 0.1  # cells: no tie is taken as better than that
+COARSER = 1  # times that it is tried in coarser cells, before the first pass is given up
+MORE, ROUNDS = 1.02, 6  # residuals over what the errors given make of them, from which on registration errs more
+HUBER, CONSENSUS = Huber(), PoseConsensus()
+
+
+class Limits(eqx.Module):
+    """What it takes to accept a registration.
+
+    `false_alarms`: how often in so many images chance may make blocks agree. `least_blocks` and `least_share` of those
+    that have texture and lie on the reference must agree. `rival` is the share of these from which on another pose
+    makes the registration ambiguous. `beyond_prior`: the probability of an error of the navigation so large, by its own
+    standard deviations, below which it is not believed. Passes go on until ties move by less than `settled` cells, for
+    `most_passes`; `most_residual` cells is the standard deviation to which ties must fit the pose.
+    """
+
+    false_alarms: float = 1e-6
+    least_blocks: int = 5
+    least_share: float = 0.4
+    rival: float = 0.6
+    beyond_prior: float = 1e-6
+    settled: float = 0.1
+    most_passes: int = 10
+    most_residual: float = 4.0
+
+
+LIMITS = Limits()
+
+
+class Registration(eqx.Module):
+    """What a registration found. Without an update, `outcome` says why, and nothing else is to be believed.
+
+    `sensor`, `shot` and `terrain` are the updated ones if `accepted`, else those that were given. `update` has their
+    errors; `tie_errors` how the reference errs, `registration` there as the residuals have it. `passes` are what was
+    done, the last first made the `ties`: their pixels, and where the reference shows the same.
+    """
+
+    outcome: Outcome = eqx.field(static=True)
+    sensor: Sensor
+    shot: Shot | Trajectory
+    terrain: AbstractTerrain
+    update: Update | None
+    tie_errors: TieErrors
+    ties: TiePoints | None
+    passes: tuple[Pass, ...]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether there is an update."""
+        return self.outcome is Outcome.registered
+
+    def fix(self, uv: Any, terrain_sigma: ArrayLike | None = None, **options: Any) -> Propagation:
+        """The ground point of a pixel and its covariance, as `Update.fix`.
+
+        Raises `ValueError` if the image is not registered.
+        """
+        if self.update is None or not self.accepted:
+            raise ValueError(f"the image is not registered: {self.outcome.name}: {self.outcome.message}")
+        return self.update.fix(uv, terrain_sigma, **options)
+
+    def __str__(self) -> str:
+        lines = [f"{self.outcome.name}: {self.outcome.message}"]
+        lines += [f"  {number}. {one}" for number, one in enumerate(self.passes, 1)]
+        return "\n".join(lines)
+
+
+def register(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    image: Any,
+    reference: Orthoimage,
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    tie_errors: TieErrors,
+    *,
+    known: Any = None,
+    prior: Prior | None = None,
+    block: int = 300,
+    probability: float = 0.999,
+    choice: AbstractChoice = CONSENSUS,
+    loss: AbstractLoss = HUBER,
+    flatten: int | None = 31,
+    limits: Limits = LIMITS,
+    time: ArrayLike | None = None,
+    atmosphere: Atmosphere | None = None,
+) -> Registration:
+    """Find the pose of an image from a reference map that shows the same ground, and say how sure it then is.
+
+    After Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation": the image is rectified
+    with what the navigation says, blocks of it are sought in the reference where the navigation's errors allow, those
+    that agree become tie points, and least squares with the navigation as prior updates sensor and shot. This is done
+    again with the new pose, in smaller parts and finer cells as it becomes surer, until it stays.
+
+    `sensor`, `shot` (or a trajectory and the image's `time`), `image` and its `known` pixels, and `atmosphere` are as
+    for `rectify`; `reference` an `Orthoimage` in any map, coarser or finer than the image. `errors` is the `ErrorModel`
+    of the navigation, whatever of it errs (with an `InteriorOrientation` among them the camera is updated as well);
+    `tie_errors` how the reference and the terrain err: `registration` there is the least, and becomes what the
+    residuals show, while of `shift`, by which the whole map may be off, only relief tells something, as the terrain is
+    not off with it: what is left of it enlarges all errors. Heights that err alike over some distance belong into
+    `terrain_field`: taken as each tie's own they make all seem too sure.
+    `prior` goes on from another image (see `next_prior`).
+
+    `block` cells on a side are matched at most, where the navigation allows so many without bending them; shifts are
+    sought that its errors make with `probability`; `choice` picks those that agree, and `loss` is that of the update.
+    `flatten` cells is the width over which brightness and contrast are made even; None leaves both images as they are.
+
+    Nothing is accepted that chance, a repeated texture or a wrong area could have made (see `Limits`): then `outcome`
+    says so, and sensor and shot stay as they were.
+    Raises `ValueError` for an image of another size than the camera's, and as `rectify`, `match` and `update`.
+    """
+    require_x64()
+    check_is(reference, Orthoimage, "reference", "Read one with jaxgeo.io.read_orthoimage.")
+    check_is(tie_errors, TieErrors, "tie_errors")
+    check_is(choice, AbstractChoice, "choice")
+    sensor, motion, moment = observation(sensor, shot, time)
+    check_terrain(terrain, FIRST_HIT)
+    values = checked_image(image, sensor)
+    grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
+    look = Look(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
+    model = checked_model(errors, look)
+    tie_errors = as_float64(tie_errors, "tie_errors")
+    prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
+    images = Images(grey, known, reference, flatten)
+    search = Search(choice, probability, block)
+    given = _Given(look, model, prior, tie_errors, loss, time is not None or isinstance(motion, Trajectory))
+    return _registered(given, images, search, limits)
+
+
+class _Given(eqx.Module):
+    """What the navigation says, and how it and the map err."""
+
+    look: Look
+    model: ErrorModel
+    prior: Prior
+    tie_errors: TieErrors
+    loss: AbstractLoss
+    has_time: bool = eqx.field(static=True)
+
+    def updated(self, ties: TiePoints, tie_errors: TieErrors) -> Update:
+        """The update of the navigation's own look by ties."""
+        look = self.look
+        return update(
+            look.sensor,
+            look.motion,
+            ties,
+            look.terrain,
+            self.model,
+            tie_errors,
+            prior=self.prior,
+            loss=self.loss,
+            time=look.time if self.has_time else None,
+            atmosphere=look.air,
+        )
+
+
+def _registered(given: _Given, images: Images, search: Search, limits: Limits) -> Registration:
+    passes: list[Pass] = []
+    found: Update | None = None
+    ties, tie_errors = None, given.tie_errors
+    look = _moved(given, np.asarray(given.prior.mean)[:-2])
+    covariance = np.asarray(given.prior.covariance)
+
+    def ended(outcome: Outcome) -> Registration:
+        source = found if outcome is Outcome.registered and found is not None else given.look
+        shot: Any = source.shot if isinstance(source, Update) else source.motion
+        kept = found if outcome is Outcome.registered else None
+        return Registration(outcome, source.sensor, shot, source.terrain, kept, tie_errors, ties, tuple(passes))
+
+    coarser = 0
+    for _ in range(limits.most_passes):
+        try:
+            plan = planned(look, given.model, covariance, images, search, coarser)
+            done, ties = one_pass(look, given.model, covariance, images, search, plan, is_first=found is None)
+        except Stopped as stopped:
+            return ended(stopped.outcome)
+        passes.append(done)
+        outcome = _judged(done, limits, is_first=found is None)
+        if outcome is not Outcome.registered:
+            if found is None and coarser < COARSER:
+                coarser += 1
+                continue
+            return ended(outcome)
+        coarser = 0
+        before = None if found is None else np.asarray(found.error)
+        found, tie_errors = _updated(given, ties, done.cell)
+        if not bool(found.ok):
+            return ended(Outcome.not_settled)
+        if _beyond(found, limits):
+            return ended(Outcome.beyond_prior)
+        if plan.is_last and float(tie_errors.registration) > limits.most_residual * done.cell:
+            return ended(Outcome.does_not_fit)
+        moved = np.inf if before is None else done.moved_by(np.asarray(found.error) - before)
+        look, covariance = _look_of(found, given.look), np.asarray(found.covariance)
+        if plan.is_last and moved < limits.settled:
+            return ended(Outcome.registered)
+    return ended(Outcome.not_settled)
+
+
+def _updated(given: _Given, ties: TiePoints, cell: float) -> tuple[Update, TieErrors]:
+    """The update, with the error of registration raised until residuals are as large as the errors have them."""
+    least = max(float(given.tie_errors.registration), LEAST_REGISTRATION * cell)
+    tie_errors = eqx.tree_at(lambda e: e.registration, given.tie_errors, jnp.asarray(least))
+    found = given.updated(ties, tie_errors)
+    for _ in range(ROUNDS):
+        sigma0 = float(found.sigma0_ties)
+        if not sigma0 > MORE:
+            break
+        registration = float(tie_errors.registration)
+        raised = np.hypot(registration, np.sqrt(sigma0**2 - 1.0) * _tie_sigma(ties, tie_errors))
+        tie_errors = eqx.tree_at(lambda e: e.registration, tie_errors, jnp.asarray(raised))
+        found = given.updated(ties, tie_errors)
+    return found, tie_errors
+
+
+def _tie_sigma(ties: TiePoints, errors: TieErrors) -> float:
+    """Standard deviation in m along an axis of the map of a usual tie, as the errors have it."""
+    own = np.median(np.trace(np.asarray(ties.covariance), axis1=1, axis2=2)) / 2.0
+    return float(np.sqrt(own + float(errors.registration) ** 2))
+
+
+def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
+    """Whether the blocks of a pass agree as they should; that it is no chance the first shows, which searches far."""
+    if is_first and done.false_alarms > limits.false_alarms:
+        return Outcome.no_agreement
+    if done.agreeing < limits.least_blocks or done.agreeing < limits.least_share * done.offered:
+        return Outcome.few_agree
+    if done.rival >= max(limits.rival * done.agreeing, 3):
+        return Outcome.ambiguous
+    return Outcome.registered
+
+
+def _beyond(found: Update, limits: Limits) -> bool:
+    """Whether the navigation erred by more than it says it may."""
+    freedom = int(np.count_nonzero(np.diagonal(np.asarray(found.prior.covariance)) > 0.0))
+    return bool(scipy.stats.chi2.sf(float(found.chi_square_prior), freedom) < limits.beyond_prior)
+
+
+def _moved(given: _Given, error: np.ndarray) -> Look:
+    return given.model.moved(given.look, jnp.asarray(error)) if np.any(error != 0.0) else given.look
+
+
+def _look_of(found: Update, look: Look) -> Look:
+    time = look.time if found.time is None else found.time
+    return Look(found.sensor, found.shot, time, look.uv, found.terrain, found.atmosphere)
+
+
+def _of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)

@@ -1,0 +1,158 @@
+"""Rendering: the image that a camera would take of an orthoimage that lies over the terrain."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Int8
+
+from jaxgeo._checks import check_is
+from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo.earth import WGS84, Atmosphere
+from jaxgeo.locate import FIRST_HIT, located_anywhere
+from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, sampled
+from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain.grid import AbstractGrid
+from jaxgeo.uncertainty.look import Look
+
+CHUNK = 1024  # rays at once: one size, which is compiled once
+BILINEAR = Bilinear()
+
+
+class Rendered(NamedTuple):
+    """A rendered image: values (bands, rows, cols), zero where nothing is known; where all rays of a pixel see what the
+    orthoimage shows; and the `Status` of each pixel: of the first of its rays that meets no ground, else `hit`."""
+
+    values: Float[np.ndarray, "bands rows cols"]
+    known: Bool[np.ndarray, "rows cols"]
+    status: Int8[np.ndarray, "rows cols"]
+
+
+class Met(NamedTuple):
+    """What lines of sight meet: points in ECEF m, their latitude and longitude in rad and height in m, the cell of the
+    terrain that they lie in, and the `Status` of each; a place on the equator where it is not `hit`."""
+
+    p_ecef: Float[Any, "n 3"]
+    lat: Float[Any, " n"]
+    lon: Float[Any, " n"]
+    height: Float[Any, " n"]
+    cell: Int[Any, "n 2"]
+    status: Int8[Any, " n"]
+
+
+def render(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    reference: Orthoimage,
+    terrain: AbstractTerrain,
+    *,
+    supersampling: int = 1,
+    interpolation: AbstractInterpolation = BILINEAR,
+    time: ArrayLike | None = None,
+    atmosphere: Atmosphere | None = None,
+) -> Rendered:
+    """The image (bands, rows, cols) that a shot (or a trajectory and the image's `time`) has of an orthoimage.
+
+    The inverse of `rectify`, by another way: each pixel's line of sight is followed to the first ground that it meets
+    (`locate`), and the orthoimage is sampled there. `terrain` is a `Dem` or a `ConstantHeight`. A pixel is the mean of
+    `supersampling` x `supersampling` rays spread evenly over it; take so many that they lie no further apart on the
+    ground than the cells of the orthoimage. `known` is where all of these meet ground on a known part of it; elsewhere
+    the value is zero, and `status` says why if it is the line of sight that fails, while it is `hit` beside the
+    orthoimage. There is no light and no air in it: brightness is that of the orthoimage.
+
+    Raises `ValueError` for a camera without a size and a `supersampling` under 1, and as `locate` does.
+    """
+    check_is(reference, Orthoimage, "reference")
+    check_is(interpolation, AbstractInterpolation, "interpolation")
+    check_terrain(terrain, FIRST_HIT)
+    sensor, motion, moment = observation(sensor, shot, time)
+    rows, cols = _size_of(sensor)
+    if supersampling < 1:
+        raise ValueError(f"supersampling must be 1 ray a pixel along each axis or more; got {supersampling}.")
+    look = Look(sensor, motion, moment, jnp.zeros(2), terrain, checked_air(atmosphere))
+    total, seen, status = np.zeros(()), np.ones(rows * cols, bool), np.zeros(rows * cols, np.int8)
+    pixels = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
+    for offset in _offsets(supersampling):
+        value, is_known, code = seen_at(look, reference, pixels + offset[None, :], interpolation)
+        total, seen = total + value, seen & is_known
+        status = np.where(status == Status.hit, code, status)
+    means = np.where(seen[None, :], total / supersampling**2, 0.0)
+    return Rendered(means.reshape(-1, rows, cols), seen.reshape(rows, cols), status.reshape(rows, cols))
+
+
+def seen_at(
+    look: Look, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
+) -> tuple[Float[np.ndarray, "bands n"], Bool[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
+    """(values of an orthoimage at the first ground that pixels see, zero if unknown; whether they are known; the
+    `Status`). Pixels may lie beside the image, as far as the camera has rays there."""
+    values, known = jnp.asarray(reference.values), jnp.asarray(reference.known)
+    parts = []
+    for part in _chunks(uv):
+        found = _met(look, part)
+        parts.append((*_sampled_on(reference.grid, values, known, found, how), found.status))
+    value, is_known, code = (
+        np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True)
+    )
+    return value[:, : len(uv)], is_known[: len(uv)], code[: len(uv)]
+
+
+def met(look: Look, uv: Float[np.ndarray, "n 2"]) -> Met:
+    """The first ground that pixels see; they may lie beside the image."""
+    parts = [_met(look, part) for part in _chunks(uv)]
+    return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
+
+
+def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
+    padded = np.resize(uv, (max(-(-len(uv) // CHUNK), 1) * CHUNK, 2)) if len(uv) else np.zeros((CHUNK, 2))
+    return [jnp.asarray(padded[k : k + CHUNK]) for k in range(0, len(padded), CHUNK)]
+
+
+@eqx.filter_jit
+def _met(look: Look, uv: Float[Array, "n 2"]) -> Met:
+    """By one program, whatever is then done with it: a search of the terrain takes long to compile."""
+    nowhere = jnp.array([WGS84.a, 0.0, 0.0])
+
+    def one(pixel: Float[Array, "2"]) -> tuple[Any, ...]:
+        fix, bracket = located_anywhere(
+            look.sensor, look.motion, jnp.asarray(look.time), pixel, look.terrain, FIRST_HIT, look.air
+        )
+        hit = fix.status == Status.hit
+        lat, lon, height = (jnp.where(hit, x, 0.0) for x in (fix.position.lat, fix.position.lon, fix.position.height))
+        return jnp.where(hit, fix.ecef, nowhere), lat, lon, height, bracket.cell, fix.status
+
+    return Met(*jax.vmap(one)(uv))
+
+
+@eqx.filter_jit
+def _sampled_on(
+    grid: AbstractGrid, values: Array, known: Array, found: Met, how: AbstractInterpolation
+) -> tuple[Float[Array, "bands n"], Bool[Array, " n"]]:
+    """(values, whether they are known) of an orthoimage at points."""
+    rowcol = jax.vmap(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(found.p_ecef)
+    (rows, cols), row, col = known.shape, rowcol[:, 0], rowcol[:, 1]
+    on = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5) & (found.status == Status.hit)
+    value, sound = sampled(values, known, (jnp.where(on, col, 0.0), jnp.where(on, row, 0.0)), how)
+    return jnp.where((on & sound)[None, :], value, 0.0), on & sound
+
+
+def _offsets(count: int) -> Float[np.ndarray, "rays 2"]:
+    """Places within a pixel, (column, row) from its middle."""
+    steps = (np.arange(count) + 0.5) / count - 0.5
+    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+
+
+def _size_of(sensor: Sensor) -> tuple[int, int]:
+    """(rows, cols) of a sensor's images."""
+    height, width = (getattr(sensor.camera, side, None) for side in ("height", "width"))
+    sizes: Any = height, width
+    if None in sizes:
+        raise ValueError(f"a {type(sensor.camera).__name__} has no width and height; nothing says how much to render.")
+    return int(sizes[0]), int(sizes[1])

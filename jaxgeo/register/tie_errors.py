@@ -1,0 +1,190 @@
+"""What errs in a tie point beside the navigation, and what that comes to in the image."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._checks import as_float64, check_is, check_range, concrete
+from jaxgeo._typing import Scalar, ScalarField
+from jaxgeo.adjust.losses import AbstractLoss
+from jaxgeo.register.ties import PaddedTies, TiePoints
+from jaxgeo.uncertainty.sources import TerrainField
+
+FAINT = 1e-12  # least weight: a tie of none at all would divide by zero
+
+Rows = Float[Array, "ties 2 columns"]
+Blocks = Float[Array, "ties 2 2"]
+Pixels = Float[Array, "ties 2"]
+Weights = Float[Array, " ties"]
+
+
+class TieErrors(eqx.Module):
+    """Standard deviations in m of what errs in the reference and the terrain, beside the covariance of each match.
+
+    `registration` errs anew at each tie, along east and north alike; `terrain` is the height of the elevation model,
+    anew at each tie; `terrain_field` a part of its heights' errors that is alike over some distance, by which ties hang
+    together. `shift` is that of the map as a whole, which shows the true place plus its shift, along east and north
+    alike: it is estimated with the navigation's errors unless it is zero.
+    """
+
+    registration: ScalarField = 0.0
+    terrain: ScalarField = 0.0
+    shift: ScalarField = 0.0
+    terrain_field: TerrainField | None = None
+
+
+class AbstractTiePropagation(eqx.Module):
+    """How an error of a tie's place on the map becomes one in the image."""
+
+    @abc.abstractmethod
+    def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
+        """Derivatives of the pixels by the places on the map, to the east and north.
+
+        `by_surface` are those along the terrain's surface, `by_enu` those by east, north, up in space.
+        """
+
+
+class FullJacobian(AbstractTiePropagation):
+    """The place moves along the terrain: where that rises, an error on the map is one of the height too."""
+
+    def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
+        del by_enu
+        return by_surface
+
+
+class LevelGround(AbstractTiePropagation):
+    """The place moves as if the ground were level.
+
+    Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", Eq 6: there the transformation
+    of coordinates itself is applied to the error on the map, in place of the chain of its derivatives.
+    """
+
+    def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
+        del by_surface
+        return by_enu[:, :, :2]
+
+
+class AbstractWhitener(eqx.Module):
+    """Rows of ties divided by a root of the covariance of their errors."""
+
+    @abc.abstractmethod
+    def __call__(self, rows: Rows) -> Float[Array, "numbers columns"]:
+        """Rows that are independent, with errors of one."""
+
+
+class Independent(AbstractWhitener):
+    """Of ties that err each for itself: the inverse root of each one's covariance."""
+
+    root: Blocks
+
+    def __call__(self, rows: Rows) -> Float[Array, "numbers columns"]:
+        return jnp.einsum("tij,tjk->tik", self.root, rows).reshape(-1, rows.shape[2])
+
+
+class Alike(AbstractWhitener):
+    """Of ties that err together: the lower root of the covariance of all."""
+
+    lower: Float[Array, "numbers numbers"]
+
+    def __call__(self, rows: Rows) -> Float[Array, "numbers columns"]:
+        return jax.scipy.linalg.solve_triangular(self.lower, rows.reshape(-1, rows.shape[2]), lower=True)
+
+
+class Sensitivity(eqx.Module):
+    """Derivatives of the ties' pixels by the place on the map (east, north) and by the height, px/m; where they lie."""
+
+    by_place: Blocks
+    by_height: Pixels
+    p_ecef: Float[Array, "ties 3"]
+
+
+def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
+    """Errors of ties in float64.
+
+    Raises `TypeError` for anything else, `ValueError` for a standard deviation that is negative or not finite, and for
+    ties without any error.
+    """
+    check_is(errors, TieErrors, "tie_errors")
+    for name in ("registration", "terrain", "shift"):
+        check_range(getattr(errors, name), f"tie_errors.{name}", "m", 0.0, 1e9)
+    if errors.terrain_field is not None:
+        check_is(errors.terrain_field, TerrainField, "tie_errors.terrain_field")
+        errors.terrain_field.check_numbers()
+    errors = as_float64(errors, "tie_errors")
+    place = concrete(ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None, :, :])
+    pixel = concrete(ties.pixel_sigma)
+    if place is None or pixel is None or pixel > 0.0:
+        return errors
+    exact = place[:, 0, 0] * place[:, 1, 1] - place[:, 0, 1] * place[:, 1, 0] <= 0.0
+    if exact.any():
+        raise ValueError(
+            f"tie {int(exact.argmax())} has no error along some direction of the map, nor in the image; give a "
+            "registration in m, a covariance in m2, or a pixel_sigma in px."
+        )
+    return errors
+
+
+def tie_covariances(ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity) -> Blocks:
+    """Covariance in px2 of each tie's residual, were the navigation without error; 1 for those not used."""
+    place = ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None, :, :]
+    by_place, by_height = sensitivity.by_place, sensitivity.by_height
+    total = jnp.einsum("tij,tjk,tlk->til", by_place, place, by_place)
+    variance = jnp.asarray(errors.terrain) ** 2
+    if errors.terrain_field is not None:
+        variance = variance + errors.terrain_field.variance_at(jnp.zeros(()))
+    total = total + variance * by_height[:, :, None] * by_height[:, None, :]
+    total = total + ties.pixel_sigma**2 * jnp.eye(2)[None, :, :]
+    return jnp.where(ties.used[:, None, None], total, jnp.eye(2)[None, :, :])
+
+
+def inverse_roots(cov: Blocks) -> Blocks:
+    """L^-1 of every L L' = cov, lower."""
+    a = jnp.sqrt(cov[:, 0, 0])
+    b = cov[:, 1, 0] / a
+    c = jnp.sqrt(jnp.maximum(cov[:, 1, 1] - b**2, 1e-30 * cov[:, 1, 1]))
+    zero = jnp.zeros_like(a)
+    return jnp.stack([jnp.stack([1.0 / a, zero], axis=1), jnp.stack([-b / (a * c), 1.0 / c], axis=1)], axis=1)
+
+
+def robust_weights(loss: AbstractLoss, roots: Blocks, residuals: Pixels, ties: PaddedTies) -> Weights:
+    """What each tie counts, by the length of its residual in its own standard deviations; zero if it is not used."""
+    squared = jnp.sum(jnp.einsum("tij,tj->ti", roots, residuals) ** 2, axis=1)
+    return jnp.where(ties.used, loss.weight(squared), 0.0)
+
+
+def whitener(
+    cov: Blocks, roots: Blocks, weights: Weights, ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity
+) -> AbstractWhitener:
+    """Of ties with a covariance each, of which a tie with less weight has so much more.
+
+    What it errs more it errs for itself: a wrong match says nothing of its neighbours.
+    """
+    if errors.terrain_field is None:
+        return Independent(roots * jnp.sqrt(weights)[:, None, None])
+    p_ecef, count = sensitivity.p_ecef, ties.used.shape[0]
+    squared = jnp.sum((p_ecef[:, None, :] - p_ecef[None, :, :]) ** 2, axis=2)
+    alike = errors.terrain_field.variance_at(jnp.sqrt(squared))
+    apart = ties.used[:, None] & ties.used[None, :] & ~jnp.eye(count, dtype=bool)
+    alike = jnp.where(apart, alike, 0.0)
+    by_height = sensitivity.by_height
+    total = alike[:, None, :, None] * by_height[:, :, None, None] * by_height[None, None, :, :]
+    own = cov / jnp.maximum(jnp.where(ties.used, weights, 1.0), FAINT)[:, None, None]
+    numbers = jnp.arange(count)
+    total = total.at[numbers, :, numbers, :].add(own)
+    return Alike(jnp.linalg.cholesky(total.reshape(2 * count, 2 * count)))
+
+
+def information_of(rows: Float[Array, "numbers columns"]) -> Float[Array, "columns columns"]:
+    """What independent rows with errors of one tell of their columns."""
+    return rows.T @ rows
+
+
+def squared_length(rows: Float[Array, "numbers columns"]) -> Scalar:
+    """Sum of all squares."""
+    return jnp.sum(rows**2)

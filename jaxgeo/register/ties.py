@@ -1,0 +1,128 @@
+"""Tie points: pixels of an image, and where a reference map shows the same."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Num
+
+from jaxgeo._checks import as_array, as_float64, check_finite, check_is, check_range, concrete
+from jaxgeo._typing import PixelField, ScalarField
+from jaxgeo.earth import Geodetic
+
+if TYPE_CHECKING:
+    CovariancesField: TypeAlias = Any
+else:
+    CovariancesField: TypeAlias = Num[ArrayLike, "... 2 2"]
+
+SIZES = (32, 128, 512, 2048, 4096)  # ties are padded to one of these, so that another number compiles nothing anew
+
+
+class TiePoints(eqx.Module):
+    """Pixels `uv` (n, 2) of an image, and the places where a reference shows the same, by latitude and longitude.
+
+    `covariance` (n, 2, 2) in m2 of east, north is that of each match on the map, independent from tie to tie;
+    `pixel_sigma` in px that of the pixels, along columns and rows alike. The height of `ground`, a `Geodetic` with a
+    leading axis (n,), is not used: it is the terrain's there. With `rise` (n, 2), the slope to the east and to the
+    north in m per m, it is: the tie then lies on that plane, and of the terrain only its errors matter. So it is with
+    what was matched over some width: that moves as the mean ground of it does, not as the facet at its middle.
+    """
+
+    uv: PixelField
+    ground: Geodetic
+    covariance: CovariancesField
+    pixel_sigma: ScalarField = 0.0
+    rise: PixelField | None = None
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return jnp.shape(self.uv)[0]
+
+
+class PaddedTies(NamedTuple):
+    """Ties in an array of one of the `SIZES`; those that are not `used` repeat the last and count for nothing."""
+
+    uv: Float[Array, "ties 2"]
+    lat: Float[Array, " ties"]
+    lon: Float[Array, " ties"]
+    covariance: Float[Array, "ties 2 2"]
+    pixel_sigma: Float[Array, ""]
+    used: Bool[Array, " ties"]
+    height: Float[Array, " ties"]
+    rise: Float[Array, "ties 2"] | None
+
+
+def checked_ties(ties: Any) -> TiePoints:
+    """Tie points in float64.
+
+    Raises `TypeError` for anything else, `ValueError` for none, for shapes that do not fit, numbers that are not
+    finite, and a covariance of a match that is none.
+    """
+    check_is(ties, TiePoints, "ties")
+    check_is(ties.ground, Geodetic, "ties.ground")
+    place = (as_array(ties.ground.lat, "ties.ground.lat"), as_array(ties.ground.lon, "ties.ground.lon"))
+    numbers: Any = (as_array(ties.uv, "ties.uv"), *place, as_array(ties.covariance, "ties.covariance"))
+    uv, lat, lon, covariance = as_float64(numbers, "ties")
+    count = uv.shape[0] if uv.ndim else 0
+    if count == 0:
+        raise ValueError("ties holds no tie point: there is nothing to update by.")
+    wanted = {"uv": (count, 2), "ground.lat": (count,), "ground.lon": (count,), "covariance": (count, 2, 2)}
+    for (name, shape), value in zip(wanted.items(), (uv, lat, lon, covariance), strict=True):
+        if value.shape != shape:
+            raise ValueError(f"ties.{name} must have the shape {shape}; got {value.shape}.")
+        check_finite(value, f"ties.{name}", {"uv": "px", "covariance": "m2"}.get(name, "rad"))
+    check_range(lat, "ties.ground.lat", "rad", -0.5 * np.pi, 0.5 * np.pi)
+    check_range(ties.pixel_sigma, "ties.pixel_sigma", "px", 0.0, 1e6)
+    _check_covariances(concrete(covariance))
+    pixel_sigma = as_float64(ties.pixel_sigma, "ties.pixel_sigma")
+    if ties.rise is None:
+        return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=jnp.zeros(count)), covariance, pixel_sigma)
+    of_plane: Any = (as_array(ties.ground.height, "ties.ground.height"), as_array(ties.rise, "ties.rise"))
+    height, rise = as_float64(of_plane, "ties")
+    for name, shape, value in (("ground.height", (count,), height), ("rise", (count, 2), rise)):
+        if value.shape != shape:
+            raise ValueError(f"ties.{name} must have the shape {shape}; got {value.shape}.")
+        check_finite(value, f"ties.{name}", "m" if name == "ground.height" else "m per m")
+    return TiePoints(uv, Geodetic(lat=lat, lon=lon, height=height), covariance, pixel_sigma, rise)
+
+
+def padded(ties: TiePoints) -> PaddedTies:
+    """Checked ties as arrays of one of the `SIZES`. Raises `ValueError` for more than the largest of them."""
+    count = ties.count
+    if count > SIZES[-1]:
+        raise ValueError(f"ties holds {count} tie points; an update takes up to {SIZES[-1]}. Thin them out.")
+    size = next(size for size in SIZES if size >= count)
+
+    def longer(values: Any) -> Array:
+        pad = jnp if concrete(values) is None else np  # NumPy compiles nothing
+        width = [(0, size - count)] + [(0, 0)] * (jnp.ndim(values) - 1)
+        return jnp.asarray(pad.pad(values, width, mode="edge"))
+
+    return PaddedTies(
+        longer(ties.uv),
+        longer(ties.ground.lat),
+        longer(ties.ground.lon),
+        longer(ties.covariance),
+        jnp.asarray(ties.pixel_sigma),
+        jnp.asarray(np.arange(size) < count),
+        longer(ties.ground.height),
+        None if ties.rise is None else longer(ties.rise),
+    )
+
+
+def _check_covariances(covariance: np.ndarray | None) -> None:
+    if covariance is None:
+        return
+    (a, b), (c, d) = np.moveaxis(covariance, 0, -1)
+    wrong = (a < 0.0) | (d < 0.0) | (np.abs(b - c) > 1e-9 * (a + d)) | (a * d - b * c < -1e-9 * (a + d) ** 2)
+    if np.any(wrong):
+        tie = int(np.argmax(wrong))
+        raise ValueError(
+            f"ties.covariance of tie {tie} must be symmetric and positive semi-definite, in m2 of east, north; got "
+            f"{covariance[tie].tolist()}."
+        )

@@ -1,0 +1,154 @@
+"""The update: a navigation's errors estimated from tie points between its image and a reference map."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_float64, check_is, concrete
+from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo.adjust.losses import AbstractLoss, Huber
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.register._equations import Problem
+from jaxgeo.register._solution import Solution, solved
+from jaxgeo.register.posterior import Update
+from jaxgeo.register.prior import Prior, checked_prior
+from jaxgeo.register.tie_errors import AbstractTiePropagation, FullJacobian, TieErrors, checked_tie_errors
+from jaxgeo.register.ties import TiePoints, checked_ties, padded
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain, Dem
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.sources import TerrainField
+
+ALONE = 10.0  # standard deviations of a lone tie, within which a prior must foretell it
+HUBER, FULL_JACOBIAN = Huber(), FullJacobian()
+
+
+def update(
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    ties: TiePoints,
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    tie_errors: TieErrors,
+    *,
+    prior: Prior | None = None,
+    loss: AbstractLoss = HUBER,
+    propagation: AbstractTiePropagation = FULL_JACOBIAN,
+    time: ArrayLike | None = None,
+    atmosphere: Atmosphere | None = None,
+) -> Update:
+    """Correct sensor, shot and terrain by what a reference map shows, and say how sure they then are.
+
+    `sensor`, `shot` (or a trajectory with the image's `time` in s), `terrain` and `atmosphere` are as the navigation
+    gives them, as for `jaxgeo.locate`; `errors` is the `ErrorModel` of how they err, or a tuple of sources: its error
+    vector is estimated, together with the map's shift. All its sources may have a part (position, attitude, gimbal,
+    boresight, interior orientation, a terrain height common to all, ...); what the ties tell nothing of keeps its
+    prior. `ties` are the matched points, `tie_errors` how map and terrain err there.
+
+    The residual of a tie is its pixel less the image of its place on the map less the map's shift, on the terrain; its
+    covariance is that of the match, the map and the terrain's height by the derivatives of the image (`propagation`),
+    and of the pixel. Least squares with these and with the prior by Gauss and Newton, damped where a step goes wrong;
+    each step is taken into the look, so that the covariance is about the corrected one. Residuals count by `loss`. One
+    that falls to nothing (`Tukey`, `Cauchy`) starts from what `Huber` finds.
+
+    `prior` says what is known before: by default that no error is likeliest, with the covariance of `errors` and of
+    `tie_errors.shift`. One of `next_prior` goes on from another image; `tie_errors.shift` then has no part.
+
+    Works under `jit` and `vmap`; derivatives of the result are not to be had. One that does not converge has that
+    status, and NaN.
+    Raises `TypeError` for arguments of the wrong kind and float32, `RuntimeError` with 64-bit floats off. `ValueError`
+    for no ties, shapes that do not fit, numbers that are not finite, ties over no known terrain (by number), more than
+    4096 ties, a `TerrainField` among `errors` (it goes into `tie_errors`), ties without any error, as
+    `jaxgeo.uncertainty.propagate` does for errors, and for a single tie whose pixel the prior foretells less well than
+    to ten of its standard deviations: nothing would tell a wrong one.
+    """
+    sensor, shot, moment = observation(sensor, shot, time)
+    check_terrain(terrain, FIRST_HIT)
+    ties = checked_ties(ties)
+    tie_errors = checked_tie_errors(tie_errors, ties)
+    check_is(loss, AbstractLoss, "loss")
+    check_is(propagation, AbstractTiePropagation, "propagation")
+    terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
+    look = Look(sensor, shot, moment, jnp.asarray(ties.uv)[0], terrain, checked_air(atmosphere))
+    model = checked_model(errors, look)
+    _check_sources(model)
+    prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
+    loss = as_float64(loss, "loss")
+    solution = solved(Problem(look, model, padded(ties), tie_errors, prior, loss, propagation))
+    _check_ground(solution, ties.count)
+    _check_alone(solution, ties.count)
+    return _handed_over(solution, look, model, prior, ties.count, time is not None)
+
+
+def _handed_over(solution: Solution, look: Look, model: ErrorModel, prior: Prior, count: int, has_time: bool) -> Update:
+    moving = solution.moving
+    terrain = look.terrain
+    if solution.terrain is not None:
+        terrain = solution.terrain
+    elif isinstance(terrain, Dem) and solution.field is not None:
+        terrain = dataclasses.replace(terrain, field=solution.field)  # without a copy of its posts
+    return Update(
+        sensor=moving.sensor,
+        shot=moving.motion,
+        time=moving.time if has_time or isinstance(moving.motion, Trajectory) else None,
+        terrain=terrain,
+        atmosphere=moving.air,
+        errors=model,
+        prior=prior,
+        error=solution.unknowns[:-2],
+        shift=solution.unknowns[-2:],
+        covariance=solution.covariance,
+        residuals=_first(solution.residuals, count),
+        normalised=_first(solution.normalised, count),
+        cov_residuals=_first(solution.cov_residuals, count),
+        weights=_first(solution.weights, count),
+        chi_square_ties=solution.chi_square_ties,
+        chi_square_prior=solution.chi_square_prior,
+        redundancy_prior=solution.determined,
+        steps=solution.steps,
+        status=solution.status,
+    )
+
+
+def _first(values: Any, count: int) -> Any:
+    known = concrete(values)
+    return values[:count] if known is None else jnp.asarray(known[:count])  # without compiling for every number
+
+
+def _check_sources(model: ErrorModel) -> None:
+    for number, source in enumerate(model.sources):
+        if isinstance(source, TerrainField):
+            raise ValueError(
+                f"errors[{number}] is a TerrainField, which is an error along one line of sight; for the ground at the "
+                "ties give it as TieErrors(terrain_field=...), and what is common to all as a TerrainHeight."
+            )
+
+
+def _check_ground(solution: Solution, count: int) -> None:
+    known = concrete(solution.has_ground)
+    if known is None or known[:count].all():
+        return
+    lost = [tie for tie in range(count) if not known[tie]]
+    named = ", ".join(str(tie) for tie in lost[:20]) + (", ..." if len(lost) > 20 else "")
+    raise ValueError(
+        f"{len(lost)} of {count} ties lie outside the terrain or over a void: {named}. Leave them out, or load a "
+        "larger terrain."
+    )
+
+
+def _check_alone(solution: Solution, count: int) -> None:
+    foretold, status = concrete(solution.foretold), concrete(solution.status)
+    if count > 1 or foretold is None or status is None or status != Status.hit or foretold <= ALONE:
+        return
+    raise ValueError(
+        f"ties holds {count} tie point, whose pixel the prior foretells to {float(foretold):.3g} of its standard "
+        f"deviations only: more than {ALONE:g}, so that nothing would tell a wrong match. Give two or more."
+    )
