@@ -6,16 +6,23 @@ from jaxgeo.io.accuracy_map import write_accuracy_map
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
-from jaxgeo.io.errors import DemError, TableError, VerticalDatumError
+from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
 from jaxgeo.io.exposures import write_exposures
 from jaxgeo.io.files import DemFiles, open_dem
 from jaxgeo.io.footprints import write_footprints
 from jaxgeo.io.gcp import GroundControl, read_gcp_list
 from jaxgeo.io.geoid import height_msl, undulation
 from jaxgeo.io.image_points import read_image_points, write_image_points
+from jaxgeo.io.images import read_image
+from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
 from jaxgeo.io.orientations import Orientations, read_orientations, write_orientations
+from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
+from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
+from jaxgeo.io.rectified import RectifiedFile, rectify_file
+from jaxgeo.io.scene_writer import write_updated_scene
+from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
     "BalProblem",
@@ -23,9 +30,15 @@ __all__ = [
     "DemFiles",
     "DemReport",
     "GroundControl",
+    "ImageError",
+    "MapRaster",
     "Orientations",
+    "OrthoWriter",
+    "OrthoimageReport",
     "Reconstruction",
+    "RectifiedFile",
     "TableError",
+    "TieRow",
     "VerticalDatumError",
     "example_dem",
     "height_msl",
@@ -36,11 +49,15 @@ __all__ = [
     "read_dem",
     "read_dem_and_report",
     "read_gcp_list",
+    "read_image",
     "read_image_points",
     "read_navigation",
     "read_opensfm",
     "read_opensfm_cameras",
     "read_orientations",
+    "read_orthoimage",
+    "read_orthoimage_and_report",
+    "rectify_file",
     "undulation",
     "write_accuracy_map",
     "write_bal",
@@ -48,4 +65,7 @@ __all__ = [
     "write_footprints",
     "write_image_points",
     "write_orientations",
+    "write_orthoimage",
+    "write_tie_points",
+    "write_updated_scene",
 ]

@@ -13,3 +13,7 @@ class VerticalDatumError(DemError):
 
 class TableError(ValueError):
     """A table that cannot be read; the message names the file, the row and the column."""
+
+
+class ImageError(ValueError):
+    """An image or an orthoimage that cannot be used as it stands: the message names the file, the place, the reason."""

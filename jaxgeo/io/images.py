@@ -1,0 +1,160 @@
+"""Images as arrays: bands of a raster file in the file's own type, and where there is an image at all."""
+
+from __future__ import annotations
+
+import operator
+import os
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rasterio
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from jaxgeo.io.errors import ImageError
+from jaxgeo.sensor.camera import AbstractCamera
+
+Bands = int | Sequence[int] | Any | None
+CLOSE = 0.005  # by which the ratios of sides may differ where an image is the camera's at another size
+
+
+def read_image(path: str | os.PathLike[str], bands: Bands = None) -> tuple[np.ndarray, np.ndarray]:
+    """An image as the camera took it: values (bands, rows, cols) in the file's dtype, and where known (rows, cols).
+
+    `bands` count from 1; by default all but an alpha band. A pixel is unknown where a mask or an alpha band says so,
+    where all colours have the nodata value of the file, and where a value is NaN or infinite, which is then read as
+    zero. A dark pixel, zero in one band of several, is known.
+
+    What the file says of a map is passed over: frames often carry a rough or wrong geotransform. So is a flag of EXIF
+    or TIFF that the image is to be turned, since pixels are counted as the sensor has them.
+
+    Raises `ImageError` for a folder, a file that is no image, or is damaged, bands that are not there, complex numbers,
+    a palette, and an image of which nothing is known; `FileNotFoundError`.
+    """
+    name = os.fspath(path)
+    with opened(name) as data:
+        return read_bands(name, data, chosen_bands(name, data, bands))
+
+
+def check_size(name: str, shape: Sequence[int], camera: AbstractCamera | Any) -> None:
+    """Raises `ImageError` unless an image (..., rows, cols) has the size of a camera; `name` is the file's.
+
+    Cameras that have no size take any image.
+    """
+    width, height = (getattr(camera, side, None) for side in ("width", "height"))
+    rows, cols = shape[-2:]
+    if width is None or height is None or (rows, cols) == (height, width):
+        return
+    across, down = cols / width, rows / height
+    told = f"{name}: the image has {cols} columns and {rows} rows, the camera of the scene {width} and {height}"
+    if abs(across / down - 1.0) < CLOSE:
+        raise ImageError(
+            f"{told}. If it is the camera's image at {across:.6g} times its size, scale the camera too: width, height, "
+            f"and focal length and principal point in pixels; else it belongs to another scene."
+        )
+    if abs((rows / width) / (cols / height) - 1.0) < CLOSE:
+        raise ImageError(f"{told}: it seems to be turned by a quarter. Give the image as the sensor has it.")
+    raise ImageError(f"{told}. It is cut, or belongs to another scene; name the scene of this image.")
+
+
+def opened(name: str) -> rasterio.DatasetReader:
+    """An image file, open. Raises as `read_image`."""
+    is_plain = "://" not in name and not name.startswith("/vsi") and ":" not in name[2:]
+    if is_plain and not os.path.exists(name):
+        raise FileNotFoundError(f"{name}: no such file.")
+    if is_plain and os.path.isdir(name):
+        raise ImageError(f"{name}: this is a folder; give the image in it.")
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            return rasterio.open(name)
+        except RasterioError as error:
+            raise ImageError(f"{name}: not an image that GDAL can open, or a damaged one: {error}") from error
+
+
+def chosen_bands(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:
+    """The numbers of the bands asked for, from 1. Raises `ImageError`."""
+    if not data.count:
+        inside = f"it holds {len(data.subdatasets)} images; name one: {data.subdatasets[0]}" if data.subdatasets else ""
+        raise ImageError(f"{name}: there are no bands; {inside or 'it is no image'}.")
+    chosen = _numbers(name, data, bands)
+    for band in chosen:
+        if not 1 <= band <= data.count:
+            raise ImageError(f"{name}: there is no band {band}; the file has bands 1 to {data.count}.")
+        if "complex" in data.dtypes[band - 1]:
+            raise ImageError(
+                f"{name}: band {band} holds complex numbers ({data.dtypes[band - 1]}); write their amplitude first."
+            )
+        if data.colorinterp[band - 1] == ColorInterp.palette:
+            raise ImageError(
+                f"{name}: band {band} holds numbers of a palette, not brightness; expand it first "
+                f"(gdal_translate -expand rgb)."
+            )
+    kinds = sorted({data.dtypes[band - 1] for band in chosen})
+    if len(kinds) > 1:
+        raise ImageError(
+            f"{name}: its bands are of different types ({', '.join(kinds)}); choose those of one with bands=."
+        )
+    return chosen
+
+
+def read_bands(
+    name: str, data: rasterio.DatasetReader, bands: Sequence[int], window: Window | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
+    rows = f"rows {window.row_off} to {window.row_off + window.height}" if window else "it"
+    try:
+        values = data.read(list(bands), window=window)
+        known = _known(data, window)
+    except RasterioError as error:
+        raise ImageError(
+            f"{name}: {rows} cannot be read; the file is damaged or cut short: {error.__cause__ or error}"
+        ) from error
+    if values.dtype.kind == "f":
+        finite = np.isfinite(values)
+        known &= finite.all(axis=0)
+        values[~finite] = 0.0
+    if not known.any():
+        where = f"{rows}, columns {window.col_off} to {window.col_off + window.width}" if window else "the whole image"
+        raise ImageError(
+            f"{name}: {where}: no pixel is known; all are nodata ({data.nodata}), masked or not finite. If they are an "
+            f"image all the same, correct the nodata value of the file (gdal_edit -unsetnodata)."
+        )
+    return values, known
+
+
+def _numbers(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:
+    colours = _colours(data)
+    if bands is None:
+        if not colours:
+            raise ImageError(f"{name}: its only band is an alpha band; there is no image in it.")
+        return colours
+    try:
+        chosen = [operator.index(band) for band in (bands if isinstance(bands, Sequence | np.ndarray) else [bands])]
+    except TypeError as error:
+        raise ImageError(f"{name}: bands must be whole numbers from 1; got {bands!r}.") from error
+    if not chosen:
+        raise ImageError(f"{name}: no band is asked for; bands= takes one or more of 1 to {data.count}, or None.")
+    return chosen
+
+
+def _colours(data: rasterio.DatasetReader) -> list[int]:
+    """The bands that are no alpha."""
+    return [band for band, kind in zip(data.indexes, data.colorinterp, strict=True) if kind != ColorInterp.alpha]
+
+
+def _known(data: rasterio.DatasetReader, window: Window | None) -> np.ndarray:
+    """Where there is an image: nodata must be in all colours, whichever of them are read."""
+    shape = data.shape if window is None else (window.height, window.width)
+    known = np.zeros(shape, bool)
+    for band in _colours(data) or data.indexes:
+        known |= data.read_masks(band, window=window) != 0
+        if MaskFlags.nodata not in data.mask_flag_enums[band - 1]:  # one mask for all, or none
+            break
+    for band, kind in zip(data.indexes, data.colorinterp, strict=True):
+        if kind == ColorInterp.alpha:  # GDAL's own mask heeds it for 8- and 16-bit files only
+            known &= data.read(band, window=window) != 0
+    return known

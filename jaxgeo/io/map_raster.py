@@ -1,0 +1,283 @@
+"""Rasters on a map: CRS, transform and shape as a caller asks for them, the rest told from what there is to see."""
+
+from __future__ import annotations
+
+import math
+import os
+import pathlib
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+from pyproj.exceptions import CRSError
+from rasterio.transform import Affine
+
+from jaxgeo.earth import WGS84
+from jaxgeo.io._proj import NoOperation, operation
+from jaxgeo.io.errors import DemError
+from jaxgeo.io.gridding import make_grid
+from jaxgeo.io.mapping import FileMap, file_map
+from jaxgeo.io.vertical import horizontal_part
+from jaxgeo.locate import locate
+from jaxgeo.sensor import Pose, Sensor
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain, Dem
+from jaxgeo.terrain.grid import AbstractGrid
+
+LATTICE = 65  # pixels along a side of the image, or places along one of a terrain, by which its extent is told
+MARGIN = 0.01  # of the extent, by which it is widened: between the pixels of the lattice it may reach farther
+MOST_CELLS = 4_000_000  # of a raster at a terrain's spacing, where nobody named the resolution
+MOST_CELLS_A_PIXEL = 16.0  # the same at an image's sampling: far off, an oblique image covers much with few pixels
+MIDDLE = 64  # meshes of the lattice about the middle of an image whose median is its ground sampling
+DIGITS = 3  # of a resolution that nobody named
+
+
+class MapRaster(NamedTuple):
+    """A raster's CRS, the transform of its corners, and (rows, cols)."""
+
+    crs: pyproj.CRS
+    transform: Affine
+    shape: tuple[int, int]
+
+
+class Spacing(NamedTuple):
+    """The size in m of cells where nobody named one: its name in words, and how many cells may come of it."""
+
+    metres: float
+    words: str
+    most_cells: float
+    digits: int | None = None
+    """Significant digits that are kept of the resolution; None for all."""
+
+
+def raster_of(
+    name: str,
+    sensor: Sensor,
+    shot: Any,
+    terrain: Any,
+    crs: Any,
+    bounds: Any,
+    resolution: Any,
+    how: Mapping[str, Any],
+    spacing: Callable[[], Spacing] | None = None,
+) -> MapRaster:
+    """The raster asked for, with what was left out told from the area that there is to see.
+
+    `how` are options of `locate`, others are passed over; `spacing` is asked where no resolution is named, by default
+    that of the terrain. `name` is the file's, for messages. Raises `ValueError` for what makes no sense.
+    """
+    if crs is None and bounds is not None:
+        raise ValueError(f"{name}: bounds={bounds!r} are in the unit of a CRS; name it with crs=.")
+    area = _area(name, sensor, shot, terrain, how) if bounds is None else None
+    flat = checked_crs(name, crs) if crs is not None else _usual_crs(*_middle(area))
+    edges = _bounds_of(name, flat, area) if bounds is None else _checked_bounds(name, bounds)
+    usual = None if resolution is not None else terrain_spacing(name, terrain) if spacing is None else spacing()
+    size = _checked_resolution(name, resolution) if usual is None else _in_unit(usual, flat, edges)
+    (west, south, east, north), (across, down) = edges, size
+    if bounds is None:
+        west, north = across * math.floor(west / across), down * math.ceil(north / down)
+    cols, rows = (max(1, math.ceil(n - 1e-9)) for n in ((east - west) / across, (north - south) / down))
+    if usual is not None and rows * cols > usual.most_cells:
+        raise ValueError(
+            f"{name}: at the {usual.words} the map would have {rows} x {cols} cells; name a coarser resolution=, "
+            f"or a part with bounds=."
+        )
+    return MapRaster(flat, Affine(across, 0.0, west, 0.0, -down, north), (rows, cols))
+
+
+def map_of(name: str, raster: MapRaster, *, assume_wgs84: bool = False) -> FileMap:
+    """PROJ's view of a raster, with (row, col) counted from the middles of cells. Raises as `file_map`."""
+    a, b, c, d, e, f = raster.transform[:6]
+    centred = (a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
+    return file_map(name, raster.crs, centred, raster.shape, assume_wgs84=assume_wgs84)
+
+
+def grid_of(raster: MapRaster, name: str = "raster") -> AbstractGrid:
+    """Where the middles of a raster's cells lie on the Earth; row and column 0 are those of the first cell's middle.
+
+    Raises `DemError` where PROJ cannot map the raster, or no grid follows it to 1 mm.
+    """
+    return make_grid(name, map_of(name, raster))[0]
+
+
+def checked_target(path: str | os.PathLike[str], what: str) -> pathlib.Path:
+    """Where to write a GeoTIFF, told before the work if it cannot be done; `what` it is, for the message."""
+    target = pathlib.Path(path)
+    if target.suffix.lower() not in (".tif", ".tiff"):
+        raise ValueError(f"{target}: {what} is written as a GeoTIFF; name a file that ends in .tif.")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"{target}: there is no folder {target.parent}.")
+    if target.is_dir() or not os.access(target.parent, os.W_OK):
+        raise PermissionError(f"{target}: no file can be written here.")
+    return target
+
+
+def terrain_spacing(name: str, terrain: Any) -> Spacing:
+    """The terrain's own."""
+    if not isinstance(terrain, Dem):
+        raise ValueError(
+            f"{name}: a {type(terrain).__name__} has no spacing; name the size of a cell with resolution=."
+        )
+    metres = float(np.sqrt(np.prod(np.asarray(terrain.grid.cell_size()))))
+    return Spacing(metres, "terrain's spacing", MOST_CELLS)
+
+
+def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]) -> Spacing:
+    """The side of a square as large as what a pixel covers, seen from above, about the middle of the image.
+
+    The median over the meshes of a lattice that are nearest to the middle and see ground. Raises `ValueError`.
+    """
+    uv, lon, lat, seen = _seen(sensor, shot, terrain, how)
+    if not seen.any():
+        raise _sees_nothing(name)
+    place = np.radians([lon - lon[seen][0], lat])
+    place[0] = np.remainder(place[0] + np.pi, 2.0 * np.pi) - np.pi
+    east, north = (WGS84.a * x.reshape(LATTICE, LATTICE) for x in (place[0] * np.cos(place[1]), place[1]))
+    falling, rising = ((x[1:, 1:] - x[:-1, :-1], x[1:, :-1] - x[:-1, 1:]) for x in (east, north))
+    area = 0.5 * np.abs(falling[0] * rising[1] - falling[1] * rising[0]).ravel()
+    usable = np.flatnonzero(np.isfinite(area) & (area > 0.0))
+    if not usable.size:
+        raise ValueError(f"{name}: too little of the image sees ground to tell its sampling; name resolution=.")
+    pixels = uv.reshape(LATTICE, LATTICE, 2)
+    off = np.linalg.norm((pixels[1:, 1:] + pixels[:-1, :-1]) / 2.0 - uv.mean(axis=0), axis=-1).ravel()
+    nearest = usable[np.argsort(off[usable], kind="stable")[:MIDDLE]]
+    per_mesh = float(np.prod(pixels[1, 1] - pixels[0, 0]))
+    most = MOST_CELLS_A_PIXEL * per_mesh * (LATTICE - 1) ** 2
+    return Spacing(float(np.sqrt(np.median(area[nearest]) / per_mesh)), "image's sampling", most, DIGITS)
+
+
+def checked_crs(name: str, crs: Any) -> pyproj.CRS:
+    """The horizontal part of a CRS that pyproj takes. Raises `ValueError` for one that is no map."""
+    try:
+        flat = horizontal_part(pyproj.CRS.from_user_input(crs))
+    except CRSError as error:
+        raise ValueError(f"{name}: PROJ does not know the crs {crs!r}: {error}") from error
+    if not (flat.is_geographic or flat.is_projected):
+        raise ValueError(f"{name}: a map needs a projected or geographic crs; {flat.name!r} is a {flat.type_name}.")
+    return flat
+
+
+def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Longitudes and latitudes in deg that the map is to cover, no jump between them."""
+    if isinstance(shot, Pose):
+        if not isinstance(terrain, Dem):
+            raise ValueError(f"{name}: a {type(terrain).__name__} has no edge; name the area with crs= and bounds=.")
+        last = np.asarray(terrain.extent) - 1.0
+        t = np.linspace(0.0, 1.0, LATTICE)
+        rowcol = np.stack(np.meshgrid(t * last[0], t * last[1], indexing="ij"), axis=-1).reshape(-1, 2)
+        x, y, z = np.asarray(_normals(terrain, jnp.asarray(rowcol))).T
+        lat, lon = np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
+    else:
+        _, lon, lat, seen = _seen(sensor, shot, terrain, how)
+        if not seen.any():
+            raise _sees_nothing(name)
+        lon, lat = lon[seen], lat[seen]
+    return lon[0] + np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0, lat
+
+
+def _seen(
+    sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels (n, 2) of a lattice over the image, row by row, the longitudes and latitudes in deg that they see, NaN
+    where there is none, and where there is one."""
+    width, height = (getattr(sensor.camera, side) for side in ("width", "height"))
+    u, v = np.linspace(-0.5, width - 0.5, LATTICE), np.linspace(-0.5, height - 0.5, LATTICE)
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    options = {key: how[key] for key in ("time", "search", "atmosphere") if key in how}
+    lat, lon, status = (np.asarray(x) for x in _located(sensor, shot, jnp.asarray(uv), terrain, options))
+    seen = status == Status.hit
+    lat, lon = (np.where(seen, np.degrees(x), np.nan) for x in (lat, lon))
+    return uv, lon, lat, seen
+
+
+def _sees_nothing(name: str) -> ValueError:
+    return ValueError(f"{name}: no line of sight of the image comes down on the terrain; there is nothing to map.")
+
+
+@eqx.filter_jit
+def _located(sensor: Sensor, shot: Any, uv: jax.Array, terrain: AbstractTerrain, options: dict[str, Any]) -> Any:
+    """Latitudes and longitudes in rad, and statuses."""
+    fix = jax.vmap(lambda pixel: locate(sensor, shot, pixel, terrain, **options))(uv)
+    return fix.position.lat, fix.position.lon, fix.status
+
+
+@eqx.filter_jit
+def _normals(terrain: Dem, rowcol: jax.Array) -> jax.Array:
+    return jax.vmap(terrain.grid.normal)(rowcol)
+
+
+def _middle(area: tuple[np.ndarray, np.ndarray] | None) -> tuple[float, float]:
+    assert area is not None
+    lon, lat = ((x.min() + x.max()) / 2.0 for x in area)
+    return float((lon + 180.0) % 360.0 - 180.0), float(lat)
+
+
+def _usual_crs(lon: float, lat: float) -> pyproj.CRS:
+    """UTM on WGS 84, without the exceptions of Norway and Spitsbergen; UPS about the poles."""
+    if not -80.0 <= lat <= 84.0:
+        return pyproj.CRS.from_epsg(5041 if lat > 0.0 else 5042)
+    zone = int((lon + 180.0) // 6.0) % 60 + 1
+    return pyproj.CRS.from_epsg((32600 if lat >= 0.0 else 32700) + zone)
+
+
+def _checked_bounds(name: str, bounds: Any) -> tuple[float, float, float, float]:
+    try:
+        west, south, east, north = (float(edge) for edge in bounds)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: bounds must be (west, south, east, north) in the CRS; got {bounds!r}.") from error
+    if not (all(map(math.isfinite, (west, south, east, north))) and west < east and south < north):
+        raise ValueError(f"{name}: bounds must be finite, with west < east and south < north; got {bounds!r}.")
+    return west, south, east, north
+
+
+def _checked_resolution(name: str, resolution: Any) -> tuple[float, float]:
+    try:
+        across, down = (float(x) for x in np.broadcast_to(resolution, 2))
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name}: resolution must be one size of a cell, or (across, down); got {resolution!r}."
+        ) from error
+    if not (0.0 < across < math.inf and 0.0 < down < math.inf):
+        raise ValueError(f"{name}: resolution must be positive and finite, in the CRS's unit; got {resolution!r}.")
+    return across, down
+
+
+def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, float, float]:
+    """(west, south, east, north) in a CRS of an area in deg, and a little more."""
+    lon, lat = area
+    turned = (lon + 180.0) % 360.0 - 180.0
+    try:
+        found = operation(crs, "EPSG:4326", (turned[0], lat.min(), turned[0], lat.max()))
+    except NoOperation as error:
+        raise DemError(
+            f"{name}: PROJ knows no transformation from WGS 84 to {crs.name!r} but a ballpark one."
+        ) from error
+    x, y = (np.asarray(v) for v in found.transformer.transform(turned, lat, direction="INVERSE"))
+    if crs.is_geographic:
+        turn = 2.0 * np.pi / crs.axis_info[0].unit_conversion_factor
+        x = x - turn * np.round((x - x[0]) / turn)
+    known = np.isfinite(x) & np.isfinite(y)
+    if not known.any():
+        raise ValueError(f"{name}: the area lies outside what {crs.name!r} maps.")
+    x, y = x[known], y[known]
+    wider = MARGIN * np.array([np.ptp(x), np.ptp(y)])
+    west, south, east, north = x.min() - wider[0], y.min() - wider[1], x.max() + wider[0], y.max() + wider[1]
+    return float(west), float(south), float(east), float(north)
+
+
+def _in_unit(usual: Spacing, crs: pyproj.CRS, edges: tuple[float, float, float, float]) -> tuple[float, float]:
+    """A spacing, across and down, in the unit of a CRS."""
+    metres, unit = usual.metres, crs.axis_info[0].unit_conversion_factor
+    if not crs.is_geographic:
+        return _rounded(metres / unit, usual.digits), _rounded(metres / unit, usual.digits)
+    lat = (edges[1] + edges[3]) / 2.0 * unit
+    across, down = metres / (WGS84.a * max(math.cos(lat), 0.01) * unit), metres / (WGS84.a * unit)
+    return _rounded(across, usual.digits), _rounded(down, usual.digits)
+
+
+def _rounded(value: float, digits: int | None) -> float:
+    return value if digits is None else float(f"{value:.{digits}g}")

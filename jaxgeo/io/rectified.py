@@ -1,0 +1,139 @@
+"""Images from files rectified into files: tile by tile, so that the result may be larger than memory."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo.io.images import Bands, check_size, read_image
+from jaxgeo.io.map_raster import MapRaster, checked_target, grid_of, image_spacing, raster_of
+from jaxgeo.io.ortho_writer import BLOCK, OrthoWriter
+from jaxgeo.io.orthoimages import raster_of_file
+from jaxgeo.io.windows import Bounds
+from jaxgeo.register.interpolation import AbstractInterpolation
+from jaxgeo.register.rectify import BILINEAR, Rectifier, Tile, tiles_of
+from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty.places import with_bar
+
+
+class RectifiedFile(NamedTuple):
+    """What was written: on which raster, how many of its cells show the image, and how many have each `Status`."""
+
+    path: str
+    raster: MapRaster
+    known: int
+    counts: dict[Status, int]
+
+
+class _Counts:
+    """Cells by status, and those that are known."""
+
+    def __init__(self) -> None:
+        self.known, self.codes = 0, np.zeros(256, np.int64)
+
+    def add(self, tile: Tile) -> None:
+        self.known += int(np.count_nonzero(tile.known))
+        self.codes += np.bincount(np.asarray(tile.status).astype(np.uint8).ravel(), minlength=256)
+
+    def named(self) -> dict[Status, int]:
+        return {one: int(self.codes[int(one)]) for one in Status if self.codes[int(one)]}
+
+
+def rectify_file(
+    path: str | os.PathLike[str],
+    image: str | os.PathLike[str],
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    terrain: AbstractTerrain,
+    *,
+    crs: Any = None,
+    bounds: Bounds | None = None,
+    resolution: float | int | tuple[float | int, float | int] | None = None,
+    like: str | os.PathLike[str] | MapRaster | None = None,
+    bands: Bands = None,
+    interpolation: AbstractInterpolation = BILINEAR,
+    cog: bool = False,
+    status: bool = False,
+    progress: bool = False,
+    **how: Any,
+) -> RectifiedFile:
+    """An image file brought onto the ground and written to a GeoTIFF, in the image's dtype.
+
+    - `crs`: anything pyproj takes; by default the zone of UTM, or UPS, about the middle of what the image sees.
+    - `bounds`: (west, south, east, north) in the unit of that CRS; by default what the image sees of the ground.
+    - `resolution`: the size of a cell, or (across, down), in the same unit; by default the ground sampling in the
+      middle of the image.
+    - `like`: another orthoimage's file, or raster, to be written onto the very cells of that, instead of the three.
+    - `bands` of the image, by default all but alpha; `cog` makes a cloud-optimised GeoTIFF.
+    - `status`: also a file `*_status.tif` beside it, with the code of the `Status` of each cell: `hit` where the image
+      shows it (unless the image is unknown there), or why not. Its tags say what the codes mean.
+    - `progress` shows a bar, on a terminal.
+
+    Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Where
+    ground is hidden and where the image does not reach, cells are unknown. Files appear when all is written.
+    Raises `ImageError` for the image, also where it has another size than the camera; `ValueError` for a raster that
+    makes no sense, or shows nothing of the image; `FileNotFoundError`, `OSError` where it cannot be written.
+    """
+    target = checked_target(path, "an orthoimage")
+    beside = target.with_name(f"{target.stem}_status{target.suffix}")
+    check_is(sensor, Sensor, "sensor")
+    values, known = read_image(image, bands)
+    check_size(os.fspath(image), values.shape, sensor.camera)
+    raster = _raster(f"{target}", sensor, shot, terrain, (crs, bounds, resolution), like, how)
+    grid = grid_of(raster, f"{target}")
+    rectifier = Rectifier(sensor, shot, values, known, terrain, grid, interpolation=interpolation, **how)
+    tags = {"INTERPOLATION": type(interpolation).__name__, "IMAGE": pathlib.Path(image).name}
+    with OrthoWriter(target, raster, bands=values.shape[0], dtype=values.dtype, cog=cog, tags=tags) as sink:
+        if status:
+            codes = {"STATUS_CODES": " | ".join(f"{int(one)}: {one.message.rstrip('.')}" for one in Status)}
+            with OrthoWriter(beside, raster, bands=1, dtype=np.int8, cog=cog, tags=codes) as codes_sink:
+                counts = _written(rectifier, raster, progress, sink, codes_sink)
+        else:
+            counts = _written(rectifier, raster, progress, sink, None)
+    return RectifiedFile(f"{target}", raster, counts.known, counts.named())
+
+
+def _raster(
+    name: str,
+    sensor: Sensor,
+    shot: Shot | Trajectory,
+    terrain: AbstractTerrain,
+    asked: tuple[Any, Any, Any],
+    like: Any,
+    how: dict[str, Any],
+) -> MapRaster:
+    if like is None:
+        return raster_of(
+            name, sensor, shot, terrain, *asked, how, lambda: image_spacing(name, sensor, shot, terrain, how)
+        )
+    if any(one is not None for one in asked):
+        raise ValueError(f"{name}: like= says where the cells are; leave out crs=, bounds= and resolution=.")
+    return like if isinstance(like, MapRaster) else raster_of_file(like)
+
+
+def _written(
+    rectifier: Rectifier, raster: MapRaster, progress: bool, sink: OrthoWriter, codes_sink: OrthoWriter | None
+) -> _Counts:
+    """All tiles, written. Raises `ValueError` if none shows anything of the image."""
+    counts = _Counts()
+    total = int(np.prod([-(-n // BLOCK) for n in raster.shape]))
+    tiles = tiles_of(rectifier, raster.shape, BLOCK)
+    for (rows, cols), tile in with_bar(tiles, total, "rectifying", progress and sys.stdout.isatty()):
+        counts.add(tile)
+        sink.write(rows.start, cols.start, tile.values, tile.known)
+        if codes_sink is not None:
+            codes_sink.write(rows.start, cols.start, tile.status[None])
+    if not counts.known:
+        why = ", ".join(f"{count} {one.name}" for one, count in counts.named().items())
+        raise ValueError(
+            f"{sink.target}: the image shows none of the {raster.shape[0]} x {raster.shape[1]} cells ({why}); nothing "
+            f"is written. Look at the pose, and at bounds= or like=."
+        )
+    return counts

@@ -1,0 +1,174 @@
+"""A registration as a file to read by machines, and its blocks as rows of a file of tie points."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+import os
+import pathlib
+import platform
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo._destination import destination
+from jaxgeo.io.tie_points import TieRow
+from jaxgeo.register.blocks import BlockOutcome, count_outcomes
+from jaxgeo.register.passes import Pass
+from jaxgeo.register.places import BlockPlaces
+from jaxgeo.register.posterior import Update
+from jaxgeo.register.registration import Registration
+from jaxgeo.status import Status
+from jaxgeo.uncertainty import Propagation
+
+ALONE = "The block has candidates, but none agrees with the pose on which most blocks agree."
+PACKAGES = ("jaxgeo", "jax", "numpy", "scipy", "rasterio", "pyproj")
+
+
+def tie_rows(registration: Registration, places: BlockPlaces) -> list[TieRow]:
+    """A row for each block of the last pass, also for those left out; none for blocks of which the ground is unknown.
+
+    `places` are those of `jaxgeo.register.places.places_of_blocks`. A tie lies where the reference shows it, another
+    block where the shot puts it.
+    """
+    check_is(places, BlockPlaces, "places", "Make them with jaxgeo.register.places.places_of_blocks.")
+    if not registration.passes:
+        return []
+    return [_row(registration, places, int(block)) for block in np.flatnonzero(_placed(registration, places))]
+
+
+def _placed(registration: Registration, places: BlockPlaces) -> np.ndarray:
+    return places.known | (np.asarray(places.tie) >= 0) if registration.ties is not None else places.known
+
+
+def _row(registration: Registration, places: BlockPlaces, block: int) -> TieRow:
+    last, tie = registration.passes[-1], int(np.asarray(places.tie)[block])
+    column, row = (float(x) for x in np.asarray(places.uv)[block])
+    score = float(np.asarray(last.matches.score)[block, max(int(np.asarray(last.chosen.peak)[block]), 0)])
+    if tie < 0 or registration.ties is None:
+        lat, lon, height = (float(np.asarray(x)[block]) for x in places.ground.to_degrees())
+        code = BlockOutcome(int(np.asarray(last.matches.outcome)[block]))
+        reason = ALONE if code is BlockOutcome.matched else code.message
+        return TieRow(lat, lon, column, row, height, score, chosen=False, reason=reason)
+    ground = registration.ties.ground
+    lat, lon = (math.degrees(float(np.asarray(x)[tie])) for x in (ground.lat, ground.lon))
+    height = float(np.asarray(places.ground.height)[block])
+    own = 0.5 * float(np.trace(np.asarray(registration.ties.covariance)[tie]))
+    sigma = math.sqrt(own + float(np.asarray(registration.tie_errors.registration)) ** 2)
+    if registration.update is None:
+        return TieRow(lat, lon, column, row, height, score, sigma, reason=registration.outcome.message)
+    across, down = (float(x) for x in np.asarray(registration.update.residuals)[tie])
+    weight = float(np.asarray(registration.update.weights)[tie])
+    return TieRow(lat, lon, column, row, height, score, sigma, across, down, weight)
+
+
+def report_of(registration: Registration) -> dict[str, Any]:
+    """All figures of a registration by name, angles in deg, for a file or a screen; numbers may be NaN."""
+    check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register.")
+    errors, update = registration.tie_errors, registration.update
+    found: dict[str, Any] = {
+        "registered": registration.accepted,
+        "outcome": registration.outcome.name,
+        "message": registration.outcome.message,
+        "passes": [_pass(one) for one in registration.passes],
+        "tie_errors": {f"{name}_m": float(getattr(errors, name)) for name in ("registration", "terrain", "shift")},
+    }
+    if update is not None:
+        found |= {"ties": _ties(registration, update), "unknowns": _unknowns(update)}
+    return found
+
+
+def _pass(one: Pass) -> dict[str, Any]:
+    return {
+        "cell_m": one.cell,
+        "block_cells": one.block,
+        "blocks": len(one.matches.outcome),
+        "offered": one.offered,
+        "agreeing": one.agreeing,
+        "rival": one.rival,
+        "false_alarms": one.false_alarms,
+        "searched_cells": one.searched,
+        "outcomes": {code.name: count for code, count in count_outcomes(one.matches.outcome).items()},
+    }
+
+
+def _ties(registration: Registration, update: Update) -> dict[str, Any]:
+    residuals = np.asarray(update.residuals)
+    return {
+        "count": len(residuals),
+        "with_less_weight": int(np.count_nonzero(np.asarray(update.weights) < 1.0)),
+        "residuals_rms_px": float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        "sigma0": float(update.sigma0),
+        "sigma0_ties": float(update.sigma0_ties),
+        "chi_square_ties": float(update.chi_square_ties),
+        "chi_square_prior": float(update.chi_square_prior),
+        "redundancy_ties": float(update.redundancy_ties),
+        "redundancy_prior": float(update.redundancy_prior),
+        "steps": int(update.steps),
+        "registration_sigma_m": float(registration.tie_errors.registration),
+    }
+
+
+def _unknowns(update: Update) -> list[dict[str, Any]]:
+    """Every error with its correction and its standard deviations before and after; angles in deg."""
+    units = [source.unit for source in update.errors.sources for _ in source.axes] + ["m", "m"]
+    found = np.concatenate([np.asarray(update.error), np.asarray(update.shift)])
+    before, after = (np.sqrt(np.diagonal(np.asarray(cov))) for cov in (update.prior.covariance, update.covariance))
+    rows = []
+    for name, unit, value, old, new in zip(update.axes, units, found, before, after, strict=True):
+        scale, unit = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+        numbers = {"change": value, "sigma_before": old, "sigma_after": new}
+        rows.append({"name": name, "unit": unit, **{key: float(scale * number) for key, number in numbers.items()}})
+    return rows
+
+
+def fix_report(one: Propagation | None) -> dict[str, Any]:
+    """A fix with its errors: CE and LE of 50, 90 and 95 %, and its covariance in m2 of east, north, up."""
+    if one is None:
+        return {"status": None}
+    status = Status(int(np.asarray(one.fix.status)))
+    lat, lon, height = (float(np.asarray(x)) for x in one.fix.position.to_degrees())
+    found: dict[str, Any] = {"status": status.name, "lat_deg": lat, "lon_deg": lon, "height_m": height}
+    if not np.isfinite(np.asarray(one.cov_enu)).all():
+        return found
+    for percent in (50, 90, 95):
+        found[f"ce{percent}_m"] = float(one.circular_error(percent / 100.0))
+        found[f"le{percent}_m"] = float(one.linear_error(percent / 100.0))
+    return found | {"cov_enu_m2": np.asarray(one.cov_enu).tolist()}
+
+
+def versions() -> dict[str, str]:
+    """Of Python and of what computes here; packages that are not installed as such are left out."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def as_json(content: Mapping[str, Any]) -> str:
+    """Text of a JSON file; NaN and infinities, which JSON does not have, are null."""
+    return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_registration_report(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
+    """A report, `report_of` with whatever else is to be kept, as a JSON file that appears when all is written.
+
+    Raises `ValueError` for a path that cannot be written to, and `TypeError` for what JSON cannot hold.
+    """
+    text = as_json(content)
+    with destination("report", pathlib.Path(path)) as stream:
+        stream.write(text)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
