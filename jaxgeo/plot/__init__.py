@@ -32,6 +32,8 @@ from jaxgeo.plot.maps import (
     shaded_relief,
     sight_lines,
 )
+from jaxgeo.plot.registration import before_after, checkerboard, circles_on_map, shifts, ties_on_map
+from jaxgeo.plot.registration_page import registration_figure
 
 __all__ = [
     "EDGE",
@@ -41,8 +43,11 @@ __all__ = [
     "RELIEF",
     "SIGHT",
     "accuracy_map",
+    "before_after",
     "budget_bars",
     "camera",
+    "checkerboard",
+    "circles_on_map",
     "error_cloud",
     "fixes",
     "footprint",
@@ -54,7 +59,10 @@ __all__ = [
     "north_arrow",
     "overlap_along",
     "post_positions",
+    "registration_figure",
     "scale_bar",
     "shaded_relief",
+    "shifts",
     "sight_lines",
+    "ties_on_map",
 ]
