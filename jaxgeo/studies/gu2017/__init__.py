@@ -1,0 +1,43 @@
+"""The registration of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", made again:
+its table of errors, an image from end to end, ties and blocks, the constrained search, and frames in turn."""
+
+from jaxgeo.studies.gu2017.accuracy import Accuracy, Radii, accuracy, over_slope, radii, within
+from jaxgeo.studies.gu2017.fixes import Fixes, Spread, fixes_of, lattice, spread, truth
+from jaxgeo.studies.gu2017.flow import Flow, Run, flow, one_run
+from jaxgeo.studies.gu2017.frames import Frame, frames
+from jaxgeo.studies.gu2017.given import read
+from jaxgeo.studies.gu2017.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.gu2017.scene import Imaged, made, navigation
+from jaxgeo.studies.gu2017.searching import Searched, searches
+
+__all__ = [
+    "Accuracy",
+    "Fixes",
+    "Flow",
+    "Frame",
+    "Imaged",
+    "Radii",
+    "Report",
+    "Run",
+    "Searched",
+    "Spread",
+    "accuracy",
+    "fixes_of",
+    "flow",
+    "frames",
+    "lattice",
+    "made",
+    "navigation",
+    "one_run",
+    "over_slope",
+    "radii",
+    "read",
+    "run",
+    "searches",
+    "sheets_of",
+    "spread",
+    "truth",
+    "within",
+    "write_pictures",
+    "write_tables",
+]

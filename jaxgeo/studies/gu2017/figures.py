@@ -1,0 +1,147 @@
+"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from jaxgeo.plot import EDGE, FIX, SIGHT
+from jaxgeo.plot.registration import checkerboard, circles_on_map
+from jaxgeo.register import Orthoimage
+from jaxgeo.studies.gu2017.density import Dense
+from jaxgeo.studies.gu2017.flow import Flow
+from jaxgeo.studies.gu2017.frames import Frame
+from jaxgeo.studies.gu2017.report import Report
+from jaxgeo.studies.gu2017.scene import CELL, Imaged
+from jaxgeo.studies.gu2017.searching import WHOLE, Searched
+from jaxgeo.studies.pictures import draw_all
+
+Drawn = tuple[Callable[[Figure], None], tuple[float, float]]
+
+
+def write(report: Report, folder: pathlib.Path) -> None:
+    """All pictures into a folder."""
+    pictures: dict[str, Drawn] = {
+        "images.png": (lambda figure: draw_images(report.image, report.flow, figure), (13.0, 4.8)),
+        "boards.png": (lambda figure: draw_boards(report.flow, figure), (11.0, 6.4)),
+        "circles.png": (lambda figure: draw_circles(report.flow, figure), (7.2, 7.6)),
+    }
+    if report.searches:
+        pictures["shifts.png"] = (lambda figure: draw_shifts(report.searches, figure), (14.0, 8.6))
+    if report.by_size:
+        pictures["blocks.png"] = (lambda figure: draw_blocks(report.by_size, report.by_ties, figure), (10.5, 4.2))
+    if report.frames:
+        pictures["frames.png"] = (lambda figure: draw_frames(report.frames, figure), (10.5, 4.2))
+    draw_all(pictures, folder)
+
+
+def draw_shifts(found: Sequence[Searched], figure: Figure) -> None:
+    """Fig. 2: shifts of all candidates, those that K-means chose ringed, in each search."""
+    for ax, one in zip(np.ravel(figure.subplots(2, len(found) // 2).T), found, strict=False):
+        _shifts(one, ax)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
+
+
+def _shifts(one: Searched, ax: Axes) -> None:
+    shift = CELL * np.asarray(one.found.matches.shift)
+    candidates = shift[one.found.matches.is_candidate]
+    chosen = CELL * one.of_choices["K-means"].of(one.found.matches.shift)
+    pose = CELL * one.of_choices["pose"].of(one.found.matches.shift)
+    ax.plot(candidates[:, 1], -candidates[:, 0], "*", color=EDGE, markersize=5, label="candidates")
+    true = CELL * one.found.true
+    ax.plot(true[:, 1], -true[:, 0], ".", color=SIGHT, markersize=4, label="true shifts")
+    ring: dict[str, Any] = {"markerfacecolor": "none", "linestyle": "none"}
+    ax.plot(chosen[:, 1], -chosen[:, 0], "o", color=FIX, markersize=10, label="chosen by K-means", **ring)
+    ax.plot(pose[:, 1], -pose[:, 0], "s", color="#e69f00", markersize=7, label="by the pose", **ring)
+    name = WHOLE if one.search == WHOLE else "within 3 sigma"
+    ax.set(aspect="equal", adjustable="datalim", xlabel="east, m", ylabel="north, m")
+    sought = one.sought
+    ax.set_title(f"{sought.position:g} m, {sought.attitude_deg:g} deg: {name}, {one.blocks} blocks", fontsize=10)
+
+
+def draw_images(im: Imaged, found: Flow, figure: Figure) -> None:
+    """Fig. 4: the image, rectified from the navigation, and rectified as registered."""
+    axes = figure.subplots(1, 3)
+    axes[0].imshow(np.where(im.known, im.image, np.nan), cmap="gray")
+    axes[0].set(title="Image", xlabel="column", ylabel="row")
+    for ax, title, ortho in zip(
+        axes[1:], ("Rectified by the navigation", "Rectified after the update"), _both(found), strict=True
+    ):
+        ax.set_title(title)
+        _show(ortho, ax)
+
+
+def _both(found: Flow) -> tuple[Orthoimage, Orthoimage | None]:
+    return found.by_navigation, found.registered
+
+
+def _show(ortho: Orthoimage | None, ax: Axes) -> None:
+    if ortho is None:
+        ax.text(0.5, 0.5, "not registered", ha="center", transform=ax.transAxes)
+        return
+    side = 1e-3 * ortho.ground_sampling
+    rows, cols = ortho.shape
+    values = np.asarray(ortho.values, float).mean(axis=0)
+    extent = (0.0, cols * side, 0.0, rows * side)
+    ax.imshow(np.where(np.asarray(ortho.known), values, np.nan), cmap="gray", extent=extent)
+    ax.set(xlabel="across the map, km", ylabel="up the map, km", facecolor="0.93")
+
+
+def draw_boards(found: Flow, figure: Figure) -> None:
+    """Squares of the map and of the rectified image in turn, before and after."""
+    for ax, title, ortho in zip(
+        figure.subplots(1, 2), ("By the navigation", "After the update"), _both(found), strict=True
+    ):
+        ax.set_title(title)
+        if ortho is None:
+            _show(None, ax)
+            continue
+        checkerboard(found.reference, ortho, ax)
+
+
+def draw_circles(found: Flow, figure: Figure) -> None:
+    """Fig. 5: the rectified image over the map, and circles of 90 % before and after, with ellipses."""
+    ax = figure.subplots()
+    shown = found.by_navigation if found.registered is None else found.registered
+    handles = circles_on_map(found.reference, shown, found.direct, found.updated, ax)
+    ax.set_title("A pixel's fix, and where it is with 90 % (Fig. 5)")
+    figure.legend(handles=handles, frameon=False, ncols=2, loc="outside lower center")
+
+
+def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figure) -> None:
+    """Errors and what is foretold of them, by size of blocks and by number of ties."""
+    left, right = figure.subplots(1, 2)
+    sides = ((left, by_size, [one.size for one in by_size], "block, cells"),)
+    sides += ((right, by_ties, [one.ties for one in by_ties], "ties"),)
+    for ax, rows, at, label in sides:
+        ax.plot(at, [one.spread.ce90 for one in rows], "o-", color=FIX, label="found: 90 %")
+        ax.plot(at, [one.spread.foretold90 for one in rows], "--", color=SIGHT, label="foretold: CE90")
+        ax.set(xlabel=label, ylabel="m", ylim=(0.0, None))
+    for one in by_size:
+        left.annotate(
+            f"{one.ties:.0f} ties", (one.size, one.spread.ce90 or 0.0), xytext=(3, 6), textcoords="offset points"
+        )
+    left.set_title("Size of blocks")
+    right.set_title("Number of ties")
+    figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=2, loc="outside lower center")
+
+
+def draw_frames(found: Sequence[Frame], figure: Figure) -> None:
+    """Errors of position and fix, frame by frame, by each way; what is foretold dashed."""
+    left, right = figure.subplots(1, 2)
+    ways = list(dict.fromkeys(one.way for one in found))
+    for way, colour in zip(ways, (EDGE, FIX, SIGHT), strict=True):
+        rows = [one for one in found if one.way == way]
+        at = [one.number for one in rows]
+        for ax, what, sigma in ((left, "position", "sigma_position"), (right, "fix", "sigma_fix")):
+            ax.plot(at, [np.sqrt(np.mean(getattr(one, what) ** 2)) for one in rows], "o-", color=colour, label=way)
+            ax.plot(at, [getattr(one, sigma) for one in rows], "--", color=colour)
+    left.set(title="Position of the aircraft", xlabel="frame", ylabel="m (dashed: foretold)", ylim=(0.0, None))
+    right.set(title="Fix in the middle", xlabel="frame", ylabel="m (dashed: foretold)", yscale="log")
+    figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=3, loc="outside lower center")

@@ -1,0 +1,131 @@
+"""Fixes of many pixels, how sure they are, and how far off they turn out to be."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxgeo._numerics import safe_sqrt
+from jaxgeo.locate import locate
+from jaxgeo.register import Registration
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.studies.gu2017.scene import Imaged
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
+from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
+
+ACROSS, DOWN = 6, 4  # pixels of the lattice
+GRAZING = 3.0
+
+
+class Fixes(NamedTuple):
+    """Of pixels: places (n, 3) in ECEF, m, NaN without one, their covariances (n, 2, 2) in m2 of east and north, and
+    the axes (n, 3, 3) of east, north, up."""
+
+    ecef: Float[np.ndarray, "n 3"]
+    cov: Float[np.ndarray, "n 2 2"]
+    axes: Float[np.ndarray, "n 3 3"]
+
+    def off(self, true: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+        """How far the places lie to the east and north of the true ones, m."""
+        return np.einsum("nji,nj->ni", self.axes, self.ecef - true)[:, :2]
+
+
+class Spread(NamedTuple):
+    """How far fixes are off, in m in plan: root mean square, and the distance that one in ten surpasses, and what was
+    foretold of these (the latter by circles about each ellipse). `squares` is the mean square of the errors in standard
+    deviations, of two axes: 1 if those are right. Numbers of what is not known are None. `grazing` pixels are left out,
+    of which more than `GRAZING` times the usual error is foretold: they graze a ridge."""
+
+    rms: float | None
+    ce90: float | None
+    sigma: float
+    foretold90: float
+    squares: float | None
+    grazing: int
+
+
+def lattice(sensor: Sensor) -> Float[np.ndarray, "n 2"]:
+    """Pixels (column, row) spread evenly over a sensor's image."""
+    sides = getattr(sensor.camera, "width"), getattr(sensor.camera, "height")  # noqa: B009
+    places = [(np.arange(n) + 0.5) / n * side - 0.5 for n, side in zip((ACROSS, DOWN), sides, strict=True)]
+    return np.stack(np.meshgrid(*places), axis=-1).reshape(-1, 2)
+
+
+def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = None) -> Fixes:
+    """Fixes of the lattice from a shot whose errors, along the axes of the scene's, have a covariance."""
+    sensor = im.sensor if sensor is None else sensor
+    uv = jnp.asarray(lattice(im.sensor))
+    numbers = jnp.asarray(covariance), jnp.asarray(im.tie_errors.terrain, float)
+    return Fixes(*(np.asarray(x) for x in _fixed(sensor, shot, im.terrain, im.errors, *numbers, uv)))
+
+
+def direct(im: Imaged, given: Shot | None = None) -> Fixes:
+    """By the navigation alone."""
+    return fixes_of(im, im.given if given is None else given, im.errors.covariance())
+
+
+def updated(im: Imaged, found: Registration) -> Fixes:
+    """By a registration. Raises `ValueError` if there is none."""
+    if found.update is None or not isinstance(found.shot, Shot):
+        raise ValueError(f"the image is not registered: {found.outcome.name}: {found.outcome.message}")
+    return fixes_of(im, found.shot, found.update.cov_error, found.sensor)
+
+
+def truth(im: Imaged) -> Float[np.ndarray, "n 3"] | None:
+    """What the pixels of the lattice truly see, ECEF, m; None where that is not known."""
+    if im.true is None or im.ground is None:
+        return None
+    return np.asarray(_seen(im.sensor, im.true, im.ground, jnp.asarray(lattice(im.sensor))))
+
+
+def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
+    """How far off fixes are, over the pixels that have one."""
+    known = np.isfinite(fixes.cov).all(axis=(1, 2))
+    if true is not None:
+        known &= np.isfinite(true).all(axis=1)
+    sigmas = np.sqrt(np.trace(fixes.cov, axis1=1, axis2=2))
+    usual = known & (sigmas <= GRAZING * np.median(sigmas[known]))
+    grazing, cov = int(np.count_nonzero(known & ~usual)), fixes.cov[usual]
+    sigma, foretold = float(np.sqrt(np.mean(sigmas[usual] ** 2))), _ce90(cov)
+    if true is None:
+        return Spread(None, None, sigma, foretold, None, grazing)
+    off = fixes.off(true)[usual]
+    away = np.linalg.norm(off, axis=1)
+    squares = np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]) / 2.0
+    rms = float(np.sqrt(np.mean(away**2)))
+    return Spread(rms, float(np.quantile(away, 0.9)), sigma, foretold, float(np.mean(squares)), grazing)
+
+
+def _ce90(cov: Float[np.ndarray, "n 2 2"]) -> float:
+    """The median of the radii that hold 90 %."""
+    from jaxgeo.uncertainty.metrics import circular_error
+
+    return float(np.median(np.asarray(circular_error(jnp.asarray(cov), 0.9))))
+
+
+@eqx.filter_jit
+def _fixed(
+    sensor: Sensor, shot: Shot, terrain: AbstractTerrain, errors: ErrorModel, cov: Any, sigma_terrain: Any, uv: Any
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    sigma = safe_sqrt(jnp.diagonal(cov))
+    scale = jnp.where(sigma > 0.0, sigma, 1.0)
+    correlation = jnp.where(jnp.eye(len(scale)) > 0.0, 1.0, cov / (scale[:, None] * scale[None, :]))
+    block = Correlated(parts=errors.sources, sigma=sigma, correlation=correlation, sharing=EachShot())
+    model = ErrorModel((block, TerrainHeight.from_metres(sigma_terrain, sharing=EachMeasurement())))
+
+    def one(pixel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        found = propagate(sensor, shot, pixel, terrain, model)
+        return jnp.asarray(found.fix.ecef), found.cov_enu[:2, :2], found.aim.R_ecef_from_enu
+
+    return jax.vmap(one)(uv)
+
+
+@eqx.filter_jit
+def _seen(sensor: Sensor, shot: Shot, terrain: AbstractTerrain, uv: Any) -> jax.Array:
+    return jax.vmap(lambda pixel: jnp.asarray(locate(sensor, shot, pixel, terrain).ecef))(uv)

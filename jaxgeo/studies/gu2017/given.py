@@ -1,0 +1,37 @@
+"""An image of the user's, with its map and the scene that the navigation says."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from jaxgeo.io.images import check_size, read_image
+from jaxgeo.io.orthoimages import read_orthoimage
+from jaxgeo.io.scene import SceneError, read_scene
+from jaxgeo.register import TieErrors
+from jaxgeo.studies.gu2017.scene import LEAST_MATCH, SIGMA_TERRAIN, Imaged, navigation
+from jaxgeo.terrain import AbstractTerrain
+
+
+def read(
+    image: pathlib.Path,
+    reference: pathlib.Path,
+    scene: pathlib.Path,
+    terrain: AbstractTerrain,
+    sigmas: tuple[float, float],
+) -> Imaged:
+    """An image file, the orthoimage of its ground and its scene file; `sigmas` in m and deg are the navigation's.
+
+    The orthoimage is taken to lie within one of its cells of the truth, the terrain to err by `SIGMA_TERRAIN`.
+    Raises `SceneError` for a scene without a pose, `ImageError` for images that are none or of another size.
+    """
+    told = read_scene(scene)
+    if told.shot is None:
+        raise SceneError(f"{scene}: [pose] is missing; a registration needs it.")
+    values, known = read_image(image)
+    check_size(str(image), values.shape, told.sensor.camera)
+    grey = np.asarray(values, float).mean(axis=0)
+    ortho = read_orthoimage(reference)
+    errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN, shift=ortho.ground_sampling)
+    return Imaged(told.sensor, told.shot, grey, known, ortho, terrain, navigation(*sigmas), errors)

@@ -1,0 +1,155 @@
+"""An image as the paper matches it: rectified onto the cells of the map, in blocks, each sought about where it lies."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.locate import locate
+from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, flattened, match, rectify
+from jaxgeo.register.choice import Chosen
+from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.studies.gu2017.scene import Imaged
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.terrain.grid import AbstractGrid, surface_point
+from jaxgeo.uncertainty import ErrorModel
+from jaxgeo.uncertainty.look import Look
+
+ASIDE = 1.0  # cells: standard deviation of what shifts a block beside the navigation's errors
+LATTICE = 7  # places along a side of a block, by which its true shift is told
+
+
+class Mapped(NamedTuple):
+    """An image rectified from a `shot` that errs as `errors` say, on the cells of its map, brightness made even."""
+
+    im: Imaged
+    shot: Shot
+    errors: ErrorModel
+    ortho: Orthoimage
+    grey: Float[np.ndarray, "rows cols"]
+    reference: Float[np.ndarray, "rows cols"]
+
+    def shifts(self, centres: np.ndarray, size: int) -> Shifts:
+        """How the errors shift blocks."""
+        im = self.im
+        look = Look(im.sensor, self.shot, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+        return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
+
+
+class Blocks(NamedTuple):
+    """Blocks of a rectified image: their matches, how the errors shift them, and the `true` shifts (n, 2) in cells, NaN
+    where there is none or it is not known."""
+
+    matches: Matches
+    shifts: Shifts
+    true: Float[np.ndarray, "n 2"]
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """Derivatives of the shifts by the errors and the map's shift; zero for blocks that are not seen."""
+        return np.where(np.asarray(self.shifts.seen)[:, None, None], np.asarray(self.shifts.by_error), 0.0)
+
+    def is_off(self, shift: np.ndarray, cells: float = 3.0) -> Bool[np.ndarray, " n"]:
+        """Whether shifts (n, 2) are farther than so many cells from the true ones."""
+        with np.errstate(invalid="ignore"):
+            return np.linalg.norm(shift - self.true, axis=1) > cells
+
+
+def mapped(im: Imaged, shot: Shot, errors: ErrorModel) -> Mapped:
+    """Rectify an image from a shot, by the elevation model."""
+    grid, shape = im.reference.grid, im.reference.shape
+    ortho = rectify(im.sensor, shot, im.image, im.terrain, grid, shape, known=im.known).orthoimage
+    grey = np.asarray(flattened(ortho.values[0], ortho.known, 31))
+    known = np.asarray(im.reference.known)
+    return Mapped(im, shot, errors, ortho, grey, np.asarray(flattened(np.asarray(im.reference.grey()), known, 31)))
+
+
+def blocks(
+    here: Mapped,
+    size: int,
+    probability: float,
+    covariance: Any = None,
+    above_chance: float = 1.0,
+    *,
+    most: int | None = None,
+) -> Blocks:
+    """Blocks of `size` cells, sought where the errors allow with a probability, or all with one `covariance`, cells2;
+    no more than `most` of them. Candidates correlate `above_chance` times better than chance has it (see `match`)."""
+    im = here.im
+    centres = blocks_of(here.ortho.known, size)[:most]
+    cov = here.shifts(centres, size).covariance(unknowns(here.errors)) + ASIDE**2 * np.eye(2)
+    if covariance is not None:
+        cov = np.broadcast_to(np.asarray(covariance, float), cov.shape)
+    cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
+    known = np.asarray(im.reference.known)
+    pair = here.grey, here.ortho.known, here.reference, known
+    matches = match(*pair, centres, cov, size=size, probability=probability, above_chance=above_chance)
+    shifts = here.shifts(np.asarray(matches.centre), size)
+    return Blocks(matches, shifts, _true(here, np.asarray(matches.centre), size))
+
+
+def unknowns(errors: ErrorModel) -> np.ndarray:
+    """Covariance of errors and of a map's shift that is known to be none."""
+    size = errors.size
+    cov = np.zeros((size + 2, size + 2))
+    cov[:size, :size] = errors.covariance()
+    return cov
+
+
+def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
+    """Tie points of the blocks chosen: pixels of their middles, and where the map shows the same."""
+    kept = chosen.is_chosen & np.asarray(found.shifts.seen)
+    there = (np.asarray(found.matches.centre) + chosen.of(found.matches.shift))[kept]
+    metres = np.linalg.inv(np.asarray(found.shifts.cells_per_metre)[kept])
+    cov = metres @ chosen.of(found.matches.covariance)[kept] @ np.swapaxes(metres, 1, 2)
+    lat, lon = in_chunks(lambda part: _lat_lon(here.im.reference.grid, part), there)
+    away = np.einsum("nij,nj->ni", metres, chosen.of(found.matches.shift)[kept])
+    rise = np.asarray(found.shifts.rise)[kept]
+    ground = Geodetic(lat=lat, lon=lon, height=np.asarray(found.shifts.height)[kept] + np.sum(rise * away, axis=1))
+    return TiePoints(np.asarray(found.shifts.uv)[kept], ground, 0.5 * (cov + np.swapaxes(cov, 1, 2)), rise=rise)
+
+
+def _true(here: Mapped, centres: np.ndarray, size: int) -> np.ndarray:
+    """Shifts (n, 2) in cells of what blocks show, the medians over a lattice in each; NaN where that is not known."""
+    im = here.im
+    if im.true is None or im.ground is None:
+        return np.full((len(centres), 2), np.nan)
+    true, ground = im.true, im.ground
+    steps = ((np.arange(LATTICE) + 0.5) / LATTICE - 0.5) * size
+    lattice = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = (centres[:, None, :] + lattice[None, :, :]).reshape(-1, 2)
+    on_map = np.clip(np.rint(places).astype(int), 0, np.array(here.ortho.shape) - 1)
+    shown = here.ortho.known[on_map[:, 0], on_map[:, 1]]
+    uv = np.asarray(here.shifts(places, 2).uv)
+    there = in_chunks(lambda part: (_looked_at(im.sensor, true, ground, im.reference.grid, part),), uv)[0]
+    away = np.where(shown[:, None], there - places, np.nan).reshape(len(centres), -1, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of blocks that see nothing
+        return np.nanmedian(away, axis=1)
+
+
+@eqx.filter_jit
+def _looked_at(sensor: Sensor, shot: Shot, ground: AbstractTerrain, grid: AbstractGrid, uv: Any) -> Array:
+    def one(pixel: Array) -> Array:
+        found = locate(sensor, shot, pixel, ground)
+        p_ecef = jnp.where(found.ok, found.ecef, jnp.array([WGS84.a, 0.0, 0.0]))
+        return jnp.where(found.ok, grid.rowcol(WGS84.normal_and_height(p_ecef)[0]), jnp.nan)
+
+    return jax.vmap(one)(uv)
+
+
+@eqx.filter_jit
+def _lat_lon(grid: AbstractGrid, places: Any) -> tuple[Array, Array]:
+    def one(place: Array) -> tuple[Array, Array]:
+        position = WGS84.to_geodetic(surface_point(grid.normal(place)))
+        return jnp.asarray(position.lat), jnp.asarray(position.lon)
+
+    return jax.vmap(one)(places)

@@ -1,0 +1,71 @@
+"""The whole study: its records, tables and pictures."""
+
+from __future__ import annotations
+
+import pathlib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from jaxgeo.studies.gu2017 import sheets
+from jaxgeo.studies.gu2017.accuracy import Accuracy, accuracy
+from jaxgeo.studies.gu2017.density import Dense, by_size
+from jaxgeo.studies.gu2017.flow import Flow, flow
+from jaxgeo.studies.gu2017.frames import Frame, frames
+from jaxgeo.studies.gu2017.scene import Imaged, made
+from jaxgeo.studies.gu2017.searching import Searched, searches
+from jaxgeo.studies.sheet import Sheet, write_sheets
+
+TRIALS = 3  # of blocks, with other noise, light and elevation model
+
+
+@dataclass(frozen=True)
+class Report:
+    """All that the study finds; what needs a scene whose truth is known is empty for an image of the user's."""
+
+    image: Imaged
+    accuracy: Accuracy
+    flow: Flow
+    by_size: list[Dense]
+    by_ties: list[Dense]
+    searches: list[Searched]
+    frames: list[Frame]
+
+
+def run(seed: int = 0, image: Imaged | None = None) -> Report:
+    """The study on an `image`, or on one that is made with the noise of a `seed`."""
+    with ThreadPoolExecutor(2) as pool:  # XLA compiles the parts side by side
+        table = pool.submit(accuracy)
+        im = made(seed) if image is None else image
+        in_turn = pool.submit(frames, im, seed=seed)
+        done = flow(im, seed=seed)
+        whole, fewer = by_size(im, range(seed, seed + TRIALS))
+        sought = searches(im, seed)
+        return Report(im, table.result(), done, whole, fewer, sought, in_turn.result())
+
+
+def sheets_of(report: Report) -> list[Sheet]:
+    """The study's tables, in the order of the paper."""
+    found = [
+        sheets.errors_sheet(report.accuracy),
+        sheets.sensitivity_sheet(report.accuracy),
+        sheets.slopes_sheet(report.accuracy),
+        sheets.circles_sheet(report.accuracy),
+        sheets.flow_sheet(report.flow),
+    ]
+    if report.searches:
+        found += [sheets.searches_sheet(report.searches)]
+    if report.by_size:
+        found += [sheets.blocks_sheet(report.by_size), sheets.ties_sheet(report.by_ties)]
+    return [*found, sheets.frames_sheet(report.frames)] if report.frames else found
+
+
+def write_tables(report: Report, folder: pathlib.Path) -> None:
+    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    write_sheets("Gu and Qiao (2017)", sheets_of(report), folder)
+
+
+def write_pictures(report: Report, folder: pathlib.Path) -> None:
+    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.gu2017 import figures  # only who wants pictures needs matplotlib
+
+    figures.write(report, folder)
