@@ -1,7 +1,8 @@
 """The command line.
 
 `jaxgeo locate` for pixels and tables of shots; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera
-will look, and when; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
+will look, and when; `jaxgeo rectify` for images on a map, `register` for their pose from a map; `jaxgeo demo` for a
+first look; `jaxgeo study` for what papers print.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from jaxgeo.cli.locate import locate_command
 from jaxgeo.cli.overlap import overlap_command
 from jaxgeo.cli.plan import plan_command
 from jaxgeo.cli.point import point_command
+from jaxgeo.cli.rectify import rectify_command
+from jaxgeo.cli.register import register_command
 from jaxgeo.cli.study import studies
 
 app = typer.Typer(
@@ -27,6 +30,8 @@ app.command("footprint")(footprint_command)
 app.command("point")(point_command)
 app.command("overlap")(overlap_command)
 app.command("plan")(plan_command)
+app.command("rectify")(rectify_command)
+app.command("register")(register_command)
 app.command("demo")(demo_command)
 app.add_typer(studies, name="study")
 

@@ -9,7 +9,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import Traceback, compile_quickly, mistakes_told
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
+from jaxgeo.cli._inputs import read_terrain
+from jaxgeo.cli._options import VerticalDatum
 from jaxgeo.cli._screen import tell
 
 WIDE = 150  # characters of a line in a file
@@ -73,6 +75,45 @@ def xue2019_command(
         from jaxgeo.studies import xue2019
 
         _show(xue2019, lambda: xue2019.run(seed, size, trials=trials), output)
+
+
+@studies.command("gu2017")
+def gu2017_command(
+    output: Folder = None,
+    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    image: Annotated[
+        pathlib.Path | None, typer.Option(help="A real image, with --reference, --dem and --scene; else one is made.")
+    ] = None,
+    reference: Annotated[pathlib.Path | None, typer.Option(help="Orthoimage of the same ground.")] = None,
+    dem: Annotated[
+        list[pathlib.Path] | None, typer.Option(help="Elevation model; repeat it for several tiles.")
+    ] = None,
+    scene: Annotated[
+        pathlib.Path | None, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")
+    ] = None,
+    vertical_datum: VerticalDatum = None,
+    position_sigma: Annotated[float, typer.Option(help="How the position of a real image errs, m.")] = 50.0,
+    attitude_sigma: Annotated[float, typer.Option(help="How its attitude errs, deg.")] = 0.5,
+    traceback: Traceback = False,
+) -> None:
+    """The registration of Gu and Qiao (2017): its table, an image end to end, blocks and ties, searches, frames.
+
+    Takes minutes, most of them to compile. Without a real image one is made over the package's own elevation model.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
+    """
+    with mistakes_told(traceback):
+        files = {"--image": image, "--reference": reference, "--dem": dem or None, "--scene": scene}
+        missing = [name for name, value in files.items() if value is None]
+        if missing and len(missing) < len(files):
+            raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
+        _begin(output)
+        from jaxgeo.studies import gu2017
+
+        given = None
+        if image is not None and reference is not None and scene is not None:
+            terrain = read_terrain(dem or [], vertical_datum)
+            given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma))
+        _show(gu2017, lambda: gu2017.run(seed, given), output)
 
 
 def _begin(folder: pathlib.Path | None) -> None:

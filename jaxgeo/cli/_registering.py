@@ -1,0 +1,210 @@
+"""What `jaxgeo register` makes of its options, and what it writes of a registration."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import tomllib
+from typing import Any, NamedTuple
+
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._inputs import numbers_in
+
+FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
+DEM_SIGMA = 5.0  # m, where nobody says how the heights err
+PICTURED = 1024  # cells along a side of what a picture shows, at most
+TILE = 256  # as registration rectifies: the same programs serve
+
+
+class Sigmas(NamedTuple):
+    """Standard deviations as they were typed; None where nothing was."""
+
+    position: str
+    attitude: str
+    gimbal: str | None
+    focal: str | None
+    reference: float | None
+    registration: float
+    dem: float | None
+
+
+class Errors(NamedTuple):
+    """Sources of the navigation, errors of ties, and what was assumed, in words."""
+
+    sources: tuple[Any, ...]
+    tie_errors: Any
+    assumed: list[str]
+
+
+def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float) -> Errors:
+    """What errs, from options; `cell` in m is that of the reference. Raises `UserError`."""
+    from jaxgeo.register import TieErrors
+    from jaxgeo.uncertainty import sources
+
+    north, east, down = sigmas_in("--position-sigma", sigmas.position, 3, "one number in m, or NORTH,EAST,DOWN")
+    heading, pitch, roll = sigmas_in("--attitude-sigma", sigmas.attitude, 3, "one number in deg, or HEADING,PITCH,ROLL")
+    found: list[Any] = [
+        sources.Position.from_ned(north=north, east=east, down=down),
+        sources.Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll),
+    ]
+    if sigmas.gimbal is not None:
+        found.append(_gimbal(sigmas.gimbal, scene, scene_path))
+    if sigmas.focal is not None:
+        focal, column, row = _focal(sigmas.focal, scene_path)
+        found.append(sources.InteriorOrientation.from_pixels(focal=focal, principal_column=column, principal_row=row))
+    assumed = []
+    if sigmas.reference is None:
+        assumed.append(f"the reference lies within {cell:.3g} m, one of its cells, of the truth (--reference-sigma)")
+    if sigmas.dem is None:
+        assumed.append(f"heights of the elevation model err by {DEM_SIGMA:g} m (--dem-sigma)")
+    shift = _positive("--reference-sigma", cell if sigmas.reference is None else sigmas.reference)
+    terrain = _positive("--dem-sigma", DEM_SIGMA if sigmas.dem is None else sigmas.dem)
+    registration = _positive("--registration-sigma", sigmas.registration)
+    half = terrain / math.sqrt(2.0)  # of the variance: one part common to all heights, the other anew at each
+    if half > 0.0:
+        found.append(sources.TerrainHeight.from_metres(half))
+    return Errors(tuple(found), TieErrors(registration=registration, terrain=half, shift=shift), assumed)
+
+
+def sigmas_in(option: str, text: str, count: int, form: str) -> list[float]:
+    """Standard deviations with commas between, or one for all. Raises `UserError`."""
+    found = [_positive(option, one) for one in numbers_in(option, text, (1, count), form)]
+    found = found * count if len(found) == 1 else found
+    if not any(found):
+        raise UserError(f"{option} {text}: nothing errs by nothing at all; give standard deviations above zero.")
+    return found
+
+
+def _positive(option: str, value: float) -> float:
+    if not 0.0 <= value < math.inf:
+        raise UserError(f"{option} {value:g}: a standard deviation is zero or more, and finite.")
+    return value
+
+
+def _gimbal(text: str, scene: Any, path: pathlib.Path) -> Any:
+    from jaxgeo.uncertainty import sources
+
+    names = scene.sensor.gimbal.names
+    if not names:
+        raise UserError(f"--gimbal-sigma {text}: the gimbal of {path} is fixed and has no readings that could err.")
+    form = f"one number in deg, or {','.join(name.upper() for name in names)}"
+    values = sigmas_in("--gimbal-sigma", text, len(names), form)
+    axes: dict[str, Any] = dict(zip(names, values, strict=True))
+    return sources.GimbalAngles.from_degrees(**axes)
+
+
+def _focal(text: str, path: pathlib.Path) -> list[float]:
+    """Standard deviations in px of focal length, principal column and row."""
+    form = "a length with its unit, 5px or 0.05mm, or three: FOCAL,COLUMN,ROW with the unit behind, 5,2,2px"
+    unit = text.strip()[-2:]
+    if unit not in ("px", "mm"):
+        raise UserError(f"--focal-sigma {text!r}: expected {form}.")
+    values = sigmas_in("--focal-sigma", text.strip()[:-2], 3, form)
+    if unit == "px":
+        return values
+    pitch = tomllib.loads(path.read_text(encoding="utf-8-sig"))["camera"].get("pixel_pitch_um")
+    if pitch is None:
+        raise UserError(f"--focal-sigma {text}: the camera of {path} is given in pixels; so give this in px.")
+    return [value / (1e-3 * pitch) for value in values]
+
+
+def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:
+    """Pixels from the command line; the middle of the image without any. Raises `UserError` for one beside it."""
+    found = [numbers_in("--pixel", text, (2,), "COLUMN,ROW, e.g. --pixel 100,200") for text in texts]
+    for text, (column, row) in zip(texts, found, strict=True):
+        if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
+            raise UserError(f"--pixel {text}: the image has {camera.width} columns and {camera.height} rows.")
+    return found or [[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]]
+
+
+def prepared_folder(folder: pathlib.Path, inputs: list[pathlib.Path]) -> None:
+    """Make a folder, and take away what an earlier registration left in it, so that nothing of that seems to be new.
+
+    Raises `UserError` where a result would take the place of one of the inputs.
+    """
+    taken = {path.resolve() for path in inputs}
+    for name in FILES:
+        if (folder / name).resolve() in taken:
+            raise UserError(f"--output {folder}: {folder / name} is an input, and would be overwritten; name another.")
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        (folder / name).unlink(missing_ok=True)
+
+
+class Seen(NamedTuple):
+    """What an image shows of a reference: from which (row, col) on, and how many of its cells, (rows, cols)."""
+
+    corner: tuple[int, int]
+    shape: tuple[int, int]
+
+
+def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: Any) -> Seen | None:
+    """The part of a reference on which an image lies; None if it lies beside it."""
+    import jax.numpy as jnp
+
+    from jaxgeo.register.prediction import window_of
+    from jaxgeo.uncertainty.look import Look
+
+    look = Look(sensor, shot, jnp.zeros(()), jnp.zeros(2), terrain, atmosphere)
+    window = window_of(look, reference.grid, reference.shape)
+    if window is None:
+        return None
+    return Seen(window[:2], (window[2] - window[0], window[3] - window[1]))
+
+
+def fixes_of(scene: Any, shot: Any, terrain: Any, errors: Errors, found: Any, pixels: list[list[float]]) -> list[Any]:
+    """(pixel, fix by the navigation, fix as registered or None) of pixels."""
+    from jaxgeo.uncertainty import propagate
+    from jaxgeo.uncertainty.sharing import EachMeasurement
+    from jaxgeo.uncertainty.sources import TerrainHeight
+
+    sigma = errors.tie_errors.terrain
+    model = (*errors.sources, TerrainHeight.from_metres(sigma, sharing=EachMeasurement()))
+    rows = []
+    for uv in pixels:
+        direct = propagate(scene.sensor, shot, uv, terrain, model, atmosphere=scene.atmosphere)
+        rows.append((uv, direct, found.fix(uv, sigma) if found.accepted else None))
+    return rows
+
+
+def picture_of(
+    found: Any, reference: Any, look: tuple[Any, Any, Any, Any], image: Any, errors: Errors, fix: Any
+) -> Any:
+    """The page of figures, drawn; None where there is nothing to see. Raises `ImportError` without matplotlib.
+
+    `look` is (sensor, shot, terrain, atmosphere) as given, `image` grey values and where they are known.
+    """
+    from jaxgeo.plot.registration_page import registration_figure
+    from jaxgeo.register import Prior
+    from jaxgeo.register.places import places_of_blocks
+    from jaxgeo.uncertainty import ErrorModel
+
+    sensor, shot, terrain, air = look
+    part = seen_part(found.sensor, found.shot, terrain, air, reference)
+    if part is None:
+        return None
+    shown = reference.window(*part.corner, part.shape)
+    shown = shown.coarser(max(1, math.ceil(max(part.shape) / PICTURED)))
+    before = _rectified(sensor, shot, terrain, air, image, shown)
+    after = _rectified(found.sensor, found.shot, found.terrain, air, image, shown) if found.accepted else None
+    _, direct, updated = fix
+    return registration_figure(
+        found,
+        shown,
+        places=places_of_blocks(found, atmosphere=air) if found.passes else None,
+        before=before,
+        after=after,
+        direct=direct if bool(direct.fix.found) else None,
+        updated=updated if updated is not None and bool(updated.fix.found) else None,
+        covariance=Prior.of(ErrorModel(errors.sources), errors.tie_errors).covariance,
+    )
+
+
+def _rectified(sensor: Any, shot: Any, terrain: Any, air: Any, image: Any, shown: Any) -> Any:
+    from jaxgeo.register import rectify
+
+    grey, known = image
+    done = rectify(sensor, shot, grey, terrain, shown.grid, shown.shape, known=known, atmosphere=air, tile=TILE)
+    return done.orthoimage

@@ -1,0 +1,143 @@
+"""`jaxgeo rectify`: an image as it lies on the ground."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
+from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of
+from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
+from jaxgeo.cli._screen import print_counts
+
+QUICK_PIXELS = 40_000_000  # fewer are not worth the time that it takes to compile well
+SHOWN = "The image shows this cell (where the image itself is unknown, so is the cell)."
+
+
+class Interpolation(StrEnum):
+    """How values between pixels are told."""
+
+    nearest = "nearest"
+    bilinear = "bilinear"
+    cubic = "cubic"
+
+
+def rectify_command(
+    image: Annotated[pathlib.Path, typer.Argument(help="Image file, of the size of the scene's camera.")],
+    scene: SceneFile,
+    dem: DemFiles,
+    output: Annotated[pathlib.Path, typer.Option(help="GeoTIFF to write (.tif).")],
+    vertical_datum: VerticalDatum = None,
+    crs: Annotated[
+        str | None, typer.Option(help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
+    ] = None,
+    bounds: Annotated[
+        str | None, typer.Option(help="WEST,SOUTH,EAST,NORTH in the unit of --crs; all that is seen if left out.")
+    ] = None,
+    resolution: Annotated[
+        str | None, typer.Option(help="Size of a cell in that unit, or ACROSS,DOWN; that of a pixel if left out.")
+    ] = None,
+    like: Annotated[
+        pathlib.Path | None, typer.Option(help="Orthoimage onto whose cells to write, in place of the three.")
+    ] = None,
+    band: Annotated[list[int] | None, typer.Option(help="Band of the image, from 1; repeat it for more.")] = None,
+    interpolation: Annotated[Interpolation, typer.Option(help="How values between pixels are told.")] = (
+        Interpolation.bilinear
+    ),
+    cog: Annotated[bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF.")] = False,
+    status: Annotated[
+        bool, typer.Option("--status", help="Also *_status.tif: the code of what became of each cell.")
+    ] = False,
+    no_hidden_mask: Annotated[
+        bool, typer.Option("--no-hidden-mask", help="Fill cells that ground hides with what hides them; faster.")
+    ] = False,
+    traceback: Traceback = False,
+) -> None:
+    """An image as it lies on the ground: a GeoTIFF on a map, without what the terrain hides."""
+    with mistakes_told(traceback):
+        edges = None if bounds is None else numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH")
+        cell = (
+            None if resolution is None else numbers_in("--resolution", resolution, (1, 2), "one size, or ACROSS,DOWN")
+        )
+        placed = {"crs": crs, "bounds": edges, "resolution": cell[0] if cell and len(cell) == 1 else cell, "like": like}
+        if like is not None and any(one is not None for one in (crs, bounds, resolution)):
+            raise UserError("--like says where the cells are: leave out --crs, --bounds and --resolution.")
+        if bounds is not None and crs is None:
+            raise UserError(f"--bounds {bounds}: in the unit of which map? Name it with --crs.")
+        wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
+        _rectify(image, scene, (dem, vertical_datum), output, placed | wishes, interpolation)
+
+
+def _rectify(
+    image: pathlib.Path,
+    scene_path: pathlib.Path,
+    ground: tuple[list[pathlib.Path], str | None],
+    output: pathlib.Path,
+    wishes: dict[str, Any],
+    interpolation: Interpolation,
+) -> None:
+    from jaxgeo._checks import enable_x64
+    from jaxgeo.io import rectify_file
+    from jaxgeo.io.map_raster import checked_target
+    from jaxgeo.io.scene import read_scene
+
+    checked_target(output, "an orthoimage")
+    if pixels_of(image) < QUICK_PIXELS:
+        compile_quickly()
+    enable_x64()
+    scene = read_scene(scene_path)
+    shot = shot_of(scene, scene_path, "rectifying")
+    terrain = read_terrain(*ground)
+    began = time.perf_counter()
+    done = rectify_file(
+        output,
+        image,
+        scene.sensor,
+        shot,
+        terrain,
+        interpolation=_interpolations()[interpolation],
+        progress=True,
+        atmosphere=scene.atmosphere,
+        **wishes,
+    )
+    print_raster(done, time.perf_counter() - began)
+
+
+def pixels_of(path: pathlib.Path) -> int:
+    """How many an image has. Raises `ImageError` or `FileNotFoundError` for what is none, before all else is done."""
+    from jaxgeo.io.images import opened
+
+    with opened(str(path)) as data:
+        return data.width * data.height
+
+
+def print_raster(done: Any, seconds: float) -> None:
+    """What was written: the raster on stdout, what became of its cells on stderr."""
+    rows, cols = done.raster.shape
+    across, down = done.raster.transform.a, -done.raster.transform.e
+    unit = done.raster.crs.axis_info[0].unit_name
+    name = ":".join(done.raster.crs.to_authority() or ()) or done.raster.crs.name
+    size = f"{across:.6g}" if across == down else f"{across:.6g} x {down:.6g}"
+    console = Console(soft_wrap=True)
+    console.print(
+        f"{done.path}: {rows} rows of {cols} cells of {size} {unit}, {name}; {done.known} known; {seconds:.1f} s, "
+        f"{1e-6 * rows * cols / seconds:.2g} million cells/s",
+        highlight=False,
+        markup=False,
+    )
+    print_counts({one.name: count for one, count in done.counts.items()}, rows * cols, "cell", SHOWN)
+
+
+def _interpolations() -> dict[Interpolation, Any]:
+    from jaxgeo.register import Bilinear, Cubic, Nearest
+
+    return {
+        Interpolation.nearest: Nearest(),
+        Interpolation.bilinear: Bilinear(),
+        Interpolation.cubic: Cubic(),
+    }
