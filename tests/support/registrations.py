@@ -1,0 +1,99 @@
+"""Real frames, their poses disturbed, and how far from the given orientation a registration ends."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxgeo.earth import WGS84, R_ecef_from_ned
+from jaxgeo.locate import locate
+from jaxgeo.register.registration import Registration, register
+from jaxgeo.register.tie_errors import TieErrors
+from jaxgeo.sensor import Shot
+from jaxgeo.studies.gu2017.scene import disturbed
+from jaxgeo.terrain import Dem
+from jaxgeo.uncertainty import ErrorModel, sources
+from support.ngi import Flight
+
+HEIGHT = 3.0  # m: by which the elevation model may be off, as a whole and over a kilometre
+PIXELS = np.array([(319.5, 575.5), (40.0, 40.0), (600.0, 40.0), (40.0, 1100.0), (600.0, 1100.0)])
+REFERENCES = {"05_0182": 1, "05_0184": 2}
+
+
+class Trial(NamedTuple):
+    """A registration from a disturbed pose; unless it was refused, of the pixels `PIXELS` the horizontal distance in m
+    from the given orientation's ground and the larger of its two parts in standard deviations, and of position (north,
+    east, down) and attitude what differs from the given, in standard deviations."""
+
+    registration: Registration
+    off: np.ndarray
+    off_sigmas: np.ndarray
+    pose_sigmas: np.ndarray
+
+
+def errors(position: float, attitude_deg: float) -> ErrorModel:
+    """Of a navigation that is that good, m and deg along each axis, over this terrain."""
+    return ErrorModel(
+        (
+            sources.Position.from_ned(north=position, east=position, down=position),
+            sources.Attitude.from_degrees(heading=attitude_deg, pitch=attitude_deg, roll=attitude_deg),
+            sources.TerrainHeight.from_metres(HEIGHT),
+        )
+    )
+
+
+def tie_errors() -> TieErrors:
+    """Of the orthophotos, and of the terrain's heights about its mean."""
+    field = sources.TerrainField.of_variograms(gaussian=[(HEIGHT, 1000.0)])
+    return TieErrors(registration=0.5, terrain=1.0, shift=1.0, terrain_field=field)
+
+
+def trial(flight: Flight, frame: str, rng: np.random.Generator, position: float, attitude_deg: float) -> Trial:
+    """A registration of a frame from a pose with errors drawn."""
+    truth = flight.shots[frame]
+    found = register(
+        flight.sensor,
+        disturbed(truth, rng, metres=position, degrees=attitude_deg),
+        flight.image(frame),
+        flight.reference(REFERENCES[frame]),
+        flight.terrain,
+        errors(position, attitude_deg),
+        tie_errors(),
+    )
+    if not found.accepted or found.update is None:
+        nothing = np.full(len(PIXELS), np.nan)
+        return Trial(found, nothing, nothing, np.full(6, np.nan))
+    enu = np.array([_off(flight, truth, found, uv) for uv in PIXELS])
+    sigma = np.sqrt(np.diagonal(np.asarray(found.update.cov_error)))[:6]
+    return Trial(
+        found,
+        np.hypot(enu[:, 0, 0], enu[:, 0, 1]),
+        np.abs(enu[:, 0] / enu[:, 1]).max(axis=1),
+        _pose_error(found.shot, truth) / sigma,
+    )
+
+
+def _off(flight: Flight, truth: Shot, found: Registration, uv: np.ndarray) -> np.ndarray:
+    """(offset to the east and north in m, its standard deviations)."""
+    fix = found.fix(uv, terrain_sigma=HEIGHT)
+    there = _ground(flight, truth, uv, flight.terrain)
+    offset = np.asarray(fix.aim.R_ecef_from_enu).T @ (np.asarray(fix.fix.ecef) - there)
+    return np.stack([offset[:2], np.sqrt(np.diagonal(np.asarray(fix.cov_enu)))[:2]])
+
+
+def _ground(flight: Flight, shot: Shot, uv: np.ndarray, terrain: Dem) -> np.ndarray:
+    return np.asarray(locate(flight.sensor, shot, uv, terrain).ecef)
+
+
+def _pose_error(found: Shot, truth: Shot) -> np.ndarray:
+    """North, east, down in m and heading, pitch, roll in rad of one pose less the other."""
+    R = np.asarray(R_ecef_from_ned(truth.pose.position))
+    step = R.T @ (np.asarray(WGS84.to_ecef(found.pose.position)) - np.asarray(WGS84.to_ecef(truth.pose.position)))
+    angles = jax.tree.map(
+        lambda a, b: float(a) - float(b),
+        (found.pose.heading, found.pose.pitch, found.pose.roll),
+        (truth.pose.heading, truth.pose.pitch, truth.pose.roll),
+    )
+    return np.concatenate([step, angles])
