@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int8
+from jaxtyping import Array, Bool, Float, Float32, Int8
 
 from jaxgeo._numerics import dot, safe_sqrt
 from jaxgeo._typing import Flag, Scalar, Vector3
@@ -29,7 +31,7 @@ WELL_MAPPED = 1e-4  # pixels, and cells of the terrain, by which the polynomials
 DIRECTIONS = 64  # about the centre of a lens, in which its field is looked at
 APART = 1000.0  # m between two heights above one place: a straight line through them is exact
 
-Field = Float[Array, "rows cols"]
+Field = Float[Array, "*shape"]
 
 
 class View(eqx.Module):
@@ -44,17 +46,36 @@ class View(eqx.Module):
 
 
 class Cells(NamedTuple):
-    """Cells of a tile, arrays (rows, cols): their pixels (column, row), ellipsoidal heights in m, place (row, col) on
-    the terrain's own grid, a `Status` that knows nothing of hidden ground, and the sine of the angle at which the line
-    of sight rises there."""
+    """Cells on the ground, arrays of one shape: their pixels (column, row), place (row, col) on the terrain's own grid,
+    the sine of the angle at which the line of sight rises there, and a `Status` that knows nothing of hidden ground."""
 
     u: Field
     v: Field
-    height: Field
     terrain_row: Field
     terrain_col: Field
     sine: Field
-    status: Int8[Array, "rows cols"]
+    status: Int8[Array, "*shape"]
+
+
+class Chart(NamedTuple):
+    """The map of a tile: polynomials of row and column through `columns` (nodes, k) at the nodes, which are places in
+    the camera frame at some heights (m), and on the terrain's grid."""
+
+    columns: Float[Array, "nodes k"]
+    last: Float[Array, "2"]
+    """(row, col) of the tile's last cell, counted from its first."""
+
+
+class Charted(NamedTuple):
+    """A chart and what it is like."""
+
+    chart: Chart
+    error: Scalar
+    """The larger of pixels and of cells of the terrain by which it is off between the nodes."""
+    on_terrain: Float[Array, "2 2"]
+    """First and last (row, col) on the terrain's grid."""
+    lattice: Cells
+    """Some cells spread over the tile, (n, 3): each, and those that are one row and one column on, at its height."""
 
 
 def height_on(terrain: AbstractTerrain, normal: Vector3) -> tuple[Scalar, Float[Array, "2"], Int8[Array, ""]]:
@@ -67,37 +88,55 @@ def height_on(terrain: AbstractTerrain, normal: Vector3) -> tuple[Scalar, Float[
 
 
 @eqx.filter_jit
-def cells_by_polynomials(view: View, corner: Float[Array, "2"], shape: tuple[int, int]) -> tuple[Cells, Scalar]:
-    """(the cells of a tile from `corner`, (row, col) of its first; the largest error of the map between nodes).
+def charted(view: View, corner: Float[Array, "2"], last: Float[Array, "2"]) -> Charted:
+    """The chart of a tile whose first cell is at `corner`, (row, col) of the grid, and its last so many further on.
 
     The place of a cell seen from the camera is a polynomial of its row and column, and linear in its height (with air,
-    of second degree): that is the exact map but for the error, which is measured in pixels and cells of the terrain.
+    of second degree): that is the exact map but for the error, which is measured.
     """
     assert isinstance(view.motion, Shot)
     sight = view.sensor.sight(view.motion)
-    rows, cols = shape
-    nodes, (by_row, by_col) = _nodes(), (_basis(jnp.arange(n) / max(n - 1, 1)) for n in shape)
-    last = jnp.array([rows - 1.0, cols - 1.0])
-    at_nodes = _columns(view, sight, corner[None, :] + nodes * last[None, :])
-    spread = jnp.einsum("ri,ijk,cj->krc", by_row, at_nodes.reshape(NODES, NODES, -1), by_col)
-    heights = _heights(view)
-    terrain_row, terrain_col = spread[-2], spread[-1]
-    if isinstance(view.terrain, Dem):
-        height, status = _surface(view.terrain, terrain_row, terrain_col)
-    else:
-        height, status = jnp.full(shape, _level(view.terrain)), jnp.full(shape, Status.hit.code)
-    p_camera, up = _seen(spread, heights, height)
-    camera = view.sensor.camera
-    u, v, seen = _projected(camera, p_camera)
-    sine = _sine(p_camera, up)
-    status = jnp.where(status == Status.hit, seen, status)
-    cells = Cells(u, v, height, terrain_row, terrain_col, sine, status)
-    return cells, _error(view, sight, corner, last, at_nodes)
+    columns = _columns(view, sight, corner[None, :] + jnp.asarray(_AT_NODES) * last[None, :])
+    between = jnp.asarray(_BETWEEN)
+    exact = _columns(view, sight, corner[None, :] + between * last[None, :])
+    error = _error(view, _spread(columns, between), exact)
+    on_terrain = jnp.stack([jnp.min(exact[:, -2:], axis=0), jnp.max(exact[:, -2:], axis=0)])
+    here = jnp.asarray(_LATTICE)
+    step = 1.0 / jnp.maximum(last, 1.0)
+    corners = [here, here + jnp.array([[1.0, 0.0]]) * step[None, :], here + jnp.array([[0.0, 1.0]]) * step[None, :]]
+    at = [_spread(columns, places).T for places in corners]
+    height, status = _ground(view, at[0][-2], at[0][-1])
+    lattice = [_seen_cells(view, part, height, status) for part in at]
+    stacked = jax.tree.map(lambda *parts: jnp.stack(parts, axis=1), *lattice)
+    return Charted(Chart(columns, last), error, on_terrain, stacked)
+
+
+def charted_cells(view: View, chart: Chart, by_row: Array, by_col: Array, sound: Flag) -> Cells:
+    """The cells (rows, cols) of a part of a chart's tile; `by_row` and `by_col` as `basis` gives them for its rows and
+    columns. Meaningless unless the chart is `sound`: by this the work is cut up."""
+    at_rows = jnp.einsum("ri,ijk->krj", by_row, chart.columns.reshape(NODES, NODES, -1))
+    parts = [at_rows[:, :, j, None] * by_col[None, None, :, j] for j in range(NODES)]
+    spread = tuple(parts[0] + parts[1] + parts[2] + parts[3])
+    height, status = where_any(sound, lambda row, col: _ground(view, row, col), *spread[-2:])
+    some = jnp.any(status == Status.hit)
+    return where_any(some, lambda *given: _seen_cells(view, given[2:], *given[:2]), height, status, *spread)
+
+
+def basis(cells: Float[Array, " n"], last: Scalar) -> Float[Array, "n nodes"]:
+    """What the nodes count for at cells along one side of a tile."""
+    return _basis(cells / jnp.maximum(last, 1.0))
+
+
+def where_any(some: Flag, stage: Callable[..., Any], *given: Array) -> Any:
+    """What a stage makes of arrays, or zeros unless there are `some` for it: it is a program of its own, while XLA
+    would else merge it with those that follow, and work parts of it out again for every use."""
+    shapes = jax.eval_shape(stage, *given)
+    return jax.lax.cond(some, stage, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *given)
 
 
 @eqx.filter_jit
 def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, int]) -> Cells:
-    """The same by the exact map for every cell: for sensors that move, and where polynomials do not hold."""
+    """The cells of a tile by the exact map of each: for sensors that move, and where polynomials do not hold."""
 
     def one(rowcol: Float[Array, "2"]) -> tuple:
         normal = view.grid.normal(rowcol)
@@ -106,7 +145,7 @@ def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, in
         uv, seen, origin = image_of_point(view.sensor, view.motion, view.time, p_ecef, view.air)
         line = origin - p_ecef
         sine = dot(line, normal) / safe_sqrt(dot(line, line))
-        return *uv, height, *place, sine, first_failure(status, seen)
+        return *uv, *place, sine, first_failure(status, seen)
 
     rows, cols = shape
     row, col = jnp.meshgrid(jnp.arange(float(rows)), jnp.arange(float(cols)), indexing="ij")
@@ -115,30 +154,23 @@ def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, in
     return Cells(*(leaf.reshape(shape) for leaf in found))
 
 
-@eqx.filter_jit
-def boxes_of(cells: Cells, seen: Bool[Array, "rows cols"], side: int) -> Float[Array, "6 down across"]:
-    """Of every square of `side` cells, of those in it that are seen: first and last row and column on the terrain's
-    grid, the lowest ground in m and the sine of the flattest line of sight; infinite where none is seen."""
-    rows, cols = seen.shape
-    squares = (rows // side, side, cols // side, side)
-    least = [
-        cells.terrain_row,
-        cells.terrain_col,
-        -cells.terrain_row,
-        -cells.terrain_col,
-        cells.height,
-        cells.sine,
-    ]
-    return jnp.stack([jnp.min(jnp.where(seen, x, jnp.inf).reshape(squares), axis=(1, 3)) for x in least])
+def may_be_hidden(cells: Cells, least_sine: Float32[Array, "rows cols"]) -> Bool[Array, "*shape"]:
+    """Which of the cells that are on the image are not proven to be in sight by `OpenSight`."""
+    rows, cols = least_sine.shape
+    row, col = (jnp.floor(jnp.nan_to_num(x)).astype(jnp.int32) for x in (cells.terrain_row, cells.terrain_col))
+    facet = jnp.clip(row, 0, rows - 1) * cols + jnp.clip(col, 0, cols - 1)
+    least = least_sine.reshape(-1).at[facet].get(mode="promise_in_bounds")
+    return (cells.status == Status.hit) & ~(cells.sine > least)
 
 
 @eqx.filter_jit
-def hidden(view: View, rowcol: Float[Array, "n 2"], height: Float[Array, " n"], tolerance: Scalar) -> Array:
-    """Status (n,) of cells at (row, col) of the grid and heights in m: `hit`, `hidden_by_terrain`, or why it is not
-    known; by the first hit of the line of sight."""
+def hidden(view: View, rowcol: Float[Array, "n 2"], tolerance: Scalar) -> Int8[Array, " n"]:
+    """Status of cells on known ground at (row, col) of the grid: `hit`, `hidden_by_terrain`, or why it is not known; by
+    the first hit of the line of sight."""
 
-    def one(rowcol: Float[Array, "2"], height: Scalar) -> Array:
+    def one(rowcol: Float[Array, "2"]) -> Array:
         normal = view.grid.normal(rowcol)
+        height, _, _ = height_on(view.terrain, normal)
         p_ecef = surface_point(normal) + height * normal
         if isinstance(view.motion, Shot):
             origin = view.sensor.perspective_centre(view.motion)
@@ -148,12 +180,27 @@ def hidden(view: View, rowcol: Float[Array, "n 2"], height: Float[Array, " n"], 
             return visibility(origin, p_ecef, view.terrain, tolerance, view.air)
         return sight_along(origin, p_ecef, view.terrain, tolerance)
 
-    return jax.vmap(one)(rowcol, height)
+    return jax.vmap(one)(rowcol)
 
 
 def _level(terrain: AbstractTerrain) -> Scalar:
     """Height in m of a terrain that is no `Dem`."""
     return -terrain.clearance(jnp.array([WGS84.a, 0.0, 0.0]), jnp.zeros(2, jnp.int32))
+
+
+def _ground(view: View, row: Array, col: Array) -> tuple[Array, Array]:
+    """(heights in m at places of the terrain's grid, `hit` or why they are unknown)."""
+    if isinstance(view.terrain, Dem):
+        return _surface(view.terrain, row, col)
+    return jnp.full(row.shape, _level(view.terrain)), jnp.full(row.shape, Status.hit.code)
+
+
+def _seen_cells(view: View, spread: Any, height: Array, status: Array) -> Cells:
+    """The cells whose places are spread by a chart, on ground at heights."""
+    p_camera, up = _seen(spread, _heights(view), height)
+    u, v, seen = _projected(view.sensor.camera, p_camera)
+    row, col = spread[-2], spread[-1]
+    return Cells(u, v, row, col, _sine(p_camera, up), jnp.where(status == Status.hit, seen, status))
 
 
 def _surface(terrain: Dem, row: Array, col: Array) -> tuple[Array, Array]:
@@ -214,7 +261,7 @@ def _columns(view: View, sight: Sight, rowcol: Float[Array, "n 2"]) -> Float[Arr
     return jax.vmap(one)(rowcol)
 
 
-def _seen(columns: Array, heights: Float[Array, " k"], height: Array) -> tuple[list[Array], list[Array]]:
+def _seen(columns: Any, heights: Float[Array, " k"], height: Array) -> tuple[list[Array], list[Array]]:
     """(places in the camera frame at `height`, their change with height in m per m), components first."""
     low, span = heights[0], heights[-1] - heights[0]
     t = (height - low) / span
@@ -238,24 +285,23 @@ def _sine(p_camera: list[Array], up: list[Array]) -> Array:
 
 def _projected(camera: AbstractCamera, p_camera: list[Array]) -> tuple[Array, Array, Array]:
     """(columns, rows, statuses) of places in the camera frame, of any one shape."""
-    shape = jnp.shape(p_camera[0])
-    places = tuple(component.reshape(-1) for component in p_camera)
+    if not isinstance(camera, FrameCamera):
+        return _projected_one_by_one(camera, p_camera)
+    if isinstance(camera.distortion, NoDistortion):
+        return camera.project_many(*p_camera)
+    unfolded = eqx.tree_at(lambda camera: camera.distortion, camera, _Unfolded(camera.distortion))
+    is_in_field = _are_in_field(camera.distortion, *p_camera)
+    quick, careful = (functools.partial(type(one).project_many, one) for one in (unfolded, camera))
+    return jax.lax.cond(is_in_field, quick, careful, *p_camera)
 
-    def of(camera: AbstractCamera) -> tuple[Array, Array, Array]:
-        def one(x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Array]:
-            uv, status = camera.project(jnp.stack([x, y, z]))
-            return uv[0], uv[1], status
 
-        return jax.vmap(one)(*places)
+def _projected_one_by_one(camera: AbstractCamera, p_camera: list[Array]) -> tuple[Array, Array, Array]:
+    def one(x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Array]:
+        uv, status = camera.project(jnp.stack([x, y, z]))
+        return uv[0], uv[1], status
 
-    if not isinstance(camera, FrameCamera) or isinstance(camera.distortion, NoDistortion):
-        found = of(camera)
-    else:
-        unfolded = eqx.tree_at(lambda camera: camera.distortion, camera, _Unfolded(camera.distortion))
-        is_in_field = _are_in_field(camera.distortion, *places)
-        found = jax.lax.cond(is_in_field, lambda: of(unfolded), lambda: of(camera))
-    u, v, status = found
-    return u.reshape(shape), v.reshape(shape), status.reshape(shape)
+    found = jax.vmap(one)(*(component.reshape(-1) for component in p_camera))
+    return tuple(part.reshape(p_camera[0].shape) for part in found)  # pyright: ignore[reportReturnType]
 
 
 class _Unfolded(NoDistortion):
@@ -278,15 +324,10 @@ def _are_in_field(lens: AbstractDistortion, x: Array, y: Array, z: Array) -> Fla
     return jnp.all(ahead) & jnp.all(jax.vmap(lens.in_field)(circle))
 
 
-def _error(view: View, sight: Sight, corner: Array, last: Array, at_nodes: Array) -> Scalar:
-    """By how much the polynomials are off at places between the nodes: the larger of pixels and cells of the terrain,
-    at all heights; infinite where one of the two ways knows no pixel and the other does."""
-    between = jnp.asarray(_BETWEEN)
-    weights = _basis(between[:, 0])[:, :, None] * _basis(between[:, 1])[:, None, :]
-    columns = jnp.einsum("nij,ijk->nk", weights, at_nodes.reshape(NODES, NODES, -1))
-    exact = _columns(view, sight, corner[None, :] + between * last[None, :])
-    off_cells = jnp.max(jnp.abs((columns - exact)[:, -2:]))
-    worst = off_cells
+def _error(view: View, columns: Array, exact: Array) -> Scalar:
+    """By how much a chart's columns (n, k) are off the exact ones, the larger of pixels and cells of the terrain, at
+    any height; infinite where one of the two ways knows no pixel and the other does."""
+    worst = jnp.max(jnp.abs((columns - exact)[:, -2:]))
     for first in range(0, columns.shape[1] - 2, 3):
         parts = [[x[:, first + i] for i in range(3)] for x in (columns, exact)]
         (u, v, seen), (u0, v0, seen0) = (_projected(view.sensor.camera, part) for part in parts)
@@ -297,9 +338,10 @@ def _error(view: View, sight: Sight, corner: Array, last: Array, at_nodes: Array
     return jnp.where(jnp.isnan(worst), jnp.inf, worst)
 
 
-def _nodes() -> Float[Array, "n 2"]:
-    t = jnp.asarray(_PLACES)
-    return jnp.stack(jnp.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
+def _spread(columns: Float[Array, "nodes k"], places: Float[Array, "n 2"]) -> Float[Array, "n k"]:
+    """A chart's columns at places in the tile, each of 0 to 1."""
+    weights = _basis(places[:, 0])[:, :, None] * _basis(places[:, 1])[:, None, :]
+    return weights.reshape(len(places), -1) @ columns
 
 
 def _basis(t: Array) -> Array:
@@ -315,7 +357,14 @@ def _basis(t: Array) -> Array:
     return jnp.stack(columns, axis=1)
 
 
+def _squared(along: np.ndarray) -> np.ndarray:
+    """All places (n, 2) of which both coordinates are among those."""
+    return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
 _PLACES = 0.5 - 0.5 * np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
 _BETWEEN = np.array(
     [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [0.5, 0.0], [0.0, 0.5], [1.0, 0.5], [0.5, 1.0], [0.5, 0.5]]
 )
+_AT_NODES = _squared(_PLACES)
+_LATTICE = _squared(np.linspace(0.0, 1.0, 8))

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Num
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Num
 
 from jaxgeo._typing import Numbers
 
 LEAST = 1e-9  # weight below which a pixel has no part in a value
+ROWS_AT_ONCE = 512
+WORDS = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}  # by their bits
 
 
 class AbstractInterpolation(eqx.Module):
@@ -73,21 +81,118 @@ def precision_of(values: Num[Array, "..."]) -> Any:
     return jnp.float64 if values.dtype.itemsize > 2 and values.dtype != jnp.float32 else jnp.float32
 
 
-def sampled(
-    values: Num[Array, "bands rows cols"],
-    known: Bool[Array, "rows cols"] | None,
-    uv: tuple[Numbers, Numbers],
-    how: AbstractInterpolation,
-) -> tuple[Float[Array, "bands ..."], Bool[Array, "..."]]:
-    """(values at places (column, row), whether all pixels that have part in them are known), of any one shape.
+class Pixels(eqx.Module):
+    """The pixels of an image (bands, rows, cols), laid out so that those about a place are quick to take.
 
-    Pixels beyond the edge are those at the edge; what lies outside is for the caller to say. `known` is None where all
-    are.
+    Two to four bands of bytes can share a word: eight bits for each, or sixteen where they are means, with their 256th
+    parts. Other bands lie one by one. `known` is None where all pixels are.
     """
-    bands, rows, cols = values.shape
-    flat = values.reshape(bands, rows * cols)
+
+    words: tuple[Num[Array, " pixels"], ...]
+    known: Bool[Array, " pixels"] | None
+    bands: int = eqx.field(static=True)
+    shape: tuple[int, int] = eqx.field(static=True)
+    bits: int = eqx.field(static=True)
+    """Of a band in a word; 0 where bands lie one by one."""
+
+    @classmethod
+    def of(cls, values: Num[ArrayLike, "bands rows cols"], known: Bool[ArrayLike, "rows cols"] | None) -> Pixels:
+        """Band by band, as they are."""
+        bands, rows, cols = np.shape(values)
+        words = tuple(jnp.asarray(band).reshape(-1) for band in values)  # pyright: ignore[reportGeneralTypeIssues]
+        return cls(words, None if known is None else jnp.asarray(known).reshape(-1), bands, (rows, cols), 0)
+
+    @property
+    def are_few_bytes(self) -> bool:
+        """Whether they fit in a word together."""
+        return not self.bits and self.words[0].dtype == jnp.uint8 and 2 <= self.bands <= 4
+
+    def packed(self) -> Pixels:
+        """The same, together in words if they fit."""
+        if not self.are_few_bytes:
+            return self
+        return Pixels((_packed(self.words, 8),), self.known, self.bands, self.shape, 8)
+
+    def taken(self, place: Int[Array, "..."], precision: Any) -> list[Float[Array, "..."]]:
+        """Values of the pixels that lie at places in the flat arrays, band by band."""
+        words = [word.at[place].get(mode="promise_in_bounds") for word in self.words]
+        if not self.bits:
+            return [word.astype(precision) for word in words]
+        scale = 1.0 / 256.0 if self.bits == 16 else 1.0
+        return [part.astype(jnp.int32).astype(precision) * scale for part in self._unpacked(words[0])]
+
+    def precision(self) -> Any:
+        """In which sums of them are made."""
+        return jnp.float32 if self.bits else precision_of(self.words[0])
+
+    def halved(self) -> Pixels:
+        """Means of four pixels; known where all four are. A last row or column left over is dropped."""
+        rows, cols = (n // 2 * 2 for n in self.shape)
+
+        def four(flat: Array) -> list[Array]:
+            image = flat.reshape(self.shape)
+            return [image[i:rows:2, j:cols:2].reshape(-1) for i in (0, 1) for j in (0, 1)]
+
+        if self.are_few_bytes:
+            means = [_total([x.astype(jnp.uint32) for x in four(word)]) << 6 for word in self.words]
+            words, bits = (_packed(means, 16),), 16
+        elif self.bits:
+            parts = [self._unpacked(word) for word in four(self.words[0])]
+            sums = [_total([part[band].astype(jnp.uint32) for part in parts]) for band in range(self.bands)]
+            words, bits = (_packed([(total + 2) >> 2 for total in sums], self.bits),), self.bits
+        else:
+            words, bits = (
+                tuple(0.25 * _total([x.astype(self.precision()) for x in four(word)]) for word in self.words),
+                0,
+            )
+        known = None if self.known is None else functools.reduce(operator.and_, four(self.known))
+        return Pixels(words, known, self.bands, (rows // 2, cols // 2), bits)
+
+    def _unpacked(self, word: Array) -> list[Array]:
+        mask = jnp.asarray((1 << self.bits) - 1, word.dtype)
+        return [(word >> jnp.asarray(self.bits * band, word.dtype)) & mask for band in range(self.bands)]
+
+
+def halved_pixels(values: np.ndarray, known: np.ndarray | None) -> Pixels:
+    """`Pixels.of(values, known).halved()`, part by part: an image is not copied whole only to be made smaller."""
+    rows = values.shape[1] // 2 * 2
+    count = min(ROWS_AT_ONCE, rows)
+    parts = []
+    for first in range(0, rows, count):
+        overlap = max(first + count - rows, 0)  # all parts have one size, so that one program serves
+        part = np.s_[first - overlap : first - overlap + count]
+        found = _halved(Pixels.of(values[:, part], None if known is None else known[part]))
+        skipped = overlap // 2 * found.shape[1]
+        parts.append(jax.tree.map(lambda x: x[skipped:], found))  # noqa: B023
+    shape = (rows // 2, parts[0].shape[1])
+    whole = jax.tree.map(lambda *flat: jnp.concatenate(flat) if len(flat) > 1 else flat[0], *parts)
+    return Pixels(whole.words, whole.known, whole.bands, shape, whole.bits)
+
+
+_halved = eqx.filter_jit(Pixels.halved)
+
+
+def _total(parts: Sequence[Array]) -> Array:
+    return functools.reduce(operator.add, parts)
+
+
+def _packed(bands: Sequence[Array], bits: int) -> Array:
+    """Whole numbers of a few bits, side by side in one word."""
+    need = bits * len(bands)
+    dtype = next(dtype for size, dtype in WORDS.items() if size >= need)
+    return functools.reduce(operator.or_, [band.astype(dtype) << (bits * k) for k, band in enumerate(bands)])
+
+
+def sampled(
+    pixels: Pixels, uv: tuple[Numbers, Numbers], how: AbstractInterpolation
+) -> tuple[list[Float[Array, "..."]], Bool[Array, "..."]]:
+    """(values at places (column, row) of any shape, band by band; whether all pixels that have part in them are known).
+
+    Pixels beyond the edge are those at the edge; what lies outside is for the caller to say.
+    """
+    rows, cols = pixels.shape
     u, v = uv
-    precision = precision_of(values)
+    precision = pixels.precision()
     first_col, first_row = how.first(u), how.first(v)
     by_col, by_row = (
         tuple(weight.astype(precision) for weight in how.weights(part)) for part in (u - first_col, v - first_row)
@@ -95,17 +200,17 @@ def sampled(
     col0, row0 = first_col.astype(jnp.int32), first_row.astype(jnp.int32)
     columns = [jnp.clip(col0 + tap, 0, cols - 1) for tap in how.taps]
     lines = [jnp.clip(row0 + tap, 0, rows - 1) * cols for tap in how.taps]
-    found: list[Any] = [0.0] * bands
+    found: list[Any] = [0.0] * pixels.bands
     sound = jnp.ones(jnp.shape(u), bool)
     for line, weight_row in zip(lines, by_row, strict=True):
-        along: list[Any] = [0.0] * bands
+        along: list[Any] = [0.0] * pixels.bands
         for column, weight_col in zip(columns, by_col, strict=True):
             place = line + column
-            for band in range(bands):
-                pixel = flat[band].at[place].get(mode="promise_in_bounds")
-                along[band] = along[band] + weight_col * pixel.astype(precision)
-            if known is not None:
-                here = known.reshape(-1).at[place].get(mode="promise_in_bounds")
+            along = [
+                part + weight_col * pixel for part, pixel in zip(along, pixels.taken(place, precision), strict=True)
+            ]
+            if pixels.known is not None:
+                here = pixels.known.at[place].get(mode="promise_in_bounds")
                 sound &= here | (jnp.abs(weight_row * weight_col) < LEAST)
         found = [total + weight_row * part for total, part in zip(found, along, strict=True)]
-    return jnp.stack(found), sound
+    return found, sound

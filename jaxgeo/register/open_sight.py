@@ -1,172 +1,312 @@
-"""Where lines of sight are surely free, told from the slopes of the ground, so that only the others are searched."""
+"""Which lines of sight to a camera are surely free, told from the ground between, so that only the others are searched.
+
+Every facet of a terrain has the tangent of an elevation: lines of sight to the camera that rise faster than that from
+anywhere on the facet meet no other ground, and leave the terrain only above all of it. Along the way to the camera, cut
+into stretches, ground rises above where the line starts neither by more than the steepest slopes of the stretches up to
+there add up to, nor above their highest posts; the smaller of the two, over the least distance, is what counts.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import dataclasses
+import threading
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float, Float32, Int
 
+from jaxgeo._numerics import safe_sqrt
+from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84
 from jaxgeo.register.cells import View
 from jaxgeo.sensor import Shot
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.terrain.grid import surface_point
 
-POOL = 4  # cells of the terrain on a side, whose steepest and highest are kept together
-MARGIN_CELLS = 2.0
-BENT = 2e-3  # rad by which air may bend a line of sight
+NEAR = 8  # stretches of one cell's length, of which slopes are added up; then they grow
+GROWTH = 1.25
+FARTHEST = 4096.0  # cells; beyond, all ground counts as high as the highest
+WINDOW = 4  # cells on a side, as stretches near the facet cover at most
+BENT_BY_AIR = 2e-3  # rad by which air may bend a line of sight
 LEAST_ELEVATION = 1e-3  # rad; lines of sight as flat as that are always searched
-WIDER = 1.01  # steps of the grid differ a little over the corridor, and its middle line is not quite straight
+LEAST_WAY = 3.0  # cells; nearer to the camera's foot lines of sight have no common direction
+WIDER = 1.01  # for steps of the grid that differ a little from those measured, and by height above the ellipsoid
+STRAIGHT = 1e-3  # of its length, by which a line of sight may always leave its straight line on the grid
+MOST_BENT = 1e-2  # of its length, by which it may leave it at most: meridians that meet, seen from tens of km
+ROUNDED = 1e-5  # of a tangent
+BLOCKS = 16  # along the longer side of a large terrain, of which only those in view are computed
+LEAST_BLOCK = 256  # cells
 
 
-@dataclass(frozen=True)
-class OpenSight:
-    """The steepest and highest ground of a terrain in squares of `POOL` cells.
+class Ground(NamedTuple):
+    """What is asked of a terrain seen from one place, as arrays over facets, flattened one after the other.
 
-    Ground rises by no more than its greatest slope over the way; a line of sight that rises faster, above ground that
-    is known all along until it is over the ceiling, is free. `steepest` is the tangent of the slope, infinite about
-    voids.
+    `rise` is the steepest rise towards the camera in the `WINDOW` from a facet on, m per m; `tops` is the highest post
+    in it in m, followed by that in squares of 2, 4, 8, ... facets and the squares after them.
     """
 
-    steepest: np.ndarray
-    highest: np.ndarray
-    ceiling: float
-    metres_per_cell: float
-    """The least length of a step on the terrain's grid, m."""
-    nadir: np.ndarray
-    """(row, col) below the camera on that grid."""
-    extent: tuple[int, int]
-    slack: float
+    rise: Float32[Array, " facets"]
+    rise_at_foot: Scalar
+    """The steepest in any direction about the point below the camera, m per m."""
+    tops: Float32[Array, " squares"]
+    lowest: Float32[Array, "rows cols"]
+    ceiling: Scalar
+    metric: Float[Array, "places 3"]
+    """Squares and product of a step along rows and along columns, m2."""
+    bend: Scalar
+    nadir: Float[Array, "2"]
+    extent: Int[Array, "2"]
+
+
+class OpenSight:
+    """The sines of elevations from which on lines of sight from facets of a terrain are surely free, found where asked
+    for; safe to ask from several threads."""
+
+    def __init__(self, view: View) -> None:
+        assert isinstance(view.terrain, Dem)
+        self._ground = _ground_of(view)
+        self._slack = jnp.asarray(0.0 if view.air is None else BENT_BY_AIR)
+        shape = self._ground.lowest.shape
+        side = max(LEAST_BLOCK, -(-max(shape) // BLOCKS))
+        self._block = (min(side, shape[0]), min(side, shape[1]))
+        self._found = np.zeros([-(-n // side) for n, side in zip(shape, self._block, strict=True)], bool)
+        self._least_sine = jnp.full(shape, 2.0, jnp.float32)
+        self._lock = threading.Lock()
 
     @classmethod
     def of(cls, view: View) -> OpenSight | None:
         """None for terrains of which nothing can be told so: no `Dem`, or one with a field that varies, or seen from a
         moving camera."""
-        terrain = view.terrain
-        if not (isinstance(terrain, Dem) and isinstance(view.motion, Shot)):
+        if not (isinstance(view.terrain, Dem) and isinstance(view.motion, Shot)):
             return None
-        if not isinstance(terrain.field, ConstantField | None):
-            return None
-        lift = 0.0 if terrain.field is None else float(terrain.field.bounds()[0])
-        rows, cols = (int(n) for n in np.asarray(terrain.extent))
-        posts = np.asarray(terrain.posts)[:rows, :cols].astype(np.float64)
-        least, nadir = _steps_and_nadir(view)
-        down, across = np.abs(np.diff(posts, axis=0)), np.abs(np.diff(posts, axis=1))
-        down, across = np.maximum(down[:, 1:], down[:, :-1]), np.maximum(across[1:], across[:-1])
-        slope = np.hypot(down, across) / float(least)
-        if bool(terrain.has_void):
-            void = np.asarray(terrain.void)[:rows, :cols]
-            slope[void[1:, 1:] | void[:-1, 1:] | void[1:, :-1] | void[:-1, :-1]] = np.inf
-        top = np.maximum(np.maximum(posts[1:, 1:], posts[:-1, 1:]), np.maximum(posts[1:, :-1], posts[:-1, :-1]))
-        return cls(
-            _pooled(slope, 0.0),
-            _pooled(top, -np.inf) + lift,
-            float(terrain.ceiling),
-            float(least),
-            np.asarray(nadir),
-            (rows, cols),
-            0.0 if view.air is None else BENT,
-        )
+        return cls(view) if isinstance(view.terrain.field, ConstantField | None) else None
 
-    def searched(self, boxes: np.ndarray) -> np.ndarray:
-        """Of squares of cells (6, down, across), as `boxes_of` gives them: which may have hidden ground."""
-        may_hide = np.zeros(boxes.shape[1:], bool)
-        self._mark(boxes, may_hide)
-        return may_hide
-
-    def _mark(self, boxes: np.ndarray, may_hide: np.ndarray) -> None:
-        """The same of a block of squares into `may_hide`: all at once if they are free, else quarter by quarter."""
-        if not np.isfinite(boxes[0]).any() or self.is_free(Part.of(boxes.min(axis=(1, 2)))):
-            return
-        rows, cols = may_hide.shape
-        if rows == cols == 1:
-            may_hide[:] = True
-            return
-        for down in (np.s_[: (rows + 1) // 2], np.s_[(rows + 1) // 2 :]):
-            for across in (np.s_[: (cols + 1) // 2], np.s_[(cols + 1) // 2 :]):
-                if may_hide[down, across].size:
-                    self._mark(boxes[:, down, across], may_hide[down, across])
-
-    def is_free(self, part: Part) -> bool:
-        """Whether the lines of sight to all cells of a part of a tile are surely free."""
-        elevation = part.elevation - self.slack
-        if not elevation > LEAST_ELEVATION:
-            return False
-        rise = float(np.tan(min(elevation, 1.57))) / WIDER
-        first, last = part.first, part.last
-        whole = self._corridor(first, last, (self.ceiling - part.lowest) / rise)
-        if whole is None:
-            return False
-        reach = self.ceiling - part.lowest
-        for _ in range(2):  # over lower ground the line of sight is sooner above all of it
-            window = self._corridor(first, last, reach / rise)
-            assert window is not None
-            reach = max(float(self.highest[window].max()) - part.lowest, 0.0)
-        window = self._corridor(first, last, reach / rise)
-        assert window is not None
-        return bool(self.steepest[window].max() < rise)
-
-    def _corridor(self, first: np.ndarray, last: np.ndarray, reach: float) -> tuple[slice, slice] | None:
-        """The squares between a part and where its lines of sight are `reach` m nearer to the camera; None where that
-        leaves the terrain."""
-        way = self.nadir - 0.5 * (first + last)
-        length = float(np.hypot(*way))
-        step = way / max(length, 1e-9) * min(max(reach, 0.0) * WIDER / self.metres_per_cell, length)
-        aside = MARGIN_CELLS + 0.02 * np.abs(step).max() + _spread_of(first, last, length, np.abs(step).max())
-        low = np.minimum(first, first + step) - aside
-        high = np.maximum(last, last + step) + aside
-        if np.any(low < 0.0) or np.any(high > np.array(self.extent) - 1.0):
-            return None
-        row0, col0 = (int(x) // POOL for x in low)
-        row1, col1 = (int(x) // POOL + 1 for x in high)
-        return slice(row0, row1), slice(col0, col1)
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a tile: its box on the terrain's grid (row, col), its lowest ground in m, and the flattest line of
-    sight to it, rad."""
-
-    first: np.ndarray
-    last: np.ndarray
-    lowest: float
-    elevation: float
-
-    @classmethod
-    def of(cls, box: np.ndarray) -> Part:
-        """From the numbers of `boxes_of`."""
-        return cls(box[0:2], -box[2:4], float(box[4]), float(np.arcsin(np.clip(box[5], -1.0, 1.0))))
-
-
-def _spread_of(first: np.ndarray, last: np.ndarray, length: float, step: float) -> float:
-    """By how many cells lines of sight from the part's corners leave the box that its middle's sweeps: they all run to
-    the nadir."""
-    half = 0.5 * float(np.hypot(*(last - first)))
-    return half * step / max(length, half, 1e-9)
-
-
-def _pooled(values: np.ndarray, fill: float) -> np.ndarray:
-    rows, cols = (-(-n // POOL) * POOL for n in values.shape)
-    padded = np.full((rows, cols), fill)
-    padded[: values.shape[0], : values.shape[1]] = values
-    return padded.reshape(rows // POOL, POOL, cols // POOL, POOL).max(axis=(1, 3))
+    def least_sine(self, first: np.ndarray, last: np.ndarray) -> Float32[Array, "rows cols"]:
+        """For every facet between two places (row, col) of the terrain's grid, and perhaps more: lines of sight that
+        rise at an angle with a greater sine are free. Greater than 1 where nothing is known."""
+        shape, side = np.array(self._found.shape), np.array(self._block)
+        low, high = (np.clip(np.floor(np.nan_to_num(x) / side), 0, shape - 1).astype(int) for x in (first, last))
+        with self._lock:
+            for row in range(low[0], high[0] + 1):
+                for col in range(low[1], high[1] + 1):
+                    if not self._found[row, col]:
+                        corner = jnp.array([row * side[0], col * side[1]])
+                        self._least_sine = _with_block(self._least_sine, self._ground, self._slack, corner, self._block)
+                        self._found[row, col] = True
+            return self._least_sine
 
 
 @eqx.filter_jit
-def _steps_and_nadir(view: View) -> tuple[Any, Any]:
-    """(the least length of a step over the terrain's grid in m, (row, col) below the camera)."""
+def _ground_of(view: View) -> Ground:
     assert isinstance(view.terrain, Dem)
     assert isinstance(view.motion, Shot)
-    terrain = view.terrain
+    terrain = dataclasses.replace(view.terrain, field=None)  # what lifts all ground alike hides nothing
+    foot, _ = WGS84.normal_and_height(view.sensor.perspective_centre(view.motion))
+    metric, bend, nadir = _map_of(foot, terrain)
+    posts, void = jnp.asarray(terrain.posts), jnp.asarray(terrain.void)
+    extent = jnp.asarray(terrain.extent)
+    corners = [(posts[i, j], void[i, j]) for i in (np.s_[:-1], np.s_[1:]) for j in (np.s_[:-1], np.s_[1:])]
+    (a, no_a), (b, no_b), (c, no_c), (d, no_d) = corners
+    row, col = jnp.arange(a.shape[0])[:, None], jnp.arange(a.shape[1])[None, :]
+    is_known = (row < extent[0] - 1) & (col < extent[1] - 1) & ~(no_a | no_b | no_c | no_d)
+    ceiling = _up(jnp.asarray(terrain.ceiling))
+
+    top = _up(jnp.maximum(jnp.maximum(a, b), jnp.maximum(c, d)))
+    lowest = -_up(-jnp.minimum(jnp.minimum(a, b), jnp.minimum(c, d)))
+    a, b, c, d = (x.astype(jnp.float64) for x in (a, b, c, d))
+    towards_row, towards_col, length = _way(nadir, row + 0.5, col + 0.5)
+    metres, aside = _metres(metric, bend, towards_row, towards_col, length)
+    rise = jnp.maximum(towards_row * (c - a), towards_row * (d - b))
+    rise += jnp.maximum(towards_col * (b - a), towards_col * (d - c))
+    steepest = jnp.hypot(jnp.maximum(jnp.abs(c - a), jnp.abs(d - b)), jnp.maximum(jnp.abs(b - a), jnp.abs(d - c)))
+    rise = jnp.maximum(rise + aside * steepest, 0.0) / jnp.where(metres > 0.0, metres, 1.0)
+    in_any_direction = steepest / _least_metres(metric)
+    rise = jnp.where(metres > 0.0, jnp.minimum(rise, in_any_direction), in_any_direction)
+    rise = jnp.where(is_known, _up(rise), jnp.inf)
+    near_foot = length < LEAST_WAY + 2.0
+    rise_at_foot = jnp.max(jnp.where(near_foot, _up(jnp.where(is_known, in_any_direction, jnp.inf)), 0.0))
+    top = jnp.where(is_known, top, ceiling)
+
+    near = top
+    for step in (1, 2):  # over WINDOW cells
+        near, rise = _with_later(near, step, ceiling), _with_later(rise, step, jnp.inf)
+    tops, square = [near.reshape(-1)], top
+    for _ in _strides(top.shape)[1:]:
+        square = _halved(square, ceiling)
+        tops.append(_with_later(square, 1, ceiling).reshape(-1))
+    return Ground(rise.reshape(-1), rise_at_foot, jnp.concatenate(tops), lowest, ceiling, metric, bend, nadir, extent)
+
+
+def _map_of(foot: Vector3, terrain: Dem) -> tuple[Array, Array, Array]:
+    """(squares and product of the grid's steps at some places, m2; by which part of its length a line of sight may
+    leave its straight line on the grid; (row, col) below the camera)."""
+    grid = terrain.grid
     last = (jnp.asarray(terrain.extent) - 1).astype(jnp.float64)
     places = jnp.array([[r, c] for r in (0.0, 0.5, 1.0) for c in (0.0, 0.5, 1.0)]) * last[None, :]
-    steps = jax.vmap(jax.jacfwd(lambda place: surface_point(terrain.grid.normal(place))))(places)
+    steps = jax.vmap(jax.jacfwd(lambda place: surface_point(grid.normal(place))))(places)
     squared = jnp.einsum("nki,nkj->nij", steps, steps)
-    a, b, d = squared[:, 0, 0], squared[:, 0, 1], squared[:, 1, 1]
-    least = 0.5 * (a + d) - jnp.sqrt(0.25 * (a - d) ** 2 + b * b)
-    up, _ = WGS84.normal_and_height(view.sensor.perspective_centre(view.motion))
-    return jnp.sqrt(jnp.min(least)), terrain.grid.rowcol(up)
+    nadir = grid.rowcol(foot)
+
+    def leaves_line(place: Float[Array, "2"]) -> Scalar:
+        middle = grid.normal(place) + foot
+        off = grid.rowcol(middle / safe_sqrt(middle @ middle)) - 0.5 * (place + nadir)
+        way = nadir - place
+        return jnp.abs(off[0] * way[1] - off[1] * way[0]) / jnp.maximum(way @ way, 1e-9)
+
+    off = jnp.max(jax.vmap(leaves_line)(places))  # an arc's ends are four times as steep as it is high
+    return jnp.stack([squared[:, 0, 0], squared[:, 1, 1], squared[:, 0, 1]], axis=1), STRAIGHT + 8.0 * off, nadir
+
+
+def _way(nadir: Array, row: Array, col: Array) -> tuple[Array, Array, Array]:
+    """(the direction from places on the grid to the camera's foot, along rows and columns; the way's length, cells)."""
+    down, across = nadir[0] - row, nadir[1] - col
+    length = jnp.sqrt(down * down + across * across)
+    return down / jnp.maximum(length, 1e-9), across / jnp.maximum(length, 1e-9), length
+
+
+def _least_metres(metric: Array) -> Scalar:
+    """The least length in m of one cell's way."""
+    middle, half = 0.5 * (metric[:, 0] + metric[:, 1]), jnp.hypot(0.5 * (metric[:, 0] - metric[:, 1]), metric[:, 2])
+    return jnp.sqrt(jnp.min(middle - half)) / WIDER
+
+
+def _metres(metric: Array, bend: Array, by_row: Array, by_col: Array, length: Array) -> tuple[Array, Array]:
+    """(the least length in m of one cell's way in a direction, for lines from anywhere on a facet; by how much in rad
+    these may differ in direction). The length is not positive where nothing can be told."""
+    row2, col2, both = (metric[:, k] for k in range(3))
+    middle, half = 0.5 * (row2 + col2), jnp.hypot(0.5 * (row2 - col2), both)
+    longest = jnp.sqrt(jnp.max(middle + half))
+    squared = [row2[k] * by_row**2 + col2[k] * by_col**2 + 2.0 * both[k] * by_row * by_col for k in range(len(row2))]
+    least = squared[0]
+    for other in squared[1:]:
+        least = jnp.minimum(least, other)
+    aside = bend + 1.0 / jnp.maximum(length, 1e-9)
+    metres = jnp.sqrt(jnp.maximum(least, 0.0)) / WIDER - longest * aside
+    return jnp.where(length > LEAST_WAY, metres, -1.0), aside
+
+
+def _up(values: Array) -> Array:
+    """In single precision, not below what they are."""
+    single = values.astype(jnp.float32)
+    return jnp.where(single.astype(jnp.float64) < values, jnp.nextafter(single, jnp.float32(jnp.inf)), single)
+
+
+def _with_later(values: Array, step: int, beyond: Any) -> Array:
+    """The larger of each value and those `step` later, along both sides."""
+    for axis in (0, 1):
+        count = min(step, values.shape[axis])
+        shape = list(values.shape)
+        shape[axis] = count
+        later = [jax.lax.slice_in_dim(values, count, None, axis=axis), jnp.full(shape, beyond, values.dtype)]
+        values = jnp.maximum(values, jnp.concatenate(later, axis=axis))
+    return values
+
+
+def _halved(values: Array, beyond: Array) -> Array:
+    """The largest of squares of 2 x 2."""
+    rows, cols = values.shape
+    values = jnp.pad(values, ((0, rows % 2), (0, cols % 2)), constant_values=beyond)
+    return jnp.maximum(
+        jnp.maximum(values[::2, ::2], values[1::2, ::2]), jnp.maximum(values[::2, 1::2], values[1::2, 1::2])
+    )
+
+
+def _strides(shape: tuple[int, ...]) -> list[tuple[int, int, int]]:
+    """(side of a square in facets, columns of squares, where they start) of the arrays in `Ground.tops`."""
+    rows, cols, start, side, found = *shape, 0, 1, []
+    while True:
+        found.append((side, cols, start))
+        if (side >= 2 and max(rows, cols) == 1) or side >= FARTHEST:
+            return found
+        start, side = start + rows * cols, 2 * side
+        rows, cols = -(-rows // 2), -(-cols // 2)
+
+
+def _stretches(strides: list[tuple[int, int, int]]) -> np.ndarray:
+    """First and last end in cells of the stretches beyond the near ones, and side, columns and start of the squares
+    that each is looked up in: no less than it covers."""
+    rows, first = [], float(NEAR)
+    while first < FARTHEST:
+        last = first + max(1.0, (GROWTH - 1.0) * first)
+        reach = 1.0 + (last - first) + 2.0 * MOST_BENT * last
+        fitting = [k for k, (side, _, _) in enumerate(strides) if k and side >= reach]
+        rows.append([first, last, *strides[fitting[0] if fitting else -1]])
+        if not fitting:
+            return np.array(rows)[:-1]
+        first = last
+    return np.array(rows)
+
+
+@eqx.filter_jit
+def _with_block(
+    least_sine: Float32[Array, "rows cols"],
+    ground: Ground,
+    slack: Scalar,
+    corner: Int[Array, "2"],
+    shape: tuple[int, int],
+) -> Float32[Array, "rows cols"]:
+    """The sines with those of a block of facets from (row, col)."""
+    rows, cols = least_sine.shape
+    corner = jnp.minimum(corner, jnp.array([rows - shape[0], cols - shape[1]]))  # the last blocks overlap others
+    row = (corner[0] + jnp.arange(shape[0]))[:, None].astype(jnp.float64) + jnp.zeros(shape)
+    col = (corner[1] + jnp.arange(shape[1]))[None, :].astype(jnp.float64) + jnp.zeros(shape)
+    lowest = jax.lax.dynamic_slice(ground.lowest, corner, shape)
+    tangent = _least_tangent(ground, row, col, lowest)
+    angle = jnp.arctan(tangent * (1.0 + ROUNDED) + ROUNDED) + slack
+    sine = jnp.where(angle < 0.5 * jnp.pi, jnp.sin(jnp.maximum(angle, LEAST_ELEVATION)), 2.0)
+    sine = jnp.where(jnp.isfinite(tangent), _up(sine), 2.0).astype(jnp.float32)
+    return jax.lax.dynamic_update_slice(least_sine, sine, corner)
+
+
+def _least_tangent(ground: Ground, row: Array, col: Array, lowest: Array) -> Array:
+    """The tangent of the elevation from which on lines of sight from facets are free."""
+    by_row, by_col, length = _way(ground.nadir, row + 0.5, col + 0.5)
+    metres, _ = _metres(ground.metric, ground.bend, by_row, by_col, length)
+    metres = jnp.where((metres > 0.0) & (ground.bend < MOST_BENT), metres, jnp.nan)
+    last_row, last_col = (ground.extent - 1).astype(jnp.float64)
+    all_cols = ground.lowest.shape[1]
+
+    def looked_up(first: Any, last: Any, squares: tuple[Any, Any, Any]) -> tuple[Array, Array, Array]:
+        """(where the stretch is in the arrays, whether it leaves the terrain, the highest ground there)."""
+        side, across, start = squares
+        aside = ground.bend * last
+        row0 = row + jnp.minimum(by_row * first, by_row * last) - aside
+        col0 = col + jnp.minimum(by_col * first, by_col * last) - aside
+        row1 = row + 1.0 + jnp.maximum(by_row * first, by_row * last) + aside
+        col1 = col + 1.0 + jnp.maximum(by_col * first, by_col * last) + aside
+        leaves = (row0 < 0.0) | (col0 < 0.0) | (row1 > last_row) | (col1 > last_col)
+        low_row, low_col = (jnp.floor(jnp.where(leaves, 0.0, x) / side).astype(jnp.int32) for x in (row0, col0))
+        place = jnp.asarray(start, jnp.int32) + low_row * jnp.asarray(across, jnp.int32) + low_col
+        top = ground.tops.at[place].get(mode="promise_in_bounds")
+        return place, leaves, jnp.where(leaves, ground.ceiling, top)
+
+    def near(k: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        tangent, total, before = state
+        first = k.astype(jnp.float64)
+        place, leaves, top = looked_up(first, first + 1.0, (1, all_cols, 0))
+        rise = jnp.where(leaves, jnp.inf, ground.rise.at[place].get(mode="promise_in_bounds"))
+        total = total + rise
+        after = total / (first + 1.0)
+        by_height = jnp.where(first > 0.0, (top - lowest) / (jnp.maximum(first, 1.0) * metres), jnp.inf)
+        need = jnp.minimum(jnp.maximum(before, after), by_height)
+        return jnp.where(first < length, jnp.maximum(tangent, need), tangent), total, after
+
+    def far(k: Array, tangent: Array) -> Array:
+        first, last = stretches[k, 0], stretches[k, 1]
+        _, _, top = looked_up(first, last, (stretches[k, 2], stretches[k, 3], stretches[k, 4]))
+        return jnp.where(first < length, jnp.maximum(tangent, (top - lowest) / (first * metres)), tangent)
+
+    zero = jnp.zeros(row.shape)
+    tangent, _, _ = jax.lax.fori_loop(0, NEAR, near, (zero, zero, zero))
+    listed = _stretches(_strides(ground.lowest.shape))
+    end = float(NEAR)
+    if len(listed):
+        stretches = jnp.asarray(listed)
+        tangent = jax.lax.fori_loop(0, len(listed), far, tangent)
+        end = float(listed[-1, 1])
+    beyond = (ground.ceiling - lowest) / (end * metres)
+    tangent = jnp.where(end < length, jnp.maximum(tangent, beyond), tangent)
+    return jnp.where(length > LEAST_WAY, tangent, jnp.where(ground.bend < MOST_BENT, ground.rise_at_foot, jnp.nan))

@@ -10,6 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -19,8 +20,20 @@ from jaxgeo._checks import as_float64, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo.earth import Atmosphere
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.register.cells import WELL_MAPPED, Cells, View, boxes_of, cells_by_polynomials, cells_one_by_one, hidden
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, precision_of, sampled
+from jaxgeo.register.cells import (
+    WELL_MAPPED,
+    Cells,
+    Chart,
+    View,
+    basis,
+    cells_one_by_one,
+    charted,
+    charted_cells,
+    hidden,
+    may_be_hidden,
+    where_any,
+)
+from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
 from jaxgeo.register.open_sight import OpenSight
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -28,12 +41,29 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 
-TILE = 256  # cells on a side, at most: arrays that stay in the processor's caches
-PART = 32  # cells on a side, whose lines of sight are looked at together
-SEARCHED = 8192  # lines of sight in one call: one size, which is compiled once
+TILE = 512  # cells on a side, at most
+STRIP = 32  # rows of a tile that are worked on together: arrays that stay in the processor's caches
+SEARCHED = 1024  # lines of sight in one call: one size, which is compiled once
 BILINEAR = Bilinear()
 COARSEST = 6  # times an image is halved, at most
 HIDDEN_TOLERANCE = 0.01
+
+
+class How(NamedTuple):
+    """How values are made, and what they become."""
+
+    interpolation: AbstractInterpolation
+    dtype: np.dtype
+
+
+class Filled(NamedTuple):
+    """A tile's values (bands, rows, cols), whether they are known, the `Status` that knows nothing of hidden ground,
+    and which of the cells on the image that may hide, None if that was not asked."""
+
+    values: Array
+    known: Array
+    status: Array
+    doubtful: Array | None
 
 
 class Tile(NamedTuple):
@@ -76,75 +106,81 @@ class Rectifier:
         sensor, motion, moment = observation(sensor, shot, time)
         values = checked_image(values, sensor)
         self.view = View(sensor, motion, moment, terrain, as_float64(grid, "grid"), checked_air(atmosphere))
-        self.dtype = values.dtype
-        self.interpolation = interpolation
+        self._how = How(interpolation, values.dtype)
         self._lock = threading.Lock()
-        self._levels = [(jnp.asarray(values), _mask_of(known, values))]
+        self._image = values, _mask_of(known, values)
+        self._levels: dict[int, Pixels] = {}
         self._open_sight = OpenSight.of(self.view) if mask_hidden else None
         self._mask_hidden = mask_hidden
         self._tolerance = jnp.asarray(as_float64(hidden_tolerance, "hidden_tolerance"))
 
     def tile(self, row: int, col: int, shape: tuple[int, int]) -> Tile:
         """The cells from (row, col) of the grid on, `shape` = (rows, cols) of them."""
-        cells = self._cells(row, col, shape)
-        status = np.array(cells.status)
-        if self._mask_hidden:
-            self._hide(cells, status, row, col)
-        return self._sampled(cells, status)
-
-    def _cells(self, row: int, col: int, shape: tuple[int, int]) -> Cells:
         corner = jnp.array([float(row), float(col)])
-        if isinstance(self.view.motion, Shot):
-            cells, error = cells_by_polynomials(self.view, corner, shape)
-            if float(error) <= WELL_MAPPED:
-                return cells
-        return cells_one_by_one(self.view, corner, shape)
+        filled = self._by_chart(corner, shape) if isinstance(self.view.motion, Shot) else None
+        filled = self._one_by_one(corner, shape) if filled is None else filled
+        values, known, status = (np.asarray(x) for x in filled[:3])
+        doubtful = status == Status.hit if self._open_sight is None else np.asarray(filled[3])
+        if self._mask_hidden and doubtful.any():
+            values, known, status = (x.copy() for x in (values, known, status))
+            rows, cols = np.nonzero(doubtful)
+            status[rows, cols] = self._looked_at(np.stack([rows + row, cols + col], axis=1))
+            gone = doubtful & (status != Status.hit)
+            values[:, gone], known[gone] = 0, False
+        return Tile(values, known, status)
 
-    def _hide(self, cells: Cells, status: np.ndarray, row: int, col: int) -> None:
-        """Mark the cells that ground hides, and those of which that cannot be told."""
-        chosen = status == Status.hit
+    def _by_chart(self, corner: Array, shape: tuple[int, int]) -> Filled | None:
+        """A tile by polynomials; None where they do not hold."""
+        found = charted(self.view, corner, jnp.array([shape[0] - 1.0, shape[1] - 1.0]))
+        if not float(found.error) <= WELL_MAPPED:
+            return None
+        level = self._level_for(*(np.asarray(x) for x in (found.lattice.u, found.lattice.v, found.lattice.status)))
+        least_sine = self._open_sight and self._open_sight.least_sine(*np.asarray(found.on_terrain))
+        pixels = self._at_level(level)
+        return _filled(self.view, found.chart, pixels, jnp.asarray(2.0**level), least_sine, self._how, shape)
+
+    def _one_by_one(self, corner: Array, shape: tuple[int, int]) -> Filled:
+        """A tile by the exact map of each cell."""
+        cells = cells_one_by_one(self.view, corner, shape)
+        here, below, right = np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[:-1, 1:]
+        three = (np.asarray(x) for x in (cells.u, cells.v, cells.status))
+        level = self._level_for(*(np.stack([x[part].ravel() for part in (here, below, right)], axis=1) for x in three))
+        least_sine = None
         if self._open_sight is not None:
-            boxes = np.asarray(boxes_of(cells, jnp.asarray(chosen), PART))
-            chosen &= np.kron(self._open_sight.searched(boxes), np.ones((PART, PART), bool))
-        if not chosen.any():
-            return
-        rows, cols = np.nonzero(chosen)
-        places = np.stack([rows + row, cols + col], axis=1).astype(np.float64)
-        heights = np.asarray(cells.height)[rows, cols]
+            on_terrain = np.stack([np.asarray(x).ravel() for x in (cells.terrain_row, cells.terrain_col)])
+            least_sine = self._open_sight.least_sine(np.nanmin(on_terrain, axis=1), np.nanmax(on_terrain, axis=1))
+        return _filled_cells(cells, self._at_level(level), jnp.asarray(2.0**level), least_sine, self._how)
+
+    def _looked_at(self, places: np.ndarray) -> np.ndarray:
+        """What the lines of sight to cells (n, 2) meet, as a `Status` (n,)."""
         found = np.empty(len(places), np.int8)
         for first in range(0, len(places), SEARCHED):
-            part = slice(first, min(first + SEARCHED, len(places)))
-            padded = np.resize(places[part], (SEARCHED, 2)), np.resize(heights[part], SEARCHED)
-            answers = hidden(self.view, jnp.asarray(padded[0]), jnp.asarray(padded[1]), self._tolerance)
-            found[part] = np.asarray(answers)[: part.stop - first]
-        status[rows, cols] = found
+            part = places[first : first + SEARCHED]
+            padded = jnp.asarray(np.resize(part, (SEARCHED, 2)).astype(np.float64))
+            found[first : first + SEARCHED] = np.asarray(hidden(self.view, padded, self._tolerance))[: len(part)]
+        return found
 
-    def _sampled(self, cells: Cells, status: np.ndarray) -> Tile:
-        seen = status == Status.hit
-        if not seen.any():
-            return Tile(np.zeros((self._levels[0][0].shape[0], *seen.shape), self.dtype), seen, status)
-        level = 0 if isinstance(self.interpolation, Nearest) else self._level_for(cells, seen)
-        values, known = self._at_level(level)
-        uv, size = (cells.u, cells.v), jnp.asarray(2.0**level)
-        found, sound = _sampled(values, known, uv, size, jnp.asarray(seen), self.interpolation, self.dtype)
-        return Tile(np.asarray(found), np.asarray(sound), status)
-
-    def _level_for(self, cells: Cells, seen: np.ndarray) -> int:
-        """How often the image is to be halved so that its pixels are about as large as the cells."""
-        if min(seen.shape) < 2:
+    def _level_for(self, u: np.ndarray, v: np.ndarray, status: np.ndarray) -> int:
+        """How often the image is to be halved so that its pixels are about as large as cells, from pixels (n, 3) of
+        some and of those one row and one column further on."""
+        if isinstance(self._how.interpolation, Nearest):
             return 0
-        area = _areas(cells, seen, max(1, min(seen.shape) // 32))
-        area = area if area.size else _areas(cells, seen, 1)
-        if not area.size:
-            return 0
-        pixels = float(np.median(area)) ** 0.5
+        area = np.abs((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
+        seen = np.all(status == Status.hit, axis=1)
+        area = area[seen if seen.any() else np.isfinite(area)]
+        pixels = float(np.median(area)) ** 0.5 if area.size else 1.0
         return int(np.clip(np.floor(np.log2(max(pixels, 1.0)) + 0.5), 0, COARSEST))
 
-    def _at_level(self, level: int) -> tuple[Array, Array | None]:
+    def _at_level(self, level: int) -> Pixels:
+        level = min(level, min(self._image[0].shape[1:]).bit_length() - 1)
         with self._lock:  # tiles are made in several threads
-            while len(self._levels) <= level and min(self._levels[-1][0].shape[1:]) > 1:
-                self._levels.append(_halved(*self._levels[-1]))
-            return self._levels[min(level, len(self._levels) - 1)]
+            found = self._levels
+            if level == 0 and 0 not in found:
+                found[0] = _packed(Pixels.of(*self._image))
+            for k in range(1, level + 1):
+                if k not in found:
+                    found[k] = halved_pixels(*self._image) if k == 1 else _halved(found[k - 1])
+            return found[level]
 
 
 def rectify(
@@ -246,66 +282,79 @@ def checked_image(image: Any, sensor: Sensor) -> np.ndarray:
     return values
 
 
-def _mask_of(known: Any, values: np.ndarray) -> Array | None:
+def _mask_of(known: Any, values: np.ndarray) -> np.ndarray | None:
     """Which pixels hold an image; None if all do."""
     sound = np.all(np.isfinite(values), axis=0) if values.dtype.kind == "f" else np.ones(values.shape[1:], bool)
     if known is not None:
         if np.shape(known) != values.shape[1:]:
             raise ValueError(f"known must have the image's shape {values.shape[1:]}; got {np.shape(known)}.")
         sound = sound & np.asarray(known, bool)
-    return None if sound.all() else jnp.asarray(sound)
+    return None if sound.all() else sound
+
+
+_packed = eqx.filter_jit(Pixels.packed)
+_halved = eqx.filter_jit(Pixels.halved)
 
 
 @eqx.filter_jit
-def _sampled(
-    values: Array,
-    known: Array | None,
-    uv: tuple[Array, Array],
-    size: Array,
-    seen: Array,
-    how: AbstractInterpolation,
-    dtype: np.dtype,
-) -> tuple[Array, Array]:
-    """(values in `dtype` at pixels, of an image whose pixels are `size` times as large as those, zero unless known;
-    whether they are), for what is seen. Whole numbers are rounded and kept within their range."""
-    u, v = uv
-    sound = seen & jnp.isfinite(u) & jnp.isfinite(v)
-    place = tuple(jnp.where(sound, (x + 0.5) / size - 0.5, 0.0) for x in (u, v))
-    found, all_known = sampled(values, known, (place[0], place[1]), how)
+def _filled(
+    view: View,
+    chart: Chart,
+    pixels: Pixels,
+    size: ArrayLike,
+    least_sine: Array | None,
+    how: How,
+    shape: tuple[int, int],
+) -> Filled:
+    """A tile by its chart, strip by strip."""
+    rows, cols = shape
+    by_row = basis(jnp.arange(float(rows)), chart.last[0]).reshape(rows // STRIP, STRIP, -1)
+    by_col = basis(jnp.arange(float(cols)), chart.last[1])
+    sound = jnp.all(jnp.isfinite(chart.columns))
+
+    def strip(by_row: Array) -> Filled:
+        return _filled_cells(charted_cells(view, chart, by_row, by_col, sound), pixels, size, least_sine, how)
+
+    values, known, status, doubtful = jax.lax.map(strip, by_row)
+    return Filled(
+        jnp.moveaxis(values, 1, 0).reshape(values.shape[1], rows, cols),
+        known.reshape(rows, cols),
+        status.reshape(rows, cols),
+        None if doubtful is None else doubtful.reshape(rows, cols),
+    )
+
+
+@eqx.filter_jit
+def _filled_cells(cells: Cells, pixels: Pixels, size: ArrayLike, least_sine: Array | None, how: How) -> Filled:
+    """Cells (rows, cols) filled from an image whose pixels are `size` times as large as those that the cells know."""
+    some = jnp.any(cells.status == Status.hit)
+    values, known = where_any(some, lambda *given: _values(pixels, size, how, *given), cells.u, cells.v, cells.status)
+    doubtful = None if least_sine is None else may_be_hidden(cells, least_sine)
+    return Filled(values, known, cells.status, doubtful)
+
+
+def _values(pixels: Pixels, size: ArrayLike, how: How, u: Array, v: Array, status: Array) -> tuple[Array, Array]:
+    """(values in the image's dtype (bands, rows, cols), zero unless known; whether they are). Whole numbers are rounded
+    and kept within their range."""
+    sound = (status == Status.hit) & jnp.isfinite(u) & jnp.isfinite(v)
+    place_u, place_v = (jnp.where(sound, (x + 0.5) / size - 0.5, 0.0) for x in (u, v))
+    bands, all_known = sampled(pixels, (place_u, place_v), how.interpolation)
     sound = sound & all_known
-    found = jnp.where(sound[None, :, :], found, 0.0)
-    if dtype.kind != "f":
-        limits = np.iinfo(dtype)
-        found = jnp.clip(jnp.rint(found), limits.min, limits.max)
-    return found.astype(dtype), sound
-
-
-@eqx.filter_jit
-def _halved(values: Array, known: Array | None) -> tuple[Array, Array | None]:
-    """Means of four pixels; known where all four are. A last row or column left over is dropped."""
-    bands, rows, cols = values.shape
-    rows, cols = rows // 2 * 2, cols // 2 * 2
-    squares = values[:, :rows, :cols].reshape(bands, rows // 2, 2, cols // 2, 2)
-    means = jnp.mean(squares.astype(precision_of(values)), axis=(2, 4))
-    if known is None:
-        return means, None
-    return means, jnp.all(known[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2), axis=(1, 3))
-
-
-def _areas(cells: Cells, seen: np.ndarray, step: int) -> np.ndarray:
-    """Areas in pixels of every `step`-th cell along both sides, where it and its neighbours are seen."""
-    here, below, right = np.s_[:-1:step, :-1:step], np.s_[1::step, :-1:step], np.s_[:-1:step, 1::step]
-    known = seen[here] & seen[below] & seen[right]
-    u, v = np.asarray(cells.u), np.asarray(cells.v)
-    (ur, uc), (vr, vc) = (((x[below] - x[here])[known], (x[right] - x[here])[known]) for x in (u, v))
-    return np.abs(ur * vc - uc * vr)
+    found = []
+    for band in bands:
+        value = jnp.where(sound, band, 0.0)
+        if how.dtype.kind != "f":
+            limits = np.iinfo(how.dtype)
+            value = jnp.clip(jnp.rint(value), limits.min, limits.max)
+        found.append(value.astype(how.dtype))
+    return jnp.stack(found), sound
 
 
 def _side(count: int, most: int) -> int:
-    """Of tiles that cover so many cells, none over `most` and as alike as may be: a multiple of `PART`."""
+    """Of tiles that cover so many cells, none over `most` and as alike as may be: a multiple of `STRIP`."""
     tiles = -(-count // most)
     share = -(-count // tiles)
-    return -(-share // PART) * PART
+    return -(-share // STRIP) * STRIP
 
 
 def _processors() -> int:

@@ -15,7 +15,7 @@ from jaxgeo._checks import check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import FIRST_HIT, located_anywhere
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, sampled
+from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
@@ -93,11 +93,11 @@ def seen_at(
 ) -> tuple[Float[np.ndarray, "bands n"], Bool[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
     """(values of an orthoimage at the first ground that pixels see, zero if unknown; whether they are known; the
     `Status`). Pixels may lie beside the image, as far as the camera has rays there."""
-    values, known = jnp.asarray(reference.values), jnp.asarray(reference.known)
+    pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
     parts = []
     for part in _chunks(uv):
         found = _met(look, part)
-        parts.append((*_sampled_on(reference.grid, values, known, found, how), found.status))
+        parts.append((*_sampled_on(reference.grid, pixels, found, how), found.status))
     value, is_known, code = (
         np.concatenate([np.asarray(x) for x in column], axis=-1) for column in zip(*parts, strict=True)
     )
@@ -133,14 +133,14 @@ def _met(look: Look, uv: Float[Array, "n 2"]) -> Met:
 
 @eqx.filter_jit
 def _sampled_on(
-    grid: AbstractGrid, values: Array, known: Array, found: Met, how: AbstractInterpolation
+    grid: AbstractGrid, pixels: Pixels, found: Met, how: AbstractInterpolation
 ) -> tuple[Float[Array, "bands n"], Bool[Array, " n"]]:
     """(values, whether they are known) of an orthoimage at points."""
     rowcol = jax.vmap(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(found.p_ecef)
-    (rows, cols), row, col = known.shape, rowcol[:, 0], rowcol[:, 1]
+    (rows, cols), row, col = pixels.shape, rowcol[:, 0], rowcol[:, 1]
     on = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5) & (found.status == Status.hit)
-    value, sound = sampled(values, known, (jnp.where(on, col, 0.0), jnp.where(on, row, 0.0)), how)
-    return jnp.where((on & sound)[None, :], value, 0.0), on & sound
+    bands, sound = sampled(pixels, (jnp.where(on, col, 0.0), jnp.where(on, row, 0.0)), how)
+    return jnp.where((on & sound)[None, :], jnp.stack(bands), 0.0), on & sound
 
 
 def _offsets(count: int) -> Float[np.ndarray, "rays 2"]:

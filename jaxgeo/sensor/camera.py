@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Num
+from jaxtyping import Array, Int8, Num
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import safe_angle, safe_norm
-from jaxgeo._typing import Flag, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
+from jaxgeo._typing import Flag, Flags, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
+from jaxgeo._typing import Numbers as CrowdNumbers
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
 from jaxgeo.status import Status, first_failure, status_where
 
@@ -165,6 +167,43 @@ class FrameCamera(AbstractCamera):
         status = status_where(~ahead, Status.behind_camera, status)
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(ahead & in_field, uv, jnp.nan), status
+
+    def project_many(
+        self, x: CrowdNumbers, y: CrowdNumbers, z: CrowdNumbers
+    ) -> tuple[CrowdNumbers, CrowdNumbers, Int8[Array, "..."]]:
+        """(columns, rows, statuses) of many points, as `project` one by one: several times as quick.
+
+        Components of any one shape.
+        """
+        valid = jnp.isfinite(x) & jnp.isfinite(y) & jnp.isfinite(z)
+        ahead = valid & (z > IMAGE_PLANE * jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)))
+        depth = jnp.where(ahead, z, 1.0)
+        right, down = jnp.where(ahead, x, 0.0) / depth, jnp.where(ahead, y, 0.0) / depth
+        in_field = jnp.ones(jnp.shape(x), bool)
+        if type(self.distortion) is not NoDistortion:
+            right, down, in_field = self._distorted(right, down)
+        focal, principal = jnp.asarray(self.focal_px), jnp.asarray(self.principal_px)
+        u, v = principal[0] + focal[0] * right, principal[1] + focal[1] * down
+        inside = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
+        status = jnp.where(inside, Status.hit.code, Status.outside_image.code)
+        status = jnp.where(in_field, status, Status.outside_distortion_field.code)
+        status = jnp.where(ahead, status, Status.behind_camera.code)
+        known = ahead & in_field
+        u, v = jnp.where(known, u, jnp.nan), jnp.where(known, v, jnp.nan)
+        return u, v, jnp.where(valid, status, Status.invalid_input.code)
+
+    def _distorted(self, right: CrowdNumbers, down: CrowdNumbers) -> tuple[CrowdNumbers, CrowdNumbers, Flags]:
+        """(directions in the image plane as the lens bends them, whether they lie in its field)."""
+
+        def one(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Flag]:
+            ideal = jnp.stack([x, y])
+            in_field = self.distortion.in_field(ideal)
+            bent = self.distortion.distort(jnp.where(in_field, ideal, 0.0))
+            return bent[0], bent[1], in_field
+
+        x, y, in_field = jax.vmap(one)(right.reshape(-1), down.reshape(-1))
+        shape = jnp.shape(right)
+        return x.reshape(shape), y.reshape(shape), in_field.reshape(shape)
 
     def time_of(self, uv: PixelLike) -> Scalar:
         return jnp.zeros((), jnp.float64)
