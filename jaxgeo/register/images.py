@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
+from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.register.flattening import flattened
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
-from jaxgeo.terrain.grid import AbstractGrid
+from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
 
 class Stopped(Exception):
@@ -29,27 +34,53 @@ class Level(NamedTuple):
 
 
 class Images:
-    """The image, grey (1, rows, cols), and the reference in cells of any size."""
+    """The image, grey (1, rows, cols), and the reference in cells of any size, which lies where it shows the ground to
+    be less a `shift` of the map to the east and north, m."""
 
     def __init__(self, grey: np.ndarray, known: Any, reference: Orthoimage, flatten: int | None) -> None:
-        self.grey, self.known, self.reference, self.flatten = grey, known, reference, flatten
+        self.grey, self.known, self.flatten = grey, known, flatten
+        self.shift = np.zeros(2)
+        self._reference = reference
         self._coarse: dict[int, Orthoimage] = {}
         self._levels: dict[int, Level] = {}
 
+    def less(self, shift: np.ndarray) -> Images:
+        """The same, of a map that is off by another shift."""
+        moved = copy.copy(self)  # what was made coarser is shared
+        moved.shift = np.asarray(shift, np.float64)
+        return moved
+
+    @property
+    def reference(self) -> Orthoimage:
+        """The whole reference, where the ground truly is."""
+        return self._placed(self._reference)
+
+    def _placed(self, given: Any) -> Any:
+        """An orthoimage or a level with its grid less the shift."""
+        if not np.any(self.shift):
+            return given
+        middle = 0.5 * (np.array(np.shape(given.known)) - 1.0)
+        row, col = np.asarray(_cells_of(given.grid, jnp.asarray(middle), jnp.asarray(self.shift)))
+        grid = given.grid.window(-row, -col)
+        return given._replace(grid=grid) if isinstance(given, Level) else Orthoimage(given.values, given.known, grid)
+
     def coarse(self, factor: int) -> Orthoimage:
         """The whole reference, grey and made coarser by a factor."""
+        return self._placed(self._coarser(factor))
+
+    def _coarser(self, factor: int) -> Orthoimage:
         if factor not in self._coarse:
-            coarse = self.reference.coarser(factor)
+            coarse = self._reference.coarser(factor)
             self._coarse[factor] = Orthoimage(np.asarray(coarse.grey())[None], coarse.known, coarse.grid)
         return self._coarse[factor]
 
     def level(self, factor: int) -> Level:
         """The whole reference, made coarser by a factor, brightness and contrast made even."""
         if factor not in self._levels:
-            coarse = self.coarse(factor)
+            coarse = self._coarser(factor)
             known = np.asarray(coarse.known)
             self._levels[factor] = Level(self.even(np.asarray(coarse.values)[0], known), known, coarse.grid)
-        return self._levels[factor]
+        return self._placed(self._levels[factor])
 
     def shrunk(self, factor: int) -> tuple[np.ndarray, np.ndarray]:
         """(the image in pixels so many times as large, which of these are known wholly)."""
@@ -66,3 +97,11 @@ class Images:
         if self.flatten is None:
             return np.asarray(grey, np.float64)
         return np.asarray(flattened(grey, known, self.flatten))
+
+
+@eqx.filter_jit
+def _cells_of(grid: AbstractGrid, rowcol: Float[Array, "2"], enu: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Rows and columns of a step on the ground, east and north in m, at a place of a grid."""
+    p_ecef = surface_point(grid.normal(rowcol))
+    moved = p_ecef + R_ecef_from_enu(WGS84.to_geodetic(p_ecef))[:, :2] @ enu
+    return grid.rowcol(WGS84.normal_and_height(moved)[0]) - rowcol

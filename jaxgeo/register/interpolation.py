@@ -162,10 +162,10 @@ def halved_pixels(values: np.ndarray, known: np.ndarray | None) -> Pixels:
         overlap = max(first + count - rows, 0)  # all parts have one size, so that one program serves
         part = np.s_[first - overlap : first - overlap + count]
         found = _halved(Pixels.of(values[:, part], None if known is None else known[part]))
-        skipped = overlap // 2 * found.shape[1]
+        skipped = overlap // 2 * (values.shape[2] // 2)
         parts.append(jax.tree.map(lambda x: x[skipped:], found))  # noqa: B023
-    shape = (rows // 2, parts[0].shape[1])
-    whole = jax.tree.map(lambda *flat: jnp.concatenate(flat) if len(flat) > 1 else flat[0], *parts)
+    shape = (rows // 2, values.shape[2] // 2)
+    whole = parts[0] if len(parts) == 1 else jax.tree.map(lambda *flat: jnp.concatenate(flat), *parts)
     return Pixels(whole.words, whole.known, whole.bands, shape, whole.bits)
 
 

@@ -40,7 +40,8 @@ class Pass(eqx.Module):
     searched: int
 
     def moved_by(self, error: np.ndarray) -> float:
-        """By how many cells the chosen blocks are moved by a change of the error vector, root mean square."""
+        """By how many cells the chosen blocks are moved by a change of the errors and the map's shift, root mean
+        square."""
         by_error = np.asarray(self.shifts.by_error)[np.asarray(self.chosen.is_chosen)][:, :, : len(error)]
         return float(np.sqrt(np.mean(np.sum((by_error @ error) ** 2, axis=1))))
 
@@ -101,7 +102,7 @@ def one_pass(
         false_alarms=false_alarms(matches, chosen),
         searched=int(np.sum(np.asarray(matches.searched))),
     )
-    return done, pair.ties(matches, chosen, shifts)
+    return done, pair.ties(matches, chosen, shifts).moved(images.shift)
 
 
 def _covariances(shifts: Shifts, cov: np.ndarray, aside: float) -> np.ndarray:

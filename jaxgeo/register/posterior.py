@@ -74,6 +74,11 @@ class Update(eqx.Module):
         return (*self.errors.axes, *SHIFT)
 
     @property
+    def unknowns(self) -> Numbers:
+        """`error` and `shift` in one vector (axes + 2,)."""
+        return jnp.concatenate([jnp.asarray(self.error), jnp.asarray(self.shift)], axis=-1)
+
+    @property
     def cov_error(self) -> Numbers:
         """Covariance (axes, axes) of `error`, the map's shift being unknown too."""
         return jnp.asarray(self.covariance)[..., :-2, :-2]

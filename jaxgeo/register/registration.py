@@ -194,7 +194,8 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
     passes: list[Pass] = []
     found: Update | None = None
     ties, tie_errors = None, given.tie_errors
-    look = _moved(given, np.asarray(given.prior.mean)[:-2])
+    mean = np.asarray(given.prior.mean)
+    look, images = _moved(given, mean[:-2]), images.less(mean[-2:])
     covariance = np.asarray(given.prior.covariance)
 
     def ended(outcome: Outcome) -> Registration:
@@ -213,12 +214,12 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         passes.append(done)
         outcome = _judged(done, limits, is_first=found is None)
         if outcome is not Outcome.registered:
-            if found is None and coarser < COARSER:
+            if found is None and coarser < COARSER and outcome is not Outcome.ambiguous:
                 coarser += 1
                 continue
             return ended(outcome)
         coarser = 0
-        before = None if found is None else np.asarray(found.error)
+        before = None if found is None else np.asarray(found.unknowns)
         found, tie_errors = _updated(given, ties, done.cell)
         if not bool(found.ok):
             return ended(Outcome.not_settled)
@@ -226,8 +227,9 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
             return ended(Outcome.beyond_prior)
         if plan.is_last and float(tie_errors.registration) > limits.most_residual * done.cell:
             return ended(Outcome.does_not_fit)
-        moved = np.inf if before is None else done.moved_by(np.asarray(found.error) - before)
+        moved = np.inf if before is None else done.moved_by(np.asarray(found.unknowns) - before)
         look, covariance = _look_of(found, given.look), np.asarray(found.covariance)
+        images = images.less(np.asarray(found.shift))
         if plan.is_last and moved < limits.settled:
             return ended(Outcome.registered)
     return ended(Outcome.not_settled)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -12,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Num
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, check_range, concrete
 from jaxgeo._typing import PixelField, ScalarField
-from jaxgeo.earth import Geodetic
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 
 if TYPE_CHECKING:
     CovariancesField: TypeAlias = Any
@@ -42,6 +44,28 @@ class TiePoints(eqx.Module):
     def count(self) -> int:
         """How many there are."""
         return jnp.shape(self.uv)[0]
+
+    def moved(self, shift: Any) -> TiePoints:
+        """The same on a map that is off by a shift to the east and north, m."""
+        shift = np.asarray(shift, np.float64)
+        if self.count == 0 or not np.any(shift):
+            return self
+        rise = np.zeros((self.count, 2)) if self.rise is None else self.rise
+        lat, lon, height = _moved(self.ground, jnp.asarray(rise), jnp.asarray(shift))
+        height = self.ground.height if self.rise is None else height
+        return dataclasses.replace(self, ground=Geodetic(lat=lat, lon=lon, height=height))
+
+
+@jax.jit
+def _moved(ground: Geodetic, rise: Float[Array, "n 2"], shift: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+    """Latitudes, longitudes and heights of points moved to the east and north, m, along planes."""
+
+    def one(position: Geodetic, rise: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+        step = jnp.concatenate([shift, jnp.sum(rise * shift)[None]])
+        there = WGS84.to_geodetic(WGS84.to_ecef(position) + R_ecef_from_enu(position) @ step)
+        return jnp.asarray(there.lat), jnp.asarray(there.lon), jnp.asarray(there.height)
+
+    return jax.vmap(one)(ground, rise)
 
 
 class PaddedTies(NamedTuple):
