@@ -8,7 +8,7 @@ import pathlib
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 
@@ -70,6 +70,20 @@ def check_place(option: str, output: pathlib.Path) -> None:
 def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
     with _failure_told(option, output):
         return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
+
+
+def check_no_input(option: str, outputs: Iterable[pathlib.Path], inputs: Iterable[str | os.PathLike[str]]) -> None:
+    """Raises `DestinationError` where a file to be written is one that is read, by whatever name or link."""
+    read = [pathlib.Path(path) for path in inputs]
+    for output in outputs:
+        if any(_are_one(output, path) for path in read):
+            raise DestinationError(f"{option} {output}: this is an input, and would be overwritten; name another.")
+
+
+def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
+    with contextlib.suppress(OSError, RuntimeError):  # one is not there, or no file's name, or links go in a circle
+        return one.resolve() == other.resolve() or one.samefile(other)
+    return False
 
 
 @contextlib.contextmanager

@@ -11,19 +11,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rasterio
+import typer
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from support.fractal import fractal_posts
 from typer.testing import CliRunner
 
-from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, locate
+from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, locate, project
 from jaxgeo.cli import app
+from jaxgeo.cli._common import mistakes_told
+from jaxgeo.cli._registering import FILES, LEAST_BLOCK, new_results
+from jaxgeo.cli.rectify import print_raster
 from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.io import MapRaster, example_dem, read_orthoimage, write_orthoimage
 from jaxgeo.io.map_raster import checked_crs
+from jaxgeo.io.rectified import RectifiedFile
 from jaxgeo.io.scene import read_scene
 from jaxgeo.register.outcome import Outcome
+from jaxgeo.register.plan import SIDES
 from jaxgeo.register.render import render
 from jaxgeo.status import Status
 
@@ -169,6 +175,26 @@ def check_ties(folder: pathlib.Path, report: dict) -> None:
     assert all(row["reason"] for row in rows if not row["chosen"])
     residuals = [np.hypot(row["residual_column_px"], row["residual_row_px"]) for row in chosen]
     assert np.sqrt(np.mean(np.square(residuals))) == pytest.approx(report["ties"]["residuals_rms_px"], rel=1e-6)
+    check_places(folder, report)
+
+
+def check_places(folder: pathlib.Path, report: dict) -> None:
+    """The file's places less the map's shift, seen from the file's pose, are its pixels less its residuals."""
+    scene, unknowns = read_scene(folder / "scene.toml"), {one["name"]: one["change"] for one in report["unknowns"]}
+    assert scene.shot is not None
+    shift = jnp.asarray([unknowns["shift: east"], unknowns["shift: north"]])
+    assert jnp.linalg.norm(shift) > 0.1  # m
+    off = []
+    for feature in json.loads((folder / "ties.geojson").read_text())["features"]:
+        lon, lat, height = feature["geometry"]["coordinates"]
+        row = feature["properties"]
+        if row["chosen"]:
+            shown = Geodetic.from_degrees(lat=lat, lon=lon, height=height)
+            p_ecef = WGS84.to_ecef(shown) - R_ecef_from_enu(shown)[:, :2] @ shift
+            uv = project(scene.sensor, scene.shot, WGS84.to_geodetic(p_ecef)).uv
+            residual = np.array([row["column"], row["row"]]) - np.asarray(uv)
+            off.append(residual - [row["residual_column_px"], row["residual_row_px"]])
+    np.testing.assert_allclose(off, 0.0, rtol=0, atol=1e-6)  # px
 
 
 def check_ortho(folder: pathlib.Path, files: dict[str, pathlib.Path]) -> None:
@@ -250,16 +276,48 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS, "--focal-sigma", "0.1mm"], ["in pixels", "in px"]),
     ([*REGISTER, *SIGMAS, "--pixel", "256,10"], ["--pixel 256,10", "256 columns and 192 rows"]),
     ([*REGISTER, *SIGMAS, "--pixel", "10"], ["--pixel '10'", "COLUMN,ROW"]),
-    ([*REGISTER, *SIGMAS, "--probability", "1"], ["--probability 1", "between 0 and 1"]),
+    ([*REGISTER, *SIGMAS, "--probability", "1"], ["--probability 1", "between 0.5 and 1"]),
+    ([*REGISTER, *SIGMAS, "--probability", "0.01"], ["--probability 0.01", "outside what is searched"]),
+    ([*REGISTER, *SIGMAS, "--block", "8"], ["--block 8", "32 cells on a side at least"]),
     ([*REGISTER[:3], "NOCRS", *REGISTER[4:], *SIGMAS], ["without a CRS", "gdal_edit -a_srs"]),
     ([*REGISTER[:3], "IMAGE", *REGISTER[4:], *SIGMAS], ["on no map", "no geotransform"]),
     ([*REGISTER[:3], "nowhere.tif", *REGISTER[4:], *SIGMAS], ["nowhere.tif: no such file"]),
     ([*REGISTER[:7], "WIDE", *REGISTER[8:], *SIGMAS], ["256 columns", "257"]),
     ([*REGISTER[:7], "NOPOSE", *REGISTER[8:], *SIGMAS], ["[pose] is missing"]),
-    ([*REGISTER[:-1], ".", *SIGMAS], ["scene.toml is an input"]),
+    ([*RECTIFY[:1], "NANS", *RECTIFY[2:]], ["band 2 is nowhere finite", "--band 1 --band 3"]),
+    (
+        [*RECTIFY, "--crs", "EPSG:32616", "--bounds", f"{WEST},4021000,744700,{NORTH}", "--resolution", "1e-4"],
+        ["out.tif", "a resolution of 0.0001", "6e+06 x 6e+06 cells", "coarser"],
+    ),
+    ([*RECTIFY[:-1], "IMAGE"], ["image.tif: this is an input"]),
+    ([*RECTIFY[:-1], "link.tif"], ["link.tif: this is an input"]),
+    ([*RECTIFY[:-1], "MAP", "--like", "MAP"], ["map.tif: this is an input"]),
+    ([*RECTIFY[:-1], "tile.tif", "--dem", "tile.tif"], ["tile.tif: this is an input"]),
+    ([*RECTIFY[:5], "tiles.vrt", "--output", "tile.tif"], ["tile.tif: this is an input"]),
+    ([*RECTIFY[:5], "tile*.tif", "--output", "tile.tif"], ["tile.tif: this is an input"]),
+    ([*RECTIFY, "--vertical-datum", "out.tif"], ["out.tif: this is an input"]),
+    (
+        [*RECTIFY[:1], "x_status.tif", *RECTIFY[2:-1], "x.tif", "--status"],
+        ["x_status.tif: this is an input"],
+    ),
+    ([*REGISTER[:-1], ".", *SIGMAS], ["scene.toml: this is an input"]),
+    ([*REGISTER[:-1], "taken", *SIGMAS], ["report.json is a folder"]),
     ([*REGISTER[:-1], "IMAGE", *SIGMAS], ["this is a file"]),
     ([*REGISTER, *SIGMAS, "--reference-band", "2"], ["there is no band 2"]),
 ]
+
+
+VRT = """
+<VRTDataset rasterXSize="9" rasterYSize="9"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>
+<SourceFilename relativeToVRT="1">tile.tif</SourceFilename><SourceBand>1</SourceBand>
+</SimpleSource></VRTRasterBand></VRTDataset>
+"""
+
+
+def bands_of_which_one_is_empty() -> np.ndarray:
+    values = np.ones((3, ROWS, COLS), np.float32)
+    values[1] = np.nan
+    return values
 
 
 @pytest.fixture(scope="module")
@@ -274,7 +332,13 @@ def inputs(tmp_path_factory) -> dict[str, pathlib.Path]:
         "SCENE": write_scene(folder / "scene.toml"),
         "WIDE": write_scene(folder / "wide.toml", width=COLS + 1),
         "NOPOSE": folder / "nopose.toml",
+        "NANS": write_image(folder / "nans.tif", bands_of_which_one_is_empty()),
     }
+    write_image(folder / "x_status.tif", np.ones((1, ROWS, COLS), np.uint8))
+    (folder / "link.tif").symlink_to(found["IMAGE"])
+    (folder / "tile.tif").symlink_to(DEM)
+    (folder / "tiles.vrt").write_text(VRT)
+    (folder / "taken" / "report.json").mkdir(parents=True)
     text = found["SCENE"].read_text()
     found["NOPOSE"].write_text(text[: text.index("[pose]")] + '[shots]\nheight_datum = "ellipsoid"\n')
     return found
@@ -287,3 +351,57 @@ def test_mistakes(inputs, monkeypatch, arguments: list[str], words: list[str]) -
     before = names_in(folder)
     assert_refused(run(*(inputs.get(argument, argument) for argument in arguments)), *words)
     assert names_in(folder) == before
+
+
+def test_the_least_block_is_the_smallest_that_is_used() -> None:
+    assert min(SIDES) == LEAST_BLOCK
+
+
+def test_cells_of_a_turned_raster_have_their_own_size(capsys) -> None:
+    turned = Affine.translation(WEST, NORTH) @ Affine.rotation(20.0) @ Affine.scale(10.0, -5.0)
+    raster = MapRaster(checked_crs("map", "EPSG:32616"), turned, (3, 4))
+    print_raster(RectifiedFile("out.tif", raster, 12, {Status.hit: 12}), 1.0)
+    assert "3 rows of 4 cells of 10 x 5 metre" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "error, words",
+    [
+        (MemoryError("Unable to allocate 7 TiB for an array"), "(Unable to allocate 7 TiB for an array)"),
+        (MemoryError(), "not enough memory for this;"),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 bytes."), "Out of memory allocating 9 bytes"),
+    ],
+)
+def test_a_lack_of_memory_is_one_line(capsys, error: Exception, words: str) -> None:
+    with pytest.raises(typer.Exit) as end, mistakes_told(show_traceback=False):
+        raise error
+    assert end.value.exit_code == 2
+    told = capsys.readouterr().err
+    assert words in told.replace("\n", " ")
+    assert told.startswith("jaxgeo: there is not enough memory")
+    with pytest.raises(type(error)), mistakes_told(show_traceback=True):
+        raise error
+
+
+def test_other_failures_are_not_taken_for_a_lack_of_memory() -> None:
+    with pytest.raises(RuntimeError, match="mine"), mistakes_told(show_traceback=False):
+        raise RuntimeError("mine")
+
+
+def test_earlier_results_go_when_new_ones_are_there_and_not_before(tmp_path: pathlib.Path) -> None:
+    for name in (*FILES[:3], "mine.txt"):
+        (tmp_path / name).write_text("earlier")
+
+    def fail() -> None:
+        with new_results(tmp_path):
+            (tmp_path / FILES[0]).write_text("new")
+            (tmp_path / FILES[4]).write_text("new")
+            raise MemoryError
+
+    with pytest.raises(MemoryError):
+        fail()
+    assert names_in(tmp_path) == {*FILES[:3], "mine.txt"}
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"earlier"}
+    with new_results(tmp_path):
+        (tmp_path / FILES[0]).write_text("new")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {FILES[0]: "new", "mine.txt": "earlier"}

@@ -33,6 +33,18 @@ def mistakes_told(show_traceback: bool) -> Iterator[None]:
             raise
         tell(str(error) or type(error).__name__)
         raise typer.Exit(2) from None
+    except (MemoryError, RuntimeError) as error:
+        if show_traceback or not _is_of_memory(error):
+            raise
+        reason = " ".join(str(error).split())
+        told = f" ({reason})" if reason else ""
+        tell(f"there is not enough memory for this{told}; ask for fewer pixels, cells or samples at once.")
+        raise typer.Exit(2) from None
+
+
+def _is_of_memory(error: MemoryError | RuntimeError) -> bool:
+    """Whether memory ran out, NumPy's or XLA's."""
+    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
 
 
 def name_says(output: pathlib.Path) -> str:

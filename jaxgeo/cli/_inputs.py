@@ -16,6 +16,14 @@ def read_terrain(paths: list[pathlib.Path], vertical_datum: str | None) -> Any:
     return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
 
 
+def terrain_files(paths: list[pathlib.Path], vertical_datum: str | None) -> list[str]:
+    """All files that make up the elevation model: tiles, what a VRT is put together from, a geoid's grid."""
+    from jaxgeo.io.paths import expanded, files_behind
+
+    tiles = [file for tile in expanded([str(path) for path in paths]) for file in files_behind(tile)]
+    return tiles if vertical_datum is None else [*tiles, vertical_datum]
+
+
 def datum(text: str | None) -> str | float | None:
     """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
     try:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import pathlib
+import secrets
+import shutil
 import tomllib
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
+from jaxgeo._destination import check_no_input
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 DEM_SIGMA = 5.0  # m, where nobody says how the heights err
+LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
 PICTURED = 1024  # cells along a side of what a picture shows, at most
 TILE = 256  # as registration rectifies: the same programs serve
 
@@ -117,20 +124,60 @@ def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:
     return found or [[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]]
 
 
-def prepared_folder(folder: pathlib.Path, inputs: list[pathlib.Path]) -> None:
-    """Make a folder, and take away what an earlier registration left in it, so that nothing of that seems to be new.
+def check_search(block: int, probability: float) -> None:
+    """Raises `UserError` for options of the search with which nothing would be found."""
+    if block < LEAST_BLOCK:
+        raise UserError(
+            f"--block {block}: blocks have {LEAST_BLOCK} cells on a side at least, as smaller ones look like too many "
+            f"places; this is how large they may become."
+        )
+    if not 0.5 < probability < 1.0:
+        raise UserError(
+            f"--probability {probability:g}: it lies between 0.5 and 1; with less, most shifts would lie outside what "
+            f"is searched."
+        )
 
-    Raises `UserError` where a result would take the place of one of the inputs.
+
+def prepared_folder(folder: pathlib.Path, inputs: Iterable[str | os.PathLike[str]]) -> None:
+    """Make a folder for results.
+
+    Raises `ValueError` where a result would take the place of one of the inputs, or cannot be written.
     """
-    taken = {path.resolve() for path in inputs}
-    for name in FILES:
-        if (folder / name).resolve() in taken:
-            raise UserError(f"--output {folder}: {folder / name} is an input, and would be overwritten; name another.")
+    results = [folder / name for name in FILES]
+    check_no_input("--output", results, inputs)
     if folder.exists() and not folder.is_dir():
         raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
+    for path in results:
+        if path.is_dir():
+            raise UserError(f"--output {folder}: {path} is a folder, where a file is to be written; name another.")
     folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise UserError(f"--output {folder}: nothing may be written there; name another folder.")
+
+
+@contextlib.contextmanager
+def new_results(folder: pathlib.Path) -> Iterator[None]:
+    """What an earlier registration left in a folder is gone when new results are all written, so that nothing of it
+    seems to be new; where they cannot be written, it comes back."""
+    aside = folder / f".jaxgeo-{secrets.token_hex(4)}.old"
+    aside.mkdir()
+    _move(folder, aside)
+    try:
+        yield
+    except BaseException:
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)
+        _move(aside, folder)
+        aside.rmdir()
+        raise
+    shutil.rmtree(aside)
+
+
+def _move(source: pathlib.Path, target: pathlib.Path) -> None:
+    """The results that are in one folder into another."""
     for name in FILES:
-        (folder / name).unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            (source / name).replace(target / name)
 
 
 class Seen(NamedTuple):

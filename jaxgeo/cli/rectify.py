@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pathlib
 import time
 from enum import StrEnum
@@ -11,7 +12,7 @@ import typer
 from rich.console import Console
 
 from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
-from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of
+from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
 from jaxgeo.cli._screen import print_counts
 
@@ -60,10 +61,9 @@ def rectify_command(
 ) -> None:
     """An image as it lies on the ground: a GeoTIFF on a map, without what the terrain hides."""
     with mistakes_told(traceback):
-        edges = None if bounds is None else numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH")
-        cell = (
-            None if resolution is None else numbers_in("--resolution", resolution, (1, 2), "one size, or ACROSS,DOWN")
-        )
+        edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
+        form = "one size, or ACROSS,DOWN"
+        cell = None if resolution is None else tuple(numbers_in("--resolution", resolution, (1, 2), form))
         placed = {"crs": crs, "bounds": edges, "resolution": cell[0] if cell and len(cell) == 1 else cell, "like": like}
         if like is not None and any(one is not None for one in (crs, bounds, resolution)):
             raise UserError("--like says where the cells are: leave out --crs, --bounds and --resolution.")
@@ -82,11 +82,17 @@ def _rectify(
     interpolation: Interpolation,
 ) -> None:
     from jaxgeo._checks import enable_x64
+    from jaxgeo._destination import check_no_input
     from jaxgeo.io import rectify_file
     from jaxgeo.io.map_raster import checked_target
+    from jaxgeo.io.paths import files_behind
+    from jaxgeo.io.rectified import status_file
     from jaxgeo.io.scene import read_scene
 
     checked_target(output, "an orthoimage")
+    rasters = [image] if wishes["like"] is None else [image, wishes["like"]]
+    read = [scene_path, *terrain_files(*ground), *(file for one in rasters for file in files_behind(one))]
+    check_no_input("--output", [output, status_file(output)] if wishes["status"] else [output], read)
     if pixels_of(image) < QUICK_PIXELS:
         compile_quickly()
     enable_x64()
@@ -119,10 +125,12 @@ def pixels_of(path: pathlib.Path) -> int:
 def print_raster(done: Any, seconds: float) -> None:
     """What was written: the raster on stdout, what became of its cells on stderr."""
     rows, cols = done.raster.shape
-    across, down = done.raster.transform.a, -done.raster.transform.e
+    a, b, _, d, e, _ = done.raster.transform[:6]
+    across, down = math.hypot(a, d), math.hypot(b, e)  # also where the raster is turned
     unit = done.raster.crs.axis_info[0].unit_name
     name = ":".join(done.raster.crs.to_authority() or ()) or done.raster.crs.name
-    size = f"{across:.6g}" if across == down else f"{across:.6g} x {down:.6g}"
+    sides = f"{across:.6g}", f"{down:.6g}"
+    size = sides[0] if sides[0] == sides[1] else " x ".join(sides)
     console = Console(soft_wrap=True)
     console.print(
         f"{done.path}: {rows} rows of {cols} cells of {size} {unit}, {name}; {done.known} known; {seconds:.1f} s, "

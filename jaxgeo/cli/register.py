@@ -9,14 +9,16 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
-from jaxgeo.cli._inputs import read_terrain, shot_of
+from jaxgeo.cli._common import Traceback, compile_quickly, mistakes_told
+from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
 from jaxgeo.cli._registering import (
     Errors,
     Sigmas,
+    check_search,
     errors_of,
     fixes_of,
+    new_results,
     picture_of,
     pixels_in,
     prepared_folder,
@@ -73,7 +75,11 @@ def register_command(
         str | None, typer.Option(help="Also find focal length and principal point, which err by so much: 5px, 0.1mm.")
     ] = None,
     reference_sigma: Annotated[
-        float | None, typer.Option(help="By how much the whole reference may be off, m; one cell if left out.")
+        float | None,
+        typer.Option(
+            help="By how much the whole reference may be off, m; one cell if left out. Nothing in one image can tell "
+            "it: the figure is your guarantee."
+        ),
     ] = None,
     registration_sigma: Annotated[
         float, typer.Option(help="Least error of a match beside its own, m; residuals raise it.")
@@ -82,8 +88,10 @@ def register_command(
         float | None, typer.Option(help="How heights of the elevation model err, m; 5 if left out.")
     ] = None,
     vertical_datum: VerticalDatum = None,
-    block: Annotated[int, typer.Option(min=8, help="Cells on a side of a block, at most.")] = 300,
-    probability: Annotated[float, typer.Option(help="With which a shift lies in what is searched.")] = 0.999,
+    block: Annotated[int, typer.Option(help="Cells on a side of a block, at most; 32 or more.")] = 300,
+    probability: Annotated[
+        float, typer.Option(help="With which a shift lies in what is searched; between 0.5 and 1.")
+    ] = 0.999,
     pixel: Annotated[
         list[str] | None, typer.Option(help="COLUMN,ROW of a pixel to fix; repeat it for more; else the middle.")
     ] = None,
@@ -98,8 +106,10 @@ def register_command(
     where the image is not registered: then there is no scene and no orthoimage, and the report says why.
     """
     with mistakes_told(traceback):
-        if not 0.0 < probability < 1.0:
-            raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
+        from jaxgeo.io.paths import files_behind
+        from jaxgeo.io.registration_report import write_registration_report
+
+        check_search(block, probability)
         began = time.perf_counter()
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, reference_sigma, registration_sigma, dem_sigma
@@ -107,17 +117,20 @@ def register_command(
         work, errors, pixels = _read(
             image, reference, (dem, vertical_datum), scene, sigmas, pixel or [], (band, reference_band)
         )
-        prepared_folder(output, [image, reference, scene, *dem])
+        files = [*files_behind(image), *files_behind(reference), scene, *terrain_files(dem, vertical_datum)]
+        prepared_folder(output, files)
         for one in errors.assumed:
             tell(f"assumed: {one}")
         with stderr().status("registering ..."):
             found = _registered(work, errors, block, probability)
         found_by = time.perf_counter() - began
-        content = _written(work, errors, pixels, found, output)
         paths = {"image": image, "scene": scene, "reference": reference}
-        content["inputs"] = {name: str(path) for name, path in paths.items()} | {"dem": [str(path) for path in dem]}
-        content["inputs"] |= {"sigmas": sigmas._asdict(), "block": block, "probability": probability}
-        content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
+        inputs = {name: str(path) for name, path in paths.items()} | {"dem": [str(path) for path in dem]}
+        inputs |= {"sigmas": sigmas._asdict(), "block": block, "probability": probability}
+        with new_results(output):
+            content = _written(work, errors, pixels, found, output) | {"inputs": inputs}
+            content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
+            write_registration_report(output / "report.json", content)
         _reported(content, output, found, as_json)
     if not found.accepted:
         raise typer.Exit(1)
@@ -249,12 +262,11 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
 
 
 def _reported(content: dict[str, Any], folder: pathlib.Path, found: Any, as_json: bool) -> None:
-    """The report as a file, and on the screen."""
-    from jaxgeo.io import registration_report
+    """The report on the screen."""
+    from jaxgeo.io.registration_report import as_json as json_of
 
-    registration_report.write_registration_report(folder / "report.json", content)
     if as_json:
-        typer.echo(registration_report.as_json(content), nl=False)
+        typer.echo(json_of(content), nl=False)
         return
     console = Console(width=None if Console().is_terminal else 160)
     console.print(f"{found}", highlight=False, markup=False, soft_wrap=True)

@@ -105,25 +105,45 @@ def read_bands(
     name: str, data: rasterio.DatasetReader, bands: Sequence[int], window: Window | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
-    rows = f"rows {window.row_off} to {window.row_off + window.height}" if window else "it"
+    part = _part(window) if window else "it"
     try:
         values = data.read(list(bands), window=window)
         known = _known(data, window)
     except RasterioError as error:
         raise ImageError(
-            f"{name}: {rows} cannot be read; the file is damaged or cut short: {error.__cause__ or error}"
+            f"{name}: {part} cannot be read; the file is damaged or cut short: {error.__cause__ or error}"
         ) from error
     if values.dtype.kind == "f":
         finite = np.isfinite(values)
+        _check_bands(name if window is None else f"{name}: {_part(window)}", bands, finite)
         known &= finite.all(axis=0)
         values[~finite] = 0.0
     if not known.any():
-        where = f"{rows}, columns {window.col_off} to {window.col_off + window.width}" if window else "the whole image"
+        where = _part(window) if window else "the whole image"
         raise ImageError(
             f"{name}: {where}: no pixel is known; all are nodata ({data.nodata}), masked or not finite. If they are an "
             f"image all the same, correct the nodata value of the file (gdal_edit -unsetnodata)."
         )
     return values, known
+
+
+def _part(window: Window) -> str:
+    rows = f"rows {window.row_off} to {window.row_off + window.height}"
+    return f"{rows}, columns {window.col_off} to {window.col_off + window.width}"
+
+
+def _check_bands(name: str, bands: Sequence[int], finite: np.ndarray) -> None:
+    """Raises `ImageError` where some bands, but not all, have no finite value: they would make all pixels unknown."""
+    sound = [band for band, is_finite in zip(bands, finite, strict=True) if is_finite.any()]
+    empty = [band for band in bands if band not in sound]
+    if not (sound and empty):
+        return
+    told = f"band {empty[0]} is" if len(empty) == 1 else f"bands {', '.join(map(str, empty))} are"
+    wish = " ".join(f"--band {band}" for band in sound)
+    raise ImageError(
+        f"{name}: {told} nowhere finite, and a pixel is known only where all its bands are. Choose the others: "
+        f"bands={sound}, on the command line {wish} (of a reference --reference-band)."
+    )
 
 
 def _numbers(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:

@@ -31,6 +31,8 @@ from jaxgeo.terrain.grid import AbstractGrid
 LATTICE = 65  # pixels along a side of the image, or places along one of a terrain, by which its extent is told
 MARGIN = 0.01  # of the extent, by which it is widened: between the pixels of the lattice it may reach farther
 MOST_CELLS = 4_000_000  # of a raster at a terrain's spacing, where nobody named the resolution
+MOST_WRITTEN = 2**36  # cells of a file: hours of work; somewhat later GDAL gives up
+LONGEST = 2**31 - 1  # cells along a side of a file
 MOST_CELLS_A_PIXEL = 16.0  # the same at an image's sampling: far off, an oblique image covers much with few pixels
 MIDDLE = 64  # meshes of the lattice about the middle of an image whose median is its ground sampling
 DIGITS = 3  # of a resolution that nobody named
@@ -78,6 +80,8 @@ def raster_of(
     usual = None if resolution is not None else terrain_spacing(name, terrain) if spacing is None else spacing()
     size = _checked_resolution(name, resolution) if usual is None else _in_unit(usual, flat, edges)
     (west, south, east, north), (across, down) = edges, size
+    if usual is None:
+        _check_resolution_is_not_too_fine(name, resolution, (north - south) / down, (east - west) / across)
     if bounds is None:
         west, north = across * math.floor(west / across), down * math.ceil(north / down)
     cols, rows = (max(1, math.ceil(n - 1e-9)) for n in ((east - west) / across, (north - south) / down))
@@ -87,6 +91,11 @@ def raster_of(
             f"or a part with bounds=."
         )
     return MapRaster(flat, Affine(across, 0.0, west, 0.0, -down, north), (rows, cols))
+
+
+def is_too_large(rows: float | int, cols: float | int) -> bool:
+    """Whether no file can be written of so many cells."""
+    return max(rows, cols) > LONGEST or rows * cols > MOST_WRITTEN
 
 
 def map_of(name: str, raster: MapRaster, *, assume_wgs84: bool = False) -> FileMap:
@@ -244,6 +253,14 @@ def _checked_resolution(name: str, resolution: Any) -> tuple[float, float]:
     if not (0.0 < across < math.inf and 0.0 < down < math.inf):
         raise ValueError(f"{name}: resolution must be positive and finite, in the CRS's unit; got {resolution!r}.")
     return across, down
+
+
+def _check_resolution_is_not_too_fine(name: str, resolution: Any, rows: float, cols: float) -> None:
+    if is_too_large(rows, cols):
+        raise ValueError(
+            f"{name}: at a resolution of {resolution!r} the map would have {rows:.3g} x {cols:.3g} cells, more than a "
+            f"file can have ({MOST_WRITTEN:.2g}); name a coarser resolution=, or a part with bounds=."
+        )
 
 
 def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from jaxgeo._checks import check_is
-from jaxgeo.io.map_raster import MapRaster, checked_target, map_of
+from jaxgeo.io.map_raster import MOST_WRITTEN, MapRaster, checked_target, is_too_large, map_of
 from jaxgeo.io.mapping import measure
 from jaxgeo.register.orthoimage import Orthoimage
 
@@ -47,6 +47,11 @@ class OrthoWriter:
         descriptions: Sequence[str] | None = None,
     ) -> None:
         self.target = checked_target(path, "an orthoimage")
+        if is_too_large(*raster.shape):
+            raise ValueError(
+                f"{self.target}: a raster of {raster.shape[0]} x {raster.shape[1]} cells is larger than a file can be "
+                f"({MOST_WRITTEN:.2g} cells); take larger cells, or a part of it."
+            )
         self.raster, self.bands, self.dtype, self.cog = raster, bands, np.dtype(dtype), cog
         self.nodata = _checked_nodata(f"{self.target}", self.dtype, nodata)
         self._tags = {"SOFTWARE": "jaxgeo"} | {key: f"{value}" for key, value in (tags or {}).items()}
@@ -156,7 +161,8 @@ class OrthoWriter:
         self._partial.unlink(missing_ok=True)
 
     def _failure(self, error: Exception) -> OSError:
-        return OSError(f"{self.target}: the orthoimage cannot be written here: {error}")
+        reason = f"{error}".replace(self._partial.name, self.target.name)
+        return OSError(f"{self.target}: the orthoimage cannot be written here: {reason}")
 
 
 def write_orthoimage(

@@ -5,7 +5,11 @@ from __future__ import annotations
 import glob
 import os
 import pathlib
+import warnings
 from collections.abc import Sequence
+
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from jaxgeo.io.errors import DemError
 
@@ -31,6 +35,18 @@ def expanded(paths: Paths) -> list[str]:
         twice = next(file for file in files if files.count(file) > 1)
         raise DemError(f"{twice}: the file is named twice.")
     return files
+
+
+def files_behind(path: str | os.PathLike[str]) -> list[str]:
+    """The file of a raster, and those that GDAL reads with it: sources of a VRT, world files, masks."""
+    name = os.fspath(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with rasterio.open(name) as data:
+                return [name, *data.files]
+        except (RasterioError, OSError):
+            return [name]  # whoever reads it says why
 
 
 def are_all_named(paths: Paths) -> bool:

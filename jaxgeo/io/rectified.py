@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxgeo._checks import check_is
+from jaxgeo._destination import check_no_input
 from jaxgeo.io.images import Bands, check_size, read_image
 from jaxgeo.io.map_raster import MapRaster, checked_target, grid_of, image_spacing, raster_of
 from jaxgeo.io.ortho_writer import BLOCK, OrthoWriter
 from jaxgeo.io.orthoimages import raster_of_file
+from jaxgeo.io.paths import files_behind
 from jaxgeo.io.windows import Bounds
 from jaxgeo.register.interpolation import AbstractInterpolation
 from jaxgeo.register.rectify import BILINEAR, Rectifier, Tile, tiles_of
@@ -44,6 +46,11 @@ class _Counts:
 
     def named(self) -> dict[Status, int]:
         return {one: int(self.codes[int(one)]) for one in Status if self.codes[int(one)]}
+
+
+def status_file(target: pathlib.Path) -> pathlib.Path:
+    """The file beside an orthoimage that has the codes of its cells."""
+    return target.with_name(f"{target.stem}_status{target.suffix}")
 
 
 def rectify_file(
@@ -79,11 +86,16 @@ def rectify_file(
     Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Where
     ground is hidden and where the image does not reach, cells are unknown. Files appear when all is written.
     Raises `ImageError` for the image, also where it has another size than the camera; `ValueError` for a raster that
-    makes no sense, or shows nothing of the image; `FileNotFoundError`, `OSError` where it cannot be written.
+    makes no sense, shows nothing of the image, or is too large for a file, and where the image or `like` would be
+    overwritten; `FileNotFoundError`, `OSError` where it cannot be written.
     """
     target = checked_target(path, "an orthoimage")
-    beside = target.with_name(f"{target.stem}_status{target.suffix}")
     check_is(sensor, Sensor, "sensor")
+    beside = status_file(target)
+    read = [image] if like is None or isinstance(like, MapRaster) else [image, like]
+    check_no_input(
+        "path", [target, beside] if status else [target], [file for one in read for file in files_behind(one)]
+    )
     values, known = read_image(image, bands)
     check_size(os.fspath(image), values.shape, sensor.camera)
     raster = _raster(f"{target}", sensor, shot, terrain, (crs, bounds, resolution), like, how)

@@ -11,18 +11,28 @@ import platform
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo._typing import Scalar
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.io.tie_points import TieRow
+from jaxgeo.register._equations import on_surface
 from jaxgeo.register.blocks import BlockOutcome, count_outcomes
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.registration import Registration
+from jaxgeo.register.ties import PaddedTies, TiePoints, checked_ties, padded
 from jaxgeo.status import Status
+from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import Propagation
+from jaxgeo.uncertainty.look import Look
 
 ALONE = "The block has candidates, but none agrees with the pose on which most blocks agree."
 PACKAGES = ("jaxgeo", "jax", "numpy", "scipy", "rasterio", "pyproj")
@@ -31,31 +41,62 @@ PACKAGES = ("jaxgeo", "jax", "numpy", "scipy", "rasterio", "pyproj")
 def tie_rows(registration: Registration, places: BlockPlaces) -> list[TieRow]:
     """A row for each block of the last pass, also for those left out; none for blocks of which the ground is unknown.
 
-    `places` are those of `jaxgeo.register.places.places_of_blocks`. A tie lies where the reference shows it, another
-    block where the shot puts it.
+    `places` are those of `jaxgeo.register.places.places_of_blocks`. A tie lies where the reference shows it, in the
+    height that it has in the update: that point less the map's shift to the east and north is imaged by the updated
+    sensor and shot at the tie's pixel less its residual. Another block lies where the shot puts it.
     """
     check_is(places, BlockPlaces, "places", "Make them with jaxgeo.register.places.places_of_blocks.")
     if not registration.passes:
         return []
-    return [_row(registration, places, int(block)) for block in np.flatnonzero(_placed(registration, places))]
+    heights = None if registration.ties is None else tie_heights(registration.ties, registration.update)
+    return [_row(registration, places, heights, int(block)) for block in np.flatnonzero(_placed(registration, places))]
+
+
+def tie_heights(ties: TiePoints, update: Update | None) -> np.ndarray:
+    """Ellipsoidal heights in m of ties (n,): their own, or as an update by them has the ground, the map's shift off."""
+    if update is None:
+        return np.asarray(ties.ground.height)
+    time = jnp.zeros(()) if update.time is None else update.time
+    look = Look(update.sensor, update.shot, time, jnp.zeros(2), update.terrain, update.atmosphere)
+    given = update.errors.moved(look, -jnp.asarray(update.error)).terrain
+    heights = _heights(padded(checked_ties(ties)), jnp.asarray(update.shift), given, update.terrain)
+    return np.asarray(heights)[: ties.count]
+
+
+@eqx.filter_jit
+def _heights(
+    ties: PaddedTies, shift: Float[Array, "2"], given: AbstractTerrain, updated: AbstractTerrain
+) -> Float[Array, " ties"]:
+    def one(lat: Scalar, lon: Scalar, height: Scalar, *rise: Float[Array, "2"]) -> Scalar:
+        position = Geodetic(lat=lat, lon=lon, height=height)
+        p_ecef, R = WGS84.to_ecef(position), R_ecef_from_enu(position)
+        start = p_ecef if rise else on_surface(given, p_ecef)
+        moved = start - R[:, :2] @ shift
+        if not rise:
+            return height + jnp.dot(on_surface(updated, moved) - p_ecef, R[:, 2])
+        lift = jnp.dot(on_surface(updated, moved) - on_surface(given, moved), R[:, 2])
+        return height + lift - jnp.sum(rise[0] * shift)
+
+    planes = () if ties.rise is None else (ties.rise,)
+    return jax.vmap(one)(ties.lat, ties.lon, ties.height, *planes)
 
 
 def _placed(registration: Registration, places: BlockPlaces) -> np.ndarray:
     return places.known | (np.asarray(places.tie) >= 0) if registration.ties is not None else places.known
 
 
-def _row(registration: Registration, places: BlockPlaces, block: int) -> TieRow:
+def _row(registration: Registration, places: BlockPlaces, heights: np.ndarray | None, block: int) -> TieRow:
     last, tie = registration.passes[-1], int(np.asarray(places.tie)[block])
     column, row = (float(x) for x in np.asarray(places.uv)[block])
     score = float(np.asarray(last.matches.score)[block, max(int(np.asarray(last.chosen.peak)[block]), 0)])
-    if tie < 0 or registration.ties is None:
+    if tie < 0 or registration.ties is None or heights is None:
         lat, lon, height = (float(np.asarray(x)[block]) for x in places.ground.to_degrees())
         code = BlockOutcome(int(np.asarray(last.matches.outcome)[block]))
         reason = ALONE if code is BlockOutcome.matched else code.message
         return TieRow(lat, lon, column, row, height, score, chosen=False, reason=reason)
     ground = registration.ties.ground
     lat, lon = (math.degrees(float(np.asarray(x)[tie])) for x in (ground.lat, ground.lon))
-    height = float(np.asarray(places.ground.height)[block])
+    height = float(heights[tie])
     own = 0.5 * float(np.trace(np.asarray(registration.ties.covariance)[tie]))
     sigma = math.sqrt(own + float(np.asarray(registration.tie_errors.registration)) ** 2)
     if registration.update is None:

@@ -49,6 +49,17 @@ def test_a_pixel_is_unknown_where_all_bands_are_nodata(tmp_path) -> None:
     assert known[4:].all()
 
 
+def test_a_band_that_is_nowhere_finite_is_named(tmp_path) -> None:
+    values = picture("float32", 4)
+    values[1], values[3] = np.nan, np.inf
+    path = write(tmp_path / "a.tif", values)
+    with pytest.raises(ImageError, match=r"bands 2, 4 are nowhere finite.*bands=\[1, 3\].*--band 1 --band 3"):
+        read_image(path)
+    assert read_image(path, [1, 3])[1].all()
+    with pytest.raises(ImageError, match="no pixel is known"):
+        read_image(path, 2)
+
+
 def test_masks_and_alpha_say_where_there_is_an_image(tmp_path) -> None:
     values = picture("uint16", 4)
     values[3, :, :7] = 0

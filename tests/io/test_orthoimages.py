@@ -229,13 +229,20 @@ def test_an_image_file_becomes_an_orthoimage(tmp_path) -> None:
         ({"shot": above(pitch=85.0)}, ValueError, "at the image's sampling the map would have"),
         ({"image": "small.tif"}, ImageError, "at 0.5 times its size"),
         ({"path": "nowhere/a.tif"}, FileNotFoundError, "there is no folder"),
+        ({"path": "frame.tif"}, ValueError, "frame.tif: this is an input, and would be overwritten"),
+        ({"path": "small.tif", "like": "small.tif"}, ValueError, "small.tif: this is an input"),
+        ({"path": "a.tif", "like": "a_status.tif", "status": True}, ValueError, "a_status.tif: this is an input"),
+        ({"crs": 32632, "resolution": 1e-5}, ValueError, "a resolution of 1e-05 .*; name a coarser resolution="),
+        ({"crs": 32632, "resolution": 1e-320}, ValueError, "would have inf x inf cells"),
+        ({"like": RASTERS["UTM"]._replace(shape=(2**19, 2**18))}, ValueError, "524288 x 262144 cells is larger than"),
     ],
 )
 def test_what_cannot_be_rectified_is_refused(tmp_path, change: dict, error: type, message: str) -> None:
     write(tmp_path / "frame.tif", np.ones((100, 120), np.uint8))
     write(tmp_path / "small.tif", np.ones((50, 60), np.uint8))
     given = {"path": "a.tif", "image": "frame.tif", "sensor": SENSOR, "shot": above(), "terrain": LEVEL, **change}
-    given |= {"path": tmp_path / given["path"], "image": tmp_path / given["image"]}
+    for name in ("path", "image", "like"):
+        given |= {name: tmp_path / given[name]} if isinstance(given.get(name), str) else {}
     with pytest.raises(error, match=message):
         rectify_file(**given)
     assert len(list(tmp_path.iterdir())) == 2
