@@ -20,6 +20,7 @@ class Outcome(enum.IntEnum):
     beyond_prior = 9
     does_not_fit = 10
     not_settled = 11
+    too_vague = 12
 
     @property
     def message(self) -> str:
@@ -38,6 +39,9 @@ _MESSAGES = {
     Outcome.few_agree: "Too few of the blocks agree on one pose: clouds, another season, or a wrong elevation model.",
     Outcome.ambiguous: "Two poses explain about as many blocks: the texture repeats itself.",
     Outcome.beyond_prior: "The pose found is none that the navigation's errors allow: a wrong match, or wrong sigmas.",
-    Outcome.does_not_fit: "The ties do not fit one pose within their errors: is the camera or the terrain wrong?",
+    Outcome.does_not_fit: (
+        "The ties do not fit one pose within their errors: is the camera, its lens, the terrain or the reference wrong?"
+    ),
     Outcome.not_settled: "The pose still changes from pass to pass.",
+    Outcome.too_vague: "The errors given leave so much room that it cannot be searched: give smaller sigmas.",
 }

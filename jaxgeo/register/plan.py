@@ -26,6 +26,7 @@ FEW, MANY = 16, 48  # blocks that are aimed at
 BENT = 2.5  # cells by which the edge of a block may be shifted otherwise than its middle, one standard deviation
 FEWEST_CELLS = 64  # on a side of the image, at the least
 FAR_IN_IMAGE = 20.0  # the same of a comparison in the image, where the reference is rendered cell by cell
+MOST_FAR = 250.0  # cells: standard deviation of a shift, over which nothing is searched
 OBLIQUE = 2.0  # times that the ground is drawn out along the look, from which on images are compared as they are
 WIDE = 3.7  # standard deviations by which the reference is rendered beside the image
 STEP = 8  # cells: that room is a multiple of it
@@ -114,6 +115,8 @@ def _sized(side: float, spread: float, bends: float, finest: int, far: float, se
         factor, coarser = factor * 2, coarser - 1
     if side / factor < SIDES[0]:
         raise Stopped(Outcome.too_small)
+    if not spread <= MOST_FAR * factor:
+        raise Stopped(Outcome.too_vague)
     is_sure = spread <= SURE * factor
     fits = side / factor / np.sqrt(MANY if is_sure else FEW)
     straight = 2.0 * BENT / max(bends, 1e-9)

@@ -16,13 +16,14 @@ from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.register.alike import alike
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.images import Images, Stopped
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass, one_pass
-from jaxgeo.register.plan import Search, planned
+from jaxgeo.register.plan import SIDES, Search, planned
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior, checked_prior
 from jaxgeo.register.rectify import checked_image
@@ -48,7 +49,9 @@ class Limits(eqx.Module):
     that have texture and lie on the reference must agree. `rival` is the share of these from which on another pose
     makes the registration ambiguous. `beyond_prior`: the probability of an error of the navigation so large, by its own
     standard deviations, below which it is not believed. Passes go on until ties move by less than `settled` cells, for
-    `most_passes`; `most_residual` cells is the standard deviation to which ties must fit the pose.
+    `most_passes`; `most_residual` cells is the standard deviation to which ties must fit the pose. Ties that fit worse
+    than their errors, by a factor of more than `misfit`, must do so independently of their neighbours: by `alike`
+    standard deviations of chance more, something is wrong that is no noise, and would make the pose seem too sure.
     """
 
     false_alarms: float = 1e-6
@@ -59,6 +62,8 @@ class Limits(eqx.Module):
     settled: float = 0.1
     most_passes: int = 10
     most_residual: float = 4.0
+    misfit: float = 2.0
+    alike: float = 2.5
 
 
 LIMITS = Limits()
@@ -143,12 +148,20 @@ def register(
 
     Nothing is accepted that chance, a repeated texture or a wrong area could have made (see `Limits`): then `outcome`
     says so, and sensor and shot stay as they were.
-    Raises `ValueError` for an image of another size than the camera's, and as `rectify`, `match` and `update`.
+    No image can tell of level ground that a map is shifted as a whole: `shift` is what the caller vouches for.
+    Raises `ValueError` for an image of another size than the camera's, a `probability` of half or less, a `block` under
+    32 cells, and as `rectify`, `match` and `update`.
     """
     require_x64()
     check_is(reference, Orthoimage, "reference", "Read one with jaxgeo.io.read_orthoimage.")
     check_is(tie_errors, TieErrors, "tie_errors")
     check_is(choice, AbstractChoice, "choice")
+    if not 0.5 < probability < 1.0:
+        raise ValueError(
+            f"probability must lie between 0.5 and 1: less is searched than is likely; got {probability!r}."
+        )
+    if block < SIDES[0]:
+        raise ValueError(f"block must be {SIDES[0]} cells or more: smaller ones tell nothing; got {block!r}.")
     sensor, motion, moment = observation(sensor, shot, time)
     check_terrain(terrain, FIRST_HIT)
     values = checked_image(image, sensor)
@@ -204,10 +217,12 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         kept = found if outcome is Outcome.registered else None
         return Registration(outcome, source.sensor, shot, source.terrain, kept, tie_errors, ties, tuple(passes))
 
-    coarser = 0
+    coarser, factor, outcome = 0, None, Outcome.registered
     for _ in range(limits.most_passes):
         try:
             plan = planned(look, given.model, covariance, images, search, coarser)
+            if coarser and plan.place.factor == factor:
+                return ended(outcome)
             done, ties = one_pass(look, given.model, covariance, images, search, plan, is_first=found is None)
         except Stopped as stopped:
             return ended(stopped.outcome)
@@ -215,7 +230,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         outcome = _judged(done, limits, is_first=found is None)
         if outcome is not Outcome.registered:
             if found is None and coarser < COARSER and outcome is not Outcome.ambiguous:
-                coarser += 1
+                coarser, factor = coarser + 1, plan.place.factor
                 continue
             return ended(outcome)
         coarser = 0
@@ -225,7 +240,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
             return ended(Outcome.not_settled)
         if _beyond(found, limits):
             return ended(Outcome.beyond_prior)
-        if plan.is_last and float(tie_errors.registration) > limits.most_residual * done.cell:
+        if plan.is_last and not _fits(given, ties, found, tie_errors, done.cell, limits):
             return ended(Outcome.does_not_fit)
         moved = np.inf if before is None else done.moved_by(np.asarray(found.unknowns) - before)
         look, covariance = _look_of(found, given.look), np.asarray(found.covariance)
@@ -237,8 +252,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
 
 def _updated(given: _Given, ties: TiePoints, cell: float) -> tuple[Update, TieErrors]:
     """The update, with the error of registration raised until residuals are as large as the errors have them."""
-    least = max(float(given.tie_errors.registration), LEAST_REGISTRATION * cell)
-    tie_errors = eqx.tree_at(lambda e: e.registration, given.tie_errors, jnp.asarray(least))
+    tie_errors = _least_errors(given, cell)
     found = given.updated(ties, tie_errors)
     for _ in range(ROUNDS):
         sigma0 = float(found.sigma0_ties)
@@ -251,6 +265,21 @@ def _updated(given: _Given, ties: TiePoints, cell: float) -> tuple[Update, TieEr
     return found, tie_errors
 
 
+def _least_errors(given: _Given, cell: float) -> TieErrors:
+    """The errors given, that of registration being no less than ties can be."""
+    least = max(float(given.tie_errors.registration), LEAST_REGISTRATION * cell)
+    return eqx.tree_at(lambda e: e.registration, given.tie_errors, jnp.asarray(least))
+
+
+def _fits(given: _Given, ties: TiePoints, found: Update, tie_errors: TieErrors, cell: float, limits: Limits) -> bool:
+    """Whether what the ties are off the pose is small, and noise."""
+    if float(tie_errors.registration) > limits.most_residual * cell:
+        return False
+    if _tie_sigma(ties, tie_errors) <= limits.misfit * _tie_sigma(ties, _least_errors(given, cell)):
+        return True
+    return alike(np.asarray(found.normalised), np.asarray(ties.uv)) < limits.alike
+
+
 def _tie_sigma(ties: TiePoints, errors: TieErrors) -> float:
     """Standard deviation in m along an axis of the map of a usual tie, as the errors have it."""
     own = np.median(np.trace(np.asarray(ties.covariance), axis1=1, axis2=2)) / 2.0
@@ -259,6 +288,8 @@ def _tie_sigma(ties: TiePoints, errors: TieErrors) -> float:
 
 def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
     """Whether the blocks of a pass agree as they should; that it is no chance the first shows, which searches far."""
+    if len(done.matches.outcome) < limits.least_blocks:
+        return Outcome.too_small
     if is_first and done.false_alarms > limits.false_alarms:
         return Outcome.no_agreement
     if done.agreeing < limits.least_blocks or done.agreeing < limits.least_share * done.offered:

@@ -1,9 +1,11 @@
-"""Images from above and maps that are off as a whole, in part, or repeat themselves."""
+"""Images from above, and maps that are off as a whole or in part, or repeat themselves; and lenses and terrains that
+are not those that made the image."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +18,9 @@ from jaxgeo.io import example_dem
 from jaxgeo.locate import locate
 from jaxgeo.register import Orthoimage, Outcome, Prior, TieErrors, register, render
 from jaxgeo.register.registration import Registration
-from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at, moved
+from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import ErrorModel, sources
 
 pytestmark = pytest.mark.slow
@@ -116,3 +119,29 @@ def test_a_texture_that_repeats_itself_is_ambiguous(reference: Orthoimage) -> No
     given = moved(SHOT, np.array([75.0, -37.5, 0.0]), np.zeros(3))
     found = register(SENSOR, given, seen, there, DEM, errors(50.0, 0.05), map_errors(1.0))
     assert refused(found) is Outcome.ambiguous, str(found)
+
+
+def test_a_lens_or_a_terrain_that_is_not_the_image_s_is_no_noise(reference: Orthoimage, image: np.ndarray) -> None:
+    """Ties that are off as their neighbours are say that something else is wrong; as noise they would tell too much."""
+    given, model = disturbed(SHOT, np.random.default_rng(1), metres=50.0, degrees=0.5), errors(50.0, 0.5)
+    lens = eqx.tree_at(lambda s: s.camera.distortion, SENSOR, BrownConrady(k1=-0.05), is_leaf=lambda x: x is None)
+    bent = spoilt(np.asarray(render(lens, SHOT, reference, DEM).values), 5)
+    beside = Dem.from_array(np.roll(np.asarray(DEM.posts, float), 3, 1), DEM.grid)
+    for seen, terrain in ((bent, DEM), (image, beside)):
+        found = register(SENSOR, given, seen, reference, terrain, model, map_errors(1.0))
+        assert refused(found) is Outcome.does_not_fit, str(found)
+    assert register(SENSOR, given, image, reference, DEM, model, map_errors(1.0)).accepted
+
+
+def test_navigation_of_which_nothing_is_known_is_not_searched(reference: Orthoimage, image: np.ndarray) -> None:
+    vague = {(1e6, 0.5): Outcome.too_vague, (2e4, 1.0): Outcome.too_vague, (1000.0, 0.5): Outcome.off_reference}
+    for (metres, degrees), outcome in vague.items():
+        found = register(SENSOR, SHOT, image, reference, DEM, errors(metres, degrees), map_errors(1.0))
+        assert refused(found) is outcome, str(found)
+
+
+@pytest.mark.parametrize("change", [{"probability": 0.5}, {"block": 31}])
+def test_searches_that_tell_nothing_are_refused(change: dict[str, Any], reference: Orthoimage) -> None:
+    blank = np.ones((1, SIZE, SIZE))
+    with pytest.raises(ValueError, match=next(iter(change))):
+        register(SENSOR, SHOT, blank, reference, DEM, errors(50.0, 0.5), map_errors(1.0), **change)
