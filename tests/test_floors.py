@@ -68,6 +68,8 @@ NUMPY_FILES = {
     "register/affine.py": "chooses among finished candidates, outside any trace",
     "register/blocks.py": "places of blocks and records, outside any trace",
     "register/comparison.py": "gathers finished ties, outside any trace",
+    "register/alike.py": "judges finished residuals",
+    "register/interpolation.py": "cuts images on the host, outside any trace",
     "register/images.py": "the images of a registration, outside any trace",
     "register/in_image.py": "gathers finished chunks",
     "register/on_map.py": "gathers finished tiles",

@@ -157,9 +157,7 @@ def register(
     check_is(tie_errors, TieErrors, "tie_errors")
     check_is(choice, AbstractChoice, "choice")
     if not 0.5 < probability < 1.0:
-        raise ValueError(
-            f"probability must lie between 0.5 and 1: less is searched than is likely; got {probability!r}."
-        )
+        raise ValueError(f"probability must lie between 0.5 and 1, to find what is likely; got {probability!r}.")
     if block < SIDES[0]:
         raise ValueError(f"block must be {SIDES[0]} cells or more: smaller ones tell nothing; got {block!r}.")
     sensor, motion, moment = observation(sensor, shot, time)
