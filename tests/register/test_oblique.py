@@ -112,7 +112,7 @@ def test_an_oblique_image_is_registered() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 12))
+@pytest.mark.parametrize("seed", range(2, 7))
 def test_an_oblique_image_is_registered_from_anywhere_near(seed: int) -> None:
     found, _ = registered(spoilt(scene().image, seed=seed), scene().reference, seed=seed)
     check_right(found)
@@ -189,7 +189,7 @@ def test_what_cannot_be_registered_is_said_and_leaves_the_navigation_as_it_is(ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize("seed", range(1, 3))
 def test_a_texture_that_repeats_itself_is_refused_or_found_right(seed: int) -> None:
     # Near ground shows a period larger than far ground does, so that the right pose can be told in principle.
     row, col = np.mgrid[:SIDE, :SIDE]
@@ -219,7 +219,7 @@ def real(jaxgeo_test_data: pathlib.Path) -> Scene:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_an_oblique_image_of_a_real_orthophoto_is_registered(real: Scene, seed: int) -> None:
     found, _ = registered(spoilt(real.image, seed=seed), real.reference, seed=seed, here=real)
     check_right(found, real)
