@@ -89,7 +89,7 @@ NUMPY_FILES = {
     "register/rectify.py": "gathers finished tiles",
     "register/registration.py": "judges finished passes",
     "register/open_sight.py": "slopes of a terrain, once and outside any trace",
-    "register/cells.py": "nodes of polynomials, constants of the program",
+    "register/chart.py": "nodes of polynomials, constants of the program",
     "register/ties.py": "checks and pads concrete tie points",
     "sensor/_legs.py": "which knots are neighbours, a constant of the program",
     "sensor/camera.py": "constants and checks of records, outside any trace",

@@ -20,19 +20,8 @@ from jaxgeo._checks import as_float64, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo.earth import Atmosphere
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.register.cells import (
-    WELL_MAPPED,
-    Cells,
-    Chart,
-    View,
-    basis,
-    cells_one_by_one,
-    charted,
-    charted_cells,
-    hidden,
-    may_be_hidden,
-    where_any,
-)
+from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
+from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
 from jaxgeo.register.open_sight import OpenSight
 from jaxgeo.register.orthoimage import Orthoimage
