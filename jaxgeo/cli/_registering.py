@@ -18,6 +18,7 @@ from jaxgeo.cli._inputs import numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 DEM_SIGMA = 5.0  # m, where nobody says how the heights err
+DEM_CORRELATION = 500.0  # m, where nobody says over which distance they err alike
 LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
 PICTURED = 1024  # cells along a side of what a picture shows, at most
 TILE = 256  # as registration rectifies: the same programs serve
@@ -33,13 +34,16 @@ class Sigmas(NamedTuple):
     reference: float | None
     registration: float
     dem: float | None
+    dem_correlation: float | None
 
 
 class Errors(NamedTuple):
-    """Sources of the navigation, errors of ties, and what was assumed, in words."""
+    """Sources of the navigation, errors of ties, by how many m the height of one place errs beside what is common to
+    all, and what was assumed, in words."""
 
     sources: tuple[Any, ...]
     tie_errors: Any
+    terrain: float
     assumed: list[str]
 
 
@@ -64,13 +68,23 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
         assumed.append(f"the reference lies within {cell:.3g} m, one of its cells, of the truth (--reference-sigma)")
     if sigmas.dem is None:
         assumed.append(f"heights of the elevation model err by {DEM_SIGMA:g} m (--dem-sigma)")
+    if sigmas.dem_correlation is None and sigmas.dem != 0.0:
+        assumed.append(f"they err alike over some {DEM_CORRELATION:g} m (--dem-correlation)")
     shift = _positive("--reference-sigma", cell if sigmas.reference is None else sigmas.reference)
     terrain = _positive("--dem-sigma", DEM_SIGMA if sigmas.dem is None else sigmas.dem)
     registration = _positive("--registration-sigma", sigmas.registration)
-    half = terrain / math.sqrt(2.0)  # of the variance: one part common to all heights, the other anew at each
+    length = DEM_CORRELATION if sigmas.dem_correlation is None else sigmas.dem_correlation
+    length = _positive("--dem-correlation", length, "a distance")
+    half = terrain / math.sqrt(2.0)  # of the variance: one part common to all heights, the other alike over the length
     if half > 0.0:
         found.append(sources.TerrainHeight.from_metres(half))
-    return Errors(tuple(found), TieErrors(registration=registration, terrain=half, shift=shift), assumed)
+    ties = TieErrors(registration=registration, shift=shift)
+    if half > 0.0 and length > 0.0:
+        field = sources.TerrainField.of_variograms(gaussian=[(half, length)])
+        ties = TieErrors(registration=registration, shift=shift, terrain_field=field)
+    elif half > 0.0:
+        ties = TieErrors(registration=registration, terrain=half, shift=shift)
+    return Errors(tuple(found), ties, half, assumed)
 
 
 def sigmas_in(option: str, text: str, count: int, form: str) -> list[float]:
@@ -82,9 +96,9 @@ def sigmas_in(option: str, text: str, count: int, form: str) -> list[float]:
     return found
 
 
-def _positive(option: str, value: float) -> float:
+def _positive(option: str, value: float, what: str = "a standard deviation") -> float:
     if not 0.0 <= value < math.inf:
-        raise UserError(f"{option} {value:g}: a standard deviation is zero or more, and finite.")
+        raise UserError(f"{option} {value:g}: {what} is zero or more, and finite.")
     return value
 
 
@@ -207,7 +221,7 @@ def fixes_of(scene: Any, shot: Any, terrain: Any, errors: Errors, found: Any, pi
     from jaxgeo.uncertainty.sharing import EachMeasurement
     from jaxgeo.uncertainty.sources import TerrainHeight
 
-    sigma = errors.tie_errors.terrain
+    sigma = errors.terrain
     model = (*errors.sources, TerrainHeight.from_metres(sigma, sharing=EachMeasurement()))
     rows = []
     for uv in pixels:

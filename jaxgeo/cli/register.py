@@ -87,6 +87,10 @@ def register_command(
     dem_sigma: Annotated[
         float | None, typer.Option(help="How heights of the elevation model err, m; 5 if left out.")
     ] = None,
+    dem_correlation: Annotated[
+        float | None,
+        typer.Option(help="Over which distance these errors are alike, m; 500 if left out, 0 if each errs for itself."),
+    ] = None,
     vertical_datum: VerticalDatum = None,
     block: Annotated[int, typer.Option(help="Cells on a side of a block, at most; 32 or more.")] = 300,
     probability: Annotated[
@@ -112,7 +116,14 @@ def register_command(
         check_search(block, probability)
         began = time.perf_counter()
         sigmas = Sigmas(
-            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, reference_sigma, registration_sigma, dem_sigma
+            position_sigma,
+            attitude_sigma,
+            gimbal_sigma,
+            focal_sigma,
+            reference_sigma,
+            registration_sigma,
+            dem_sigma,
+            dem_correlation,
         )
         work, errors, pixels = _read(
             image, reference, (dem, vertical_datum), scene, sigmas, pixel or [], (band, reference_band)
