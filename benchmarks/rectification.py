@@ -4,7 +4,7 @@ Run: python benchmarks/rectification.py [--repeats 5] [--json out.json]
 A real frame and its terrain are read from the folder JAXGEO_TEST_DATA; without it, a made-up frame looks down on the
 package's own terrain. The same cells, bilinear, three bands of uint8, on two cores; medians of repeats in turning
 order. In memory: from the array of the image (Orthority reads it from a file in memory) to the array on the ground, the
-terrain read before. To files: from file to file, not compressed. Orthority and GDAL leave hidden ground in.
+terrain read before. To files: from file to file, deflated, with a mask. Orthority and GDAL leave hidden ground in.
 """
 
 from __future__ import annotations

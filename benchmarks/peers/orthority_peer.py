@@ -56,10 +56,11 @@ class Orthority:
         return sink.values
 
     def to_file(self, path: str, resolution: float) -> None:
-        """An uncompressed GeoTIFF in tiles."""
-        how = {"tiled": "YES", "blockxsize": 512, "blockysize": 512, "interleave": "band"}
+        """A deflated GeoTIFF in tiles, with a mask, as ours."""
+        how = {"tiled": "YES", "blockxsize": 256, "blockysize": 256, "interleave": "pixel", "num_threads": "ALL_CPUS"}
+        how |= {"compress": "DEFLATE", "predictor": 2}
         self.ortho.process(
-            path, (resolution, resolution), interp="bilinear", dem_interp="bilinear", write_mask=False,
+            path, (resolution, resolution), interp="bilinear", dem_interp="bilinear", write_mask=True,
             creation_options=how, build_ovw=False, overwrite=True,
         )  # fmt: skip
 

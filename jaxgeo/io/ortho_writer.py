@@ -109,7 +109,7 @@ class OrthoWriter:
         profile = {"driver": "GTiff", "dtype": self.dtype.name, "count": self.bands, "height": rows, "width": cols}
         profile |= {"crs": self.raster.crs.to_wkt(), "transform": self.raster.transform, "nodata": self.nodata}
         profile |= {"tiled": True, "blockxsize": BLOCK, "blockysize": BLOCK, "BIGTIFF": "IF_SAFER"}
-        profile |= {"compress": "deflate", "predictor": 3 if self.dtype.kind == "f" else 2}
+        profile |= {"compress": "deflate", "predictor": 3 if self.dtype.kind == "f" else 2, "num_threads": "ALL_CPUS"}
         # GDAL would take the fourth band of four for an alpha band.
         return profile | {"photometric": "RGB" if is_picture else "MINISBLACK", "ALPHA": "NO"}
 
