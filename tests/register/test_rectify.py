@@ -260,12 +260,13 @@ def test_tiles_of_any_size_give_the_same() -> None:
 
 
 @pytest.mark.slow
-def test_images_in_motion_go_by_the_exact_path() -> None:
+@pytest.mark.parametrize("masked", [False, True])
+def test_images_in_motion_go_by_the_exact_path(masked: bool) -> None:
     sensor = sensor_of(RollingShutterCamera.from_readout(LENS, readout_time=0.05))
     flight = Trajectory.steady(shot(), velocity_ned=[60.0, -5.0, 2.0], before=1.0, after=1.0)
     terrain, grid = ground(voids=True), cells_about()
-    found = rectify(sensor, flight, PICTURES, terrain, grid, CELLS, mask_hidden=False, time=0.1)
-    check(found, expected(sensor, flight, terrain, grid, mask=False, time=0.1))
+    found = rectify(sensor, flight, PICTURES, terrain, grid, CELLS, mask_hidden=masked, time=0.1)
+    check(found, expected(sensor, flight, terrain, grid, mask=masked, time=0.1))
 
 
 # Pictures.

@@ -140,7 +140,7 @@ def in_turn(model: ErrorModel, ties: list[TiePoints]) -> list[Update]:
     "duration",
     [
         pytest.param(1e11, id="the same errors", marks=pytest.mark.slow),
-        pytest.param(4.0, id="fading"),
+        pytest.param(4.0, id="fading", marks=pytest.mark.slow),
         pytest.param(1e-3, id="new errors", marks=pytest.mark.slow),
     ],
 )

@@ -382,6 +382,7 @@ def raised():
     return update(looks.sensor(), looks.shot(), dem_ties(SLOPE), low, SURE, TieErrors(registration=0.05, terrain=0.05))
 
 
+@pytest.mark.slow
 def test_bias_of_the_terrain_is_estimated():
     """A sure navigation tells that the terrain lies too low."""
     result: Any = raised()

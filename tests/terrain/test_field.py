@@ -131,6 +131,7 @@ def test_a_bias_for_each_ray_is_a_terrain_so_much_higher(rays, own_fields, plain
     assert met >= {Status.rises_away, Status.ray_misses_terrain, Status.enters_from_side}
 
 
+@pytest.mark.slow
 def test_a_line_for_each_ray_meets_the_first_ground_of_the_posts_so_changed(rays, own_fields, plain):
     """Also with a bias on top; neighbours in a bundle have unlike fields."""
     seeds, bias = (11, 12, 13, 14), (0.0, 25.0, -40.0, 3.0)
