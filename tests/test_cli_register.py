@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pathlib
 import sys
 import warnings
@@ -20,7 +21,7 @@ from typer.testing import CliRunner
 from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, locate, project
 from jaxgeo.cli import app
 from jaxgeo.cli._common import mistakes_told
-from jaxgeo.cli._registering import FILES, LEAST_BLOCK, new_results
+from jaxgeo.cli._registering import DEM_CORRELATION, DEM_SIGMA, FILES, LEAST_BLOCK, Sigmas, errors_of, new_results
 from jaxgeo.cli.rectify import print_raster
 from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_enu, R_ecef_from_ned
@@ -32,6 +33,7 @@ from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.plan import SIDES
 from jaxgeo.register.render import render
 from jaxgeo.status import Status
+from jaxgeo.uncertainty.sources import TerrainHeight
 
 DEM = str(pathlib.Path(scene_file()).with_name("jacksboro.tif"))
 ROWS, COLS, FOCAL, CELL, SIDE = 192, 256, 300.0, 10.0, 400  # px; m and cells of the map
@@ -271,6 +273,7 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS[:3], "nan"], ["--attitude-sigma nan", "finite"]),
     ([*REGISTER, *SIGMAS[:3], "0"], ["--attitude-sigma 0", "nothing errs"]),
     ([*REGISTER, *SIGMAS, "--reference-sigma", "-1"], ["--reference-sigma -1"]),
+    ([*REGISTER, *SIGMAS, "--dem-correlation", "-500"], ["--dem-correlation -500", "a distance is zero or more"]),
     ([*REGISTER, *SIGMAS, "--gimbal-sigma", "0.1"], ["--gimbal-sigma 0.1", "is fixed"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "5"], ["--focal-sigma '5'", "5px or 0.05mm"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "0.1mm"], ["in pixels", "in px"]),
@@ -351,6 +354,28 @@ def test_mistakes(inputs, monkeypatch, arguments: list[str], words: list[str]) -
     before = names_in(folder)
     assert_refused(run(*(inputs.get(argument, argument) for argument in arguments)), *words)
     assert names_in(folder) == before
+
+
+@pytest.mark.parametrize("dem, length", [(None, None), (3.0, None), (3.0, 80.0), (3.0, 0.0), (0.0, None)])
+def test_half_of_the_variance_of_heights_is_common_to_all(dem: float | None, length: float | None) -> None:
+    sigmas = Sigmas("30", "0.3", None, None, 1.0, 0.5, dem, length)
+    found = errors_of(sigmas, None, pathlib.Path("scene.toml"), 1.0)
+    expected = DEM_SIGMA if dem is None else dem
+    common = [float(source.sigma[0]) for source in found.sources if isinstance(source, TerrainHeight)]
+    assert sum(one**2 for one in common) == pytest.approx(expected**2 / 2.0)
+    field = found.tie_errors.terrain_field
+    alone = float(found.tie_errors.terrain)
+    assert found.terrain == pytest.approx(expected / math.sqrt(2.0))
+    assert (field is None) == (length == 0.0 or dem == 0.0)
+    if field is None:
+        assert alone == pytest.approx(found.terrain)
+    else:
+        apart = DEM_CORRELATION if length is None else length
+        both = np.asarray(field.variance_at(jnp.array([0.0, apart]))) / found.terrain**2
+        assert alone == 0.0
+        assert both[0] == pytest.approx(1.0)
+        assert 0.01 < both[1] < 0.5
+    assert ("--dem-correlation" in "; ".join(found.assumed)) == (length is None and dem != 0.0)
 
 
 def test_the_least_block_is_the_smallest_that_is_used() -> None:
