@@ -193,6 +193,9 @@ def speed(scene: Scene, cell: float, folder: pathlib.Path, repeats: int) -> Tabl
         "jaxgeo, hidden ground left out, to a file": lambda: rectify_file(
             folder / "ours.tif", scene.image, scene.sensor, scene.shot, scene.dem, **raster
         ),
+        "jaxgeo, hidden ground left in, to a file": lambda: rectify_file(
+            folder / "seen.tif", scene.image, scene.sensor, scene.shot, scene.dem, mask_hidden=False, **raster
+        ),
     }
     first = {name: measuring.timed(run)[1] for name, run in runs.items()}
     watch, spent = measuring.Watch(), {name: [] for name in runs}

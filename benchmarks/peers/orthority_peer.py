@@ -58,7 +58,7 @@ class Orthority:
     def to_file(self, path: str, resolution: float) -> None:
         """A deflated GeoTIFF in tiles, with a mask, as ours."""
         how = {"tiled": "YES", "blockxsize": 256, "blockysize": 256, "interleave": "pixel", "num_threads": "ALL_CPUS"}
-        how |= {"compress": "DEFLATE", "predictor": 2}
+        how |= {"compress": "DEFLATE", "predictor": 2, "zlevel": 1}
         self.ortho.process(
             path, (resolution, resolution), interp="bilinear", dem_interp="bilinear", write_mask=True,
             creation_options=how, build_ovw=False, overwrite=True,

@@ -13,12 +13,12 @@ from jaxgeo._checks import check_is
 from jaxgeo._destination import check_no_input
 from jaxgeo.io.images import Bands, check_size, read_image
 from jaxgeo.io.map_raster import MapRaster, checked_target, grid_of, image_spacing, raster_of
-from jaxgeo.io.ortho_writer import BLOCK, OrthoWriter
+from jaxgeo.io.ortho_writer import OrthoWriter
 from jaxgeo.io.orthoimages import raster_of_file
 from jaxgeo.io.paths import files_behind
 from jaxgeo.io.windows import Bounds
 from jaxgeo.register.interpolation import AbstractInterpolation
-from jaxgeo.register.rectify import BILINEAR, Rectifier, Tile, tiles_of
+from jaxgeo.register.rectify import BILINEAR, TILE, Rectifier, Tile, tiles_of
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
@@ -135,8 +135,8 @@ def _written(
 ) -> _Counts:
     """All tiles, written. Raises `ValueError` if none shows anything of the image."""
     counts = _Counts()
-    total = int(np.prod([-(-n // BLOCK) for n in raster.shape]))
-    tiles = tiles_of(rectifier, raster.shape, BLOCK)
+    total = int(np.prod([-(-n // TILE) for n in raster.shape]))
+    tiles = tiles_of(rectifier, raster.shape)
     for (rows, cols), tile in with_bar(tiles, total, "rectifying", progress and sys.stdout.isatty()):
         counts.add(tile)
         sink.write(rows.start, cols.start, tile.values, tile.known)
