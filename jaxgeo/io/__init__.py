@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from jaxgeo.io.accuracy_map import write_accuracy_map
+from jaxgeo.io.acquisitions import Acquisition, UnstatedDatum, read_acquisition
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
+from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
 from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
 from jaxgeo.io.exposures import write_exposures
 from jaxgeo.io.files import DemFiles, open_dem
+from jaxgeo.io.fix_files import write_fixes
 from jaxgeo.io.footprints import write_footprints
 from jaxgeo.io.gcp import GroundControl, read_gcp_list
 from jaxgeo.io.geoid import height_msl, undulation
@@ -25,6 +28,7 @@ from jaxgeo.io.scene_writer import write_updated_scene
 from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
+    "Acquisition",
     "BalProblem",
     "DemError",
     "DemFiles",
@@ -39,12 +43,15 @@ __all__ = [
     "RectifiedFile",
     "TableError",
     "TieRow",
+    "UnstatedDatum",
     "VerticalDatumError",
+    "accuracy_map_dataset",
     "example_dem",
     "height_msl",
     "intersect_files",
     "locate_files",
     "open_dem",
+    "read_acquisition",
     "read_bal",
     "read_dem",
     "read_dem_and_report",
@@ -58,10 +65,12 @@ __all__ = [
     "read_orthoimage",
     "read_orthoimage_and_report",
     "rectify_file",
+    "samples_dataset",
     "undulation",
     "write_accuracy_map",
     "write_bal",
     "write_exposures",
+    "write_fixes",
     "write_footprints",
     "write_image_points",
     "write_orientations",

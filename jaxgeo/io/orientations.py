@@ -45,6 +45,12 @@ ALIASES = {
     "pitch_deg": ("pitch",),
     "roll_deg": ("roll",),
 }
+GON = 0.9  # deg
+# The same angles in gon, in place of those in deg: our name in deg, and what the column in gon may be called.
+IN_GON = {
+    f"{angle}_deg": (f"{angle}_gon", f"{angle}[gon]", f"{angle} [gon]", f"{angle}(gon)", f"{angle} (gon)")
+    for angle in ("omega", "phi", "kappa")
+}
 GRID_COLUMNS: dict[str, Limits] = {
     "x_m": (-1e8, 1e8, "m"),
     "y_m": (-1e8, 1e8, "m"),
@@ -131,7 +137,8 @@ def read_orientations(
     Also read, in any case of letters: `filename` or `nom` for the image; `x`, `y`, `z`, `omega` or `o`, `phi` or `p`,
     `kappa` or `k` (`odm_xyz_opk.csv`, and the OPK files of IGN, whose angles are the same: their world to camera,
     Rx(pi) times the extrinsic x-y-z rotation by (-omega, -phi, -kappa), is the inverse of the above); `latitude`,
-    `longitude`, `altitude`, `yaw`, `pitch`, `roll`. Names of images are kept as they are written.
+    `longitude`, `altitude`, `yaw`, `pitch`, `roll`; angles in gon under `omega_gon`, `phi_gon` and `kappa_gon` (or
+    `omega[gon]` and so on), all three or none. Names of images are kept as they are written.
 
     - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m, the path of a geoid grid; as in scene files.
@@ -143,11 +150,13 @@ def read_orientations(
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    columns = read_columns(path, "table of orientations", ALIASES | dict.fromkeys(SIGMA_COLUMNS, ()))
+    in_gon = {gon: tuple(others) for gon, *others in IN_GON.values()}
+    columns = read_columns(path, "table of orientations", ALIASES | in_gon | dict.fromkeys(SIGMA_COLUMNS, ()))
     wanted = _wanted(columns, crs)
     names = columns.names("image")
     refuse_doubles(columns.table, names.tolist(), "image {} is there twice")
     numbers = {name: columns.numbers(name, limits) for name, limits in wanted.items()}
+    numbers |= {name: GON * numbers[gon] for name, (gon, *_) in IN_GON.items() if gon in numbers}
     sigma = _sigma(columns)
     try:
         if crs is None:
@@ -226,9 +235,25 @@ def _wanted(columns: Columns, crs: Any) -> dict[str, Limits]:
         why = f" {columns.called[in_map[0]]} is of a map: say which with crs=."
     if crs is not None and on_earth and not in_map:
         why = f" {columns.called[on_earth[0]]} is on the Earth: leave crs= out."
-    wanted = POSE_COLUMNS if crs is None else GRID_COLUMNS
+    wanted = POSE_COLUMNS if crs is None else _units(columns)
     columns.require(["image", *wanted], ALIASES, why)
     return wanted
+
+
+def _units(columns: Columns) -> dict[str, Limits]:
+    """The columns of a table in a map, its angles in gon where they are called so."""
+    in_gon = [others[0] for others in IN_GON.values() if others[0] in columns]
+    in_deg = [name for name in IN_GON if name in columns]
+    if not in_gon:
+        return GRID_COLUMNS
+    if in_deg:
+        both = f"{columns.called[in_gon[0]]} and {columns.called[in_deg[0]]}"
+        raise TableError(f"{columns.table.path}: columns {both} are there; give all three angles in one unit.")
+    angles: dict[str, Limits] = {}
+    for name, (gon, *_) in IN_GON.items():
+        low, high, _ = GRID_COLUMNS[name]
+        angles[gon] = low / GON, high / GON, "gon"
+    return {name: limits for name, limits in GRID_COLUMNS.items() if name not in IN_GON} | angles
 
 
 def _sigma(columns: Columns) -> np.ndarray | None:

@@ -302,3 +302,20 @@ def test_a_real_block_of_ign_fits_its_ties(jaxgeo_test_data: pathlib.Path) -> No
 
 def _words(path: pathlib.Path) -> list[list[str]]:
     return [line.split() for line in path.read_text().splitlines() if line.strip()]
+
+
+def test_angles_in_gon(table) -> None:
+    rows = "image,x,y,z,{}\na,292710,2731048,186.4,{}\n"
+    in_deg = read_orientations(
+        table(rows.format("omega,phi,kappa", "28.8,0.9,-179.1")), height_datum="ellipsoid", crs=32651
+    )
+    for header in ("omega_gon,phi_gon,kappa_gon", "Omega[gon],Phi[gon],Kappa[gon]"):
+        in_gon = read_orientations(table(rows.format(header, "32.0,1.0,-199.0")), height_datum="ellipsoid", crs=32651)
+        np.testing.assert_allclose(attitudes(in_gon.pose), attitudes(in_deg.pose), atol=1e-14)
+    for header, cells, words in (
+        ("omega_gon,phi,kappa", "1,2,3", "columns omega_gon and phi are there; give all three angles in one unit"),
+        ("omega_gon,phi_gon", "1,2", "no column kappa_gon"),
+        ("omega_gon,phi_gon,kappa_gon", "1,2,500", r"column kappa_gon: 500 is outside \[-400, 400\] gon"),
+    ):
+        with pytest.raises(TableError, match=words):
+            read_orientations(table(rows.format(header, cells)), height_datum="ellipsoid", crs=32651)

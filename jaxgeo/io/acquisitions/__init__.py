@@ -1,0 +1,30 @@
+"""Files of cameras and aircraft as exposures: drone images, telemetry, navigation, orientations, reconstructions."""
+
+from __future__ import annotations
+
+from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.detect import read_acquisition
+from jaxgeo.io.acquisitions.drone_images import read_drone_images
+from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
+from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
+from jaxgeo.io.acquisitions.reported import Comparison, compare_reported
+from jaxgeo.io.acquisitions.sbet import SbetRecords, read_sbet
+from jaxgeo.io.acquisitions.telemetry import read_telemetry
+
+__all__ = [
+    "Acquisition",
+    "Comparison",
+    "Reported",
+    "SbetRecords",
+    "UnstatedDatum",
+    "acquisition_of_opensfm",
+    "acquisition_of_orientations",
+    "compare_reported",
+    "for_each",
+    "read_acquisition",
+    "read_drone_images",
+    "read_orthority",
+    "read_orthority_cameras",
+    "read_sbet",
+    "read_telemetry",
+]

@@ -1,0 +1,217 @@
+"""What the tags of a drone's image say of its camera, from the most to the least trustworthy, in pixels of the file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._image_tags import ImageTags
+from jaxgeo.io.errors import TableError
+
+CLOSE = 0.005  # by which the scales along columns and rows may differ where an image was made smaller
+OFF_CENTRE = 0.1  # of half the image, by which a principal point may be off its middle
+FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
+UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
+MILLIMETRES: Limits = (1e-3, 1e5, "mm")
+PIXELS: Limits = (1.0, 1e7, "pixels")
+UNDISTORTED = "The lens is taken to be free of distortion: nothing is said of it."
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Focal length and principal point in pixels (columns, rows), pixel centres at integers, and how they were found.
+
+    `coefficients` are the eight of `BrownConrady`, in its order.
+    """
+
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    how: str
+    coefficients: tuple[float, ...] = (0.0,) * 8
+    assumed: tuple[str, ...] = ()
+
+    def scaled(self, across: float, down: float) -> Calibration:
+        """Of the same image at another size; its edges, not its pixel centres, stay at the same place."""
+        focal = self.focal[0] * across, self.focal[1] * down
+        principal = (self.principal[0] + 0.5) * across - 0.5, (self.principal[1] + 0.5) * down - 0.5
+        return replace(self, focal=focal, principal=principal)
+
+
+def calibration_of(tags: ImageTags) -> Calibration:
+    """The camera by the maker's calibration, else by EXIF.
+
+    Raises `TableError` where neither is there, where a digital zoom makes both doubtful, and for an image that was cut.
+    """
+    zoom = tags.number("EXIF:DigitalZoomRatio", (0.0, 1e4, "times"))
+    if zoom is not None and zoom > 1.001:
+        raise tags.wrong(
+            "EXIF:DigitalZoomRatio",
+            f"the image is magnified {zoom:g} times, and it is not said whether its calibration is of before or after; "
+            f"give camera=.",
+        )
+    width, height = full_size(tags)
+    across, down = tags.width / width, tags.height / height
+    if abs(across / down - 1.0) > CLOSE:
+        raise TableError(
+            f"{tags.path}: the image has {tags.width} x {tags.height} pixels, its tags speak of {width} x {height}: it "
+            f"was cut or turned. Take the file as the drone wrote it, or give camera=."
+        )
+    for way in (_dji_dewarp, _dji_designed, _skydio, _pix4d, _exif_metric, _exif_film):
+        found = way(tags, width, height)
+        if found is not None:
+            break
+    else:
+        raise TableError(
+            f"{tags.path}: nothing says what the focal length is in pixels (no calibration, FocalPlaneXResolution "
+            f"or FocalLengthIn35mmFilm); give camera=, such as FrameCamera.from_metric(focal_length=, pixel_pitch=, "
+            f"width={tags.width}, height={tags.height})."
+        )
+    _check(tags, found, width, height)
+    if across == 1.0 and down == 1.0:
+        return found
+    told = (
+        f"The file has {tags.width} x {tags.height} pixels and its tags speak of {width} x {height}: it is taken as "
+        f"the whole image made smaller, and focal length and principal point are scaled by {across:.6g}."
+    )
+    return replace(found.scaled(across, down), assumed=(*found.assumed, told))
+
+
+def full_size(tags: ImageTags) -> tuple[int, int]:
+    """Columns and rows of the image as the camera made it, which its calibration is of."""
+    sides = [tags.number(f"EXIF:Pixel{axis}Dimension", (0.0, 1e6, "pixels")) for axis in "XY"]
+    if not all(sides):
+        return tags.width, tags.height
+    return int(sides[0] or 0), int(sides[1] or 0)
+
+
+def _check(tags: ImageTags, found: Calibration, width: int, height: int) -> None:
+    points = [(found.how, found.principal), ("drone-dji:CalibratedOpticalCenter", _dji_centre(tags) or found.principal)]
+    for how, point in points:
+        if any(
+            abs(2.0 * (one + 0.5) / side - 1.0) > OFF_CENTRE for one, side in zip(point, (width, height), strict=True)
+        ):
+            raise TableError(
+                f"{tags.path}: the principal point ({how}) at {point[0]:.1f}, {point[1]:.1f} is far from the middle of "
+                f"{width} x {height} pixels: the calibration is of another size of image. Give camera=."
+            )
+    if not 0.1 * width < min(found.focal) <= max(found.focal) < 1000.0 * width:
+        raise TableError(
+            f"{tags.path}: a focal length of {found.focal[0]:g} pixels ({found.how}) does not fit an image {width} "
+            f"pixels wide. Give camera=."
+        )
+
+
+def _middle(width: int, height: int) -> tuple[float, float]:
+    return (width - 1) / 2.0, (height - 1) / 2.0
+
+
+def _dji_dewarp(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    """Focal lengths, offsets of the principal point from the middle, and k1 k2 p1 p2 k3, perhaps k4 k5 k6."""
+    for name, count in (("drone-dji:DewarpData", 9), ("drone-dji:DewarpDataK6", 12)):
+        numbers = tags.numbers(name)
+        if not numbers or numbers[0] == 0.0:  # what stands there before the camera was calibrated
+            continue
+        if len(numbers) != count:
+            raise tags.wrong(name, f"{len(numbers)} numbers; expected {count}: fx, fy, cx, cy and the distortion.")
+        middle = _middle(width, height)
+        found = Calibration((numbers[0], numbers[1]), (middle[0] + numbers[2], middle[1] + numbers[3]), f"{name}")
+        if tags.number("drone-dji:DewarpFlag", (0.0, 1.0, "")) == 1.0:
+            told = "The image is said to be freed of distortion (DewarpFlag 1): focal length and principal point stay."
+            return replace(found, assumed=(told,))
+        return replace(found, coefficients=(*numbers[4:], *[0.0] * (12 - count)))
+    return None
+
+
+def _dji_designed(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    focal = tags.number("drone-dji:CalibratedFocalLength", PIXELS)
+    if focal is None:
+        return None
+    principal = _dji_centre(tags) or _middle(width, height)
+    return Calibration((focal, focal), principal, "drone-dji:CalibratedFocalLength", assumed=(UNDISTORTED,))
+
+
+def _dji_centre(tags: ImageTags) -> tuple[float, float] | None:
+    x, y = (tags.number(f"drone-dji:CalibratedOpticalCenter{axis}", PIXELS) for axis in "XY")
+    return None if x is None or y is None else (x - 0.5, y - 0.5)  # DJI's middle of an image is half its width
+
+
+def _skydio(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    focal, centre = (
+        [tags.number(f"drone-skydio:{name}/{axis}", PIXELS) for axis in "XY"]
+        for name in ("CalibratedFocalLength", "CalibratedOpticalCenter")
+    )
+    if focal[0] is None or focal[1] is None:
+        return None
+    middle = _middle(width, height)
+    principal = middle if centre[0] is None or centre[1] is None else (centre[0], centre[1])  # as (width - 1) / 2
+    found = Calibration((focal[0], focal[1]), principal, "drone-skydio:CalibratedFocalLength")
+    radial = tags.numbers("drone-skydio:DewarpData")
+    if not radial:
+        return replace(found, assumed=(UNDISTORTED,))
+    if len(radial) != 3:
+        raise tags.wrong("drone-skydio:DewarpData", f"{len(radial)} numbers; expected 3: k1, k2, k3.")
+    k1, k2, k3 = radial
+    told = "Skydio's DewarpData are taken as the radial k1, k2, k3 of OpenCV's formula."
+    return replace(found, coefficients=(k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0), assumed=(told,))
+
+
+def _pix4d(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    """Lengths in mm, which need the pitch of EXIF; the distortion R1, R2, R3, T1, T2 is of the same formula."""
+    focal = tags.number("Camera:PerspectiveFocalLength", MILLIMETRES)
+    density = _density(tags)
+    if tags.text("Camera:ModelType").lower() == "fisheye":
+        raise tags.wrong("Camera:ModelType", "fisheye lenses are not read from tags; give camera=.")
+    if focal is None or density is None or tags.text("Camera:PerspectiveFocalLengthUnits").lower() not in ("", "mm"):
+        return None
+    point, bent = tags.numbers("Camera:PrincipalPoint"), tags.numbers("Camera:PerspectiveDistortion")
+    if len(point) not in (0, 2):
+        raise tags.wrong("Camera:PrincipalPoint", f"{len(point)} numbers; expected 2, in mm from the top left corner.")
+    if len(bent) not in (0, 5):
+        raise tags.wrong("Camera:PerspectiveDistortion", f"{len(bent)} numbers; expected 5: R1, R2, R3, T1, T2.")
+    principal = (point[0] * density[0] - 0.5, point[1] * density[1] - 0.5) if point else _middle(width, height)
+    found = Calibration((focal * density[0], focal * density[1]), principal, "Camera:PerspectiveFocalLength")
+    if not bent:
+        return replace(found, assumed=(UNDISTORTED,))
+    r1, r2, r3, t1, t2 = bent
+    return replace(found, coefficients=(r1, r2, t1, t2, r3, 0.0, 0.0, 0.0))
+
+
+def _density(tags: ImageTags) -> tuple[float, float] | None:
+    """Pixels for each mm of the sensor, along columns and rows."""
+    unit = UNITS.get(int(tags.number("EXIF:FocalPlaneResolutionUnit", (0.0, 100.0, "")) or 2))
+    x = tags.number("EXIF:FocalPlaneXResolution", (0.0, 1e9, "pixels"))
+    y = tags.number("EXIF:FocalPlaneYResolution", (0.0, 1e9, "pixels")) or x
+    return (x / unit, y / unit) if x and y and unit else None
+
+
+def _exif_metric(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    density, focal = _density(tags), tags.number("EXIF:FocalLength", (0.0, 1e5, "mm"))
+    if density is None or not focal:
+        return None
+    told = "The principal point is taken as the middle of the image."
+    how = "EXIF:FocalLength and FocalPlaneXResolution"
+    return Calibration(
+        (focal * density[0], focal * density[1]), _middle(width, height), how, assumed=(told, UNDISTORTED)
+    )
+
+
+def _exif_film(tags: ImageTags, width: int, height: int) -> Calibration | None:
+    film = tags.number("EXIF:FocalLengthIn35mmFilm", (0.0, 1e5, "mm"))
+    if not film:
+        return None
+    focal = film * math.hypot(width, height) / FILM_DIAGONAL
+    told = (
+        f"The focal length is only known as that of a 35 mm film ({film:g} mm): it is taken to be in proportion to the "
+        f"diagonals of image and film, which is good to some per cent; the principal point as the middle of the image."
+    )
+    how = "EXIF:FocalLengthIn35mmFilm"
+    return Calibration((focal, focal), _middle(width, height), how, assumed=(told, UNDISTORTED))
+
+
+def arrays_of(found: list[Calibration]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(focal lengths (n, 2), principal points (n, 2), coefficients (n, 8))."""
+    focal, principal, coefficients = zip(*((one.focal, one.principal, one.coefficients) for one in found), strict=True)
+    return np.array(focal), np.array(principal), np.array(coefficients)

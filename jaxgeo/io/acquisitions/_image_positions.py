@@ -1,0 +1,119 @@
+"""Where drones were by the tags of their images: latitude, longitude, and heights whose datum somebody has to state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxgeo.io._csv import POSE_COLUMNS, Limits
+from jaxgeo.io.acquisitions._image_tags import ImageTags
+from jaxgeo.io.acquisitions._makers import Maker
+from jaxgeo.io.acquisitions.record import UnstatedDatum
+from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.scene import ellipsoidal_heights
+
+LAT: Limits = (-90.0, 90.0, "deg")
+LON: Limits = (-180.0, 180.0, "deg")
+HEIGHT = POSE_COLUMNS["height_m"]
+
+
+def lat_lon_of(tags: list[ImageTags], maker: Maker) -> tuple[np.ndarray, np.ndarray]:
+    """Latitudes and longitudes in deg."""
+    places = []
+    for one in tags:
+        lat, lon = one.first(maker.lat, LAT), one.first(maker.lon, LON)
+        if lat is None or lon is None:
+            lat, lon = _exif_angle(one, "GPSLatitude", "NS", LAT), _exif_angle(one, "GPSLongitude", "EW", LON)
+        if lat == 0.0 and lon == 0.0:
+            raise TableError(
+                f"{one.path}: latitude and longitude are zero, which is written where GPS has no position."
+            )
+        places.append((lat, lon))
+    lat, lon = np.array(places).T
+    return lat, lon
+
+
+def _exif_angle(tags: ImageTags, name: str, signs: str, limits: Limits) -> float:
+    """Degrees, minutes and seconds of EXIF in deg."""
+    name = f"EXIF:{name}"
+    parts, side = tags.numbers(name), tags.text(f"{name}Ref").upper()[:1]
+    if not parts:
+        raise TableError(f"{tags.path}: there is no position, neither of the maker's tags nor {name}; GPS was off.")
+    if not side or side not in signs:
+        raise tags.wrong(f"{name}Ref", f"{side!r}; expected {signs[0]} or {signs[1]}.")
+    if len(parts) != 3:
+        raise tags.wrong(name, f"{len(parts)} numbers; expected degrees, minutes and seconds.")
+    value = (parts[0] + parts[1] / 60.0 + parts[2] / 3600.0) * (1.0 if side == signs[0] else -1.0)
+    if min(parts) < 0.0 or not limits[0] <= value <= limits[1]:
+        raise tags.wrong(name, f"{value:g} is outside [{limits[0]:g}, {limits[1]:g}] {limits[2]}.")
+    return value
+
+
+def heights_of(
+    tags: list[ImageTags],
+    maker: Maker,
+    lat: np.ndarray,
+    lon: np.ndarray,
+    height_datum: str | float | None,
+    takeoff_height: float | None,
+) -> tuple[np.ndarray, list[str]]:
+    """(heights in m above the ellipsoid, what was taken for granted)."""
+    first = tags[0]
+    if takeoff_height is not None:
+        if height_datum is not None:
+            raise TableError(f"{first.path}: height_datum= and takeoff_height= both say what heights are; give one.")
+        if not np.isfinite(takeoff_height):
+            raise TableError(f"{first.path}: takeoff_height= must be finite, in m above the ellipsoid.")
+        if not maker.relative:
+            raise TableError(f"{first.path}: its maker does not tell heights above the take-off; give height_datum=.")
+        above = [_needed(one, maker.relative) for one in tags]
+        told = f"Heights are {maker.relative} above a take-off at {takeoff_height:g} m, as the barometer has them."
+        return takeoff_height + np.array(above), [told]
+    heights = np.array([_altitude(one, maker) for one in tags])
+    if maker.datum and all(one.text(maker.datum).lower().startswith("ellips") for one in tags):
+        if height_datum not in (None, "ellipsoid"):
+            raise TableError(f"{first.path}, {maker.datum}: heights are above the ellipsoid; leave height_datum= out.")
+        return heights, []
+    if height_datum is None:
+        raise UnstatedDatum(_which_datum(first, maker))
+    try:
+        return ellipsoidal_heights(lon, lat, heights, height_datum), []
+    except VerticalDatumError as error:  # there it is an option of `read_dem`
+        raise VerticalDatumError(f"{first.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
+    except ValueError as error:  # the datum's grid does not reach an image
+        raise TableError(f"{first.path}: {error}") from error
+
+
+def _needed(tags: ImageTags, name: str) -> float:
+    value = tags.number(name, HEIGHT)
+    if value is None:
+        raise TableError(f"{tags.path}: there is no {name}.")
+    return value
+
+
+def _altitude(tags: ImageTags, maker: Maker) -> float:
+    exif = "EXIF:GPSAltitude"
+    if maker.height != exif and maker.height in tags.values:
+        return _needed(tags, maker.height)
+    value = _needed(tags, exif)
+    return -value if tags.number("EXIF:GPSAltitudeRef", (0.0, 3.0, "")) in (1.0, 3.0) else value
+
+
+def _which_datum(tags: ImageTags, maker: Maker) -> str:
+    evidence = altitude_shown(tags, maker)
+    takeoff = (
+        "; or takeoff_height=, the height of the point of take-off in m above the ellipsoid, to which the heights "
+        f"above it ({maker.relative.partition(':')[2]}) are added"
+        if maker.relative in tags.values
+        else ""
+    )
+    return (
+        f"{tags.path}: it is not said what its altitude is measured from ({evidence}), and a guess may be off by "
+        f'100 m. Give height_datum=: "ellipsoid" (WGS 84; usual with RTK), "EPSG:5773" (EGM96 mean sea level), an '
+        f"undulation in m, the path of a geoid grid{takeoff}."
+    )
+
+
+def altitude_shown(tags: ImageTags, maker: Maker) -> str:
+    """What a file tells of its altitude, for people."""
+    names = [maker.height if maker.height in tags.values else "EXIF:GPSAltitude", maker.relative, *maker.evidence]
+    return ", ".join(f"{name.partition(':')[2]} {tags.text(name)}" for name in names if name in tags.values)

@@ -1,0 +1,126 @@
+"""What the makers of drones call position and attitude of the camera in an image's tags, and what they mean by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._image_tags import ImageTags
+from jaxgeo.io.errors import TableError
+
+YAW: Limits = (-360.0, 360.0, "deg")
+PITCH: Limits = (-180.0, 180.0, "deg")
+ROLL: Limits = (-180.0, 180.0, "deg")
+
+
+@dataclass(frozen=True)
+class Maker:
+    """The names of one maker's tags. Those without a prefix of a maker are EXIF's, for all makers alike.
+
+    - `angles`: yaw, pitch and roll of the camera, R_ned_from_head = Rz Ry Rx; at zero it looks `forward` or `down`.
+    - `aircraft`: heading, pitch and roll of the aircraft, perhaps none; `lat`, `lon`: the first that is there.
+    - `height` above some datum, `relative` to the point of take-off; `sigma`: standard deviations north, east, down, m.
+    - `datum`: the tag that may say that `height` is above the ellipsoid; `evidence`: tags that help a reader to tell.
+    - `make`, `model`: beginnings, in small letters, by which alone the row is chosen; `hint`: on a pitch out of range.
+    """
+
+    form: str
+    angles: tuple[str, str, str]
+    looks: Literal["forward", "down"] = "forward"
+    aircraft: tuple[str, ...] = ()
+    lat: tuple[str, ...] = ()
+    lon: tuple[str, ...] = ()
+    height: str = "EXIF:GPSAltitude"
+    relative: str = ""
+    sigma: tuple[str, ...] = ()
+    datum: str = ""
+    evidence: tuple[str, ...] = ("EXIF:GPSAltitudeRef", "EXIF:GPSMapDatum")
+    make: str = ""
+    model: str = ""
+    pitch: Limits = PITCH
+    hint: str = ""
+
+
+PIX4D_ANGLES = ("Camera:Yaw", "Camera:Pitch", "Camera:Roll")
+PIX4D_SIGMA = ("Camera:GPSXYAccuracy", "Camera:GPSXYAccuracy", "Camera:GPSZAccuracy")
+
+# The first row whose angles are in the file is taken. Autel's newer files carry DJI's tags.
+MAKERS = (
+    Maker(
+        "DJI drone image",
+        ("drone-dji:GimbalYawDegree", "drone-dji:GimbalPitchDegree", "drone-dji:GimbalRollDegree"),
+        aircraft=("drone-dji:FlightYawDegree", "drone-dji:FlightPitchDegree", "drone-dji:FlightRollDegree"),
+        lat=("drone-dji:GpsLatitude", "drone-dji:Latitude"),
+        lon=("drone-dji:GpsLongitude", "drone-dji:GpsLongtitude", "drone-dji:Longitude"),
+        height="drone-dji:AbsoluteAltitude",
+        relative="drone-dji:RelativeAltitude",
+        sigma=("drone-dji:RtkStdLat", "drone-dji:RtkStdLon", "drone-dji:RtkStdHgt"),
+        evidence=("drone-dji:AltitudeType", "drone-dji:RtkFlag", "drone-dji:GpsStatus", "EXIF:GPSAltitudeRef"),
+    ),
+    Maker(
+        "Skydio drone image",
+        (
+            "drone-skydio:CameraOrientationNED/Yaw",
+            "drone-skydio:CameraOrientationNED/Pitch",
+            "drone-skydio:CameraOrientationNED/Roll",
+        ),
+        lat=("drone-skydio:Latitude",),
+        lon=("drone-skydio:Longitude",),
+        height="drone-skydio:AbsoluteAltitude",
+        relative="drone-skydio:RelativeAltitude",
+        datum="drone-skydio:VertCS",
+        evidence=("drone-skydio:VertCS", "drone-skydio:GpsMslHeight"),
+    ),
+    Maker(
+        "Parrot drone image",
+        ("drone-parrot:CameraYawDegree", "drone-parrot:CameraPitchDegree", "drone-parrot:CameraRollDegree"),
+        sigma=PIX4D_SIGMA,
+    ),
+    Maker("Autel drone image", PIX4D_ANGLES, model="xl715", sigma=PIX4D_SIGMA),  # its pitch is against the horizon
+    Maker(
+        "Autel drone image",
+        PIX4D_ANGLES,
+        looks="down",
+        make="autel",
+        sigma=PIX4D_SIGMA,
+        pitch=(0.0, 180.0, "deg"),
+        hint=" Autel means by it an angle from straight down, but in some models one from the horizon, as this may be; "
+        "write the angles as drone-dji:GimbalYawDegree, GimbalPitchDegree, GimbalRollDegree (exiftool).",
+    ),
+    Maker("image with Pix4D's camera tags", PIX4D_ANGLES, looks="down", sigma=PIX4D_SIGMA),
+)
+
+
+def maker_of(tags: ImageTags) -> Maker:
+    """Whose tags an image has. Raises `TableError` where nothing says how the camera was turned."""
+    make, model = (name.lower() for name in tags.camera)
+    for maker in MAKERS:
+        is_theirs = make.startswith(maker.make) and model.startswith(maker.model)
+        there = [name for name in maker.angles if name in tags.values]
+        if is_theirs and len(there) == 3:
+            return maker
+        if is_theirs and there:
+            missing = [name for name in maker.angles if name not in there]
+            raise TableError(f"{tags.path}: there is {there[0]}, but no {', '.join(missing)}; all three are needed.")
+    known = ", ".join(dict.fromkeys(maker.angles[0] for maker in MAKERS))
+    prefixes = sorted({name.partition(":")[0] for name in tags.values} - {"EXIF"})
+    raise TableError(
+        f"{tags.path}: nothing says how the camera was turned; expected one of {known}; found XMP of "
+        f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it: editors drop such tags."
+    )
+
+
+def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
+    """Yaw, pitch and roll of the camera in deg, as they are written. Raises `TableError`."""
+    try:
+        return [tags.number(name, limits) for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)]
+    except TableError as error:
+        hint = maker.hint if maker.angles[1] in str(error) else ""
+        raise TableError(f"{error}{hint}") from error
+
+
+def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:
+    """Heading, pitch and roll of the aircraft in deg, None where they are not there. Raises `TableError`."""
+    found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]
+    return found or [None] * 3

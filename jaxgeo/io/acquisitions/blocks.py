@@ -1,0 +1,243 @@
+"""Blocks of images as exposures: reconstructions of OpenSfM and OpenDroneMap, and tables of orientations."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+import pyproj
+
+from jaxgeo._checks import check_is
+from jaxgeo.io._json import read_json, shown
+from jaxgeo.io._map_grid import understood_crs
+from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
+from jaxgeo.io.errors import TableError
+from jaxgeo.io.opensfm import Reconstruction, read_opensfm
+from jaxgeo.io.orientations import Orientations, read_orientations
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.distortion import NoDistortion
+from jaxgeo.uncertainty.sources import AbstractSource, Attitude, Position
+
+Cameras: TypeAlias = Mapping[str, FrameCamera]
+
+CHOICES = 'Pass height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m, a geoid file.'
+NO_ERRORS = "How large errors are is not in the file."
+NO_TIMES = "When images were taken is not in the file; their time is 0."
+CAPTURE_TIME = "Times are the file's capture_time, in s since 1970 by the camera's clock, of an unknown time zone."
+ELLIPSOID = "Angles of attitude are against the ellipsoid's normal, without deflection of the vertical."
+
+
+def acquisition_of_opensfm(
+    path: str | os.PathLike[str],
+    *,
+    height_datum: str | float | None = None,
+    crs: str | int | pyproj.CRS | None = None,
+    part: int | None = None,
+    camera: str | None = None,
+) -> Acquisition:
+    """The shots of a `reconstruction.json` of OpenSfM or OpenDroneMap, each with its camera, by the images' names.
+
+    `height_datum`, `crs` and `part` as in `read_opensfm`. Images of one record are of one size: `camera`, a name in the
+    file, takes those of one camera alone. Times are the `capture_time` of the images, if all have one, else 0; what
+    else a shot says is in `tags`. Raises `UnstatedDatum` without `height_datum`, `TableError` for cameras of several
+    sizes (named), a camera that took no image, and a reconstruction without a place on the Earth; else as
+    `read_opensfm`.
+    """
+    if height_datum is None:
+        _refuse_unstated(path, part)
+    block = read_opensfm(path, height_datum=height_datum, crs=crs, part=part)
+    if block.reference is None:
+        raise TableError(f"{path}: there is no reference_lla, so the reconstruction has no place on the Earth.")
+    rows = rows_of(path, block.camera, camera)
+    check_one_size(path, block.cameras, block.camera[rows])
+    content = read_json(path, "reconstruction")
+    written = (content[part or 0] if isinstance(content, list) else content)["shots"]
+    names = block.names[rows]
+    tags = tuple({key: value for key, value in written[name].items() if key not in _READ} for name in names)
+    times = np.array([_time(one) for one in tags])
+    timed = not np.any(np.isnan(times))
+    return Acquisition(
+        path=os.fspath(path),
+        form="reconstruction of OpenSfM",
+        names=names,
+        sensor=sensor_of(block.cameras, block.camera[rows]),
+        shots=shots_of(_some(block.poses(), rows), times if timed else None),
+        assumed=(
+            heights_are(height_datum),
+            CAPTURE_TIME if timed else NO_TIMES,
+            NO_ERRORS,
+            "Cameras are of the size that the file gives, perhaps less than that of the images.",
+        ),
+        facts=_facts(block, rows),
+        tags=tags,
+    )
+
+
+def acquisition_of_orientations(
+    path: str | os.PathLike[str],
+    *,
+    cameras: FrameCamera | Cameras | None = None,
+    height_datum: str | float | None = None,
+    crs: str | int | pyproj.CRS | None = None,
+    camera: str | None = None,
+    linear_alteration_above: float | np.ndarray | None = None,
+) -> Acquisition:
+    """The images of a table of orientations, with the errors that it states.
+
+    - `cameras`: the one that took all images, or cameras by the names in the table's column `camera`; without it the
+      exposures have no sensor. A camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
+    - `camera`: takes the images of that camera alone; those of one record are of one size.
+    - `height_datum`, `crs` and `linear_alteration_above` as in `read_orientations`.
+
+    Raises `UnstatedDatum` without `height_datum`, `TableError` for cameras of several sizes (named), a camera that is
+    not given or took no image; else as `read_orientations`.
+    """
+    if cameras is not None and not isinstance(cameras, Mapping):
+        check_is(cameras, FrameCamera, "cameras", "Or give a table of cameras by name.")
+    if height_datum is None:
+        raise UnstatedDatum(
+            f"{os.fspath(path)}: a table of orientations does not say what its heights are measured from, and a guess "
+            f"may be off by 100 m. {CHOICES}"
+        )
+    table = read_orientations(path, height_datum=height_datum, crs=crs, linear_alteration_above=linear_alteration_above)
+    if table.camera is not None:
+        table = table.of(rows_of(path, table.camera, camera))
+    elif camera is not None:
+        raise TableError(f"{path}: camera={camera!r} is asked for, but there is no column camera.")
+    assumed = [heights_are(height_datum)]
+    assumed += [NO_ERRORS] if table.sigma is None else [_INDEPENDENT]
+    assumed += [ELLIPSOID] if crs is None else []
+    assumed += [NO_TIMES] if table.time is None else []
+    if isinstance(cameras, FrameCamera) and table.camera is not None and len(np.unique(table.camera)) > 1:
+        some = ", ".join(np.unique(table.camera))
+        raise TableError(f"{path}: cameras is one, but images are of {some}; give cameras by name, or choose camera=.")
+    return Acquisition(
+        path=os.fspath(path),
+        form="table of orientations",
+        names=table.names,
+        sensor=_sensor(path, cameras, table),
+        shots=shots_of(table.pose, table.time),
+        sources=stated_sources(table.sigma),
+        assumed=tuple(assumed),
+        facts={"images": f"{len(table)}"} | ({} if crs is None else {"map": understood_crs(path, crs)[0].name}),
+    )
+
+
+_INDEPENDENT = "Errors of one image are independent of another's: the file states none of their correlations."
+_READ = ("rotation", "translation", "camera")
+
+
+def heights_are(datum: str | float | None) -> str:
+    """What heights were taken to be measured from, as a sentence."""
+    if datum is None:
+        return "Heights are above what the file's map says."
+    surface = f"{datum!r}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
+    return f"Heights are above {surface}, as the caller says."
+
+
+def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:
+    """Which images a camera took; all, without its name. Raises `TableError` for one that took none."""
+    if camera is None:
+        return np.arange(len(taken_by))
+    rows = np.flatnonzero(taken_by == camera)
+    if not len(rows):
+        raise TableError(f"{path}: no image is of camera={camera!r}; they are of {', '.join(np.unique(taken_by))}.")
+    return rows
+
+
+def check_one_size(path: Any, cameras: Cameras, taken_by: np.ndarray) -> None:
+    """Raises `TableError` for images of cameras of several sizes, or of a camera that is not known."""
+    used = [str(name) for name in np.unique(taken_by)]
+    unknown = [name for name in used if name not in cameras]
+    if unknown:
+        raise TableError(f"{path}: images are of camera {unknown[0]!r}, but known are {', '.join(cameras) or 'none'}.")
+    sizes = {name: (cameras[name].width, cameras[name].height) for name in used}
+    if len(set(sizes.values())) > 1:
+        told = ", ".join(f"{name!r} {width} x {height}" for name, (width, height) in sizes.items())
+        raise TableError(f"{path}: images are of cameras of several sizes: {told}; choose one with camera=.")
+
+
+def sensor_of(cameras: Cameras, taken_by: np.ndarray) -> Sensor:
+    """The sensor of each of n images: cameras of one size by name, in `Mount.nadir()` with `Gimbal.fixed()`."""
+    used, which = np.unique(taken_by, return_inverse=True)
+    one_kind = _of_one_kind([cameras[str(name)] for name in used])
+    camera = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves])[which], *one_kind)
+    return Sensor(camera, *for_each((Gimbal.fixed(), Mount.nadir()), len(taken_by)))
+
+
+def shots_of(poses: Pose, times: np.ndarray | None = None) -> Shot:
+    """Shots without gimbal readings, of n poses; at the time 0 if it is not known."""
+    count = np.size(poses.heading)
+    return Shot(poses, np.zeros((count, 0)), np.zeros(count) if times is None else times)
+
+
+def stated_sources(sigma: np.ndarray | None) -> tuple[AbstractSource, ...]:
+    """Errors of n images from standard deviations (n, 6): north, east, down in m, heading, pitch, roll in rad."""
+    if sigma is None:
+        return ()
+    made = jax.vmap(Position)(sigma[:, :3]), jax.vmap(Attitude)(sigma[:, 3:])
+    return jax.tree.map(np.asarray, made)
+
+
+def _of_one_kind(cameras: list[FrameCamera]) -> list[FrameCamera]:
+    """Cameras with lenses of one kind: a perfect one is a BrownConrady of zeros beside others."""
+    if len({type(camera.distortion) for camera in cameras}) == 1:
+        return cameras
+    zeros = BrownConrady()
+    return [
+        FrameCamera(one.focal_px, one.principal_px, zeros, one.width, one.height)
+        if isinstance(one.distortion, NoDistortion)
+        else one
+        for one in cameras
+    ]
+
+
+def _sensor(path: Any, cameras: FrameCamera | Cameras | None, table: Orientations) -> Sensor | None:
+    if cameras is None:
+        return None
+    if isinstance(cameras, FrameCamera):
+        return for_each(Sensor(cameras, Gimbal.fixed(), Mount.nadir()), len(table))
+    if table.camera is None:
+        raise TableError(f"{path}: cameras are given by name, but there is no column camera; give one camera.")
+    check_one_size(path, cameras, table.camera)
+    return sensor_of(cameras, table.camera)
+
+
+def _some(tree: Any, rows: np.ndarray) -> Any:
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], tree)
+
+
+def _time(shot: Mapping[str, Any]) -> float:
+    """When a shot was taken, s; NaN if it does not say."""
+    time: Any = shot.get("capture_time")
+    known = isinstance(time, int | float) and not isinstance(time, bool) and math.isfinite(time) and time > 0.0
+    return float(time) if known else math.nan
+
+
+def _facts(block: Reconstruction, rows: np.ndarray) -> dict[str, str]:
+    return {
+        "images": f"{len(rows)} of {len(block)}",
+        "cameras": ", ".join(np.unique(block.camera[rows])),
+        "points": f"{len(block.points)}",
+    }
+
+
+def _refuse_unstated(path: str | os.PathLike[str], part: int | None) -> None:
+    """Raises `UnstatedDatum`, with what the file says of its altitudes, if it has a place on the Earth."""
+    content = read_json(path, "reconstruction")
+    parts = content if isinstance(content, list) else [content]
+    if part is not None and 0 <= part < len(parts):
+        parts = [parts[part]]
+    for one in parts:
+        lla = one.get("reference_lla") if isinstance(one, dict) else None
+        if lla is not None:
+            altitude = lla.get("altitude") if isinstance(lla, dict) else lla
+            raise UnstatedDatum(
+                f"{os.fspath(path)}: reference_lla has altitude {shown(altitude)}, and the file does not say what "
+                f"altitudes are measured from: it depends on what those of the images were, and a guess may be off by "
+                f"100 m. {CHOICES}"
+            )

@@ -1,0 +1,250 @@
+"""Images of drones as exposures: position, attitude and camera from the tags that their makers write."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxgeo._checks import check_is, require_x64
+from jaxgeo.earth import Geodetic
+from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._calibrations import Calibration, arrays_of, calibration_of
+from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_shown, heights_of, lat_lon_of
+from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags, time_of
+from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, maker_of
+from jaxgeo.io.acquisitions.record import Acquisition, Reported, for_each
+from jaxgeo.io.errors import ImageError, TableError
+from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.distortion import NoDistortion
+from jaxgeo.uncertainty.sources import Position
+
+ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff")
+SIGMA: Limits = (0.0, 1e6, "m")
+# Yaw and the others may pass the limits that drones have by default: DJI writes pitches of -90.1 deg.
+LIMITS = np.pi * np.array([[-2.0, 2.0], [-1.0, 1.0], [-1.0, 1.0]])
+
+Path = str | os.PathLike[str]
+
+
+def read_drone_images(
+    paths: Path | Sequence[Path],
+    *,
+    height_datum: str | float | None = None,
+    takeoff_height: float | None = None,
+    camera: FrameCamera | None = None,
+) -> Acquisition:
+    """The exposures of one image, of several, or of all in a folder by name: JPEG or TIFF, all of one camera.
+
+    Read are the tags of DJI, Skydio, Parrot and Autel, and Pix4D's camera tags; pixels are not decoded. The angles of
+    the camera are against level and true north, so it hangs in a `Gimbal.three_axis()` and looks along its head,
+    `Mount.forward()`; Pix4D counts from straight down, `Mount.nadir()`. The pose has the attitude of the aircraft where
+    the file tells it. Lens and focal length are the maker's calibration, else by EXIF; scaled, where an image was made
+    smaller after it was taken. What had to be taken for granted is in `assumed`.
+
+    - `height_datum`: what the altitudes in the files are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea
+      level), an undulation in m, the path of a geoid grid; as in scene files. Only Skydio's say it themselves.
+    - `takeoff_height`: instead, the height of the point of take-off in m above the ellipsoid, to which the files'
+      heights above it are added.
+    - `camera`: instead of the tags, a camera of the size of the images.
+
+    Raises `UnstatedDatum`; `ImageError` for what is no image or cut short, and images turned by a flag; `TableError`,
+    file and tag named, for tags that are missing, no number, out of range, twice, for images of several cameras;
+    `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    """
+    require_x64()
+    if camera is not None:
+        check_is(camera, FrameCamera, "camera")
+    tags = [read_tags(path) for path in _files(paths)]
+    makers = [maker_of(one) for one in tags]
+    _check_alike(tags, makers)
+    maker, told = makers[0], dict[str, None]()
+    for one in tags:
+        _check_upright(one)
+        told |= dict.fromkeys(_warnings_of(one))
+    sensor, how = _sensor(tags, maker, camera, told)
+    lat, lon = lat_lon_of(tags, maker)
+    height, where_from = heights_of(tags, maker, lat, lon, height_datum, takeoff_height)
+    told |= dict.fromkeys(where_from)
+    time, is_utc = _times(tags, told)
+    sources, errors = _sources(tags, maker, told, by_barometer=takeoff_height is not None)
+    position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
+    readings = np.deg2rad(np.array([angles_of(one, maker) for one in tags], np.float64))
+    shots = Shot(_pose(tags, maker, position, told), readings, time)
+    first = tags[0]
+    told |= {"Yaw is taken to be from true north.": None, "No errors of the angles are taken from the files.": None}
+    return Acquisition(
+        path=os.fspath(paths) if isinstance(paths, str | os.PathLike) else _shown([one.path for one in tags]),
+        form=maker.form,
+        names=np.array(_names(tags)),
+        sensor=sensor,
+        shots=shots,
+        sources=sources,
+        assumed=tuple(told),
+        facts={
+            "camera": " ".join(first.camera).strip() or "not said",
+            "image size": f"{first.width} x {first.height} pixels",
+            "focal length": how,
+            "altitude": altitude_shown(first, maker),
+            "position errors": errors,
+        },
+        reported=_reported(tags),
+        tags=tuple(one.values for one in tags),
+        time_is_utc=is_utc,
+    )
+
+
+def _files(paths: Path | Sequence[Path]) -> list[Path]:
+    if not isinstance(paths, str | os.PathLike):
+        if not paths:
+            raise TableError("paths: no image is named.")
+        return list(paths)
+    folder = pathlib.Path(paths)
+    if not folder.is_dir():
+        return [paths]
+    files = sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and not file.name.startswith(".")
+    )
+    if not files:
+        raise ImageError(f"{folder}: there are no images in this folder ({', '.join(ENDINGS)}).")
+    return list(files)
+
+
+def _names(tags: list[ImageTags]) -> list[str]:
+    """Names of the files, their paths if two have one name."""
+    names = [os.path.basename(one.path) for one in tags]
+    return names if len(set(names)) == len(names) else [one.path for one in tags]
+
+
+def _shown(paths: list[str]) -> str:
+    return paths[0] if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
+
+
+def _check_alike(tags: list[ImageTags], makers: list[Maker]) -> None:
+    kinds = [
+        (maker.form, *one.camera, f"{one.width} x {one.height} pixels") for one, maker in zip(tags, makers, strict=True)
+    ]
+    for one, kind in zip(tags, kinds, strict=True):
+        if kind != kinds[0]:
+            raise TableError(
+                f"{one.path}: it is of another camera or size ({', '.join(filter(None, kind))}) than {tags[0].path} "
+                f"({', '.join(filter(None, kinds[0]))}); read the images of one camera at a time."
+            )
+
+
+def _check_upright(tags: ImageTags) -> None:
+    orientation = tags.number("EXIF:Orientation", (0.0, 8.0, ""))
+    if orientation not in (None, 0.0, 1.0):
+        raise ImageError(
+            f"{tags.path}: the image is flagged to be turned for display (Orientation {orientation:g}), and it is not "
+            f"said whether its angles are of the image as stored or as turned. If as stored, remove the flag: exiftool "
+            f"-n -Orientation=1."
+        )
+
+
+def _warnings_of(tags: ImageTags) -> list[str]:
+    """What the file says that is not modelled."""
+    told = []
+    if tags.text("drone-dji:ShutterType").lower().startswith(("electronic", "rolling")):
+        told.append("The shutter is electronic: that rows are exposed one after another is not allowed for.")
+    for name in ("drone-dji:GimbalReverse", "drone-dji:CamReverse"):
+        if tags.text(name) not in ("", "0"):
+            told.append(f"The camera hangs upside down ({name} {tags.text(name)}): its angles are taken as written.")
+    return told
+
+
+def _sensor(
+    tags: list[ImageTags], maker: Maker, camera: FrameCamera | None, told: dict[str, None]
+) -> tuple[Sensor, str]:
+    """(the sensor, with an entry for each image; in words, how long its focal length is and how that is known)."""
+    gimbal = Gimbal.three_axis(limits=LIMITS)
+    mount = Mount.forward() if maker.looks == "forward" else Mount.nadir()
+    if maker.looks == "down":
+        told |= {"Yaw, pitch and roll are taken in Pix4D's sense: of the camera, at zero looking straight down.": None}
+    if camera is not None:
+        size = tags[0].width, tags[0].height
+        if (camera.width, camera.height) != size:
+            raise TableError(
+                f"{tags[0].path}: the image has {size[0]} x {size[1]} pixels, the camera given {camera.width} x "
+                f"{camera.height}; scale the camera to the image."
+            )
+        return for_each(Sensor(camera, gimbal, mount), len(tags)), _focal_shown(camera.focal_px, "as given")
+    found = [calibration_of(one) for one in tags]
+    told |= dict.fromkeys(line for one in found for line in one.assumed)
+    made = _camera(found, tags[0].width, tags[0].height)
+    gimbal, mount = for_each((gimbal, mount), len(tags))
+    ways = " or ".join(dict.fromkeys(one.how for one in found))
+    return Sensor(made, gimbal, mount), _focal_shown(made.focal_px, ways)
+
+
+def _focal_shown(focal: Any, how: str) -> str:
+    return f"{_span_shown(np.asarray(focal), '.6g')} pixels ({how})"
+
+
+def _camera(found: list[Calibration], width: int, height: int) -> FrameCamera:
+    focal, principal, coefficients = arrays_of(found)
+    distortion = BrownConrady(*coefficients.T) if np.any(coefficients) else NoDistortion()
+    return FrameCamera(focal, principal, distortion, width, height)
+
+
+def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bool]:
+    found = [time_of(one) for one in tags]
+    if any(time is None for time, _ in found):
+        told |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
+        return np.array([0.0 if time is None else time for time, _ in found]), False
+    is_utc = all(utc for _, utc in found)
+    if not is_utc:
+        told |= {"Times are by the camera's clock, whose time zone is not said.": None}
+    if not is_utc and any(utc for _, utc in found):
+        raise TableError(f"{tags[0].path}: some of the images tell their time in UTC and some do not; read them apart.")
+    return np.array([time for time, _ in found]), is_utc
+
+
+def _sources(
+    tags: list[ImageTags], maker: Maker, told: dict[str, None], *, by_barometer: bool
+) -> tuple[tuple[Position, ...], str]:
+    """(the errors of position, in words)."""
+    sigma = np.array([[one.number(name, SIGMA) or 0.0 for name in maker.sigma] for one in tags])
+    if not maker.sigma or not np.all(sigma > 0.0):
+        told |= {"How well the positions are known is not said by the files, or not by all.": None}
+        return (), "not said"
+    if by_barometer:
+        told |= {"The errors of position in the files are not taken: they are not of a barometer's heights.": None}
+        return (), "not said"
+    shown = [_span_shown(column, ".3g") for column in sigma.T]
+    source = jax.tree.map(np.asarray, jax.vmap(Position)(sigma))
+    return (source,), f"{', '.join(shown)} m (standard deviations north, east, down)"
+
+
+def _span_shown(numbers: np.ndarray, form: str) -> str:
+    low, high = format(numbers.min(), form), format(numbers.max(), form)
+    return low if low == high else f"{low} to {high}"
+
+
+def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[str, None]) -> Pose:
+    found = [aircraft_of(one, maker) for one in tags]
+    if any(None in one for one in found):
+        told |= {"The attitude of the aircraft is not said; it is set level, and has no part in lines of sight.": None}
+        found = [[0.0, 0.0, 0.0]] * len(tags)
+    heading, pitch, roll = np.deg2rad(np.array(found, np.float64)).T
+    return Pose(position, heading, pitch, roll)
+
+
+def _reported(tags: list[ImageTags]) -> Reported | None:
+    """What DJI's laser rangefinder hit, close to the middle of the image."""
+    rows = np.full((len(tags), 4), np.nan)
+    columns = {"Lat": LAT, "Lon": LON, "AbsAlt": HEIGHT, "Distance": (0.0, 1e5, "m")}
+    for row, one in zip(rows, tags, strict=True):
+        if one.text("drone-dji:LRFStatus") not in ("", "Normal"):
+            continue
+        numbers = [one.number(f"drone-dji:LRFTarget{name}", limits) for name, limits in columns.items()]
+        if numbers[3]:  # zero where it hit nothing
+            row[:] = [np.nan if number is None else number for number in numbers]
+    if not np.any(np.isfinite(rows)):
+        return None
+    lat, lon, height, slant_range = rows.T
+    return Reported(Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), slant_range)

@@ -1,0 +1,90 @@
+"""What a file tells of exposures: the sensor, the shots, how they err, and what its reader had to assume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo.earth import Geodetic
+from jaxgeo.io.errors import TableError
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.uncertainty.sources import AbstractSource
+
+
+class UnstatedDatum(TableError):
+    """A file does not say what its heights are measured from, and the caller did not either."""
+
+
+@dataclass(frozen=True)
+class Reported:
+    """What the file itself says of the ground in the middle of n images; NaN where it does not.
+
+    `centre` are positions, rad and m above the ellipsoid; `slant_range` is in m.
+    """
+
+    centre: Geodetic
+    slant_range: np.ndarray
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """n exposures. Every array in `sensor`, `shots` and `sources` has a leading axis of n, one entry for each.
+
+    - `path` and `form`, the kind of file in words ("DJI drone image"); `names` (n,) of the images or records.
+    - `sensor`: None where the file knows of no camera (navigation records alone).
+    - `shots`: poses with heights above the ellipsoid, gimbal readings, and times in s: since 1970 in UTC if
+      `time_is_utc`, else by the clock of the file.
+    - `sources`: the errors that the file states, none where it states none.
+    - `assumed`: each thing that the file does not say and the reader took for granted, as a sentence.
+    - `facts`: what the file says, in words for people: name and value.
+    - `reported`: what the file says of the ground, for comparison.
+    - `tags`: all that was found for each exposure, by the file's own names, those unknown to the reader too.
+    """
+
+    path: str
+    form: str
+    names: np.ndarray
+    sensor: Sensor | None
+    shots: Shot
+    sources: tuple[AbstractSource, ...] = ()
+    assumed: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    reported: Reported | None = None
+    tags: tuple[Mapping[str, Any], ...] = ()
+    time_is_utc: bool = False
+
+    def __post_init__(self) -> None:
+        check_is(self.shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")
+        object.__setattr__(self, "names", np.asarray(self.names, dtype=str))
+        count = len(self.names)
+        for what, tree in (("sensor", self.sensor), ("shots", self.shots), ("sources", self.sources)):
+            for leaf in jax.tree.leaves(tree):
+                if np.ndim(leaf) < 1 or np.shape(leaf)[0] != count:
+                    raise ValueError(f"{self.path}: {what} must have {count} entries; got shape {np.shape(leaf)}.")
+        if self.tags and len(self.tags) != count:
+            raise ValueError(f"{self.path}: tags must have {count} entries; got {len(self.tags)}.")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def exposure(self, index: int) -> tuple[Sensor | None, Shot, tuple[AbstractSource, ...]]:
+        """The sensor, the shot and the sources of error of one exposure, without the leading axis."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[index], (self.sensor, self.shots, self.sources))
+
+    def index_of(self, name: str) -> int:
+        """Which exposure has a name. Raises `KeyError` with the names there are."""
+        where = np.flatnonzero(self.names == name)
+        if not len(where):
+            some = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")
+            raise KeyError(f"{self.path}: no exposure is called {name!r}; there are {some}")
+        return int(where[0])
+
+
+def for_each(tree: Any, count: int) -> Any:
+    """A tree whose every leaf is repeated along a leading axis, without being copied."""
+    return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), (count, *np.shape(leaf))), tree)

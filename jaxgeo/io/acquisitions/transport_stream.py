@@ -1,0 +1,81 @@
+"""MPEG transport streams: the KLV that they carry, and the size of their images."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, NamedTuple
+
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.errors import TableError
+
+SYNC = 0x47  # first byte of each packet of a transport stream
+PACKETS = {188: 0, 192: 4, 204: 0}  # bytes of a packet, with a time before it or check bytes behind: where SYNC stands
+HEAD = 4 * 204  # bytes that tell
+
+
+class Carried(NamedTuple):
+    """The KLV of a transport stream, its pieces joined, and the (width, height) of its images, None without any."""
+
+    data: bytes
+    image_size: tuple[int, int] | None
+
+
+def is_transport_stream(head: bytes) -> bool:
+    """Whether a file that starts with these bytes is a transport stream."""
+    return any(
+        len(head) > start + 3 * size and all(head[start + k * size] == SYNC for k in range(4))
+        for size, start in PACKETS.items()
+    )
+
+
+def read_transport_stream(path: str | os.PathLike[str], stream: int | None = None) -> Carried:
+    """The KLV in a transport stream: of its only data stream that holds packets of ST 0601, or of stream `stream`.
+
+    Headers of access units (ST 1402, synchronous KLV) stay between the packets. Raises `TableError` for a file that
+    cannot be demultiplexed, one without such packets and one with several such streams; `ImportError` without PyAV.
+    """
+    av = _pyav()
+    try:
+        with av.open(os.fspath(path)) as container:
+            data = _data_streams(container)
+            video = container.streams.video
+            size = (int(video[0].width), int(video[0].height)) if video else None
+    except av.FFmpegError as error:
+        raise TableError(f"{path}: FFmpeg cannot read this as a transport stream: {error.strerror}.") from error
+    chosen = _chosen(path, data, stream)
+    return Carried(data[chosen], size if size and min(size) > 0 else None)
+
+
+def _data_streams(container: Any) -> dict[int, bytes]:
+    """The bytes of every data stream, by its index."""
+    streams = container.streams.data
+    parts: dict[int, list[bytes]] = {one.index: [] for one in streams}
+    if streams:
+        for packet in container.demux(streams):
+            parts[packet.stream.index].append(bytes(packet))
+    return {index: b"".join(pieces) for index, pieces in parts.items()}
+
+
+def _chosen(path: str | os.PathLike[str], data: dict[int, bytes], stream: int | None) -> int:
+    if stream is not None:
+        if stream not in data:
+            raise TableError(f"{path}: stream={stream} is no data stream; those are {_listed(data)}.")
+        return stream
+    told = [index for index, content in data.items() if UAS_LOCAL_SET in content]
+    if not told:
+        raise TableError(f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}.")
+    if len(told) > 1:
+        raise TableError(f"{path}: streams {_listed(told)} hold packets of MISB ST 0601; choose one with stream=.")
+    return told[0]
+
+
+def _listed(indices: Any) -> str:
+    return ", ".join(str(index) for index in indices) or "none"
+
+
+def _pyav() -> Any:
+    try:
+        import av
+    except ImportError as error:
+        raise ImportError("Transport streams are read by PyAV: pip install 'jaxgeo[video]'.") from error
+    return av
