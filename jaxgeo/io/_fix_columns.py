@@ -1,0 +1,269 @@
+"""What is told of each fix: its coordinates, its status, how sure it is, in columns with units in their names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo.fix import Fix
+from jaxgeo.io.geoid import height_msl
+from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
+from jaxgeo.status import Status
+from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, Trust
+from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
+from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
+
+USUAL = 0.9
+SAME = 0.01  # m between a fix and the one that an accuracy is told of
+FEWEST, MOST = 16, 512  # covariances at a time, by powers of two: few lengths to compile, 0.2 GB of memory
+COV = [(0, 0, "ee"), (0, 1, "en"), (0, 2, "eu"), (1, 1, "nn"), (1, 2, "nu"), (2, 2, "uu")]
+FIX_DECIMALS = {name: places for name, places in FIX_COLUMNS.items() if places is not None}
+
+
+class Figures(NamedTuple):
+    """How sure n fixes are: NaN where it is not known.
+
+    Radii in m that hold the truth with the `probability`, infinite where too many samples have no fix; covariance in m²
+    and mean of the errors in m, east, north, up; of the ellipse with that probability semi-axes in m and the azimuth
+    of the longer one in rad; by which method, and why, in words.
+    """
+
+    probability: float
+    circular: np.ndarray
+    linear: np.ndarray
+    spherical: np.ndarray
+    cov_enu: np.ndarray
+    bias_enu: np.ndarray
+    axes: np.ndarray
+    azimuth: np.ndarray
+    method: list[str | None] | None
+    because: list[str | None] | None
+
+
+def figures_of(
+    name: str, fixes: Fix, accuracy: Any, cov_enu: Any, bias_enu: Any, probability: float | None
+) -> Figures | None:
+    """The figures of a batch of n fixes, from an accuracy, covariances, or both; None without either.
+
+    Raises `ValueError` for what does not belong to these fixes, or is no covariance or probability.
+    """
+    if accuracy is None and cov_enu is None:
+        if bias_enu is not None:
+            raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
+        return None
+    count = len(np.asarray(fixes.status))
+    told = _unknown(count, USUAL if probability is None else probability)
+    if isinstance(accuracy, AccuracyMap):
+        told = _of_map(name, fixes, accuracy, probability)
+    elif accuracy is not None:
+        told = _of_each(name, fixes, accuracy, probability)
+    level = float(check_probability(told.probability))
+    if cov_enu is not None:
+        cov = _shaped(name, cov_enu, "cov_enu", (count, 3, 3))
+        bias = np.zeros((count, 3)) if bias_enu is None else _shaped(name, bias_enu, "bias_enu", (count, 3))
+        told = told._replace(cov_enu=cov, bias_enu=np.where(np.isnan(cov[:, :, 0]), np.nan, bias))
+    elif bias_enu is not None:
+        raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
+    return _with_ellipses(name, told._replace(probability=level), radii_too=accuracy is None)
+
+
+def rows_of(fixes: Fix, figures: Figures | None) -> list[dict[str, Any]]:
+    """A row for each fix: columns of `FIX_COLUMNS`, the status as a sentence, and the figures; None if unknown.
+
+    Heights above mean sea level are those above EGM96, which comes with the package.
+    """
+    rows = []
+    for i, own in enumerate(fix_rows(fixes, height_msl(fixes))):
+        row = {"index": i, **own, "status_text": Status[own["status"]].message}
+        rows.append(row if figures is None else row | _figures_row(figures, i))
+    return rows
+
+
+def _figures_row(figures: Figures, i: int) -> dict[str, Any]:
+    percent = f"{100.0 * figures.probability:.10g}".replace(".", "_")
+    radii = {"ce": figures.circular, "le": figures.linear, "se": figures.spherical}
+    row: dict[str, Any] = {"probability": figures.probability}
+    row |= {f"{kind}{percent}_m": _number(values[i], 4) for kind, values in radii.items()}
+    row |= {f"semi_{kind}_m": _number(figures.axes[i, k], 6) for k, kind in enumerate(("major", "minor"))}
+    row["azimuth_deg"] = _number(np.rad2deg(figures.azimuth[i]), 6)
+    row |= {f"bias_{axis}_m": _number(figures.bias_enu[i, k], 6) for k, axis in enumerate("enu")}
+    row |= {f"cov_{axes}_m2": _significant(figures.cov_enu[i, j, k]) for j, k, axes in COV}
+    words = {"accuracy_method": figures.method, "accuracy_text": figures.because}
+    return row | {name: texts[i] for name, texts in words.items() if texts is not None}
+
+
+def _number(value: Any, places: int) -> float | None:
+    return None if math.isnan(value) else round(float(value), places)
+
+
+def _significant(value: Any) -> float | None:
+    return None if math.isnan(value) else float(f"{value:.12g}")
+
+
+def _unknown(count: int, probability: float) -> Figures:
+    circular, linear, spherical, azimuth = (np.full(count, np.nan) for _ in range(4))
+    cov, bias, axes = (np.full((count, *shape), np.nan) for shape in ((3, 3), (3,), (2,)))
+    return Figures(probability, circular, linear, spherical, cov, bias, axes, azimuth, None, None)
+
+
+def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | None) -> Figures:
+    """Radii alone: a map of accuracy keeps no covariances."""
+    count = len(np.asarray(fixes.status))
+    trust = np.asarray(accuracy.trust).reshape(-1)
+    if len(trust) != count:
+        raise ValueError(f"{name}: accuracy is of {len(trust)} places, fixes of {count}.")
+    _check_probability(name, accuracy.probability, probability)
+    here, there = (
+        np.stack([np.rad2deg(np.asarray(x, np.float64).reshape(-1)) for x in (place.lat, place.lon)], axis=-1)
+        for place in (fixes.position, accuracy.position)
+    )
+    metres = np.array([111e3, 111e3]) * np.stack([np.ones(count), np.cos(np.radians(here[:, 0]))], axis=-1)
+    off = (here - there + 180.0) % 360.0 - 180.0
+    _check_same(name, np.linalg.norm(off * metres, axis=-1))
+    radii = (np.asarray(x, np.float64).reshape(-1) for x in (accuracy.circular, accuracy.linear, accuracy.spherical))
+    circular, linear, spherical = radii
+    method = [None if code == NO_FIX else Trust(int(code)).words for code in trust]
+    told = _unknown(count, accuracy.probability)
+    return told._replace(circular=circular, linear=linear, spherical=spherical, method=method)
+
+
+def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) -> Figures:
+    """Of each fix, or None; covariances are those of the propagation, where that is what can be trusted."""
+    count = len(np.asarray(fixes.status))
+    each: Sequence[Any] = [accuracy] if isinstance(accuracy, Accuracy) else accuracy
+    if not isinstance(each, list | tuple) or len(each) != count:
+        length = len(each) if isinstance(each, list | tuple) else type(each).__name__
+        raise ValueError(f"{name}: accuracy must be a list with one, or None, for each of {count} fixes; got {length}.")
+    told, asked = _unknown(count, USUAL if probability is None else probability), probability
+    method: list[str | None] = [None] * count
+    because: list[str | None] = [None] * count
+    far = np.full(count, np.nan)
+    for i, one in enumerate(each):
+        if one is None:
+            continue
+        check_is(one, Accuracy, f"accuracy[{i}]")
+        asked = _check_probability(name, one.probability, asked)
+        far[i] = np.linalg.norm(np.asarray(one.fix.ecef) - np.asarray(fixes.ecef)[i])
+        told.circular[i], told.linear[i], told.spherical[i] = one.circular, one.linear, one.spherical
+        method[i], because[i] = one.trust.words, one.because
+        if one.trust is not Trust.samples:
+            told.cov_enu[i] = np.asarray(one.propagation.cov_enu)
+            told.bias_enu[i] = np.asarray(one.propagation.bias_enu)
+    _check_same(name, far)
+    return told._replace(probability=USUAL if asked is None else asked, method=method, because=because)
+
+
+def _check_probability(name: str, own: float, asked: float | None) -> float:
+    if asked is not None and abs(own - asked) > 1e-12:
+        raise ValueError(
+            f"{name}: accuracy is told with a probability of {own:g}, but {asked:g} is asked for; leave probability "
+            f"out, or compute the accuracy with it."
+        )
+    return own
+
+
+def _check_same(name: str, far: np.ndarray) -> None:
+    """`far` is NaN where nothing is compared."""
+    other = np.flatnonzero(far > SAME)
+    if other.size:
+        i = other[0]
+        raise ValueError(f"{name}: accuracy {i} is of another place than fix {i}, {far[i]:.3g} m off; give the same.")
+
+
+def _shaped(name: str, given: Any, what: str, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of a shape, each entry known or NaN altogether."""
+    array = np.asarray(given, np.float64)
+    if array.shape == shape[1:] and shape[0] == 1:
+        array = array[None]
+    if array.shape != shape:
+        raise ValueError(f"{name}: {what} must have the shape {shape}; got {array.shape}.")
+    rows = array.reshape(shape[0], -1)
+    torn = np.flatnonzero(~np.isfinite(rows).all(axis=1) & ~np.isnan(rows).all(axis=1))
+    if torn.size:
+        raise ValueError(f"{name}: {what} of fix {torn[0]} must be finite, or NaN throughout; got {rows[torn[0]]}.")
+    return array
+
+
+def _with_ellipses(name: str, figures: Figures, *, radii_too: bool) -> Figures:
+    """The ellipses of known covariances, and the radii from them unless they are told."""
+    parts = figures.cov_enu.reshape(-1, 9), figures.bias_enu
+    known = np.flatnonzero(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
+    if not known.size:
+        return figures
+    cov, bias = figures.cov_enu[known], figures.bias_enu[known]
+    try:
+        covariance(cov, 3)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error} (cov_enu)") from error
+    found = np.concatenate([_computed(*part, figures.probability, radii_too) for part in _parts(cov, bias)])
+    spread = np.full((len(figures.azimuth), found.shape[1]), np.nan)
+    spread[known] = found
+    figures = figures._replace(axes=spread[:, :2], azimuth=spread[:, 2])
+    if not radii_too:
+        return figures
+    circular, linear, spherical = spread[:, 3:].T
+    return figures._replace(circular=circular, linear=linear, spherical=spherical)
+
+
+def _parts(cov: np.ndarray, bias: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    for start in range(0, len(cov), MOST):
+        yield cov[start : start + MOST], bias[start : start + MOST]
+
+
+def _computed(cov: np.ndarray, bias: np.ndarray, probability: float, radii_too: bool) -> np.ndarray:
+    """Of covariances (n, 3, 3) and biases (n, 3) the semi-axes, azimuth, and circular, linear, spherical error."""
+    count = len(cov)
+    more = max(FEWEST, 1 << (count - 1).bit_length()) - count
+    cov, bias = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1), mode="edge") for x in (cov, bias))
+    ellipse = error_ellipse(cov[:, :2, :2], probability)
+    columns = [ellipse.major, ellipse.minor, ellipse.azimuth]
+    if radii_too:
+        columns.append(circular_error(cov[:, :2, :2], probability, bias[:, :2]))
+        columns.append(linear_error(cov[:, 2, 2], probability, bias[:, 2]))
+        columns.append(spherical_error(cov, probability, bias))
+    return np.stack([np.asarray(x) for x in columns], axis=-1)[:count]
+
+
+def checked_attributes(name: str, attributes: Any, count: int, taken: set[str]) -> list[dict[str, Any]]:
+    """Rows that a caller carries through: plain texts, numbers and bools by name, the same names for all."""
+    if attributes is None:
+        return [{} for _ in range(count)]
+    if not isinstance(attributes, list | tuple) or not all(isinstance(one, Mapping) for one in attributes):
+        raise ValueError(f"{name}: attributes must be a list of mappings; got {type(attributes).__name__}.")
+    rows = [{str(key): _plain(value) for key, value in one.items()} for one in attributes]
+    if len(rows) != count:
+        raise ValueError(f"{name}: attributes must be one mapping for each of {count} fixes; got {len(rows)}.")
+    for i, row in enumerate(rows):
+        different = sorted(row.keys() ^ rows[0].keys())
+        if different:
+            raise ValueError(
+                f"{name}: the attributes of fixes 0 and {i} differ: {', '.join(different)} is in one of them only; "
+                f"write None for what is unknown."
+            )
+    lower = [key.lower() for key in rows[0]] if rows else []
+    for key in rows[0] if rows else ():
+        if key.lower() in taken:
+            raise ValueError(f"{name}: the attribute {key!r} is one that the file has by itself; rename it.")
+        if lower.count(key.lower()) > 1:
+            raise ValueError(f"{name}: the attribute {key!r} is there twice but for capitals; rename one.")
+        _check_kind(name, key, [row[key] for row in rows])
+    return rows
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic | np.ndarray | jax.Array) and np.ndim(value) == 0 else value
+
+
+def _check_kind(name: str, key: str, values: Sequence[Any]) -> None:
+    kinds = {type(value) for value in values if value is not None}
+    if not any(kinds <= one for one in ({int, float}, {bool}, {str})):
+        shown = ", ".join(sorted(kind.__name__ for kind in kinds))
+        raise ValueError(f"{name}: the attribute {key!r} must be all numbers, all texts or all bools; got {shown}.")
+    big = next((value for value in values if isinstance(value, int) and not -(2**63) <= value < 2**63), None)
+    if big is not None:
+        raise ValueError(f"{name}: the attribute {key!r} is a whole number of more than 64 bits: {big}; give a text.")

@@ -1,0 +1,63 @@
+"""A table with geometries as a GeoParquet 1.1: each column of geometries with its CRS in PROJJSON."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import pyproj
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+VERSION = "1.1.0"
+
+
+class GeometryColumn(NamedTuple):
+    """Geometries of the rows, None where there is none, and their CRS."""
+
+    geometries: Sequence[BaseGeometry | None]
+    crs: pyproj.CRS
+
+
+def geoparquet(
+    columns: Mapping[str, Sequence[Any]], geometries: Mapping[str, GeometryColumn], metadata: Mapping[str, Any]
+) -> bytes:
+    """The file of a table; the first of the columns of geometries is its primary one.
+
+    `metadata` goes under the key "jaxgeo". Raises `ImportError` without pyarrow, `ValueError` where a column cannot be
+    stored.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ImportError("a GeoParquet needs the library pyarrow: pip install 'jaxgeo[gis]'.") from error
+    arrays = {name: pa.array(list(values)) for name, values in columns.items()}
+    for name, (shapes, _) in geometries.items():
+        arrays[name] = pa.array([_wkb(shape) for shape in shapes], pa.binary())
+    told = {
+        "version": VERSION,
+        "primary_column": next(iter(geometries)),
+        "columns": {name: _described(column) for name, column in geometries.items()},
+    }
+    texts = {"geo": json.dumps(told), "jaxgeo": json.dumps(metadata, ensure_ascii=False)}
+    sink = io.BytesIO()
+    parquet.write_table(pa.table(arrays).replace_schema_metadata(texts), sink, compression="snappy")
+    return sink.getvalue()
+
+
+def _wkb(shape: BaseGeometry | None) -> bytes | None:
+    return None if shape is None else shapely.to_wkb(shape, output_dimension=3, flavor="iso")
+
+
+def _described(column: GeometryColumn) -> dict[str, Any]:
+    kinds = {f"{shape.geom_type}{' Z' * shape.has_z}" for shape in column.geometries if shape is not None}
+    return {
+        "encoding": "WKB",
+        "geometry_types": sorted(kinds),
+        "crs": column.crs.to_json_dict(),
+        "edges": "planar",
+        "orientation": "counterclockwise",
+    }

@@ -1,0 +1,145 @@
+"""Points and areas with a table each as KML 2.2, or zipped as KMZ."""
+
+from __future__ import annotations
+
+import html
+import io
+import math
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+from xml.etree import ElementTree as ET
+
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+NAMESPACE = "http://www.opengis.net/kml/2.2"
+COLOURS = {"fix": "ff00c8ff", "uncertain": "ff0080ff", "lost": "ff8080ff", "area": "4d00c8ff"}  # aabbggrr
+ICON = "http://maps.google.com/mapfiles/kml/shapes/placemark_circle.png"
+TYPES = {bool: "bool", int: "int", float: "double", str: "string"}
+NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+class Placemark(NamedTuple):
+    """A name, a style (of `COLOURS`), a table, and a place: (longitude, latitude, height), an area, or None.
+
+    Degrees on WGS 84, heights in m above EGM96, as the standard has it. An area lies on the ground.
+    """
+
+    name: str
+    style: str
+    columns: Mapping[str, Any]
+    place: tuple[float, float, float] | BaseGeometry | None
+
+
+def kml(title: str, description: str, folders: Mapping[str, Sequence[Placemark]]) -> bytes:
+    """The document of folders of placemarks; their columns are typed, and stand in a readable table too.
+
+    Folders are documents in it with a schema each, which GDAL would not find of a KMZ otherwise. Raises `ValueError`
+    for a text with a character that XML cannot hold.
+    """
+    root = ET.Element("kml", xmlns=NAMESPACE)
+    document = ET.SubElement(root, "Document")
+    _text(document, "name", title)
+    _text(document, "description", description)
+    for style, colour in COLOURS.items():
+        _style(document, style, colour)
+    for name, marks in folders.items():
+        folder = ET.SubElement(document, "Document")
+        _text(folder, "name", name)
+        _schema(folder, f"columns_of_{name}", [mark.columns for mark in marks])
+        for mark in marks:
+            _placemark(folder, f"columns_of_{name}", mark)
+    ET.indent(root, " ")
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def kmz(document: bytes) -> bytes:
+    """A KML document zipped, as doc.kml."""
+    sink = io.BytesIO()
+    with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(zipfile.ZipInfo("doc.kml"), document, zipfile.ZIP_DEFLATED)  # no clock: same in, same out
+    return sink.getvalue()
+
+
+def _placemark(folder: ET.Element, schema: str, mark: Placemark) -> None:
+    element = ET.SubElement(folder, "Placemark")
+    _text(element, "name", mark.name)
+    known = {name: _shown(value) for name, value in mark.columns.items() if value is not None}
+    cells = ((html.escape(name, quote=False), html.escape(value, quote=False)) for name, value in known.items())
+    rows = (f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in cells)
+    _text(element, "description", f"<table>{''.join(rows)}</table>")
+    _text(element, "styleUrl", f"#{mark.style}")
+    data = ET.SubElement(ET.SubElement(element, "ExtendedData"), "SchemaData", schemaUrl=f"#{schema}")
+    for name, value in known.items():
+        ET.SubElement(data, "SimpleData", name=_checked(name)).text = _checked(value)
+    if isinstance(mark.place, BaseGeometry):
+        parts = shapely.get_parts(mark.place)
+        parent = element if len(parts) == 1 else ET.SubElement(element, "MultiGeometry")
+        for part in parts:
+            _polygon(parent, part)
+    elif mark.place is not None:
+        point = ET.SubElement(element, "Point")
+        _text(point, "altitudeMode", "absolute")
+        _text(point, "coordinates", _coordinates([mark.place]))
+
+
+def _polygon(parent: ET.Element, area: Any) -> None:
+    polygon = ET.SubElement(parent, "Polygon")
+    _text(polygon, "tessellate", "1")
+    _text(polygon, "altitudeMode", "clampToGround")
+    for kind, rings in (("outer", [area.exterior]), ("inner", area.interiors)):
+        for ring in rings:
+            boundary = ET.SubElement(ET.SubElement(polygon, f"{kind}BoundaryIs"), "LinearRing")
+            _text(boundary, "coordinates", _coordinates(ring.coords))
+
+
+def _coordinates(places: Any) -> str:
+    """Places as KML has them: ten decimals of a degree, four of a metre."""
+    return " ".join(",".join([f"{x:.10f}", f"{y:.10f}", *(f"{z:.4f}" for z in height)]) for x, y, *height in places)
+
+
+def _style(document: ET.Element, name: str, colour: str) -> None:
+    style = ET.SubElement(document, "Style", id=name)
+    if name != "area":
+        icon = ET.SubElement(style, "IconStyle")
+        _text(icon, "color", colour)
+        _text(ET.SubElement(icon, "Icon"), "href", ICON)
+        return
+    line = ET.SubElement(style, "LineStyle")
+    _text(line, "color", f"ff{colour[2:]}")
+    _text(line, "width", "2")
+    _text(ET.SubElement(style, "PolyStyle"), "color", colour)
+
+
+def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, Any]]) -> None:
+    """The type of each column: that of what stands in it, a number with decimals if some do."""
+    kinds: dict[str, set[type]] = {}
+    for table in tables:
+        for name, value in table.items():
+            kinds.setdefault(name, set()).update(() if value is None else (type(value),))
+    schema = ET.SubElement(document, "Schema", name=schema_id, id=schema_id)
+    for name, found in kinds.items():
+        kind = float if found == {int, float} else next(iter(found)) if len(found) == 1 else str
+        ET.SubElement(schema, "SimpleField", type=TYPES[kind], name=_checked(name))
+
+
+def _shown(value: Any) -> str:
+    """A value as XML writes it."""
+    if isinstance(value, bool):
+        return "1" if value else "0"
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "INF" if value > 0.0 else "-INF"
+    return str(value)
+
+
+def _text(parent: ET.Element, tag: str, text: str) -> None:
+    ET.SubElement(parent, tag).text = _checked(text)
+
+
+def _checked(text: str) -> str:
+    wrong = NO_XML.search(text)
+    if wrong is not None:
+        raise ValueError(f"KML cannot hold the character {wrong.group()!r} of the text {text[:60]!r}; take it out.")
+    return text

@@ -1,0 +1,69 @@
+"""A GeoPackage of several layers, with what they have in common in its metadata."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyproj
+import shapely
+
+from jaxgeo.io._features import COLUMNS, Feature
+from jaxgeo.io._map_crs import code_of
+
+
+class Layer(NamedTuple):
+    """Features of one CRS, and the type that GDAL calls their geometries."""
+
+    features: Sequence[Feature]
+    crs: pyproj.CRS
+    geometry_type: str
+
+
+def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any]) -> bytes:
+    """The bytes of a GeoPackage that is made at `path`; `name` is the file's, for messages.
+
+    Features of a layer have the same attributes, numbers, texts or bools, None where unknown. `metadata` is each
+    layer's, values that are no texts as JSON. Raises `OSError` where GDAL fails.
+    """
+    from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
+    from pyogrio.errors import DataSourceError
+
+    texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
+    try:
+        for layer, (features, crs, geometry_type) in layers.items():
+            columns = {key: _column([one.attributes[key] for one in features]) for key in features[0].attributes}
+            authority = crs.to_authority()
+            raw.write(
+                path,
+                np.array([_wkb(one) for one in features], object),
+                [values for values, _ in columns.values()],
+                list(columns),
+                field_mask=[unknown for _, unknown in columns.values()],
+                layer=layer,
+                driver="GPKG",
+                geometry_type=geometry_type,
+                crs=crs.to_wkt() if authority is None else code_of(crs),
+                layer_metadata=texts,  # of the data set they make readers leave an .aux.xml beside it
+                nan_as_null=False,
+            )
+        return path.read_bytes()
+    except (DataSourceError, OSError) as error:
+        raise OSError(f"{name}: it cannot be written: {error}") from error
+
+
+def _wkb(feature: Feature) -> bytes | None:
+    return None if feature.geometry is None else shapely.to_wkb(feature.geometry, output_dimension=3)
+
+
+def _column(values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """The values of a column, which are of a kind, and where they are unknown."""
+    kinds = {type(value) for value in values if value is not None}
+    for taken, dtype, filler in COLUMNS:
+        if kinds <= taken:
+            column = np.array([filler if value is None else value for value in values], dtype)
+            return column, np.array([value is None for value in values])
+    raise AssertionError(f"columns are checked before they come here; got {kinds}")

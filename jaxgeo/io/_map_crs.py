@@ -1,0 +1,186 @@
+"""A CRS for points with heights: what it is called, what its heights are measured from, and the way there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyproj
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
+from pyproj.transformer import Transformer
+
+from jaxgeo.io._proj import NoOperation, operation
+from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.vertical import HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
+
+ELLIPSOID = "WGS 84 ellipsoid"
+CLOSE = 1.0  # m between the semi-axes of ellipsoids that heights may be measured from alike: GRS 80 is one of them
+
+Area = tuple[float, float, float, float] | None
+
+
+class MapCRS(NamedTuple):
+    """The CRS of points, its two-dimensional part, what heights are measured from, and how WGS 84 is brought there."""
+
+    crs: pyproj.CRS
+    flat: pyproj.CRS
+    vertical_datum: str
+    to_flat: Transformer
+    to_space: Transformer | None
+    shift: HeightShift | None
+    operation: str
+
+    @property
+    def turn(self) -> float | None:
+        """A full turn of longitude in the unit of the CRS; None if it is projected."""
+        return 2.0 * np.pi / self.flat.axis_info[0].unit_conversion_factor if self.flat.is_geographic else None
+
+    def points(self, name: str, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """Coordinates (n, 3), x or longitude first, of places on WGS 84 with heights in m above its ellipsoid.
+
+        NaN stays NaN. Raises `ValueError` for a place that the CRS, or its vertical datum, does not reach; `name` is
+        the file's, for messages.
+        """
+        places = np.full((len(lon_deg), 3), np.nan)
+        known = np.isfinite(lon_deg) & np.isfinite(lat_deg) & np.isfinite(height)
+        given = lon_deg[known], lat_deg[known], height[known]
+        if self.shift is None:
+            assert self.to_space is not None
+            places[known] = np.stack(self.to_space.transform(*given), axis=-1)
+        else:
+            unit = vertical_unit(vertical_part(self.crs)) or 1.0
+            x, y = self.to_flat.transform(*given[:2])
+            places[known] = np.stack([x, y, self.shift.from_ellipsoid(*given) / unit], axis=-1)
+        lost = np.flatnonzero(known & ~np.isfinite(places).all(axis=-1))
+        if lost.size:
+            i = lost[0]
+            raise ValueError(
+                f"{name}: point {i}, at {lat_deg[i]:.6f} deg, {lon_deg[i]:.6f} deg (lat, lon), lies outside of what "
+                f"{self.crs.name!r} covers; choose another crs, or other heights."
+            )
+        return places
+
+
+def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
+    """A CRS that a caller asked for, with heights above its own vertical datum, or above the one asked for.
+
+    `heights` is "ellipsoid", or a vertical CRS in any way that pyproj takes, such as "EPSG:5773"; None for what `crs`
+    says, and if it says nothing, for the ellipsoid. `area` is (west, south, east, north) in deg. Raises `ValueError`,
+    and `VerticalDatumError` where a grid is missing.
+    """
+    known = _known(name, "crs", crs)
+    flat, vertical = horizontal_part(known), _vertical(name, known, heights)
+    if not (flat.is_geographic or flat.is_projected):
+        raise ValueError(f"{name}: a map needs a projected or geographic crs; {flat.name!r} is a {flat.type_name}.")
+    to_flat = _operation(name, "EPSG:4326", flat, area)
+    if vertical is not None:
+        is_whole = known.is_compound and vertical_part(known) is not None
+        whole = known if is_whole else CompoundCRS(f"{flat.name} + {vertical.name}", components=[flat, vertical])
+        try:
+            shift = height_shift(vertical, area=area)
+        except VerticalDatumError as error:
+            raise VerticalDatumError(f"{name}: {error}") from error
+        note = f"{to_flat}; heights: {shift.name}"
+        return MapCRS(coded(whole), flat, vertical.name, to_flat.transformer, None, shift, note)
+    if len(known.axis_info) != 3:
+        _check_ellipsoid(name, flat)
+    whole = known if len(known.axis_info) == 3 else flat.to_3d()
+    to_space = _operation(name, "EPSG:4979", whole, area)
+    datum = ELLIPSOID if _is_wgs84(whole) else f"ellipsoid of {whole.geodetic_crs.name}"  # pyright: ignore[reportOptionalMemberAccess]
+    return MapCRS(coded(whole), flat, datum, to_flat.transformer, to_space.transformer, None, str(to_space))
+
+
+def code_of(crs: pyproj.CRS) -> str | None:
+    """A CRS in short: "EPSG:4979", "EPSG:25832+5773" of a compound one; None where an authority has no code for it."""
+    authority = crs.to_authority()
+    if authority is not None:
+        return ":".join(authority)
+    parts = [part.to_authority() for part in crs.sub_crs_list]
+    if parts and all(part is not None and part[0] == "EPSG" for part in parts):
+        return "EPSG:" + "+".join(part[1] for part in parts if part is not None)
+    return None
+
+
+def coded(crs: pyproj.CRS) -> pyproj.CRS:
+    """The CRS that an authority keeps, with its code, where it is the same as one that was put together."""
+    authority = crs.to_authority()
+    return crs if authority is None else pyproj.CRS.from_authority(*authority)
+
+
+def described(chart: MapCRS) -> Mapping[str, Any]:
+    """What a file says of its CRS, in words and codes: those of a flat map where its heights have none."""
+    return {
+        "crs": code_of(chart.crs) or code_of(chart.flat) or chart.crs.name,
+        "crs_name": chart.crs.name,
+        "vertical_datum": chart.vertical_datum,
+        "operation": f"from WGS 84: {chart.operation}",
+    }
+
+
+def _known(name: str, what: str, given: Any) -> pyproj.CRS:
+    try:
+        return pyproj.CRS.from_user_input(given)
+    except CRSError as error:
+        raise ValueError(f"{name}: PROJ does not know {what} = {given!r}: {error}") from error
+
+
+def _vertical(name: str, crs: pyproj.CRS, heights: Any) -> pyproj.CRS | None:
+    """The vertical CRS of heights; None for those above an ellipsoid."""
+    stated = vertical_part(crs)
+    if heights is None:
+        return None if stated is None or not stated.is_vertical else stated
+    is_ellipsoid = isinstance(heights, str) and heights.strip().lower() == "ellipsoid"
+    meant = None if is_ellipsoid else vertical_part(_named(name, heights))
+    if not is_ellipsoid and meant is None:
+        raise ValueError(f"{name}: heights = {heights!r} says nothing about heights; a vertical CRS is expected.")
+    meant = meant if meant is not None and meant.is_vertical else None
+    if stated is not None:
+        own = stated if stated.is_vertical else None
+        agree = own is meant or (own is not None and meant is not None and own.equals(meant))
+        if not agree:
+            raise ValueError(
+                f"{name}: heights = {heights!r}, but the crs {crs.name!r} has its own; leave heights out, or give the "
+                f"horizontal crs alone."
+            )
+    return meant
+
+
+def _named(name: str, heights: Any) -> pyproj.CRS:
+    """A CRS that names heights; a number or the path of a grid converts them, but leaves a file without a name."""
+    try:
+        return _known(name, "heights", heights)
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f'{name}: heights = {heights!r} is no vertical CRS that PROJ knows; "ellipsoid", "EPSG:5773" (EGM96), '
+            f'"EPSG:3855" (EGM2008) or the code of a national height system can be named in a file.'
+        ) from error
+
+
+def _operation(name: str, source: str, target: pyproj.CRS, area: Area) -> Any:
+    try:
+        return operation(source, target, area)
+    except NoOperation as error:
+        raise ValueError(
+            f"{name}: PROJ knows no transformation from WGS 84 to {target.name!r} but a ballpark one; "
+            f"choose another crs."
+        ) from error
+
+
+def _check_ellipsoid(name: str, flat: pyproj.CRS) -> None:
+    """On an older ellipsoid, heights above WGS 84's would be taken for others, up to hundreds of metres off."""
+    own, wgs84 = flat.ellipsoid, pyproj.CRS("EPSG:4979").ellipsoid
+    assert own is not None
+    assert wgs84 is not None
+    axes = (own.semi_major_metre, own.semi_minor_metre), (wgs84.semi_major_metre, wgs84.semi_minor_metre)
+    if np.abs(np.subtract(*axes)).max() > CLOSE:
+        raise ValueError(
+            f"{name}: {flat.name!r} is on the ellipsoid {own.name}, above which the heights of fixes are not measured; "
+            f'give heights a vertical datum, such as "EPSG:5773", or take a crs with heights of its own.'
+        )
+
+
+def _is_wgs84(crs: pyproj.CRS) -> bool:
+    geodetic = crs.geodetic_crs
+    return geodetic is not None and geodetic.name.startswith("WGS 84")
