@@ -1,0 +1,121 @@
+"""An error budget as bars: what each error has in the variance of a fix, and what would be gained without it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.transforms import ScaledTranslation
+
+from jaxgeo._checks import check_is
+from jaxgeo.plot.style import BLUE, HAIR, MUTED, ORANGE, legend_below, metres
+from jaxgeo.uncertainty import Budget
+from jaxgeo.uncertainty.budget import SigmaShare
+
+MOST = 10
+ROOM = 1.14  # of the longest bar, for the figures behind it
+TALL, THIN = 0.46, 0.22  # of a row: the bar of the horizontal variance, that of the vertical below it
+HEADER = 7.0  # points: the line above the bars that names the figures beside them
+DEGREES = 180.0 / math.pi
+
+
+class _Row(NamedTuple):
+    name: str
+    sigma: str
+    horizontal: float
+    vertical: float
+    without: float
+
+
+def draw_budget(axes: Axes, budget: Budget, *, most: int = MOST) -> Axes:
+    """Shares of each error in the horizontal and in the vertical variance, %, the largest first.
+
+    Beside the bars stands the circular error in m that would be left without the error, all others as they are. The
+    `most` largest have bars, all others one together. Raises `TypeError` for another record, `ValueError` for a `most`
+    below 2 and for a budget without horizontal variance.
+    """
+    check_is(budget, Budget, "budget", "Make one with jaxgeo.uncertainty.budget.")
+    if most < 2:
+        raise ValueError(f"most must be 2 bars or more; got {most!r}.")
+    if not budget.total.horizontal > 0.0:
+        raise ValueError("the horizontal variance of this budget is zero: there is nothing to share.")
+    rows = _shown(sorted(_rows(budget), key=lambda row: (-row.horizontal, -row.vertical)), most)
+    handles = _bars(axes, rows)
+    _figures(axes, rows, budget)
+    axes.set_yticks(np.arange(len(rows)), [_label(row) for row in rows])
+    axes.set_ylim(len(rows) - 0.45, -0.55)
+    axes.set_xlim(0.0, ROOM * max(100.0 * max(row.horizontal, row.vertical) for row in rows))
+    axes.set_xlabel("share of the variance, %")
+    axes.tick_params(axis="y", length=0.0)
+    axes.grid(True, axis="x")
+    axes.set_axisbelow(True)
+    height = math.sqrt(budget.total.vertical)
+    figure = _figure(budget)
+    title = f"{figure} {budget.circular_error:.3g} m, sigma of height {height:.3g} m"
+    axes.set_title(title, loc="right", fontsize="medium", fontweight="normal", pad=2.2 * HEADER)
+    legend_below(axes, handles, loc="upper right", bbox_to_anchor=(1.0, 0.0))
+    return axes
+
+
+def _rows(budget: Budget) -> list[_Row]:
+    """All that has a share of its own: each independent standard deviation, each block of correlated ones."""
+    rows = []
+    for source in budget.sources:
+        lines = [] if source.is_block else source.sigmas
+        parts = [(source.label, "", source.variance, source.without)] if source.is_block else []
+        parts += [(one.name, _sigma(one), one.variance, one.without) for one in lines if one.variance is not None]
+        for name, sigma, variance, without in parts:
+            vertical = variance.vertical / budget.total.vertical if budget.total.vertical > 0.0 else 0.0
+            rows.append(_Row(name, sigma, variance.horizontal / budget.total.horizontal, vertical, without))
+    return rows
+
+
+def _sigma(line: SigmaShare) -> str:
+    """A standard deviation as people read it."""
+    if line.unit == "rad":
+        return f"{DEGREES * line.sigma:.3g}°"
+    return f"{line.sigma:.3g} {line.unit}"
+
+
+def _shown(rows: list[_Row], most: int) -> list[_Row]:
+    """The largest rows, and all others as one, without which nothing is said."""
+    if len(rows) <= most:
+        return rows
+    rest = rows[most - 1 :]
+    others = (sum(row.horizontal for row in rest), sum(row.vertical for row in rest), math.nan)
+    return [*rows[: most - 1], _Row(f"{len(rest)} others", "", *others)]
+
+
+def _label(row: _Row) -> str:
+    return f"{row.name}, {row.sigma}" if row.sigma else row.name
+
+
+def _bars(axes: Axes, rows: list[_Row]) -> list[Any]:
+    """Bars of both variances and how long they are."""
+    place = np.arange(len(rows))
+    across, up = (100.0 * np.array([getattr(row, name) for row in rows]) for name in ("horizontal", "vertical"))
+    wide = axes.barh(place - 0.5 * THIN, across, TALL, color=BLUE, label="horizontal variance", zorder=2)
+    thin = axes.barh(place + 0.5 * TALL, up, THIN, color=ORANGE, label="vertical variance", zorder=2)
+    axes.bar_label(wide, [f"{share:.1f}" for share in across], padding=2.5, fontsize="small")
+    return [wide, thin]
+
+
+def _figures(axes: Axes, rows: list[_Row], budget: Budget) -> None:
+    """A column right of the axes: the circular error without each, m."""
+    figure = axes.get_figure(root=False)
+    assert figure is not None
+    right = ScaledTranslation(30.0 / 72.0, 0.0, figure.dpi_scale_trans)
+    style: dict[str, Any] = {"ha": "right", "fontsize": "small", "clip_on": False}
+    for place, row in enumerate(rows):
+        if math.isfinite(row.without):
+            where = axes.get_yaxis_transform() + right
+            axes.text(1.0, place, metres(row.without), transform=where, va="center", **style)
+    where = axes.transAxes + right
+    axes.text(1.0, 1.01, f"{_figure(budget)} without", transform=where, va="bottom", color=MUTED, **style)
+    axes.axhline(-0.55, color=HAIR, linewidth=0.6)
+
+
+def _figure(budget: Budget) -> str:
+    return f"CE{100.0 * budget.probability:g}"

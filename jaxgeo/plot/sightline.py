@@ -1,0 +1,252 @@
+"""The ground under a line of sight, and where the line meets it: first, and farther on."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from jaxgeo._checks import check_is, require_x64
+from jaxgeo._numerics import safe_norm
+from jaxgeo.earth import WGS84, Atmosphere
+from jaxgeo.earth.ray import Ray
+from jaxgeo.locate import intersect
+from jaxgeo.plot.style import BLUE, EARTH, INK, MUTED, SHADE, VERMILLION, grid_behind, legend_below, metres
+from jaxgeo.status import Status
+from jaxgeo.terrain import Dem
+
+SAMPLES = 4096  # along a line of sight; what the ground does between two of them is not seen
+FARTHEST = 600_000.0  # m along a line of sight that are looked through
+PLUMB = 1e-4  # level part of a direction, below which there is no section
+BEYOND = 1.06  # of the way to where the line is below all ground
+
+
+@dataclass(frozen=True)
+class Section:
+    """A line of sight and the ground under it, all in m, at places (n,) in order.
+
+    `distance` is along the ellipsoid from below the camera; `sight`, `ground` and `flat` are heights above WGS 84: of
+    the line, of the ground (NaN where none is known), and of the line as it would be if the Earth were flat at the
+    camera. `void` marks places on the terrain where it has no height. `hits` (k, 2) are (distance, height) of the
+    places where the line goes into known ground, in order; the first is the fix if `status` says that there is one.
+    """
+
+    distance: np.ndarray
+    sight: np.ndarray
+    ground: np.ndarray
+    flat: np.ndarray
+    void: np.ndarray
+    hits: np.ndarray
+    status: Status
+
+    @property
+    def curved(self) -> float:
+        """How far above the flat Earth's line the true one is at the last hit, or at the end if there is none, m."""
+        at = self.hits[-1, 0] if len(self.hits) else self.distance[-1]
+        return float(np.interp(at, self.distance, self.sight - self.flat))
+
+
+def section_under(ray: Ray, dem: Dem, *, atmosphere: Atmosphere | None = None, reach: float | None = None) -> Section:
+    """The section of a terrain under one line of sight (ECEF, m; `Ray(*sensor.ray_ecef(shot, uv)[:2])`).
+
+    It goes to where the line leaves the terrain or is below all of it, or to `reach` m along it. The first hit is that
+    of `intersect`, with the same `atmosphere`; farther ones are found between 4096 samples. Raises `TypeError` for
+    other records, `ValueError` for a ray that is not finite or never over the terrain, and a reach that is not
+    positive.
+    """
+    require_x64()
+    check_is(ray, Ray, "ray", "Make one with Ray(*sensor.ray_ecef(shot, uv)[:2]).")
+    check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
+    if not all(np.isfinite(np.asarray(x)).all() for x in (ray.origin, ray.direction)):
+        raise ValueError(f"ray must be finite; got origin {ray.origin} m, direction {ray.direction}. See its status.")
+    if reach is not None and not (math.isfinite(reach) and reach > 0.0):
+        raise ValueError(f"reach must be a positive length in m; got {reach!r}.")
+    fix = intersect(ray, dem, atmosphere=atmosphere)
+    ray = ray.through(atmosphere)
+    reach = _reach(ray, dem) if reach is None else reach
+    along = np.linspace(0.0, reach, SAMPLES)
+    feet, sight, ground, inside, void = (np.asarray(x) for x in _sampled(ray, dem, jnp.asarray(along)))
+    steps = np.linalg.norm(np.diff(feet, axis=0), axis=1)
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    ground = np.where(inside & ~void, ground, np.nan)
+    if distance[-1] < PLUMB * reach:
+        raise ValueError("the line of sight is plumb: there is no section under it.")
+    flat = sight[0] + distance * float(_climb(ray))
+    hits = _entered(distance, sight, ground)
+    status = Status(int(fix.status))
+    if bool(fix.found) and float(fix.slant_range) <= reach:
+        first = float(np.interp(float(fix.slant_range), along, distance))
+        spacing = 2.0 * float(steps.max())
+        farther = hits[hits[:, 0] > first + spacing]
+        hits = np.concatenate([[[first, float(fix.position.height)]], farther])
+    return Section(distance, sight, ground, flat, inside & void, hits, status)
+
+
+def draw_sight_line(
+    axes: Axes, section: Section, *, window: tuple[float, float] | None = None, legend: bool = True
+) -> Axes:
+    """A line of sight over the section of the ground under it, with its first hit and those farther on.
+
+    The line is full up to the first hit and dashed behind it; thin dots are the line over a flat Earth, below which
+    the ground falls away. Voids are hatched. `window` are the first and the last distance shown, in m; without a
+    `legend` below, as beside other axes that have it. Raises `TypeError` for another record, `ValueError` for a window
+    without any of the section.
+    """
+    if not isinstance(section, Section):
+        raise TypeError(f"section must be a Section; got {type(section).__name__}. Make one with section_under.")
+    low, high = (0.0, float(section.distance[-1])) if window is None else window
+    shown = (section.distance >= low) & (section.distance <= high)
+    if not (low < high and np.count_nonzero(shown) > 1):
+        end = section.distance[-1]
+        raise ValueError(f"window must hold some of the section, 0 to {end:.0f} m; got {low!r} to {high!r} m.")
+    km = 1e-3 * section.distance
+    bottom, top = _limits(section, shown)
+    handles: list[Artist] = [_sight(axes, section, km), _over_flat(axes, section, km)]
+    handles += _ground(axes, section, km, bottom)
+    handles += _hits(axes, section)
+    axes.set(xlim=(1e-3 * low, 1e-3 * high), ylim=(bottom, top))
+    axes.set(xlabel="distance on the ellipsoid, km", ylabel="height above WGS 84, m")
+    grid_behind(axes)
+    if legend:
+        legend_below(axes, handles)
+    return axes
+
+
+def _limits(section: Section, shown: np.ndarray) -> tuple[float, float]:
+    """Lowest and highest height of a picture, m: of the ground and of the line over it, with some room."""
+    ground, sight = section.ground[shown], section.sight[shown]
+    known = ground[np.isfinite(ground)]
+    line = sight if not len(known) else sight[sight >= known.min()]
+    values = np.concatenate([known, line])
+    low, high = float(values.min()), float(values.max())
+    room = max(high - low, 1.0)
+    return low - 0.10 * room, high + 0.08 * room
+
+
+def _sight(axes: Axes, section: Section, km: np.ndarray) -> Line2D:
+    end = 1e-3 * section.hits[0, 0] if len(section.hits) else km[-1]
+    height = np.interp(end, km, section.sight)
+    before = km < end
+    style: dict[str, Any] = {"color": BLUE, "zorder": 4}
+    x, y = np.append(km[before], end), np.append(section.sight[before], height)
+    (line,) = axes.plot(x, y, label="line of sight", **style)
+    if len(section.hits):
+        x, y = np.insert(km[~before], 0, end), np.insert(section.sight[~before], 0, height)
+        axes.plot(x, y, linestyle=(0, (3, 2)), alpha=0.8, label="_behind the first hit", **style)
+    return line
+
+
+def _over_flat(axes: Axes, section: Section, km: np.ndarray) -> Line2D:
+    label = f"over a flat Earth, {metres(section.curved)} lower"
+    (line,) = axes.plot(km, section.flat, color=MUTED, linestyle=":", linewidth=0.9, zorder=3, label=label)
+    return line
+
+
+def _ground(axes: Axes, section: Section, km: np.ndarray, bottom: float) -> list[Artist]:
+    """The ground as an area, voids as hatched bands."""
+    known = np.isfinite(section.ground)
+    ground = np.where(known, section.ground, bottom)
+    area = axes.fill_between(km, bottom, ground, where=known, color=EARTH, linewidth=0.0, zorder=1)
+    axes.plot(km, section.ground, color=INK, linewidth=0.6, zorder=2, label="_surface")
+    handles: list[Artist] = [Patch(facecolor=EARTH, edgecolor=INK, linewidth=0.6, label="ground")]
+    area.set_label("_ground")
+    for first, last in _runs(section.void):
+        start, end = km[max(first - 1, 0)], km[min(last + 1, len(km) - 1)]
+        axes.axvspan(start, end, facecolor=SHADE, edgecolor=MUTED, hatch="////", linewidth=0.0, zorder=0)
+    if section.void.any():
+        handles.append(Patch(facecolor=SHADE, edgecolor=MUTED, hatch="////", linewidth=0.0, label="ground unknown"))
+    return handles
+
+
+def _hits(axes: Axes, section: Section) -> list[Artist]:
+    """The first hit as a full mark, farther ones open; without a fix a line of the legend says why."""
+    handles: list[Artist] = []
+    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "zorder": 6}
+    found = section.status in (Status.hit, Status.near_tangent, Status.enters_from_side, Status.hits_void)
+    x, y = 1e-3 * section.hits[:, 0], section.hits[:, 1]
+    first = x[:1] if found else x[:0]
+    if len(first):
+        label = "first hit" if section.status == Status.hit else f"first hit ({_words(section.status)})"
+        full = {"color": VERMILLION, "markeredgecolor": "white", "markeredgewidth": 0.8, "markersize": 7.0}
+        handles += axes.plot(first, y[: len(first)], label=label, **style, **full)
+    else:
+        label = "the first hit is farther on" if found else f"no fix: {_words(section.status)}"
+        handles.append(Line2D([], [], linestyle="none", label=label))
+    if len(x) > len(first):
+        count = len(x) - len(first)
+        label = f"{count} crossing{'s' if count > 1 else ''} farther on"
+        ring = {"color": VERMILLION, "markerfacecolor": "white", "markeredgewidth": 1.2, "markersize": 5.5}
+        handles += axes.plot(x[len(first) :], y[len(first) :], label=label, **style, **ring)
+    return handles
+
+
+def _words(status: Status) -> str:
+    return status.name.replace("_", " ")
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First and last index of each run of true flags."""
+    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
+
+
+def _entered(distance: np.ndarray, sight: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """(k, 2) distance and height of the places at which the line goes below known ground."""
+    above = sight - ground
+    here = np.flatnonzero((above[:-1] > 0.0) & (above[1:] <= 0.0))
+    share = above[here] / (above[here] - above[here + 1])
+    parts = [values[here] + share * (values[here + 1] - values[here]) for values in (distance, sight)]
+    return np.stack(parts, axis=1)
+
+
+def _reach(ray: Ray, dem: Dem) -> float:
+    """How far along the line, m, the last place is that lies over the terrain and above its lowest ground."""
+    lowest = float(dem.known_heights[0])
+    reach = FARTHEST
+    for _ in range(2):  # the second time with samples as dense as the terrain's size needs
+        along = np.linspace(0.0, reach, SAMPLES)
+        _, sight, _, inside, _ = (np.asarray(x) for x in _sampled(ray, dem, jnp.asarray(along)))
+        within = np.flatnonzero(inside & (sight >= lowest))
+        if not len(within):
+            raise ValueError(
+                "the line of sight is nowhere above ground of this terrain: "
+                f"{Status(int(intersect(ray, dem).status)).message}"
+            )
+        reach = min(BEYOND * float(along[min(within[-1] + 1, SAMPLES - 1)]), FARTHEST)
+    return reach
+
+
+@eqx.filter_jit
+def _sampled(ray: Ray, dem: Dem, along: jax.Array) -> tuple[jax.Array, ...]:
+    """(foot on the ellipsoid in ECEF, height, height of the ground, on the terrain, void) at ranges along a ray, m."""
+
+    def one(distance: jax.Array) -> tuple[jax.Array, ...]:
+        p_ecef = ray.at(distance)
+        normal, height = WGS84.normal_and_height(p_ecef)
+        rowcol = dem.grid.rowcol(normal)
+        inside = dem.contains(rowcol)
+        cell = dem.cell_of(jnp.where(inside, rowcol, 0.0))
+        _, is_void = dem.patch(cell)
+        ground = dem.surface(jnp.where(inside, rowcol, 0.0), cell)
+        return p_ecef - height * normal, height, ground, inside, is_void
+
+    return jax.vmap(one)(along)
+
+
+@jax.jit
+def _climb(ray: Ray) -> jax.Array:
+    """Rise of the line over the level at the camera, m for each m ahead on the ellipsoid below."""
+    up, height = WGS84.normal_and_height(ray.origin)
+    rise = ray.direction @ up
+    level = safe_norm(ray.direction - rise * up)
+    radius = safe_norm(ray.origin)
+    return rise / level * radius / (radius - height)
