@@ -28,9 +28,7 @@ from jaxgeo.uncertainty import (
     accuracy,
     budget,
     compare,
-    presets,
     propagate,
-    sources,
 )
 
 GRID = (4, 5)  # fixes across the image, along columns and rows
@@ -81,6 +79,7 @@ def make_demo() -> Demo:
     scene = read_scene(scene_file())
     sensor, shot = scene.sensor, scene.shot
     assert shot is not None
+    assert scene.errors is not None
     dem = example_dem()
     camera = sensor.camera
     assert isinstance(camera, FrameCamera)
@@ -91,7 +90,7 @@ def make_demo() -> Demo:
     with ThreadPoolExecutor() as pool:  # XLA compiles the parts side by side
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
-        errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem)
+        errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem, scene.errors)
         fix = _located(sensor, shot, uv, dem)
         return Demo(
             title=scene.title,
@@ -209,11 +208,8 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
     return jax.tree.map(lambda leaf: leaf[start:stop].reshape(*shape, *leaf.shape[1:]), fix)
 
 
-def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Errors:
+def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Errors:
     """How sure the fix of a pixel is."""
-    # As Li et al. (2023) take them for such a camera, and a GNSS receiver without corrections.
-    position = sources.Position.from_ned(north=1.5, east=1.5, down=3.0)
-    model = ErrorModel((*presets.li_2023(terrain_height=5.0).sources, position))
     scene, key = (sensor, shot, uv, dem), jax.random.key(0)
     compared = compare(*scene, model, key=key, count=SAMPLES, chunk=SAMPLES)
     trusted = accuracy(*scene, model, key=key, count=SAMPLES)

@@ -12,6 +12,8 @@ from pydantic.fields import FieldInfo
 
 from jaxgeo.io._schema import SceneTable, Unit
 
+_BRANCH = re.compile(r"(constrained-)?(str|float)|list\[.*\]")  # of a union, as pydantic calls it
+
 
 def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
     """One sentence for each mistake: the key, the value, and the expected key, unit or range."""
@@ -29,7 +31,7 @@ def _without_branches(error: ValidationError) -> Iterator[dict[str, Any]]:
     """Errors with the names of union branches taken out of their location, each location once."""
     seen = set()
     for entry in error.errors():
-        loc = tuple(part for part in entry["loc"] if isinstance(part, int) or part not in ("str", "float"))
+        loc = tuple(part for part in entry["loc"] if isinstance(part, int) or not _BRANCH.fullmatch(part))
         if loc not in seen:
             seen.add(loc)
             yield {**entry, "loc": loc}
@@ -48,7 +50,9 @@ def _sentence(mistake: Mapping[str, Any], content: Mapping[str, Any]) -> str:
         return f"{shown}: unknown {'table' if isinstance(value, dict) else 'key'}; {_advice(loc)}."
     if kind in _BOUNDS:
         word, bound = _BOUNDS[kind]
-        return f"{where} = {value!r}: must be {word} {mistake['ctx'][bound]:g} {_unit_of(loc) or ''}."
+        unit = _unit_of(loc) or ""
+        limit = f"{mistake['ctx'][bound]:g}{'; expected ' if unit.startswith(('a ', 'one ')) else ' '}{unit}"
+        return f"{where} = {value!r}: must be {word} {limit}."
     reason = mistake["msg"].replace("Input should be", "must be").replace("List should have", "must have")
     return f"{where} = {value!r}: {reason.replace(' after validation', '')}{_expected(loc, ', expected ')}."
 

@@ -29,6 +29,11 @@ Celsius = Annotated[float, Field(strict=True, ge=-100.0, le=70.0), Unit("degrees
 HeightInAir = Annotated[float, Field(strict=True, ge=-500.0, le=15_000.0), Unit("m above mean sea level")]
 Undulation = Annotated[float, Field(strict=True, ge=-120.0, le=120.0), Unit("m")]
 _Number = Annotated[float, _strict]
+_Sigma = Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
+_SIGMA = "a standard deviation"
+Sigma = Annotated[_Sigma, Unit(f"{_SIGMA} in m")]
+SigmaPixels = Annotated[_Sigma, Unit(f"{_SIGMA} in pixels")]
+Length = Annotated[float, Field(strict=True, gt=0.0, le=1e6), Unit("m")]
 Triple = Annotated[list[_Number], Field(min_length=3, max_length=3), Unit("a list of 3 numbers in m")]
 PairMillimetres = Annotated[list[_Number], Field(min_length=2, max_length=2), Unit("a list of 2 numbers in mm")]
 PairPixels = Annotated[list[_Number], Field(min_length=2, max_length=2), Unit("a list of 2 numbers in pixels")]
@@ -37,6 +42,16 @@ Datum = Annotated[
     Unit('a vertical datum: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m'),
 ]
 Text = Annotated[str, _strict, Unit("a text")]
+
+
+_Two = Annotated[list[_Sigma], Field(min_length=2, max_length=2)]
+_Three = Annotated[list[_Sigma], Field(min_length=3, max_length=3)]
+_Some = Annotated[list[_Sigma], Field(min_length=1)]
+SigmasNed = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in m, or a list: north, east, down")]
+SigmasAttitude = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in deg, or a list: heading, pitch, roll")]
+SigmasReadings = Annotated[_Sigma | _Some, Unit(f"{_SIGMA} in deg, or a list: one for each reading of the gimbal")]
+SigmasLever = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in m, or a list: forward, right, down")]
+SigmasPixel = Annotated[_Sigma | _Two, Unit(f"{_SIGMA} in pixels, or a list: column, row")]
 
 # Names of the readings of each kind of gimbal, from base to head; keys and columns are these with _deg.
 READINGS = {
@@ -185,6 +200,30 @@ class AirTable(_Table):
         return self
 
 
+class ErrorsTable(_Table):
+    """How what the scene says errs: standard deviations of independent errors, each where it is known."""
+
+    position_m: SigmasNed | None = None
+    attitude_deg: SigmasAttitude | None = None
+    gimbal_deg: SigmasReadings | None = None
+    gimbal_mounting_deg: SigmasReadings | None = None
+    boresight_deg: SigmasAttitude | None = None
+    lever_body_m: SigmasLever | None = None
+    focal_px: SigmaPixels | None = None
+    principal_px: SigmasPixel | None = None
+    pixel_px: SigmasPixel | None = None
+    terrain_m: Sigma | None = None
+    terrain_correlation_m: Length | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> ErrorsTable:
+        if self.terrain_correlation_m is not None and self.terrain_m is None:
+            raise ValueError("terrain_correlation_m (m) goes with terrain_m (m), by how much the heights err")
+        if all(value is None for value in self.model_dump().values()):
+            raise ValueError(f"an empty table says nothing; known here: {', '.join(type(self).model_fields)}")
+        return self
+
+
 class SceneTable(_Table):
     """A whole scene file: `pose` for one shot, `shots` where poses and readings come from a table of shots."""
 
@@ -195,3 +234,4 @@ class SceneTable(_Table):
     pose: PoseTable | None = None
     shots: ShotsTable | None = None
     air: AirTable | None = None
+    errors: ErrorsTable | None = None

@@ -25,9 +25,11 @@ from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.geoid import undulation
+from jaxgeo.io.scene_errors import model_of_table
 from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
+from jaxgeo.uncertainty.model import ErrorModel
 
 _Numbers = np.ndarray | list[float]
 
@@ -40,7 +42,7 @@ class Scene(eqx.Module):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
     `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
-    `atmosphere` the air that bends lines of sight, if the file has one.
+    `atmosphere` the air that bends lines of sight, and `errors` how what it says errs, if the file has them.
     """
 
     sensor: Sensor
@@ -48,6 +50,7 @@ class Scene(eqx.Module):
     height_datum: str | float | None = eqx.field(static=True)
     title: str = eqx.field(static=True, default="")
     atmosphere: Atmosphere | None = None
+    errors: ErrorModel | None = None
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
@@ -65,10 +68,11 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
         sensor = Sensor(_camera(table.camera), _gimbal(table.gimbal), _mount(table.mount, table.gimbal.kind))
         shot = None if table.pose is None else _shot(table.pose, table.gimbal, sensor.gimbal)
         air = None if table.air is None else _air(table.air, table.pose)
+        errors = None if table.errors is None else model_of_table(table.errors, sensor.gimbal)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from error
     stated = table.shots or table.pose
-    return Scene(sensor, shot, stated.height_datum if stated else None, table.title, air)
+    return Scene(sensor, shot, stated.height_datum if stated else None, table.title, air, errors)
 
 
 def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:

@@ -12,6 +12,7 @@ import pytest
 from jaxgeo.io import undulation
 from jaxgeo.io.scene import SceneError, load_scene, read_scene
 from jaxgeo.sensor import BrownConrady, FrameCamera
+from jaxgeo.uncertainty.sources import TerrainField
 
 GOOD = """
 title = "a test"
@@ -250,3 +251,94 @@ def test_a_byte_order_mark_is_no_mistake(tmp_path: pathlib.Path) -> None:
 def test_a_folder_is_no_scene(tmp_path: pathlib.Path) -> None:
     with pytest.raises(SceneError, match="this is a folder"):
         read_scene(tmp_path)
+
+
+ERRORS = """
+[errors]
+position_m = [1.5, 2.0, 3.0]
+attitude_deg = 0.05
+gimbal_deg = [0.02, 0.03]
+gimbal_mounting_deg = 0.01
+boresight_deg = [0.03, 0.01, 0.02]
+lever_body_m = 0.01
+focal_px = 2.0
+principal_px = [1.0, 1.5]
+pixel_px = 0.5
+terrain_m = 5.0
+"""
+
+
+def test_errors_are_an_error_model(scene_file) -> None:
+    model = read_scene(scene_file(GOOD + ERRORS)).errors
+    assert model is not None
+    found = {name: float(value) for name, value in zip(model.axes, np.sqrt(np.diag(model.covariance())), strict=True)}
+    deg = np.pi / 180.0
+    expected = {
+        "position: north": 1.5,
+        "position: east": 2.0,
+        "position: down": 3.0,
+        "attitude: heading": 0.05 * deg,
+        "attitude: pitch": 0.05 * deg,
+        "attitude: roll": 0.05 * deg,
+        "gimbal angles: outer": 0.02 * deg,
+        "gimbal angles: inner": 0.03 * deg,
+        "gimbal mounting: outer": 0.01 * deg,
+        "gimbal mounting: inner": 0.01 * deg,
+        "boresight: heading": 0.03 * deg,
+        "boresight: pitch": 0.01 * deg,
+        "boresight: roll": 0.02 * deg,
+        "lever arm: forward": 0.01,
+        "lever arm: right": 0.01,
+        "lever arm: down": 0.01,
+        "interior orientation: focal length": 2.0,
+        "interior orientation: principal column": 1.0,
+        "interior orientation: principal row": 1.5,
+        "pixel measurement: column": 0.5,
+        "pixel measurement: row": 0.5,
+        "terrain height: height": 5.0,
+    }
+    assert found == pytest.approx(expected)
+    assert read_scene(scene_file(GOOD)).errors is None
+
+
+def test_heights_that_err_alike_over_a_distance_are_a_field(scene_file) -> None:
+    text = "[errors]\nterrain_m = 5.0\nterrain_correlation_m = 800.0\n"
+    model = read_scene(scene_file(GOOD + text)).errors
+    assert model is not None
+    (field,) = model.sources
+    assert isinstance(field, TerrainField)
+    np.testing.assert_allclose(field.variance_at(jnp.array([0.0])), [25.0])
+    np.testing.assert_array_equal(field.gaussian_lengths, [800.0])
+
+
+@pytest.mark.parametrize(
+    "errors, words",
+    [
+        ("", ["[errors]", "empty", "position_m"]),
+        ("position_m = -1.0", ["[errors] position_m", "-1", "at least 0"]),
+        ("position_m = [1.0, 2.0]", ["[errors] position_m", "north, east, down"]),
+        ("attitude_deg = 'small'", ["[errors] attitude_deg", "standard deviation in deg"]),
+        ("attitude = 0.1", ["[errors] attitude = 0.1", "write attitude_deg"]),
+        ("gimbal_deg = [0.1, 0.1, 0.1]", ["[errors] gimbal_deg", "2 numbers"]),
+        ("terrain_correlation_m = 100.0", ["terrain_correlation_m", "terrain_m"]),
+        ("terrain_m = nan", ["[errors] terrain_m", "finite"]),
+    ],
+)
+def test_mistakes_about_errors_are_named(scene_file, errors: str, words: list[str]) -> None:
+    with pytest.raises(SceneError) as error:
+        read_scene(scene_file(f"{GOOD}\n[errors]\n{errors}\n"))
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "kind, errors, word",
+    [
+        ('kind = "fixed"', "gimbal_deg = 0.1", "is fixed"),
+        ('kind = "level"\nyaw_deg = 0.0\npitch_deg = -60.0\nroll_deg = 0.0', "boresight_deg = 0.1", "mounting"),
+    ],
+)
+def test_errors_that_do_not_fit_the_gimbal(scene_file, kind: str, errors: str, word: str) -> None:
+    text = GOOD.replace('kind = "two_axis"\nouter_deg = 60.0\ninner_deg = -1.0', kind)
+    with pytest.raises(SceneError, match=word):
+        read_scene(scene_file(f"{text}\n[errors]\n{errors}\n"))
