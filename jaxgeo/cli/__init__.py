@@ -1,8 +1,8 @@
 """The command line.
 
-`jaxgeo locate` for pixels and tables of shots; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera
-will look, and when; `jaxgeo rectify` for images on a map, `register` for their pose from a map; `jaxgeo demo` for a
-first look; `jaxgeo study` for what papers print.
+`jaxgeo inspect` for what a file tells; `jaxgeo locate` for pixels and tables of shots; `jaxgeo footprint`, `point`,
+`overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for images on a map, `register` for their
+pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import typer
 
 from jaxgeo.cli.demo import demo_command
 from jaxgeo.cli.footprint import footprint_command
+from jaxgeo.cli.inspect import inspect_command
 from jaxgeo.cli.locate import locate_command
 from jaxgeo.cli.overlap import overlap_command
 from jaxgeo.cli.plan import plan_command
@@ -25,6 +26,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+app.command("inspect")(inspect_command)
 app.command("locate")(locate_command)
 app.command("footprint")(footprint_command)
 app.command("point")(point_command)

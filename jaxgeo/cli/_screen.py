@@ -65,14 +65,14 @@ def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
     return table
 
 
-def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str) -> Table:
+def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str = "") -> Table:
     """Rows as a table for the screen: `columns` name the cells shown, with a header and a format; None is blank."""
-    table = Table(caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
+    table = Table(caption=caption or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
     for header, spec in columns.values():
         table.add_column(header, justify="right" if spec else "left", no_wrap=True)
     for row in rows:
         cells = ["" if row[name] is None else format(row[name], spec) for name, (_, spec) in columns.items()]
-        table.add_row(*cells, style=None if row["status"] == "hit" else "yellow")
+        table.add_row(*cells, style=None if row.get("status", "hit") == "hit" else "yellow")
     return table
 
 

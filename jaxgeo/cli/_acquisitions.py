@@ -1,0 +1,70 @@
+"""Options of commands that read exposures from a file of a camera or an aircraft, whatever its kind."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from typing import Annotated, Any
+
+import typer
+
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._inputs import numbers_in, said_datum
+
+SourceDatum = Annotated[
+    str | None,
+    typer.Option("--height-datum", help='What the file\'s heights are above: "ellipsoid", "EPSG:5773", metres.'),
+]
+TakeoffHeight = Annotated[
+    float | None, typer.Option(help="Drone images: the point of take-off, m above the ellipsoid; in place of a datum.")
+]
+SourceCrs = Annotated[
+    str | None, typer.Option("--source-crs", help='Map of the file\'s positions: "EPSG:32651"; if it has them in one.')
+]
+CameraName = Annotated[str | None, typer.Option("--camera", help="Which of the file's cameras, by name.")]
+VideoSize = Annotated[str | None, typer.Option("--image-size", help="Telemetry: WIDTH,HEIGHT of the video, in pixels.")]
+Upright = Annotated[bool, typer.Option("--upright", help="Telemetry: images are held level with the horizon.")]
+KeepDamaged = Annotated[bool, typer.Option("--keep-damaged", help="Telemetry: packets with a wrong checksum too.")]
+Stream = Annotated[int | None, typer.Option("--stream", help="Telemetry: which data stream of a transport stream.")]
+SbetErrors = Annotated[pathlib.Path | None, typer.Option("--errors", help="SBET: its file of errors (smrmsg).")]
+InteriorFile = Annotated[
+    pathlib.Path | None, typer.Option("--interior", help="Orthority: the file of interior parameters (.yaml).")
+]
+
+
+# Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
+OTHER_NAMES = {"crs": "source-crs"}
+_OPTION = re.compile(r"\b(height_datum|takeoff_height|image_size|upright|crs|camera|errors|interior)=")
+
+
+def as_typed(text: str) -> str:
+    """A sentence that names options of a reader, with those of the command line."""
+    return _OPTION.sub(lambda found: "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + " ", text)
+
+
+def how_to_read(
+    height_datum: str | None,
+    takeoff_height: float | None,
+    crs: str | None,
+    camera: str | None,
+    image_size: str | None,
+    telemetry: tuple[bool, bool, int | None],
+    errors: pathlib.Path | None,
+    interior: pathlib.Path | None,
+) -> dict[str, Any]:
+    """Options of `read_acquisition` from those of the command line; `telemetry` are (upright, keep damaged, stream).
+
+    Raises `UserError`.
+    """
+    how: dict[str, Any] = {"takeoff_height": takeoff_height, "crs": crs, "camera": camera}
+    how |= {"errors": errors, "interior": interior}
+    upright, keep_damaged, stream = telemetry
+    how |= {"upright": upright or None, "keep_damaged": keep_damaged or None, "stream": stream}
+    if height_datum is not None:
+        how["height_datum"] = said_datum(height_datum)
+    if image_size is not None:
+        size = numbers_in("--image-size", image_size, (2,), "WIDTH,HEIGHT, two whole numbers")
+        if any(one != int(one) or one < 1 for one in size):
+            raise UserError(f"--image-size {image_size!r}: expected WIDTH,HEIGHT, two whole numbers.")
+        how["image_size"] = int(size[0]), int(size[1])
+    return {name: value for name, value in how.items() if value is not None}

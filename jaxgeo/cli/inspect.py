@@ -1,0 +1,253 @@
+"""`jaxgeo inspect`: what a file tells of exposures, and what had to be assumed."""
+
+from __future__ import annotations
+
+import json
+import math
+import pathlib
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from jaxgeo._destination import check_no_input, destination
+from jaxgeo.cli._acquisitions import (
+    CameraName,
+    InteriorFile,
+    KeepDamaged,
+    SbetErrors,
+    SourceCrs,
+    SourceDatum,
+    Stream,
+    TakeoffHeight,
+    Upright,
+    VideoSize,
+    as_typed,
+    how_to_read,
+)
+from jaxgeo.cli._common import Traceback, UserError, mistakes_told, name_says
+from jaxgeo.cli._screen import number_table
+
+SHOWN = 5  # exposures on the screen
+
+
+def inspect_command(
+    file: Annotated[
+        pathlib.Path, typer.Argument(help="Drone image or folder, KLV, SBET, table, reconstruction, scene.")
+    ],
+    height_datum: SourceDatum = None,
+    takeoff_height: TakeoffHeight = None,
+    crs: SourceCrs = None,
+    camera: CameraName = None,
+    image_size: VideoSize = None,
+    upright: Upright = False,
+    keep_damaged: KeepDamaged = False,
+    stream: Stream = None,
+    errors: SbetErrors = None,
+    interior: InteriorFile = None,
+    output: Annotated[
+        pathlib.Path | None, typer.Option(help="Write all exposures to a table (.csv), as jaxgeo locate --shots takes.")
+    ] = None,
+    tags: Annotated[bool, typer.Option("--tags", help="With --json: all that the file says of each exposure.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON, with every exposure.")] = False,
+    traceback: Traceback = False,
+) -> None:
+    """What a file tells of exposures: cameras, poses, errors, and what its reader had to assume.
+
+    Example: jaxgeo inspect DJI_0042.JPG
+    """
+    with mistakes_told(traceback):
+        from jaxgeo._checks import enable_x64
+
+        if output is not None:
+            if output.suffix.lower() != ".csv":
+                raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
+            check_no_input("--output", [output], [file])
+        if tags and not as_json:
+            raise UserError("--tags goes with --json.")
+        enable_x64()
+        how = how_to_read(
+            height_datum, takeoff_height, crs, camera, image_size, (upright, keep_damaged, stream), errors, interior
+        )
+        found, unstated = _read(file, how)
+        rows = rows_of(found)
+        if output is not None:
+            if unstated is not None:
+                raise UserError(as_typed(unstated))
+            _write(output, rows)
+        if as_json:
+            typer.echo(json.dumps(_content(found, rows, unstated, tags), indent=1, allow_nan=False, default=str))
+        else:
+            _show(found, rows, unstated)
+
+
+def _read(file: pathlib.Path, how: dict[str, Any]) -> tuple[Any, str | None]:
+    """(the acquisition, why its heights are not known): without a datum they are shown as the file has them."""
+    from jaxgeo.io.acquisitions import UnstatedDatum, read_acquisition
+
+    try:
+        return read_acquisition(file, **how), None
+    except UnstatedDatum as error:
+        return read_acquisition(file, **{**how, "height_datum": "ellipsoid"}), str(error)
+
+
+def rows_of(found: Any) -> list[dict[str, Any]]:
+    """A row for each exposure, numbers in degrees and metres, None for what is not known."""
+    import numpy as np
+
+    from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
+    from jaxgeo.io.acquisitions import compare_reported
+
+    pose, position = found.shots.pose, found.shots.pose.position
+    places = [np.rad2deg(position.lat), np.rad2deg(position.lon), position.height]
+    attitude = [np.rad2deg(angle) for angle in (pose.heading, pose.pitch, pose.roll)]
+    columns = {"time_s": found.shots.time} | dict(zip(POSE_COLUMNS, [*places, *attitude], strict=True))
+    if found.sensor is not None:
+        readings = np.rad2deg(np.asarray(found.shots.gimbal_readings)).T
+        columns |= dict(zip(gimbal_columns(found.sensor.gimbal.names), readings, strict=True))
+        focal = np.asarray(found.sensor.camera.focal_px)
+        columns |= {"focal_u_px": focal[:, 0], "focal_v_px": focal[:, 1]}
+    if found.reported is not None:
+        centre = found.reported.centre
+        columns |= {"centre_lat_deg": np.rad2deg(centre.lat), "centre_lon_deg": np.rad2deg(centre.lon)}
+        columns |= {"centre_height_m": centre.height, "centre_range_m": found.reported.slant_range}
+        if found.sensor is not None:
+            off = compare_reported(found)
+            columns |= {"range_off_m": off.slant_range, "axis_off_east_m": off.east, "axis_off_north_m": off.north}
+            columns |= {"axis_off_azimuth_mrad": 1e3 * off.azimuth, "axis_off_elevation_mrad": 1e3 * off.elevation}
+            columns |= {"image_off_turn_deg": np.rad2deg(off.turn)}
+    numbers = {name: np.asarray(values, np.float64) for name, values in columns.items()}
+    return [
+        {"name": str(name)} | {key: _known(values[i]) for key, values in numbers.items()}
+        for i, name in enumerate(found.names)
+    ]
+
+
+def _known(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _write(output: pathlib.Path, rows: list[dict[str, Any]]) -> None:
+    from jaxgeo.io.tables import write_csv
+
+    with destination("--output", output) as stream:
+        write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
+
+
+def _text(name: str, value: Any) -> Any:
+    if not isinstance(value, float):
+        return value
+    return f"{value:.{10 if name.endswith('_deg') else 6 if name == 'time_s' else 4}f}"
+
+
+def _content(found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool) -> dict[str, Any]:
+    content = {"file": found.path, "form": found.form, "facts": dict(found.facts), "sensor": _sensor(found)}
+    content |= {"errors": _errors(found), "assumed": list(found.assumed), "height_datum_unstated": unstated}
+    content |= {"time_is_utc": found.time_is_utc, "exposures": rows}
+    return content | ({"tags": [dict(one) for one in found.tags]} if tags else {})
+
+
+def _sensor(found: Any) -> dict[str, Any] | None:
+    """The sensor of the first exposure."""
+    if found.sensor is None:
+        return None
+    import numpy as np
+
+    sensor, _, _ = found.exposure(0)
+    camera = sensor.camera
+    focal = np.asarray(camera.focal_px)
+    half = 0.5 * np.array([camera.width, camera.height])
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "focal_px": focal.tolist(),
+        "principal_px": np.asarray(camera.principal_px).tolist(),
+        "field_of_view_deg": np.rad2deg(2.0 * np.arctan(half / focal)).tolist(),
+        "lens": type(camera.distortion).__name__,
+        "gimbal": list(sensor.gimbal.names),
+        "gimbal_reference": sensor.gimbal.reference,
+    }
+
+
+def _errors(found: Any) -> dict[str, float]:
+    """Standard deviations of the first exposure by axis, angles in deg."""
+    import numpy as np
+
+    _, _, sources = found.exposure(0)
+    told = {}
+    for source in sources:
+        unit, scale = ("deg", 180.0 / math.pi) if source.unit == "rad" else (source.unit, 1.0)
+        for axis, sigma in zip(source.sigma_axes, np.asarray(source.sigma), strict=True):
+            told[f"{source.label}: {axis}, {unit}"] = float(sigma) * scale
+    return told
+
+
+def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
+    console = Console(width=None if Console().is_terminal else 160, highlight=False)
+    count = len(rows)
+    console.print(f"[bold]{found.path}[/bold]: {found.form}, {count} exposure{'s' if count != 1 else ''}")
+    for name, value in found.facts.items():
+        console.print(f"  {name}: {value}", markup=False)
+    console.print(_sensor_line(found), markup=False)
+    console.print(number_table(rows[:SHOWN], _columns(rows[0])))
+    if count > SHOWN:
+        console.print(f"  ... and {count - SHOWN} more; --json and --output have them all", markup=False)
+    if "range_off_m" in rows[0]:
+        console.print(_comparison(rows), markup=False)
+    told = _errors(found)
+    words = [f"{name} {value:.4g}" for name, value in told.items()]
+    console.print("errors stated: " + ("; ".join(words) if words else "none"), markup=False)
+    if unstated is not None:
+        console.print("heights are shown as the file has them; what they are measured from must be said:", markup=False)
+        console.print(f"  {as_typed(unstated)}", markup=False)
+    if found.assumed:
+        console.print("assumed:")
+        for one in found.assumed:
+            console.print(f"  - {as_typed(one)}", markup=False)
+
+
+def _columns(row: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """Headers and formats of what the screen shows of an exposure."""
+    shown = {"name": ("name", ""), "lat_deg": ("lat, deg", ".7f"), "lon_deg": ("lon, deg", ".7f")}
+    shown |= {"height_m": ("height, m", ".2f")}
+    shown |= {f"{name}_deg": (name, ".2f") for name in ("heading", "pitch", "roll")}
+    gimbal = [name for name in row if name.startswith("gimbal_")]
+    shown |= {name: (name.removeprefix("gimbal_").removesuffix("_deg"), ".2f") for name in gimbal}
+    beside = {
+        "range_off_m": "range, m",
+        "axis_off_azimuth_mrad": "azimuth",
+        "axis_off_elevation_mrad": "elevation, mrad",
+    }
+    return shown | {name: (f"off: {title}", ".2f") for name, title in beside.items() if name in row}
+
+
+def _sensor_line(found: Any) -> str:
+    told = _sensor(found)
+    if told is None:
+        return "  sensor: none in this file"
+    (fu, fv), (across, down) = told["focal_px"], told["field_of_view_deg"]
+    gimbal = ", ".join(told["gimbal"])
+    held = f"gimbal {gimbal} against the {told['gimbal_reference']}" if gimbal else "fixed, no gimbal"
+    return (
+        f"  sensor: {told['width']} x {told['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, field of view "
+        f"{across:.2f} x {down:.2f} deg, {held}"
+    )
+
+
+def _comparison(rows: list[dict[str, Any]]) -> str:
+    """How far the file's own figures are apart, over all exposures."""
+    import numpy as np
+
+    def middle(name: str, places: int) -> str:
+        values = np.array([row[name] for row in rows if row[name] is not None])
+        if not len(values):
+            return "unknown"
+        low, mid, high = np.percentile(values, [5.0, 50.0, 95.0])
+        return f"{mid:+.{places}f} ({low:+.{places}f} to {high:+.{places}f})"
+
+    return (
+        "against the centre of the image that the file reports, medians (5 to 95 %): its slant range less the distance "
+        f"{middle('range_off_m', 2)} m; our line of sight {middle('axis_off_azimuth_mrad', 2)} mrad across, "
+        f"{middle('axis_off_elevation_mrad', 2)} mrad in elevation, which is {middle('axis_off_east_m', 1)} m east and "
+        f"{middle('axis_off_north_m', 1)} m north; reported corners turned by {middle('image_off_turn_deg', 2)} deg"
+    )

@@ -1,0 +1,224 @@
+"""`jaxgeo inspect`: each kind of file told by its content, and what its reader says of it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import pathlib
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from support.drone_image_files import packet, write_image
+from support.klv_packets import local_set, usual
+from typer.testing import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.demo import scene_file
+from jaxgeo.io import TableError, read_acquisition
+from jaxgeo.io.acquisitions.detect import form_of
+from jaxgeo.io.tables import read_shots
+
+DJI = {
+    "drone-dji:AbsoluteAltitude": "+153.9",
+    "drone-dji:RelativeAltitude": "+99.9",
+    "drone-dji:GpsLatitude": "+24.68",
+    "drone-dji:GpsLongitude": "+120.95",
+    "drone-dji:GimbalYawDegree": "-97.40",
+    "drone-dji:GimbalPitchDegree": "-35.50",
+    "drone-dji:GimbalRollDegree": "+0.00",
+    "drone-dji:RtkStdLon": "0.0097",
+    "drone-dji:RtkStdLat": "0.0093",
+    "drone-dji:RtkStdHgt": "0.0238",
+    "drone-dji:CalibratedFocalLength": "3666.67",
+}
+TABLE = "image,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg\na,43.7,4.6,1800.0,350.0,30.0,-1.5\n"
+OPK = "'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa'\n'a' 292710.2 2731048.8 186.4 28.8 0.9 1.8\n"
+CAMERA = {"projection_type": "perspective", "width": 800, "height": 600, "focal": 0.9}
+RECONSTRUCTION = [
+    {
+        "cameras": {"one": CAMERA},
+        "shots": {"a": {"rotation": [2.9, 0.4, -0.2], "translation": [0.0, 5.0, 100.0], "camera": "one"}},
+        "points": {},
+        "reference_lla": {"latitude": 24.6801, "longitude": 120.9512, "altitude": 12.5},
+    }
+]
+CLIMB = [0.0, 1.0, 0.1, 100.0, 0.0, 0.0, 0.0, 0.01, 0.02, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def of_image(path: pathlib.Path) -> None:
+    write_image(path, packet(DJI), make="DJI")
+
+
+def of_text(text: str) -> Callable[[pathlib.Path], object]:
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def of_bytes(content: bytes) -> Callable[[pathlib.Path], object]:
+    return lambda path: path.write_bytes(content)
+
+
+PACKETS = local_set(usual()) + local_set(usual(tag_5=200.0))
+FILES = {  # name of a file: how it is made, what it is, options of its reader, those of the command
+    "photo.jpg": (of_image, "drone image", {"height_datum": "ellipsoid"}),
+    "photo.tif": (of_image, "drone image", {"takeoff_height": 54.0}),
+    "video.bin": (of_bytes(b"noise" + PACKETS), "MISB ST 0601 telemetry", {"image_size": (640, 480)}),
+    "scene.toml": (of_bytes(scene_file().read_bytes()), "scene file", {}),
+    "flight.sbet": (of_bytes(np.array(CLIMB, "<f8").tobytes()), "SBET", {}),
+    "eo.csv": (of_text(TABLE), "table of orientations", {"height_datum": "ellipsoid"}),
+    "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
+    "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
+}
+OPTIONS = {"crs": "--source-crs"}
+
+
+def run(*arguments: str | pathlib.Path):
+    return CliRunner().invoke(app, ["inspect", *(str(argument) for argument in arguments)])
+
+
+def typed(how: dict[str, object]) -> list[str]:
+    """Options of a reader, as they are typed."""
+    words = []
+    for name, value in how.items():
+        text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+        words += [OPTIONS.get(name, "--" + name.replace("_", "-")), text]
+    return words
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: str) -> None:
+    make, form, how = FILES[name]
+    path = tmp_path / name
+    make(path)
+    assert form_of(path).name == form
+    found = read_acquisition(path, **how)
+    result = run(path, *typed(how), "--json")
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.output)
+    assert told["form"] == found.form
+    assert told["height_datum_unstated"] is None
+    assert told["assumed"] == list(found.assumed)
+    np.testing.assert_array_equal([row["name"] for row in told["exposures"]], found.names)
+    height = [row["height_m"] for row in told["exposures"]]
+    np.testing.assert_allclose(height, found.shots.pose.position.height, atol=1e-9)
+    heading = np.deg2rad([row["heading_deg"] for row in told["exposures"]])
+    np.testing.assert_allclose(heading, found.shots.pose.heading, atol=1e-12)
+    assert (told["sensor"] is None) == (found.sensor is None)
+    shown = run(path, *typed(how))
+    assert shown.exit_code == 0
+    for word in (found.form, *(str(name) for name in found.names), "errors stated", "assumed"):
+        assert word in shown.output or (word == "assumed" and not found.assumed)
+
+
+def test_heights_whose_datum_nobody_says_are_shown_with_that(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "photo.jpg"
+    of_image(path)
+    result = run(path)
+    assert result.exit_code == 0
+    words = " ".join(result.output.split())
+    for word in ("153.90", "must be said", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
+        assert word in words
+    assert "height_datum=" not in words
+    refused = run(path, "--output", tmp_path / "shots.csv")
+    assert refused.exit_code == 2
+    assert "--height-datum" in refused.output
+    assert not (tmp_path / "shots.csv").exists()
+
+
+def test_exposures_become_a_table_of_shots(tmp_path: pathlib.Path) -> None:
+    path, output = tmp_path / "video.bin", tmp_path / "shots.csv"
+    path.write_bytes(PACKETS)
+    assert run(path, "--output", output).exit_code == 0
+    found = read_acquisition(path)
+    assert found.sensor is not None
+    names = found.sensor.gimbal.names
+    shots = read_shots(output, names, pixels=False).shots(names, "ellipsoid")
+    np.testing.assert_allclose(shots.pose.position.lat, found.shots.pose.position.lat, atol=1e-11)
+    np.testing.assert_allclose(shots.pose.heading, found.shots.pose.heading, atol=1e-11)
+    np.testing.assert_allclose(shots.gimbal_readings, found.shots.gimbal_readings, atol=1e-11)
+    with open(output, newline="", encoding="utf-8") as file:
+        assert [row["name"] for row in csv.DictReader(file)] == ["0", "1"]
+
+
+def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "photo.jpg"
+    of_image(path)
+    told = json.loads(run(path, "--json", "--tags", "--height-datum", "ellipsoid").output)
+    assert told["tags"][0]["drone-dji:GimbalPitchDegree"] == "-35.50"
+    assert told["errors"] == {
+        "position: north, m": 0.0093,
+        "position: east, m": 0.0097,
+        "position: down, m": 0.0238,
+    }
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        (b"", ["empty"]),
+        (b"\x00\x01\x02" * 50, ["none of what is read", "drone image", "SBET"]),
+        (b"just words\nand more\n", ["none of what is read"]),
+        (b"[1, 2", ["none of what is read"]),
+        (PACKETS[:40], ["packet"]),
+    ],
+)
+def test_other_files_are_refused_in_a_line(tmp_path: pathlib.Path, content: bytes, words: list[str]) -> None:
+    path = tmp_path / "file.bin"
+    path.write_bytes(content)
+    result = run(path)
+    assert result.exit_code == 2
+    for word in (str(path), *words):
+        assert word in result.output.replace("\n", " ") or word in result.output.replace("\n", "")
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize(
+    "name, options, words",
+    [
+        ("photo.jpg", ["--image-size", "10,20"], ["image_size", "no option", "drone image"]),
+        ("video.bin", ["--image-size", "10"], ["--image-size '10'", "WIDTH,HEIGHT"]),
+        ("video.bin", ["--image-size", "10,2.5"], ["--image-size", "whole numbers"]),
+        ("video.bin", ["--takeoff-height", "10"], ["takeoff_height", "options are"]),
+        ("video.bin", ["--output", "shots.xlsx"], ["--output shots.xlsx", ".csv"]),
+        ("video.bin", ["--tags"], ["--tags goes with --json"]),
+        ("eo.csv", ["--height-datum", "sea"], ["sea"]),
+        ("missing.jpg", [], ["missing.jpg", "no such file"]),
+    ],
+)
+def test_mistakes(tmp_path: pathlib.Path, name: str, options: list[str], words: list[str]) -> None:
+    path = tmp_path / name
+    if name in FILES:
+        FILES[name][0](path)
+    result = run(path, *options)
+    assert result.exit_code == 2
+    for word in words:
+        assert word in result.output
+
+
+def test_a_table_does_not_overwrite_what_is_read(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "eo.csv"
+    path.write_text(TABLE)
+    result = run(path, "--height-datum", "ellipsoid", "--output", path)
+    assert result.exit_code == 2
+    assert "would be overwritten" in result.output
+    assert path.read_text() == TABLE
+
+
+def test_exterior_parameters_need_the_interior_ones(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "ext_param.geojson"
+    path.write_text('{"type": "FeatureCollection", "features": []}')
+    with pytest.raises(TableError, match="interior"):
+        read_acquisition(path)
+
+
+def test_real_telemetry_in_one_command(jaxgeo_test_data: pathlib.Path, tmp_path: pathlib.Path) -> None:
+    output = tmp_path / "shots.csv"
+    result = run(jaxgeo_test_data / "telemetry_klv" / "Cheyenne.bin", "--output", output)
+    assert result.exit_code == 0, result.output
+    assert "407 exposures" in result.output
+    with open(output, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 407
+    off = np.array([[float(row[name]) for name in ("range_off_m", "axis_off_azimuth_mrad")] for row in rows])
+    assert np.max(np.abs(off[:, 0])) < 1.0  # m
+    assert abs(np.median(off[:, 1])) < 1.5  # mrad
