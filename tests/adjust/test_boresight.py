@@ -166,6 +166,7 @@ def test_a_calibration_is_the_sensor_as_it_was_found(found: tuple[Simulated, Adj
     )
 
 
+@pytest.mark.slow
 def test_a_later_fix_is_as_sure_as_the_adjustment_says(found: tuple[Simulated, Adjustment]) -> None:
     """The propagation through the source against that of the adjustment's own covariance through its own parameters."""
     of, adjustment = found

@@ -138,6 +138,7 @@ def test_exact_data_give_the_point(all_sites) -> None:
     np.testing.assert_allclose(found.angle, np.arccos(cosines.min(axis=(1, 2))), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_exact_data_through_the_air(all_sites) -> None:
     """The bent lines of sight meet at the point too; the straight ones, from high up, tens of metres beside it."""
     points, shots = all_sites
@@ -233,6 +234,7 @@ def with_errors(uvs, use):
     return jax.vmap(lambda uvs: intersect_images(SENSOR, SHOTS, uvs, errors=MODEL, use=use))(uvs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", [TWO, ALL], ids=["2 rays", "6 rays"])
 def test_covariance_is_that_of_draws(use: np.ndarray, drawn) -> None:
     """Of shared and own errors: every entry of the draws' covariance, whitened, and the mean of their chi-squares."""
@@ -250,6 +252,7 @@ def test_covariance_is_that_of_draws(use: np.ndarray, drawn) -> None:
     np.testing.assert_allclose(np.mean(np.asarray(found.sigma0[1:]) ** 2), 1.0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_no_weights_are_better_than_the_errors_own(drawn) -> None:
     best = jax.tree.map(lambda x: x[0], with_errors(drawn, jnp.asarray(ALL)))
     plain = intersect_images(SENSOR, SHOTS, UVS, errors=MODEL, sigma=1.0)

@@ -60,6 +60,7 @@ def linear():
     return linear_gaps(STRIP, NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compensation", [NOTHING, TIMED], ids=lambda c: c.words)
 def test_without_noise_the_plan_is_flown(compensation):
     flights = fly(STRIP, QUIET, key=KEY, flights=2, compensation=compensation)

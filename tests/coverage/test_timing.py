@@ -51,6 +51,7 @@ def planned(timing: Any, terrain: Any = PLAIN, trajectory: Trajectory = FLIGHT, 
     return plan(SENSOR, trajectory, terrain, timing, **{"along": "rows", "stations": STATIONS} | options)
 
 
+@pytest.mark.slow
 def test_a_fixed_period_is_kept() -> None:
     found = planned(FixedPeriod(0.9))
     np.testing.assert_allclose(found.times, 0.9 * np.arange(14), rtol=0, atol=1e-12)

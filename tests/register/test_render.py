@@ -68,6 +68,7 @@ def test_each_pixel_shows_the_nearest_place_that_is_imaged_there() -> None:
     assert np.mean(status[inside] == Status.hit) > 0.99  # none is hidden; at a ridge rounding decides
 
 
+@pytest.mark.slow
 def test_more_rays_are_the_mean_of_images_a_part_of_a_pixel_apart() -> None:
     reference = Orthoimage.of(PLACES, GRID)
     coarse = render(sensor(), shot(), reference, DEM, supersampling=2)

@@ -159,6 +159,7 @@ def test_one_after_the_other_is_all_at_once(duration):
         assert np.trace(found[2].cov_error[:3, :3]) < 0.9 * np.trace(found[0].cov_error[:3, :3])
 
 
+@pytest.mark.slow
 def test_what_each_sharing_carries_over():
     model, ties = flown(4.0)
     found = in_turn(model, ties[:1])[0]

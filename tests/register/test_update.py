@@ -489,6 +489,7 @@ def test_refusals(change, message):
         update(SENSOR, SHOT, terrain=GROUND, **made)
 
 
+@pytest.mark.slow
 def test_ties_off_the_terrain_are_named():
     ties = dem_ties(SLOPE)
     lat = ties.ground.lat.at[jnp.asarray([2, 7])].add(0.01)

@@ -66,6 +66,7 @@ def held(beam, rays, dem) -> np.ndarray:
     return np.asarray(jax.vmap(lambda r, rise: beam.holds(r, dem.with_field(ConstantField(rise))))(directions, rises))
 
 
+@pytest.mark.slow
 def test_no_answer_changes(dem, rays, plain, beam, held):
     found = brackets(*rays, dem, FirstHit(beam))
     assert 0.9 < held.mean() < 1.0

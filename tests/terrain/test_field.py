@@ -236,6 +236,7 @@ def test_derivatives_by_a_field_that_is_not_finite_are_zero(derivatives):
         np.testing.assert_array_equal(leaf, 0.0)
 
 
+@pytest.mark.slow
 def test_a_field_that_is_not_finite_is_invalid_input(rays, own_fields):
     fix = own_fields(rays, stacked(not_finite() + [sum_of(1.0, 11)] * (RAYS - 3)), small_dem(POSTS))
     assert [Status(int(code)) for code in fix.status[:3]] == [Status.invalid_input] * 3
