@@ -33,7 +33,7 @@ from jaxgeo.plot.comparison import draw_comparison  # noqa: E402
 from jaxgeo.plot.conventions import conventions_figure  # noqa: E402
 from jaxgeo.plot.sightline import draw_sight_line, section_under  # noqa: E402
 from jaxgeo.plot.style import COLUMN, PAGE, style  # noqa: E402
-from jaxgeo.uncertainty import ErrorModel, Footprint, budget, compare, presets, propagate, sources  # noqa: E402
+from jaxgeo.uncertainty import Footprint, budget, compare, propagate  # noqa: E402
 
 FAR_COLUMN = 2280.0  # px: a line of sight that meets the ground once more behind a ridge
 DOUBTED_UV = np.array([1551.0, 3456.0])  # px: fix 13 of the demonstration, with a ridge behind it
@@ -68,9 +68,7 @@ def errors() -> Iterator[tuple[str, Draw, float, float]]:
     """How sure a fix is: linear propagation against samples, and the budget."""
     scene, dem = read_scene(scene_file()), example_dem()
     assert scene.shot is not None
-    position = sources.Position.from_ned(north=1.5, east=1.5, down=3.0)
-    model = ErrorModel((*presets.li_2023(terrain_height=5.0).sources, position))
-    look = (scene.sensor, scene.shot, DOUBTED_UV, dem, model)
+    look = (scene.sensor, scene.shot, DOUBTED_UV, dem, scene.errors)
     compared = compare(*look, key=jax.random.key(0), count=SAMPLES, chunk=SAMPLES)
     shares = budget(propagate(*look, slope=Footprint()))
     yield "comparison", lambda figure, _: draw_comparison(figure.add_subplot(), compared), 1.4, 0.58
@@ -145,7 +143,7 @@ def main() -> None:
     for part in (sight_line, errors, residuals):
         for name, draw, tall, wide in part():
             print(*save(folder, name, draw, tall, wide), sep="\n")
-    for width, ending in ((COLUMN, "_column"), (PAGE, "_page")):
+    for width, ending in ((COLUMN, "_column"), (PAGE, "")):
         path = folder / f"conventions{ending}.png"
         conventions_figure(width).savefig(path, dpi=DPI)
         print(path)
