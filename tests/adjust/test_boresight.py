@@ -52,6 +52,7 @@ def two_steps(of: Simulated, **options: Any) -> Any:
     return two_step_boresight(adjust(loosened(block)), navigation=block.navigation, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fixed", "two_axis", "drone"])
 def test_two_steps_find_a_boresight_from_exact_measurements(kind: str) -> None:
     truth = simulated(kind)

@@ -371,6 +371,7 @@ def failing():
     return stacked(list(shots)), jnp.stack(uvs), jnp.asarray(np.stack(use)), statuses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "said",
     [{"sigma": 0.5}, pytest.param({"errors": TURNED}, marks=pytest.mark.slow)],

@@ -182,6 +182,7 @@ def range_of(uv: np.ndarray) -> float:
     return walk_every_cell(TERRAIN, np.asarray(origin), np.asarray(direction), 600.0, 6000.0).distance
 
 
+@pytest.mark.slow
 def test_a_ridge_makes_jumps_along_lines_of_sight():
     outline = over_the_ridge()
     assert outline.ok

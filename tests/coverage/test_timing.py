@@ -63,6 +63,7 @@ def test_a_fixed_period_is_kept() -> None:
     np.testing.assert_allclose(FixedPeriod(0.9).times(course, 1.0, 3), [1.0, 1.9, 2.8], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_period_of_eq_29_in_steady_flight() -> None:
     """Over level ground and at one speed and height, the formula gives the overlap that is wished."""
     period = geometry.period_of_overlap(

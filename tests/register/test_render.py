@@ -94,6 +94,7 @@ def test_rectifying_undoes_rendering() -> None:
     assert np.asarray(all_of_it).sum() > known.sum()
 
 
+@pytest.mark.slow
 def test_what_is_not_seen_says_why() -> None:
     up = render(sensor(), shot(100.0), Orthoimage.of(PLACES, GRID), DEM)
     assert not up.known.any()

@@ -88,6 +88,7 @@ def fixed(result) -> Geodetic:
 FIGURES = [(139.0, 19.6), (1334.0, 19.6), (2667.0, 19.7), (2668.0, 78.4), (2669.0, 117.8)]
 
 
+@pytest.mark.slow
 def test_errors_of_an_oblique_image_before_and_after():
     rows = gu2017.error_table()
     for row, figures in zip(rows, FIGURES, strict=True):

@@ -103,6 +103,7 @@ def readings_of_changes():
 STEP, AROUND = 0.1, 0.1 * jnp.concatenate([jnp.eye(9), -jnp.eye(9), jnp.zeros((1, 9))])
 
 
+@pytest.mark.slow
 def test_derivatives_equal_differences():
     """Values around and derivatives in the middle, by one program."""
     f, none = readings_of_changes(), jnp.zeros((9, 9))

@@ -50,6 +50,7 @@ def test_a_part_in_small_blocks_many_rounds_and_bundles_is_answered_like_the_who
     assert_same(part, jax.tree.map(lambda x: x[700 : 700 + count], together))
 
 
+@pytest.mark.slow
 def test_a_bundle_is_its_rays_in_any_order(mountains):
     """Rays through one corridor start together; shuffled among unrelated ones they start alone."""
     count = mountains.rays.origin.shape[0]
