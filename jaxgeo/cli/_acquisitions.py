@@ -34,7 +34,7 @@ InteriorFile = Annotated[
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
 OTHER_NAMES = {"crs": "source-crs"}
-_OPTION = re.compile(r"\b(height_datum|takeoff_height|image_size|upright|crs|camera|errors|interior)=")
+_OPTION = re.compile(r"\b(height_datum|takeoff_height|image_size|upright|crs|camera|errors|interior)=\s?")
 
 
 def as_typed(text: str) -> str:

@@ -44,7 +44,7 @@ def encoded(
     from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
     from pyogrio.errors import DataSourceError
 
-    columns = [_column(name, key, [feature.attributes.get(key) for feature in features]) for key in attributes]
+    columns = [column_of(name, key, [feature.attributes.get(key) for feature in features]) for key in attributes]
     shapes = [None if shape is None else shapely.to_wkb(shape, output_dimension=3) for shape, _ in features]
     code, options = _crs_and_options(driver, crs)
     sink = io.BytesIO()
@@ -83,7 +83,7 @@ def _crs_and_options(driver: str, crs: pyproj.CRS) -> tuple[str, dict[str, Any]]
     return code, options
 
 
-def _column(name: str, key: str, values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+def column_of(name: str, key: str, values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     """An attribute of all features, and where it is unknown: numbers, whole numbers, yes or no, or texts."""
     plain = [value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value for value in values]
     kinds = {type(value) for value in plain if value is not None}

@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 import shapely
 
-from jaxgeo.io._features import COLUMNS, Feature
+from jaxgeo.io._features import Feature, column_of
 from jaxgeo.io._map_crs import code_of
 
 
@@ -35,7 +35,9 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
     try:
         for layer, (features, crs, geometry_type) in layers.items():
-            columns = {key: _column([one.attributes[key] for one in features]) for key in features[0].attributes}
+            columns = {
+                key: column_of(name, key, [one.attributes[key] for one in features]) for key in features[0].attributes
+            }
             authority = crs.to_authority()
             raw.write(
                 path,
@@ -57,13 +59,3 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
 
 def _wkb(feature: Feature) -> bytes | None:
     return None if feature.geometry is None else shapely.to_wkb(feature.geometry, output_dimension=3)
-
-
-def _column(values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """The values of a column, which are of a kind, and where they are unknown."""
-    kinds = {type(value) for value in values if value is not None}
-    for taken, dtype, filler in COLUMNS:
-        if kinds <= taken:
-            column = np.array([filler if value is None else value for value in values], dtype)
-            return column, np.array([value is None for value in values])
-    raise AssertionError(f"columns are checked before they come here; got {kinds}")

@@ -29,12 +29,14 @@ def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
 
 def _without_branches(error: ValidationError) -> Iterator[dict[str, Any]]:
     """Errors with the names of union branches taken out of their location, each location once."""
-    seen = set()
+    found = {}
     for entry in error.errors():
         loc = tuple(part for part in entry["loc"] if isinstance(part, int) or not _BRANCH.fullmatch(part))
-        if loc not in seen:
-            seen.add(loc)
-            yield {**entry, "loc": loc}
+        found.setdefault(loc, {**entry, "loc": loc})
+    for loc, entry in found.items():
+        is_a_list = any(len(other) > len(loc) and other[: len(loc)] == loc for other in found)
+        if not (entry["type"] == "float_type" and is_a_list):  # what is wrong in the list is told
+            yield entry
 
 
 def _sentence(mistake: Mapping[str, Any], content: Mapping[str, Any]) -> str:

@@ -288,12 +288,13 @@ def _of_grid(
     height = ellipsoidal_heights(lon, lat, z, height_datum)
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
     omega, phi, kappa = (np.deg2rad(numbers[name]) for name in ("omega_deg", "phi_deg", "kappa_deg"))
-    return jax.tree.map(np.asarray, _poses(position, omega, phi, kappa, convergence))
+    return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence))
 
 
 @eqx.filter_jit
 @jax.vmap
-def _poses(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergence: Any) -> Pose:
+def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergence: Any) -> Pose:
+    """Poses (n,) of photogrammetric angles in a map, rad, at positions with that convergence of its grid."""
     return Pose.from_omega_phi_kappa(position, omega, phi, kappa, convergence=convergence)
 
 

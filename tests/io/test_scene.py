@@ -331,6 +331,13 @@ def test_mistakes_about_errors_are_named(scene_file, errors: str, words: list[st
         assert word in str(error.value)
 
 
+def test_a_wrong_number_in_a_list_is_told_once(scene_file) -> None:
+    with pytest.raises(SceneError) as error:
+        read_scene(scene_file(f"{GOOD}\n[errors]\nposition_m = [1.5, -1.5, 3.0]\n"))
+    (line,) = str(error.value).splitlines()
+    assert "[errors] position_m[1] = -1.5: must be at least 0" in line
+
+
 @pytest.mark.parametrize(
     "kind, errors, word",
     [

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
-from jaxgeo.io.acquisitions.sbet import FIELDS, read_sbet
+from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
 from jaxgeo.io.errors import TableError

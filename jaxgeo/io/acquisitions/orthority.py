@@ -8,7 +8,6 @@ import pathlib
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 import pyproj
@@ -31,6 +30,7 @@ from jaxgeo.io.acquisitions.blocks import (
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 
@@ -263,13 +263,8 @@ def _poses_in_map(
             f"{path}, {names[row]}: xyz {shown(xyz[row].tolist())} has no place in {horizontal.name!r}, or no height."
         )
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
-    return jax.tree.map(np.asarray, _poses(position, opk, convergence))
-
-
-@eqx.filter_jit
-@jax.vmap
-def _poses(position: Geodetic, opk: Any, convergence: Any) -> Pose:
-    return Pose.from_omega_phi_kappa(position, *opk, convergence=convergence)
+    omega, phi, kappa = opk.T
+    return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence))
 
 
 def _same(path: Any, one: Any, other: Any) -> bool:

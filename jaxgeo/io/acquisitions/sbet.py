@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-import pathlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,49 +12,15 @@ import jax
 import numpy as np
 
 from jaxgeo._checks import require_x64
-from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions._applanix import FIELDS, LIMITS, clock_of, mapped, numbers_of, wrapped
+from jaxgeo.io.acquisitions._smrmsg import errors_at
+from jaxgeo.io.acquisitions._wander import velocity_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError, VerticalDatumError
-from jaxgeo.io.navigation import WEEK
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot, Trajectory
 from jaxgeo.uncertainty.sources import Attitude, Position
-
-# Numbers of a record, all float64, little-endian. Velocities are along the axes of the wander frame; what turns the
-# body is not used: the file does not say whether against the Earth or the stars.
-FIELDS = (
-    "time", "lat", "lon", "height", "velocity_x", "velocity_y", "velocity_z", "roll", "pitch", "platform_heading",
-    "wander", "acceleration_x", "acceleration_y", "acceleration_z", "rate_x", "rate_y", "rate_z",
-)  # fmt: skip
-ERROR_FIELDS = (
-    "time", "north", "east", "down", "velocity_north", "velocity_east", "velocity_down", "roll", "pitch", "heading",
-)  # fmt: skip
-TURN = 2.0 * np.pi
-ARC_MINUTE = np.pi / 10_800.0
-_HEIGHTS = POSE_COLUMNS["height_m"][:2]
-# Lowest and highest value of what is used, and its unit; a heading or a wander angle may have gone round twice.
-LIMITS = {
-    "lat": (-np.pi / 2, np.pi / 2, "rad"),
-    "lon": (-TURN, TURN, "rad"),
-    "height": (*_HEIGHTS, "m"),
-    "velocity_x": (-2e4, 2e4, "m/s"),
-    "velocity_y": (-2e4, 2e4, "m/s"),
-    "velocity_z": (-2e4, 2e4, "m/s"),
-    "roll": (-np.pi, np.pi, "rad"),
-    "pitch": (-np.pi / 2, np.pi / 2, "rad"),
-    "platform_heading": (-2.0 * TURN, 2.0 * TURN, "rad"),
-    "wander": (-2.0 * TURN, 2.0 * TURN, "rad"),
-}
-LARGEST_ERRORS = {"m": 1e5, "arc minutes": 10_800.0}
-NEW_WEEK = 60.0  # s of the end of a week that may be missing where a clock begins anew
-GAP = 10.0  # times the median interval of a file of errors: a longer one is a gap
-# How velocities are compared with the change of the positions: over so many seconds, at so many places; and by how much
-# (m/s, and of the speed) they may differ. A frame mistaken for another differs by the speed, a wrong z by the climb.
-COMPARED_OVER, COMPARED_AT = 0.2, 500
-LARGEST_DIFFERENCE, LARGEST_SHARE = 0.1, 0.003
-
-Fields = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -170,19 +135,19 @@ def read_sbet(
     """
     require_x64()
     path = os.fspath(path)
-    records = _mapped(path, "SBET", FIELDS)
+    records = mapped(path, "SBET", FIELDS)
     _check_kind(path, records)
-    clock, carried_on = _clock(path, records)
+    clock, carried_on = clock_of(path, records)
     first, last = _part(path, clock, between)
     picked = _thinned(path, clock, first, last, every)
-    numbers = _numbers(path, records, picked)
+    numbers = numbers_of(path, records, picked)
     velocity, remark = None, "Velocities of the file are left out, as asked."
     if velocities:
-        velocity, remark = _velocity(path, records[first:last], clock[first:last], numbers)
-    heading = _wrapped(numbers["platform_heading"] - numbers["wander"])
-    lat, lon = numbers["lat"], _wrapped(numbers["lon"])
+        velocity, remark = velocity_of(path, records[first:last], clock[first:last], numbers)
+    heading = wrapped(numbers["platform_heading"] - numbers["wander"])
+    lat, lon = numbers["lat"], wrapped(numbers["lon"])
     height = _heights(path, lat, lon, numbers["height"], height_datum)
-    position_sigma, attitude_sigma = (None, None) if errors is None else _errors_at(errors, path, clock[picked])
+    position_sigma, attitude_sigma = (None, None) if errors is None else errors_at(errors, path, clock[picked])
     return SbetRecords(
         path=path,
         number=picked,
@@ -194,30 +159,6 @@ def read_sbet(
         assumed=_assumed(errors is not None, clock_zero, carried_on, remark),
         facts=_facts(clock, picked),
         time_is_utc=clock_zero is not None,
-    )
-
-
-def _mapped(path: str, what: str, fields: tuple[str, ...]) -> np.ndarray:
-    """The records of a file (n, fields), that stay on disk."""
-    width = 8 * len(fields)
-    try:
-        if pathlib.Path(path).is_dir():
-            raise TableError(f"{path}: this is a folder; give the {what} file in it.")
-        size = pathlib.Path(path).stat().st_size
-        if size and not size % width:
-            return np.memmap(path, "<f8", "r").reshape(-1, len(fields))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such {what} file.") from None
-    except OSError as error:
-        raise TableError(f"{path}: the {what} file cannot be read: {error}.") from error
-    if not size:
-        raise TableError(f"{path}: the file is empty.")
-    others = {"an SBET file": 8 * len(FIELDS), "a file of its errors, smrmsg": 8 * len(ERROR_FIELDS)}
-    other = next((name for name, other in others.items() if other != width and not size % other), None)
-    why = f"is it {other}?" if other else "the file is cut off, or no such file; copy or export it again."
-    raise TableError(
-        f"{path}: {size} bytes are {size // width} records of {what} ({width} bytes each) and {size % width} bytes "
-        f"more; {why}"
     )
 
 
@@ -246,28 +187,6 @@ def _plausible(record: np.ndarray) -> bool:
         # a float64 read in the wrong byte order is often as good as zero: no place, and no rest, is
         tiny = np.any((record != 0.0) & (np.abs(record) < 1e-100))
         return bool(used and not tiny and np.isfinite(record[0]))
-
-
-def _clock(path: str, records: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The times of all records in s, and whether a new week was carried on."""
-    times = np.array(records[:, 0])
-    known = np.isfinite(times) & (np.abs(times) <= 1e11)
-    if not np.all(known):
-        number = int(np.argmin(known))
-        raise TableError(f"{path}, record {number}: time is {times[number]:.9g} s; the file is damaged, or none.")
-    steps = np.diff(times)
-    back = np.flatnonzero(steps <= 0.0)
-    carried_on = len(back) == 1 and bool(0.0 < steps[back[0]] + WEEK <= NEW_WEEK)
-    if carried_on:
-        times[back[0] + 1 :] += WEEK
-    elif len(back):
-        number = int(back[0]) + 1
-        how = "time stands still" if steps[back[0]] == 0.0 else "time running backwards"
-        raise TableError(
-            f"{path}, records {number - 1} and {number}: {how}, from {times[number - 1]:.9g} s to "
-            f"{times[number]:.9g} s; sort the records and drop those that are there twice."
-        )
-    return times, carried_on
 
 
 def _part(path: str, clock: np.ndarray, between: tuple[float, float] | None) -> tuple[int, int]:
@@ -299,93 +218,6 @@ def _thinned(path: str, clock: np.ndarray, first: int, last: int, every: float |
     return numbers[kept]
 
 
-def _numbers(path: str, records: np.ndarray, picked: np.ndarray) -> Fields:
-    """The fields in use of some records, in range."""
-    rows = np.asarray(records[picked])
-    numbers = {name: np.array(rows[:, FIELDS.index(name)], np.float64) for name in LIMITS}
-    for name, (low, high, unit) in LIMITS.items():
-        fine = (numbers[name] >= low) & (numbers[name] <= high)  # NaN is not
-        if not np.all(fine):
-            row = int(np.argmin(fine))
-            raise TableError(
-                f"{path}, record {picked[row]}: {name} is {numbers[name][row]:.9g}, outside [{low:.6g}, {high:.6g}] "
-                f"{unit}; the file is damaged, or no SBET."
-            )
-    return numbers
-
-
-def _velocity(
-    path: str, records: np.ndarray, clock: np.ndarray, numbers: Fields
-) -> tuple[np.ndarray | None, str | None]:
-    """(velocities of the picked records in north-east-down, None): held against the positions of all about them.
-
-    None and a remark where all are zero though the positions move.
-    """
-    pairs = _pairs(clock)
-    told = _ned(numbers)
-    if pairs is None:
-        return told, "Velocities could not be compared with positions: there is one record."
-    before, after = (_numbers(path, records, pair) for pair in pairs)
-    moved = _displacement(before, after) / (clock[pairs[1]] - clock[pairs[0]])[:, None]
-    speed = float(np.median(np.linalg.norm(moved, axis=-1)))
-    allowed = LARGEST_DIFFERENCE + LARGEST_SHARE * speed
-
-    def difference(frame: Callable[[Fields], np.ndarray]) -> float:
-        return float(np.median(np.linalg.norm(0.5 * (frame(before) + frame(after)) - moved, axis=-1)))
-
-    if difference(_ned) <= allowed:
-        return told, None
-    if not np.any(told) and not np.any(_ned(before)):
-        return None, "Velocities are zero throughout though the positions move; they are taken as unknown."
-    fitting = [words for words, frame in OTHER_FRAMES.items() if difference(frame) <= allowed]
-    guess = f" They fit if taken as {fitting[0]}." if fitting else ""
-    raise TableError(
-        f"{path}: velocities turned from the wander frame differ by {difference(_ned):.3g} m/s from the change of the "
-        f"positions, at {speed:.3g} m/s (medians).{guess} Export the file as the format has it; velocities=False reads "
-        f"it without them, but if the wander angle is the reason, headings are wrong too."
-    )
-
-
-def _pairs(clock: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Places in a list of times, and those some time later."""
-    if len(clock) < 2:
-        return None
-    step = max(1, min(len(clock) - 1, round(COMPARED_OVER / float(np.median(np.diff(clock))))))
-    start = np.unique(np.linspace(0, len(clock) - 1 - step, COMPARED_AT).astype(int))
-    return start, start + step
-
-
-def _ned(numbers: Fields, sign: float = 1.0) -> np.ndarray:
-    """Velocities in north-east-down (n, 3): the x axis of the wander frame lies the wander angle left of north."""
-    sin, cos = np.sin(sign * numbers["wander"]), np.cos(numbers["wander"])
-    x, y, z = (numbers[f"velocity_{axis}"] for axis in "xyz")
-    return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
-
-
-def _along_ned(numbers: Fields) -> np.ndarray:
-    return np.stack([numbers[f"velocity_{axis}"] for axis in "xyz"], axis=-1)
-
-
-UPWARDS = np.array([1.0, 1.0, -1.0])
-OTHER_FRAMES: dict[str, Callable[[Fields], np.ndarray]] = {
-    "z upwards": lambda numbers: _ned(numbers) * UPWARDS,
-    "north, east and down, not turned by the wander angle": _along_ned,
-    "north, east and up, not turned by the wander angle": lambda numbers: _along_ned(numbers) * UPWARDS,
-    "east, north and up": lambda numbers: _along_ned(numbers)[:, [1, 0, 2]] * UPWARDS,
-    "turned by the wander angle the other way": lambda numbers: _ned(numbers, -1.0),
-}
-
-
-def _displacement(before: Fields, after: Fields) -> np.ndarray:
-    """From one place to a near one, north-east-down in m (n, 3)."""
-    lat, height = (0.5 * (before[name] + after[name]) for name in ("lat", "height"))
-    w2 = 1.0 - WGS84.e2 * np.sin(lat) ** 2
-    meridian, vertical = WGS84.a * (1.0 - WGS84.e2) / w2**1.5, WGS84.a / np.sqrt(w2)
-    north = (meridian + height) * (after["lat"] - before["lat"])
-    east = (vertical + height) * np.cos(lat) * _wrapped(after["lon"] - before["lon"])
-    return np.stack([north, east, before["height"] - after["height"]], axis=-1)
-
-
 def _heights(path: str, lat: np.ndarray, lon: np.ndarray, height: np.ndarray, datum: str | float) -> np.ndarray:
     try:
         return ellipsoidal_heights(np.rad2deg(lon), np.rad2deg(lat), height, datum)
@@ -393,43 +225,6 @@ def _heights(path: str, lat: np.ndarray, lon: np.ndarray, height: np.ndarray, da
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except ValueError as error:  # the datum's grid does not reach
         raise TableError(f"{path}: {error}") from error
-
-
-def _errors_at(path: str | os.PathLike[str], of: str, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(position north, east, down in m (n, 3), heading, pitch, roll in rad (n, 3)) of a file of errors at times."""
-    path = os.fspath(path)
-    records = _mapped(path, "smrmsg", ERROR_FIELDS)
-    clock, _ = _clock(path, records)
-    interval = float(np.median(np.diff(clock))) if len(clock) > 1 else 0.0
-    if times[0] < clock[0] - interval or times[-1] > clock[-1] + interval:  # it may begin on the next full second
-        raise TableError(
-            f"{path}: it covers {clock[0]:.9g} to {clock[-1]:.9g} s, but the records of {of} that are read "
-            f"{times[0]:.9g} to {times[-1]:.9g} s. Do the two files belong together?"
-        )
-    first = max(int(np.searchsorted(clock, times[0], side="right")) - 1, 0)
-    last = min(int(np.searchsorted(clock, times[-1], side="left")) + 1, len(clock))
-    gaps = np.diff(clock[first:last]) > GAP * interval
-    if np.any(gaps):
-        number = first + int(np.argmax(gaps))
-        raise TableError(
-            f"{path}, records {number} and {number + 1}: nothing from {clock[number]:.9g} to {clock[number + 1]:.9g} "
-            f"s; read the parts before and after with between=."
-        )
-    values: dict[str, np.ndarray] = {}
-    for name in ("north", "east", "down", "heading", "pitch", "roll"):
-        unit = "m" if name in ("north", "east", "down") else "arc minutes"
-        column = np.array(records[first:last, ERROR_FIELDS.index(name)])
-        fine = (column > 0.0) & (column <= LARGEST_ERRORS[unit])
-        if not np.all(fine):
-            row = int(np.argmin(fine))
-            raise TableError(
-                f"{path}, record {first + row}: the error of {name} is {column[row]:.9g} {unit}; expected a standard "
-                f"deviation above 0, up to {LARGEST_ERRORS[unit]:g}. Is it the smrmsg file?"
-            )
-        values[name] = np.interp(times, clock[first:last], column)
-    position = np.stack([values[name] for name in ("north", "east", "down")], axis=-1)
-    attitude = np.stack([values[name] for name in ("heading", "pitch", "roll")], axis=-1)
-    return position, attitude * ARC_MINUTE
 
 
 def _sources(position: np.ndarray, attitude: np.ndarray) -> tuple[Position, Attitude]:
@@ -466,8 +261,3 @@ def _facts(clock: np.ndarray, picked: np.ndarray) -> dict[str, str]:
     if len(picked) < len(clock):
         facts["read"] = f"{len(picked)} records, {clock[picked[0]]:.3f} to {clock[picked[-1]]:.3f} s"
     return facts
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    """An angle in rad brought into [-pi, pi]."""
-    return angle - TURN * np.round(angle / TURN)
