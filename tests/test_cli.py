@@ -185,13 +185,14 @@ def test_wrong_scene(tmp_path: pathlib.Path) -> None:
     "arguments, words",
     [
         (["--dem", DEM, "--pixel", "1;2"], ["'1;2'", "COLUMN,ROW"]),
-        (["--dem", DEM], ["--pixel", "--shots"]),
+        (["--pixel", "1,2"], ["--dem", "--ground"]),
+        (["--dem", DEM, "--pixel", "1,2", "--shots", "shots.csv"], ["--pixel", "--shots"]),
         (["--dem", "nowhere.tif", "--pixel", "1,2"], ["nowhere.tif"]),
         (["--dem", DEM, "--pixel", "1,2", "--vertical-datum", "EPSG:999999"], ["EPSG:999999", "ellipsoid"]),
         (["--dem", DEM, "--shots", "nowhere.csv"], ["nowhere.csv"]),
         (["--dem", DEM, "--pixel", "1,2", "--output", "no/such/folder/x.csv"], ["no/such/folder"]),
     ],
-    ids=["pixel", "nothing asked", "dem", "datum", "shots", "output"],
+    ids=["pixel", "no ground", "both", "dem", "datum", "shots", "output"],
 )
 def test_wrong_options(arguments: list[str], words: list[str]) -> None:
     assert_refused(run("locate", "--scene", scene_file(), *arguments), *words)
@@ -209,7 +210,7 @@ WRONG_PLACES = [
     (".", "this is a folder"),
     ("nowhere/x.csv", "there is no folder nowhere"),
     ("nowhere/x.png", "there is no folder nowhere"),
-    ("fixes.gpkg", "the ending .gpkg is not one that is known"),
+    ("fixes.xyz", "the ending .xyz is not one that is known"),
     ("fixes.txt", "the ending .txt is not one that is known"),
     ("fixes", "the name has no ending"),
     ("x" * 300 + ".csv", "it cannot be written: File name too long"),

@@ -8,16 +8,23 @@ import os
 import pathlib
 import secrets
 import shutil
-import tomllib
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import (
+    DEM_SIGMA,
+    attitude_errors,
+    checked_sigma,
+    focal_errors,
+    gimbal_errors,
+    pixel_pitch_of,
+    position_errors,
+)
 from jaxgeo.cli._inputs import numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
-DEM_SIGMA = 5.0  # m, where nobody says how the heights err
 DEM_CORRELATION = 500.0  # m, where nobody says over which distance they err alike
 LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
 PICTURED = 1024  # cells along a side of what a picture shows, at most
@@ -52,17 +59,11 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
     from jaxgeo.register import TieErrors
     from jaxgeo.uncertainty import sources
 
-    north, east, down = sigmas_in("--position-sigma", sigmas.position, 3, "one number in m, or NORTH,EAST,DOWN")
-    heading, pitch, roll = sigmas_in("--attitude-sigma", sigmas.attitude, 3, "one number in deg, or HEADING,PITCH,ROLL")
-    found: list[Any] = [
-        sources.Position.from_ned(north=north, east=east, down=down),
-        sources.Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll),
-    ]
+    found: list[Any] = [position_errors(sigmas.position), attitude_errors(sigmas.attitude)]
     if sigmas.gimbal is not None:
-        found.append(_gimbal(sigmas.gimbal, scene, scene_path))
+        found.append(gimbal_errors(sigmas.gimbal, scene.sensor.gimbal, scene_path))
     if sigmas.focal is not None:
-        focal, column, row = _focal(sigmas.focal, scene_path)
-        found.append(sources.InteriorOrientation.from_pixels(focal=focal, principal_column=column, principal_row=row))
+        found.append(focal_errors(sigmas.focal, scene_path, pixel_pitch_of(scene_path)))
     assumed = []
     if sigmas.reference is None:
         assumed.append(f"the reference lies within {cell:.3g} m, one of its cells, of the truth (--reference-sigma)")
@@ -70,11 +71,11 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
         assumed.append(f"heights of the elevation model err by {DEM_SIGMA:g} m (--dem-sigma)")
     if sigmas.dem_correlation is None and sigmas.dem != 0.0:
         assumed.append(f"they err alike over some {DEM_CORRELATION:g} m (--dem-correlation)")
-    shift = _positive("--reference-sigma", cell if sigmas.reference is None else sigmas.reference)
-    terrain = _positive("--dem-sigma", DEM_SIGMA if sigmas.dem is None else sigmas.dem)
-    registration = _positive("--registration-sigma", sigmas.registration)
+    shift = checked_sigma("--reference-sigma", cell if sigmas.reference is None else sigmas.reference)
+    terrain = checked_sigma("--dem-sigma", DEM_SIGMA if sigmas.dem is None else sigmas.dem)
+    registration = checked_sigma("--registration-sigma", sigmas.registration)
     length = DEM_CORRELATION if sigmas.dem_correlation is None else sigmas.dem_correlation
-    length = _positive("--dem-correlation", length, "a distance")
+    length = checked_sigma("--dem-correlation", length, "a distance")
     half = terrain / math.sqrt(2.0)  # of the variance: one part common to all heights, the other alike over the length
     if half > 0.0:
         found.append(sources.TerrainHeight.from_metres(half))
@@ -85,48 +86,6 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
     elif half > 0.0:
         ties = TieErrors(registration=registration, terrain=half, shift=shift)
     return Errors(tuple(found), ties, half, assumed)
-
-
-def sigmas_in(option: str, text: str, count: int, form: str) -> list[float]:
-    """Standard deviations with commas between, or one for all. Raises `UserError`."""
-    found = [_positive(option, one) for one in numbers_in(option, text, (1, count), form)]
-    found = found * count if len(found) == 1 else found
-    if not any(found):
-        raise UserError(f"{option} {text}: nothing errs by nothing at all; give standard deviations above zero.")
-    return found
-
-
-def _positive(option: str, value: float, what: str = "a standard deviation") -> float:
-    if not 0.0 <= value < math.inf:
-        raise UserError(f"{option} {value:g}: {what} is zero or more, and finite.")
-    return value
-
-
-def _gimbal(text: str, scene: Any, path: pathlib.Path) -> Any:
-    from jaxgeo.uncertainty import sources
-
-    names = scene.sensor.gimbal.names
-    if not names:
-        raise UserError(f"--gimbal-sigma {text}: the gimbal of {path} is fixed and has no readings that could err.")
-    form = f"one number in deg, or {','.join(name.upper() for name in names)}"
-    values = sigmas_in("--gimbal-sigma", text, len(names), form)
-    axes: dict[str, Any] = dict(zip(names, values, strict=True))
-    return sources.GimbalAngles.from_degrees(**axes)
-
-
-def _focal(text: str, path: pathlib.Path) -> list[float]:
-    """Standard deviations in px of focal length, principal column and row."""
-    form = "a length with its unit, 5px or 0.05mm, or three: FOCAL,COLUMN,ROW with the unit behind, 5,2,2px"
-    unit = text.strip()[-2:]
-    if unit not in ("px", "mm"):
-        raise UserError(f"--focal-sigma {text!r}: expected {form}.")
-    values = sigmas_in("--focal-sigma", text.strip()[:-2], 3, form)
-    if unit == "px":
-        return values
-    pitch = tomllib.loads(path.read_text(encoding="utf-8-sig"))["camera"].get("pixel_pitch_um")
-    if pitch is None:
-        raise UserError(f"--focal-sigma {text}: the camera of {path} is given in pixels; so give this in px.")
-    return [value / (1e-3 * pitch) for value in values]
 
 
 def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:

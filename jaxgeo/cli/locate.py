@@ -1,8 +1,7 @@
-"""`jaxgeo locate`: the ground points that pixels see."""
+"""`jaxgeo locate`: the ground points that pixels see, and how sure they are."""
 
 from __future__ import annotations
 
-import functools
 import pathlib
 from collections.abc import Iterator
 from enum import StrEnum
@@ -11,17 +10,62 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo._destination import destination, is_device
-from jaxgeo.cli._common import Traceback, UserError, mistakes_told, name_says
-from jaxgeo.cli._inputs import height_datum_of, read_terrain, shot_of
-from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
-from jaxgeo.cli._screen import fix_table, print_counts, progress_bar
+from jaxgeo._destination import check_no_input, check_place, destination, is_device
+from jaxgeo.cli._acquisitions import (
+    CameraName,
+    InteriorFile,
+    KeepDamaged,
+    SbetErrors,
+    SourceCrs,
+    SourceDatum,
+    Stream,
+    TakeoffHeight,
+    Upright,
+    VideoSize,
+    how_to_read,
+)
+from jaxgeo.cli._common import Traceback as Debug
+from jaxgeo.cli._common import UserError, compile_quickly, mistakes_told, name_says
+from jaxgeo.cli._errors import (
+    AttitudeSigma,
+    DemCorrelation,
+    DemSigma,
+    FocalSigma,
+    GimbalSigma,
+    PositionSigma,
+    Sigmas,
+)
+from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, located, where_from
+from jaxgeo.cli._options import VerticalDatum
+from jaxgeo.cli._question import (
+    Asked,
+    Exposures,
+    Ground,
+    GroundDem,
+    Pixels,
+    Question,
+    Refraction,
+    SceneOption,
+    Source,
+    TableOfShots,
+    read_question,
+)
+from jaxgeo.cli._screen import print_counts, tell
 
-CHUNKS = (16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def print_json(command: str, content: Any) -> None:
+    import json
+
+    typer.echo(json.dumps({"command": command, **content}, indent=1))
+
+
+ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 
 
 class Format(StrEnum):
-    """How fixes are written."""
+    """How fixes are written to the screen, a pipe, or a file of any name."""
 
     table = "table"
     csv = "csv"
@@ -29,150 +73,242 @@ class Format(StrEnum):
 
 
 def locate_command(
-    scene: SceneFile,
-    dem: DemFiles,
-    pixel: Annotated[list[str] | None, typer.Option(help="COLUMN,ROW of a pixel; repeat it for more.")] = None,
-    shots: Annotated[pathlib.Path | None, typer.Option(help="CSV with a shot and a pixel in each row.")] = None,
+    file: Source = None,
+    scene: SceneOption = None,
+    shots: TableOfShots = None,
+    pixel: Pixels = None,
+    exposure: Exposures = None,
+    dem: GroundDem = None,
     vertical_datum: VerticalDatum = None,
+    ground: Ground = None,
+    accuracy: Annotated[
+        bool | None,
+        typer.Option(
+            "--accuracy/--no-accuracy",
+            help="How sure each fix is; by default where it is known how a FILE or a scene errs, but not for --shots.",
+            show_default=False,
+        ),
+    ] = None,
+    probability: Annotated[float, typer.Option(help="Of the truth to lie within the radii that are given.")] = 0.9,
+    position_sigma: PositionSigma = None,
+    attitude_sigma: AttitudeSigma = None,
+    gimbal_sigma: GimbalSigma = None,
+    focal_sigma: FocalSigma = None,
+    dem_sigma: DemSigma = None,
+    dem_correlation: DemCorrelation = None,
+    refraction: Refraction = False,
+    height_datum: SourceDatum = None,
+    takeoff_height: TakeoffHeight = None,
+    source_crs: SourceCrs = None,
+    camera: CameraName = None,
+    image_size: VideoSize = None,
+    upright: Upright = False,
+    keep_damaged: KeepDamaged = False,
+    stream: Stream = None,
+    errors: SbetErrors = None,
+    interior: InteriorFile = None,
+    output: Annotated[
+        pathlib.Path | None,
+        typer.Option("--output", "-o", help=f"File to write ({', '.join(ENDINGS)}); the screen if left out."),
+    ] = None,
     output_format: Annotated[
         Format | None,
-        typer.Option("--format", help="Default: by the name of --output; on the screen table, or csv for shots."),
+        typer.Option("--format", help="On the screen: table, or csv for --shots, if left out.", show_default=False),
     ] = None,
-    output: Annotated[
-        pathlib.Path | None, typer.Option(help="File to write (.csv, .geojson, .json); the screen if left out.")
+    crs: Annotated[str, typer.Option(help='Map of the --output: "EPSG:4326", "EPSG:32616", ...')] = "EPSG:4326",
+    heights: Annotated[
+        str | None, typer.Option(help='Heights of the --output are above: "ellipsoid", "EPSG:5773", ...')
     ] = None,
-    traceback: Traceback = False,
+    mgrs: Annotated[bool, typer.Option("--mgrs", help="With --output: squares of the Military Grid as well.")] = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
-    """The ground points that pixels see, one row for each pixel, whatever became of it."""
-    with mistakes_told(traceback), destination("--output", output) as stream:
-        chosen = _chosen_format(output_format, output, shots)
-        _locate(scene, dem, pixel or [], shots, vertical_datum, chosen, stream)
+    """The ground points that pixels see, and how sure they are: a row for each pixel, whatever became of it."""
+    with mistakes_told(debug):
+        how = how_to_read(
+            height_datum,
+            takeoff_height,
+            source_crs,
+            camera,
+            image_size,
+            (upright, keep_damaged, stream),
+            errors,
+            interior,
+        )
+        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        asked = Asked(
+            file,
+            scene,
+            shots,
+            pixel or [],
+            exposure or [],
+            dem or [],
+            ground,
+            vertical_datum,
+            refraction,
+            how,
+            sigmas,
+        )
+        if not 0.0 < probability < 1.0:
+            raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
+        if accuracy is False and sigmas.are_given:
+            raise UserError("--no-accuracy: standard deviations (--...-sigma) say how sure fixes are; leave one out.")
+        is_file = _is_file(output, output_format)
+        if not is_file and (crs != "EPSG:4326" or heights is not None or mgrs):
+            raise UserError(f"--crs, --heights and --mgrs go with --output FILE ({', '.join(ENDINGS)}).")
+        _locate(asked, accuracy, probability, (output, is_file, output_format), (crs, heights, mgrs), as_json)
+
+
+def _is_file(output: pathlib.Path | None, asked: Format | None) -> bool:
+    """Whether the output is a file whose name says how it is written."""
+    if output is None or is_device(output):
+        return False
+    check_place("--output", output)
+    if asked is None and output.suffix.lower() not in ENDINGS:
+        raise UserError(
+            f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(ENDINGS)}, or say --format "
+            f"table, csv or geojson."
+        )
+    return asked is None
+
+
+def _format(output: pathlib.Path | None, asked: Format | None, shots: pathlib.Path | None) -> Format:
+    """How rows are written to the screen, or a pipe, whose name may say it."""
+    by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
+    usual = Format.table if shots is None else Format.csv
+    return asked or (usual if output is None else by_name.get(output.suffix.lower(), usual))
 
 
 def _locate(
-    scene_path: pathlib.Path,
-    dem_paths: list[pathlib.Path],
-    pixels: list[str],
-    shots_path: pathlib.Path | None,
-    vertical_datum: str | None,
-    output_format: Format,
-    stream: Any,
+    asked: Asked,
+    accuracy: bool | None,
+    probability: float,
+    where: tuple[pathlib.Path | None, bool, Format | None],
+    drawn: tuple[str, str | None, bool],
+    as_json: bool,
 ) -> None:
-    if bool(pixels) == (shots_path is not None):
-        raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
     from jaxgeo._checks import enable_x64
-    from jaxgeo.io.scene import read_scene
 
-    enable_x64()
-    scene = read_scene(scene_path)
-    work = (
-        _work_of_pixels(scene, scene_path, pixels)
-        if shots_path is None
-        else _work_of_shots(scene, scene_path, shots_path)
-    )
-    terrain = read_terrain(dem_paths, vertical_datum)
-    _write_rows(_located_rows(scene, *work, terrain), scene.sensor.gimbal.names, output_format, stream)
+    output, is_file, output_format = where
+    if is_file or as_json:
+        compile_quickly()
+        enable_x64()
+        question = _read(asked, accuracy, output)
+        found = located(question, probability)
+        _finish(question, found, probability, output if is_file else None, drawn, as_json)
+        return
+    with destination("--output", output) as stream:
+        compile_quickly()
+        enable_x64()
+        question = _read(asked, accuracy, output)
+        chosen = _format(output, output_format, asked.shots)
+        if chosen is Format.table or question.errors is not None:
+            found = located(question, probability)
+            rows = found.rows("--output", question)
+            _count(rows)
+        else:
+            found, rows = None, _rows(question)
+        _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
+    if found is not None:
+        _leave_without_a_fix(question, found)
 
 
-def _write_rows(rows: Iterator[dict[str, Any]], readings: tuple[str, ...], output_format: Format, stream: Any) -> None:
+def _read(asked: Asked, accuracy: bool | None, output: pathlib.Path | None) -> Question:
+    question = read_question(asked, with_errors=accuracy)
+    if output is not None:
+        check_no_input("--output", [output], question.reads)
+    for one in question.assumed:
+        tell(f"assumed: {one}")
+    return question
+
+
+def _finish(
+    question: Question,
+    found: Located,
+    probability: float,
+    output: pathlib.Path | None,
+    drawn: tuple[str, str | None, bool],
+    as_json: bool,
+) -> None:
+    """The file, then the screen."""
+    rows = found.rows("locate", question)
+    if output is not None:
+        from jaxgeo.io import write_fixes
+
+        crs, heights, mgrs = drawn
+        carried = _typed(question)
+        level = probability if found.accuracy is not None else None
+        write_fixes(
+            output,
+            found.fixes,
+            accuracy=found.accuracy,
+            probability=level,
+            crs=crs,
+            heights=heights,
+            attributes=carried,
+            mgrs=mgrs,
+        )
+    _count(rows)
+    if as_json:
+        print_json("locate", {"inputs": question.inputs, "assumed": question.assumed, "fixes": rows})
+    _leave_without_a_fix(question, found)
+
+
+def _typed(question: Question) -> list[dict[str, Any]]:
+    """What is carried through; numbers of a table of shots as numbers, NaN as unknown."""
+    from jaxgeo.io.tables import number_columns
+
+    numbers = number_columns(question.readings)
+    return [
+        {name: _number(value) if name in numbers else value for name, value in row.items()} for row in question.carried
+    ]
+
+
+def _number(value: Any) -> float | None:
+    import math
+
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def _rows(question: Question) -> Iterator[dict[str, Any]]:
+    """Rows of fixes alone, as they are computed; the count of statuses goes to stderr."""
+    from jaxgeo.io import height_msl
+    from jaxgeo.io.tables import fix_rows
+
+    counts: dict[str, int] = {}
+    for start, fixes in fixes_in_parts(question):
+        for i, row in enumerate(fix_rows(fixes, height_msl(fixes)), start):
+            counts[row["status"]] = counts.get(row["status"], 0) + 1
+            yield {**question.carried[i], **row}
+    print_counts(counts, len(question.carried))
+
+
+def _count(rows: list[dict[str, Any]]) -> None:
+    names = [row["status"] for row in rows]
+    print_counts({name: names.count(name) for name in names}, len(names))
+
+
+def _write_rows(rows: Any, question: Question, probability: float | None, output_format: Format, stream: Any) -> None:
     from jaxgeo.io.tables import number_columns, write_csv, write_geojson
 
     if output_format is Format.csv:
         write_csv(rows, stream)
     elif output_format is Format.geojson:
-        write_geojson(rows, stream, number_columns(readings))
+        write_geojson(rows, stream, number_columns(question.readings))
     else:
-        table = fix_table(list(rows))
-        Console(file=stream, width=None if stream.isatty() else 160).print(table)
+        console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
+        console.print(fixes_table(rows, probability, console.width))
+        if len(rows) == 1 and rows[0].get("accuracy_text"):
+            console.print(rows[0]["accuracy_text"], markup=False, soft_wrap=True)
 
 
-def _work_of_pixels(scene: Any, path: pathlib.Path, pixels: list[str]) -> tuple[Any, Any, list[dict[str, Any]]]:
-    """(shots, pixels, rows to carry through) of one shot and pixels from the command line."""
-    import jax
+def _leave_without_a_fix(question: Question, found: Located) -> None:
+    """Exit with 1 where no pixel at all has a fix."""
     import numpy as np
 
-    shot = shot_of(scene, path, "--pixel")
-    uv = np.array([_parsed_pixel(text) for text in pixels])
-    shots = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(uv), *np.shape(leaf))), shot)
-    return shots, uv, [{"u": float(u), "v": float(v)} for u, v in uv]
-
-
-def _parsed_pixel(text: str) -> tuple[float, float]:
-    try:
-        u, v = (float(part) for part in text.split(","))
-    except ValueError:
-        raise UserError(f"--pixel {text!r}: expected COLUMN,ROW, two numbers, e.g. --pixel 100,200.") from None
-    return u, v
-
-
-def _work_of_shots(scene: Any, path: pathlib.Path, shots_path: pathlib.Path) -> tuple[Any, Any, list[dict[str, Any]]]:
-    """(shots, pixels, rows to carry through) of a table of shots."""
-    from jaxgeo.io.scene import SceneError
-    from jaxgeo.io.tables import read_shots
-
-    height_datum = height_datum_of(scene, path, shots_path)
-    table = read_shots(shots_path, scene.sensor.gimbal.names)
-    try:
-        return (*table.as_records(scene.sensor.gimbal.names, height_datum), table.rows)
-    except ValueError as error:  # the datum's grid does not reach a shot
-        raise SceneError(f"{path}, with the heights of {shots_path}: {error}") from error
-
-
-def _located_rows(
-    scene: Any, shots: Any, uv: Any, carried: list[dict[str, Any]], terrain: Any
-) -> Iterator[dict[str, Any]]:
-    """A row for each pixel, in chunks of one size; a progress bar and the count of statuses go to stderr."""
-    import numpy as np
-
-    from jaxgeo.io import height_msl
-    from jaxgeo.io.tables import fix_rows
-
-    total = len(carried)
-    size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
-    located = _batched_locate()
-    counts: dict[str, int] = {}
-    with progress_bar() as progress:
-        task = progress.add_task("locating", total=total)
-        for start in range(0, total, size):
-            here = np.minimum(np.arange(start, start + size), total - 1)
-            fix = located(scene.sensor, _taken(shots, here), uv[here], terrain, scene.atmosphere)
-            fix = _taken(fix, np.arange(min(size, total - start)))
-            for i, row in enumerate(fix_rows(fix, height_msl(fix)), start):
-                counts[row["status"]] = counts.get(row["status"], 0) + 1
-                yield {**carried[i], **row}
-            progress.update(task, completed=min(start + size, total))
-    print_counts(counts, total)
-
-
-@functools.cache
-def _batched_locate() -> Any:
-    import jax
-
-    from jaxgeo.locate import locate
-
-    def through_the_air(sensor: Any, shot: Any, uv: Any, terrain: Any, atmosphere: Any) -> Any:
-        return locate(sensor, shot, uv, terrain, atmosphere=atmosphere)
-
-    return jax.jit(jax.vmap(through_the_air, in_axes=(None, 0, 0, None, None)))
-
-
-def _taken(tree: Any, index: Any) -> Any:
-    """Items of every leaf, as NumPy arrays."""
-    import jax
-    import numpy as np
-
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree)
-
-
-def _chosen_format(asked: Format | None, output: pathlib.Path | None, shots: pathlib.Path | None) -> Format:
-    if asked is not None:
-        return asked
-    by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
-    if output is not None and output.suffix.lower() in by_name:
-        return by_name[output.suffix.lower()]
-    if output is None or is_device(output):
-        return Format.table if shots is None else Format.csv
-    raise UserError(
-        f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(by_name)}, "
-        f"or say --format table, csv or geojson."
-    )
+    if np.isfinite(np.asarray(found.fixes.slant_range)).any():
+        return
+    why = where_from(question)
+    tell("no pixel has a fix" + (f": {why}." if why else "."))
+    raise typer.Exit(1)

@@ -14,7 +14,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.geoid import height_msl
 from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, Trust
+from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, AccuracyOfEach, Trust
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
 
@@ -60,6 +60,8 @@ def figures_of(
     told = _unknown(count, USUAL if probability is None else probability)
     if isinstance(accuracy, AccuracyMap):
         told = _of_map(name, fixes, accuracy, probability)
+    elif isinstance(accuracy, AccuracyOfEach):
+        told = _of_batch(name, fixes, accuracy, probability)
     elif accuracy is not None:
         told = _of_each(name, fixes, accuracy, probability)
     level = float(check_probability(told.probability))
@@ -130,6 +132,29 @@ def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | N
     method = [None if code == NO_FIX else Trust(int(code)).words for code in trust]
     told = _unknown(count, accuracy.probability)
     return told._replace(circular=circular, linear=linear, spherical=spherical, method=method)
+
+
+def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: float | None) -> Figures:
+    """Of a batch; covariances where a propagation is trusted."""
+    count = len(np.asarray(fixes.status))
+    trust = np.asarray(accuracy.trust)
+    if trust.shape != (count,):
+        raise ValueError(f"{name}: accuracy is of a batch of the shape {trust.shape}, fixes of {count}.")
+    _check_probability(name, accuracy.probability, probability)
+    _check_same(name, np.linalg.norm(np.asarray(accuracy.fix.ecef) - np.asarray(fixes.ecef), axis=-1))
+    told = _unknown(count, accuracy.probability)
+    has_fix = trust != NO_FIX
+    figures = (accuracy.circular, accuracy.linear, accuracy.spherical, accuracy.cov_enu, accuracy.bias_enu)
+    circular, linear, spherical, cov, bias = (np.array(x, np.float64) for x in figures)
+    return told._replace(
+        circular=circular,
+        linear=linear,
+        spherical=spherical,
+        cov_enu=cov,
+        bias_enu=bias,
+        method=[Trust(int(code)).words if known else None for code, known in zip(trust, has_fix, strict=True)],
+        because=[accuracy.because(i) for i in range(count)],
+    )
 
 
 def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) -> Figures:

@@ -3,6 +3,7 @@
 from jaxgeo.uncertainty import metrics, presets, sources
 from jaxgeo.uncertainty.accuracy import Accuracy, accuracy
 from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map, accuracy_of_pixels
+from jaxgeo.uncertainty.accuracy_of_each import AccuracyOfEach, accuracy_of_each
 from jaxgeo.uncertainty.assess import NO_FIX, Assessment, assess
 from jaxgeo.uncertainty.budget import Budget, budget
 from jaxgeo.uncertainty.compare import Comparison, compare
@@ -25,6 +26,7 @@ __all__ = [
     "AbstractDraws",
     "Accuracy",
     "AccuracyMap",
+    "AccuracyOfEach",
     "Assessment",
     "Budget",
     "Comparison",
@@ -52,6 +54,7 @@ __all__ = [
     "Trust",
     "accuracy",
     "accuracy_map",
+    "accuracy_of_each",
     "accuracy_of_pixels",
     "assess",
     "budget",

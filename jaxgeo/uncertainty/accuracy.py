@@ -84,7 +84,7 @@ def accuracy(
     aim.require_fix()
     signs, facet, footprint, _ = surveyed(look, aim, model)
     trust = Trust(int(trust_of(signs)))
-    because = _reason(signs, trust)
+    because = reason(signs, trust)
     if trust is Trust.samples:
         key = jax.random.key(0) if key is None else key
         drawn = sampled_at(look, model, search, Sampling(key, count, draws, chunk=chunk), aim)
@@ -97,7 +97,7 @@ def accuracy(
     return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, chosen)
 
 
-def _reason(signs: Signs, trust: Trust) -> str:
+def reason(signs: Signs, trust: Trust) -> str:
     """Why this method and no cheaper one, with the figures that decided."""
     facet, footprint, profile = (float(x) for x in (signs.facet, signs.footprint, signs.profile))
     jumps, fails = 100.0 * float(signs.jumps), 100.0 * float(signs.fails)

@@ -22,7 +22,6 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.places import (
     Place,
@@ -36,6 +35,7 @@ from jaxgeo.uncertainty.places import (
     middles_of_cells,
     on_image,
     placed,
+    requested,
     spread,
     with_samples,
 )
@@ -145,7 +145,7 @@ def accuracy_map(
     memory; no number depends on either. `progress` shows bars. Raises as `accuracy`, but not for lack of a fix.
     """
     world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
-    request = _request(probability, count, key, draws, chunk, search, block)
+    request = requested(probability, count, key, draws, chunk, search, block)
     ground = _cells(terrain, step) if ground is None else ground
     check_is(ground, Geodetic, "ground", "Make one with Geodetic.from_degrees(lat=, lon=, height=0.0).")
     check_latitude(ground, "ground")
@@ -183,7 +183,7 @@ def accuracy_of_pixels(
     if isinstance(shot, Pose):
         raise TypeError("shot must be a Shot, or a Trajectory: from a Pose alone a pixel sees nothing yet.")
     world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
-    request = _request(probability, count, key, draws, chunk, search, block)
+    request = requested(probability, count, key, draws, chunk, search, block)
     pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
     if pixels.shape[-1:] != (2,) or not pixels.size:
         raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
@@ -226,18 +226,6 @@ def _world(
     model = checked_model(errors, some)
     motion = motion.pose if isinstance(shot, Pose) and isinstance(motion, Shot) else motion
     return World(sensor, motion, moment, some.terrain, some.air), model
-
-
-def _request(probability: Any, count: Any, key: Any, draws: Any, chunk: Any, search: Any, block: Any) -> Request:
-    level = check_probability(probability)
-    if jnp.ndim(level) != 0:
-        raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}.")
-    for value, name, least in ((count, "count", 0), (chunk, "chunk", 1), (block, "block", 1)):
-        if not isinstance(value, Integral) or value < least:
-            raise ValueError(f"{name} must be a whole number, {least} or more; got {value!r}.")
-    check_is(draws, AbstractDraws, "draws")
-    key = jax.random.key(0) if key is None else key
-    return Request(level, int(count), key, draws, int(chunk), search, int(block))
 
 
 def _cells(terrain: Any, step: Any) -> Geodetic:

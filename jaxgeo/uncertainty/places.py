@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from numbers import Integral
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._checks import check_is
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
@@ -20,6 +22,7 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import AbstractDraws
 from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Sampling, sampled_at
 from jaxgeo.uncertainty.verdict import Signs, Trust
@@ -76,6 +79,21 @@ class Answers(NamedTuple):
     signs: Signs
 
 
+def requested(
+    probability: Any, count: Any, key: Any, draws: Any, chunk: Any, search: AbstractSearch, block: Any
+) -> Request:
+    """What is asked, checked."""
+    level = check_probability(probability)
+    if jnp.ndim(level) != 0:
+        raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}.")
+    for value, name, least in ((count, "count", 0), (chunk, "chunk", 1), (block, "block", 1)):
+        if not isinstance(value, Integral) or value < least:
+            raise ValueError(f"{name} must be a whole number, {least} or more; got {value!r}.")
+    check_is(draws, AbstractDraws, "draws")
+    key = jax.random.key(0) if key is None else key
+    return Request(level, int(count), key, draws, int(chunk), search, int(block))
+
+
 @eqx.filter_jit
 def placed(lat: Float[Array, " places"], lon: Float[Array, " places"], world: World) -> Place:
     """Places on the ground, and the pixels that see them if nothing hides them."""
@@ -122,7 +140,7 @@ def with_samples(
     sampling = Sampling(request.key, request.count, request.draws, chunk=request.chunk)
     level, rows = float(request.probability), []
     for number in with_bar(index.tolist(), index.size, "sampling", progress):
-        place, aim = _taken((places, aims), jnp.asarray(number))
+        place, aim = taken((places, aims), jnp.asarray(number))
         drawn = sampled_at(world.look(place, request.search), model, request.search, sampling, aim)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         rows.append([*(door(level).value for door in doors), 1.0 - drawn.found / drawn.count])
@@ -144,7 +162,7 @@ def in_parts(lanes: T, size: int, words: str, progress: bool) -> Iterator[T]:
     size = min(size, 1 << (count - 1).bit_length())
     numbers = (jnp.minimum(first + jnp.arange(size), count - 1) for first in range(0, count, size))
     for part in with_bar(numbers, -(-count // size), words, progress):
-        yield _taken(lanes, part)
+        yield taken(lanes, part)
 
 
 @eqx.filter_jit
@@ -157,8 +175,8 @@ def chosen(lanes: T, here: Bool[Array, " lanes"]) -> tuple[Int[Array, " some"], 
     """The lanes for which something is true, and their numbers; if there is none, the first, under no lane's number."""
     index = jnp.flatnonzero(here)
     if not index.size:
-        return jnp.full(1, here.size), _taken(lanes, jnp.zeros(1, int))
-    return index, _taken(lanes, index)
+        return jnp.full(1, here.size), taken(lanes, jnp.zeros(1, int))
+    return index, taken(lanes, index)
 
 
 @eqx.filter_jit
@@ -219,5 +237,5 @@ def ground_at(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geode
 
 
 @eqx.filter_jit
-def _taken(lanes: Any, numbers: Int[Array, "..."]) -> Any:
+def taken(lanes: Any, numbers: Int[Array, "..."]) -> Any:
     return jax.tree.map(lambda leaf: leaf[numbers], lanes)

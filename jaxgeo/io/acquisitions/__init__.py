@@ -10,6 +10,7 @@ from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, 
 from jaxgeo.io.acquisitions.reported import Comparison, compare_reported
 from jaxgeo.io.acquisitions.sbet import SbetRecords, read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
+from jaxgeo.io.acquisitions.usual_errors import with_usual_errors
 
 __all__ = [
     "Acquisition",
@@ -27,4 +28,5 @@ __all__ = [
     "read_orthority_cameras",
     "read_sbet",
     "read_telemetry",
+    "with_usual_errors",
 ]

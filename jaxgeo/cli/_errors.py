@@ -1,0 +1,179 @@
+"""What errs, as it is typed: standard deviations as sources of error."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import tomllib
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._inputs import numbers_in
+
+DEM_SIGMA = 5.0  # m, where nobody says how the heights err
+GROUND_SIGMA = 10.0  # m, of ground that is taken to be level
+
+PositionSigma = Annotated[
+    str | None, typer.Option("--position-sigma", help="How positions err, m: one number, or NORTH,EAST,DOWN.")
+]
+AttitudeSigma = Annotated[
+    str | None, typer.Option("--attitude-sigma", help="How attitudes err, deg: one number, or HEADING,PITCH,ROLL.")
+]
+GimbalSigma = Annotated[
+    str | None, typer.Option("--gimbal-sigma", help="How readings of the gimbal err, deg: one number, or one for each.")
+]
+FocalSigma = Annotated[
+    str | None, typer.Option("--focal-sigma", help="How the focal length errs: 5px or 0.05mm; or FOCAL,COLUMN,ROWpx.")
+]
+DemSigma = Annotated[float | None, typer.Option("--dem-sigma", help="How heights of the ground err, m.")]
+DemCorrelation = Annotated[
+    float | None,
+    typer.Option("--dem-correlation", help="Over this distance, m, they err alike; without it all do."),
+]
+
+
+class Sigmas(NamedTuple):
+    """Standard deviations as they were typed; None where nothing was."""
+
+    position: str | None = None
+    attitude: str | None = None
+    gimbal: str | None = None
+    focal: str | None = None
+    dem: float | None = None
+    dem_correlation: float | None = None
+
+    @property
+    def are_given(self) -> bool:
+        """Whether anything was typed."""
+        return any(one is not None for one in self)
+
+
+def errors_given(
+    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path, pixel_pitch: float | None
+) -> tuple[Any, ...]:
+    """Sources that are stated, with those typed in their place; what was typed as zero does not err.
+
+    `where` is the file they belong to, `pixel_pitch` in mm if that is known. Of the ground there is none in it, but a
+    stated one. Raises `UserError`.
+    """
+    from jaxgeo.uncertainty import sources
+
+    typed: dict[Any, Any] = {}
+    if sigmas.position is not None:
+        typed[sources.Position] = position_errors(sigmas.position, zero=True)
+    if sigmas.attitude is not None:
+        if gimbal.reference == "level":
+            raise UserError(
+                f"--attitude-sigma {sigmas.attitude}: the camera of {where} has its angles against the level and "
+                f"north, so that the aircraft's have no part in a fix; give --gimbal-sigma."
+            )
+        typed[sources.Attitude] = attitude_errors(sigmas.attitude, zero=True)
+    if sigmas.gimbal is not None:
+        typed[sources.GimbalAngles] = gimbal_errors(sigmas.gimbal, gimbal, where, zero=True)
+    if sigmas.focal is not None:
+        typed[sources.InteriorOrientation] = focal_errors(sigmas.focal, where, pixel_pitch, zero=True)
+    kept = [one for one in stated if type(one) not in typed]
+    return (*kept, *(one for one in typed.values() if one is not None))
+
+
+def ground_errors(stated: tuple[Any, ...], sigmas: Sigmas, *, level: bool) -> tuple[tuple[Any, ...], list[str]]:
+    """(sources of the ground's heights, what was assumed), stated ones if nothing else is typed. Raises `UserError`."""
+    from jaxgeo.uncertainty import sources
+
+    own = tuple(one for one in stated if isinstance(one, sources.TerrainHeight | sources.TerrainField))
+    if own and sigmas.dem is None and sigmas.dem_correlation is None:
+        return own, []
+    assumed = []
+    usual = GROUND_SIGMA if level else DEM_SIGMA
+    if sigmas.dem is None:
+        what = "The level of the ground errs" if level else "Heights of the elevation model err"
+        assumed.append(f"{what} by {usual:g} m. (--dem-sigma)")
+    sigma = checked_sigma("--dem-sigma", usual if sigmas.dem is None else sigmas.dem)
+    if sigmas.dem_correlation is None:
+        return ((sources.TerrainHeight.from_metres(sigma),) if sigma else ()), assumed
+    length = checked_sigma("--dem-correlation", sigmas.dem_correlation, "a distance")
+    if level:
+        raise UserError(f"--dem-correlation {length:g}: level ground errs alike everywhere; it goes with --dem.")
+    if not length:
+        raise UserError("--dem-correlation 0: heights err alike over some distance; leave it out for all alike.")
+    field = sources.TerrainField.of_variograms(gaussian=[(sigma, length)])
+    return ((field,) if sigma else ()), assumed
+
+
+def position_errors(text: str, *, zero: bool = False) -> Any:
+    """Errors of the position; None for zero, where that is allowed. Raises `UserError`."""
+    from jaxgeo.uncertainty.sources import Position
+
+    north, east, down = sigmas_in("--position-sigma", text, 3, "one number in m, or NORTH,EAST,DOWN", zero=zero)
+    return Position.from_ned(north=north, east=east, down=down) if north or east or down else None
+
+
+def attitude_errors(text: str, *, zero: bool = False) -> Any:
+    """Errors of the attitude; None for zero, where that is allowed. Raises `UserError`."""
+    from jaxgeo.uncertainty.sources import Attitude
+
+    form = "one number in deg, or HEADING,PITCH,ROLL"
+    heading, pitch, roll = sigmas_in("--attitude-sigma", text, 3, form, zero=zero)
+    return Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll) if heading or pitch or roll else None
+
+
+def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = False) -> Any:
+    """Errors of a gimbal's readings; None for zero, where that is allowed. Raises `UserError`."""
+    from jaxgeo.uncertainty.sources import GimbalAngles
+
+    names = gimbal.names
+    if not names:
+        raise UserError(f"--gimbal-sigma {text}: the gimbal of {where} is fixed and has no readings that could err.")
+    form = f"one number in deg, or {','.join(name.upper() for name in names)}"
+    values = sigmas_in("--gimbal-sigma", text, len(names), form, zero=zero)
+    axes: dict[str, Any] = dict(zip(names, values, strict=True))
+    return GimbalAngles.from_degrees(**axes) if any(values) else None
+
+
+def focal_errors(text: str, where: pathlib.Path, pixel_pitch: float | None, *, zero: bool = False) -> Any:
+    """Errors of focal length, principal column and row; None for zero, where that is allowed. Raises `UserError`.
+
+    `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said.
+    """
+    from jaxgeo.uncertainty.sources import InteriorOrientation
+
+    form = "a length with its unit, 5px or 0.05mm, or three: FOCAL,COLUMN,ROW with the unit behind, 5,2,2px"
+    unit = text.strip()[-2:]
+    if unit not in ("px", "mm"):
+        raise UserError(f"--focal-sigma {text!r}: expected {form}.")
+    values = sigmas_in("--focal-sigma", text.strip()[:-2], 3, form, zero=zero)
+    if unit == "mm":
+        if pixel_pitch is None:
+            raise UserError(f"--focal-sigma {text}: the camera of {where} is given in pixels; so give this in px.")
+        values = [value / pixel_pitch for value in values]
+    focal, column, row = values
+    if not any(values):
+        return None
+    return InteriorOrientation.from_pixels(focal=focal, principal_column=column, principal_row=row)
+
+
+def pixel_pitch_of(scene: pathlib.Path) -> float | None:
+    """Size of a pixel in mm, as a scene file says it."""
+    pitch = tomllib.loads(scene.read_text(encoding="utf-8-sig"))["camera"].get("pixel_pitch_um")
+    return None if pitch is None else 1e-3 * pitch
+
+
+def sigmas_in(option: str, text: str, count: int, form: str, *, zero: bool = False) -> list[float]:
+    """Standard deviations with commas between, or one for all; all of them zero only if that is allowed.
+
+    Raises `UserError`.
+    """
+    found = [checked_sigma(option, one) for one in numbers_in(option, text, (1, count), form)]
+    found = found * count if len(found) == 1 else found
+    if not any(found) and not zero:
+        raise UserError(f"{option} {text}: nothing errs by nothing at all; give standard deviations above zero.")
+    return found
+
+
+def checked_sigma(option: str, value: float, what: str = "a standard deviation") -> float:
+    """A number that may be one. Raises `UserError`."""
+    if not 0.0 <= value < math.inf:
+        raise UserError(f"{option} {value:g}: {what} is zero or more, and finite.")
+    return value

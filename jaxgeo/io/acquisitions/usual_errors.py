@@ -1,0 +1,57 @@
+"""Errors where a file does not state them: usual ones of such equipment, each told in a sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from jaxgeo.io.acquisitions.record import Acquisition, for_each
+from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, Position
+
+POSITION = (3.0, 3.0, 5.0)  # m north, east, down: a GNSS receiver without corrections
+ATTITUDE = (0.3, 0.1, 0.1)  # deg heading, pitch, roll: a small inertial system
+READINGS = 0.1  # deg: encoders of a gimbal on such a system
+LEVEL = {"yaw": 1.0}  # deg, of a gimbal against the level and north, as drones have: its yaw hangs on a compass
+LEVEL_ELSE = 0.5  # deg: its other angles
+
+
+def with_usual_errors(found: Acquisition) -> Acquisition:
+    """The exposures, with usual errors in place of those of position, attitude and gimbal that the file does not state.
+
+    Each is told in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down) of the
+    position; of a gimbal against the level, 1 deg of yaw and 0.5 deg of the rest; else 0.3, 0.1 and 0.1 deg of heading,
+    pitch and roll, and 0.1 deg of each reading of a gimbal. A file that states errors of angles is believed about all.
+    """
+    made = usual_errors_of(found)
+    added = tuple(for_each(source, len(found)) for source, _ in made)
+    told = (*found.assumed, *(sentence for _, sentence in made))
+    return dataclasses.replace(found, sources=(*found.sources, *added), assumed=told)
+
+
+def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
+    """What `with_usual_errors` adds: sources, for all exposures alike, each with its sentence."""
+    stated = [type(source) for source in found.sources]
+    made = [] if Position in stated else [_position()]
+    return made if Attitude in stated or GimbalAngles in stated else [*made, *_angles(found)]
+
+
+def _position() -> tuple[AbstractSource, str]:
+    north, east, down = POSITION
+    told = f"Positions err by {north:g}, {east:g}, {down:g} m (standard deviations north, east, down)."
+    return Position.from_ned(north=north, east=east, down=down), told
+
+
+def _angles(found: Acquisition) -> list[tuple[AbstractSource, str]]:
+    gimbal = None if found.sensor is None else found.sensor.gimbal
+    is_level = gimbal is not None and gimbal.reference == "level"
+    made: list[tuple[AbstractSource, str]] = []
+    if not is_level:
+        heading, pitch, roll = ATTITUDE
+        told = f"Attitudes err by {heading:g}, {pitch:g}, {roll:g} deg (heading, pitch, roll)."
+        made.append((Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll), told))
+    if gimbal is not None and gimbal.names:
+        sigma: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) if is_level else READINGS for name in gimbal.names}
+        figures = ", ".join(f"{value:g}" for value in sigma.values())
+        told = f"Angles of the gimbal err by {figures} deg ({', '.join(sigma)})."
+        made.append((GimbalAngles.from_degrees(**sigma), told))
+    return made

@@ -1,0 +1,207 @@
+"""How sure the fixes of many exposures are: `accuracy` along a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxgeo._checks import as_array, as_float64
+from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, ScalarField, Vector3Field
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import FIRST_HIT
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.accuracy import reason
+from jaxgeo.uncertainty.assess import Judged, judged, linear_figures
+from jaxgeo.uncertainty.draws import AbstractDraws, Random
+from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.places import Request, in_parts, joined, requested, taken, with_bar
+from jaxgeo.uncertainty.sampled import CHUNK, Sampling, sampled_at
+from jaxgeo.uncertainty.verdict import Signs, Trust
+
+BLOCK = 128  # fixes judged at once
+SAMPLES = 20_000
+RANDOM = Random()
+NAMES = ("sensor", "shot", "uv", "terrain", "errors")
+
+
+class AccuracyOfEach(eqx.Module):
+    """How sure n fixes are: radii in m about each that hold the truth with a `probability`; all arrays have length n.
+
+    `circular`, `linear`, `spherical` as in `Accuracy`, by the method that `trust` names (codes of `Trust`): infinite
+    where too many samples leave no fix, NaN where samples are needed but were not drawn (`count` 0), and where there is
+    no fix: `trust` is `NO_FIX`, -1, and `fix.status` says why. `cov_enu` (n, 3, 3) in m² and `bias_enu` (n, 3) in m,
+    east, north, up, are those of the linear propagation, NaN where none is trusted. `signs` are what was looked at.
+    """
+
+    fix: Fix
+    probability: float
+    circular: ScalarField
+    linear: ScalarField
+    spherical: ScalarField
+    trust: IndexField
+    cov_enu: Matrix3Field
+    bias_enu: Vector3Field
+    signs: Signs
+    count: int
+
+    def because(self, index: int) -> str | None:
+        """Why this method and no cheaper one for one of them, in words; None where there is no fix."""
+        code = int(np.asarray(self.trust)[index])
+        if code < 0:
+            return None
+        return reason(jax.tree.map(lambda sign: np.asarray(sign)[index], self.signs), Trust(code))
+
+
+def accuracy_of_each(
+    sensor: Sensor,
+    shot: Shot,
+    uv: ArrayLike | Sequence[Any],
+    terrain: AbstractTerrain,
+    errors: ErrorModel | Any,
+    *,
+    in_axes: tuple[int | None, ...] = (None, 0, 0, None, None),
+    probability: float = 0.9,
+    count: int = SAMPLES,
+    key: Any = None,
+    draws: AbstractDraws = RANDOM,
+    chunk: int = CHUNK,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Atmosphere | None = None,
+    block: int = BLOCK,
+    progress: bool = False,
+) -> AccuracyOfEach:
+    """What `accuracy` says of each of many exposures, `block` of them at a time, which bounds the memory.
+
+    `in_axes`, as for `jax.vmap`, tells which of the five arguments are batches, 0, and which are one for all, None: by
+    default n shots, each with its pixel in `uv` (n, 2). Where samples are needed, `count` are drawn for each, all with
+    one `key` (`jax.random.key(0)` if left out); with a `count` of 0 there are no figures there. A fix that is not there
+    has its status, and no figures. `progress` shows bars. For many pixels of one image see `accuracy_of_pixels`.
+    Raises as `accuracy` but for lack of a fix, and `ValueError` for batches of different lengths.
+    """
+    request = requested(probability, count, key, draws, chunk, search, block)
+    pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
+    world = _World((sensor, shot, pixels, terrain, _as_model(errors)), tuple(in_axes), search, atmosphere)
+    number = _length(world)
+    first, model = world.at(0)
+    checked_model(model, first)  # for mistakes
+    parts = in_parts(world.lanes, request.block, "how sure that is", progress)
+    answers = [_judged(part, world.shared, world.axes, search, atmosphere, request.probability) for part in parts]
+    aims, told, figures = joined(answers, number)
+    is_linear = (told.trust == Trust.facet) | (told.trust == Trust.footprint)
+    circular, linear, spherical = _with_samples(figures, told.trust, aims, world, request, progress)
+    return AccuracyOfEach(
+        fix=aims.fix,
+        probability=float(probability),
+        circular=circular,
+        linear=linear,
+        spherical=spherical,
+        trust=told.trust,
+        cov_enu=jnp.where(is_linear[:, None, None], told.cov_enu, jnp.nan),
+        bias_enu=jnp.where(is_linear[:, None], told.bias_enu, jnp.nan),
+        signs=told.signs,
+        count=request.count,
+    )
+
+
+class _World(NamedTuple):
+    """What is given of n exposures, by `NAMES`, and which of it is a batch."""
+
+    given: tuple[Any, ...]
+    axes: tuple[int | None, ...]
+    search: AbstractSearch
+    air: Atmosphere | None
+
+    @property
+    def lanes(self) -> tuple[Any, ...]:
+        """The batches, None in place of the others."""
+        return tuple(one if axis == 0 else None for one, axis in zip(self.given, self.axes, strict=True))
+
+    @property
+    def shared(self) -> tuple[Any, ...]:
+        """The others, None in place of the batches."""
+        return tuple(None if axis == 0 else one for one, axis in zip(self.given, self.axes, strict=True))
+
+    def at(self, index: int) -> tuple[Look, ErrorModel]:
+        """One of the exposures, and its errors."""
+        own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], self.lanes)
+        return _look(_whole(own, self.shared, self.axes), self.search, self.air)
+
+
+def _as_model(errors: Any) -> ErrorModel:
+    if isinstance(errors, ErrorModel):
+        return errors
+    return ErrorModel(tuple(errors) if isinstance(errors, tuple | list) else (errors,))
+
+
+def _length(world: _World) -> int:
+    """How many exposures there are."""
+    if len(world.axes) != len(NAMES) or not all(axis in (0, None) for axis in world.axes):
+        raise ValueError(f"in_axes must be 0 or None for each of {', '.join(NAMES)}; got {world.axes!r}.")
+    lengths: dict[int, str] = {}
+    for name, lanes in zip(NAMES, world.lanes, strict=True):
+        for leaf in jax.tree.leaves(lanes):
+            if np.ndim(leaf) < 1:
+                raise ValueError(
+                    f"{name} is a batch by in_axes, but has an entry of shape (); stack n into one record."
+                )
+            lengths.setdefault(np.shape(leaf)[0], name)
+    if len(lengths) != 1 or 0 in lengths:
+        found = ", ".join(f"{name} {length}" for length, name in lengths.items()) or "no batch at all"
+        raise ValueError(f"batches must have one length, 1 or more; got {found} (in_axes {world.axes!r}).")
+    return next(iter(lengths))
+
+
+def _whole(own: tuple[Any, ...], shared: tuple[Any, ...], axes: tuple[int | None, ...]) -> tuple[Any, ...]:
+    return tuple(a if axis == 0 else b for a, b, axis in zip(own, shared, axes, strict=True))
+
+
+def _look(given: tuple[Any, ...], search: AbstractSearch, air: Atmosphere | None) -> tuple[Look, ErrorModel]:
+    *scene, model = given
+    look = Look.of(*scene, search=search, atmosphere=air)
+    return look, as_float64(model, "errors")
+
+
+@eqx.filter_jit
+def _judged(
+    lanes: tuple[Any, ...],
+    shared: tuple[Any, ...],
+    axes: tuple[int | None, ...],
+    search: AbstractSearch,
+    air: Atmosphere | None,
+    probability: Scalar,
+) -> tuple[Aim, Judged, tuple[Numbers, Numbers, Numbers]]:
+    def one(own: tuple[Any, ...]) -> tuple[Aim, Judged]:
+        look, model = _look(_whole(own, shared, axes), search, air)
+        aim = look.aim(search)
+        return aim, judged(look, aim, model)
+
+    aims, told = jax.vmap(one)(lanes)
+    return aims, told, linear_figures(told, probability)
+
+
+def _with_samples(
+    figures: tuple[Numbers, ...], trust: IndexField, aims: Aim, world: _World, request: Request, progress: bool
+) -> list[Numbers]:
+    """The radii, with those of samples where these are needed."""
+    index = np.flatnonzero(np.asarray(trust) == Trust.samples)
+    radii = [np.array(radius) for radius in figures]
+    if not request.count or not index.size:
+        return [jnp.asarray(radius) for radius in radii]
+    sampling = Sampling(request.key, request.count, request.draws, chunk=request.chunk)
+    level = float(request.probability)
+    for number in with_bar(index.tolist(), index.size, "sampling", progress):
+        look, model = world.at(number)
+        drawn = sampled_at(look, model, request.search, sampling, taken(aims, jnp.asarray(number)))
+        doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
+        for radius, door in zip(radii, doors, strict=True):
+            radius[number] = door(level).value
+    return [jnp.asarray(radius) for radius in radii]
