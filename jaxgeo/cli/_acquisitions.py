@@ -39,7 +39,12 @@ _OPTION = re.compile(r"\b(height_datum|takeoff_height|image_size|upright|crs|cam
 
 def as_typed(text: str) -> str:
     """A sentence that names options of a reader, with those of the command line."""
-    return _OPTION.sub(lambda found: "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + " ", text)
+
+    def typed(found: re.Match[str]) -> str:
+        follows = text[found.end() : found.end() + 1]
+        return "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + ("" if follows in ":,;." else " ")
+
+    return _OPTION.sub(typed, text)
 
 
 def how_to_read(

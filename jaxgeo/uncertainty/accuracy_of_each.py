@@ -150,9 +150,7 @@ def _length(world: _World) -> int:
     for name, lanes in zip(NAMES, world.lanes, strict=True):
         for leaf in jax.tree.leaves(lanes):
             if np.ndim(leaf) < 1:
-                raise ValueError(
-                    f"{name} is a batch by in_axes, but has an entry of shape (); stack n into one record."
-                )
+                raise ValueError(f"{name} is a batch by in_axes, but holds a single number; stack n into one record.")
             lengths.setdefault(np.shape(leaf)[0], name)
     if len(lengths) != 1 or 0 in lengths:
         found = ", ".join(f"{name} {length}" for length, name in lengths.items()) or "no batch at all"

@@ -80,7 +80,7 @@ def write_image(
         if values:
             tags.get_ifd(part).update(values)
             tags[part] = tags.get_ifd(part)  # without which none is written to TIFF
-    if path.suffix == ".jpg":
+    if path.suffix.lower() == ".jpg":
         image.save(path, exif=tags, xmp=xmp.encode())
     else:
         tags[700] = xmp.encode()

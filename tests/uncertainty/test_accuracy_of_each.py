@@ -1,0 +1,89 @@
+"""How sure many exposures' fixes are: each as `accuracy` says of it alone, whatever else is in the batch."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgeo import ConstantHeight, Shot
+from jaxgeo.uncertainty import NO_FIX, ErrorModel, Trust, accuracy, accuracy_of_each, sources
+from tests.support.looks import UV, pose, sensor
+from tests.support.scenes import rough, small_dem
+
+MODEL = ErrorModel(
+    (
+        sources.Position.from_ned(north=1.5, east=1.5, down=3.0),
+        sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.02),
+        sources.TerrainHeight.from_metres(2.0),
+    )
+)
+READINGS = jnp.deg2rad(jnp.array([[40.0, 2.0], [41.0, 1.0], [120.0, 0.0]]))  # the last looks at the sky
+
+
+def batch() -> tuple[Shot, np.ndarray]:
+    shots = [Shot(pose(), readings) for readings in READINGS]
+    return jax.tree.map(lambda *leaves: jnp.stack(jnp.broadcast_arrays(*leaves)), *shots), np.tile(UV, (3, 1))
+
+
+@pytest.fixture(scope="module")
+def dem():
+    return small_dem(rough())
+
+
+@pytest.mark.parametrize("block", [128, pytest.param(2, marks=pytest.mark.slow)], ids=["at once", "in blocks"])
+def test_each_is_as_sure_as_alone(dem, block: int) -> None:
+    shots, uv = batch()
+    found = accuracy_of_each(sensor(), shots, uv, dem, MODEL, count=400, block=block)
+    for i in range(2):
+        alone = accuracy(sensor(), jax.tree.map(lambda leaf, i=i: leaf[i], shots), UV, dem, MODEL, count=400)
+        assert Trust(int(found.trust[i])) is alone.trust
+        assert found.because(i) == alone.because
+        for name in ("circular", "linear", "spherical"):
+            np.testing.assert_allclose(getattr(found, name)[i], getattr(alone, name), rtol=1e-6)
+        if alone.trust is not Trust.samples:
+            np.testing.assert_allclose(found.cov_enu[i], alone.propagation.cov_enu, rtol=1e-6, atol=1e-9)
+    assert int(found.trust[2]) == NO_FIX
+    assert found.because(2) is None
+    assert np.isnan(found.circular[2])
+    assert np.isnan(found.cov_enu[2]).all()
+
+
+def test_what_is_of_each_is_of_each() -> None:
+    """Ground, errors and sensors of each: twice the errors, twice the radii; higher ground, less of them."""
+    shots, uv = jax.tree.map(lambda leaf: leaf[jnp.array([0, 0, 0])], batch())
+    sigma = jnp.deg2rad(jnp.array([0.1, 0.2, 0.1]))
+    errors = ErrorModel((jax.vmap(lambda one: sources.Attitude(jnp.full(3, one)))(sigma),))
+    ground = ConstantHeight(np.array([0.0, 0.0, 600.0]))
+    sensors = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *jnp.shape(leaf))), sensor())
+    found = accuracy_of_each(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0))
+    first, twice, higher = np.asarray(found.circular)
+    assert twice == pytest.approx(2.0 * first, rel=1e-6)
+    assert 0.4 * first < higher < 0.6 * first
+    assert (np.asarray(found.trust) == Trust.facet).all()
+
+
+def test_samples_that_are_not_drawn_leave_no_figures(dem) -> None:
+    shots, uv = batch()
+    wide = ErrorModel((sources.Attitude.from_degrees(heading=3.0, pitch=3.0, roll=3.0),))
+    found = accuracy_of_each(sensor(), shots, uv, dem, wide, count=0)
+    sampled = np.asarray(found.trust) == Trust.samples
+    assert sampled.any()
+    assert np.isnan(np.asarray(found.circular)[sampled]).all()
+    assert np.isnan(np.asarray(found.cov_enu)[sampled]).all()
+
+
+def test_mistakes() -> None:
+    shots, uv = batch()
+    ground = ConstantHeight(0.0)
+    with pytest.raises(ValueError, match=r"one length, 1 or more; got shot 3, uv 2"):
+        accuracy_of_each(sensor(), shots, uv[:2], ground, MODEL)
+    with pytest.raises(ValueError, match="in_axes must be 0 or None for each of sensor, shot, uv, terrain, errors"):
+        accuracy_of_each(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0, 0))
+    with pytest.raises(ValueError, match="terrain is a batch by in_axes, but holds a single number"):
+        accuracy_of_each(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0, 0, 0, None))
+    with pytest.raises(ValueError, match="errors has no source"):
+        accuracy_of_each(sensor(), shots, uv, ground, ErrorModel(()))
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        accuracy_of_each(sensor(), shots, uv, ground, MODEL, probability=1.0)
