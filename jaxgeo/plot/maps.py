@@ -8,19 +8,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import matplotlib.colors
-import matplotlib.patheffects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.plot.legends import keyed
+from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes, round_length
 from jaxgeo.terrain import Dem
 
 MOST_POSTS = 1200  # along one side of a picture; larger terrain is thinned
-SIGHT, FIX, EDGE, HIDDEN = "#1f5fbf", "#d7301f", "#111111", "#7a0177"
+TICK = 60.0  # points that a label of degrees takes of an axis
 # Valleys green, slopes tan, summits light: quiet, so that what is drawn on top is seen.
 RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
     "relief", ["#93b48b", "#c5cf9f", "#e6dcb4", "#d3b78f", "#c09a80", "#efe9e4"]
@@ -48,22 +49,49 @@ def post_positions(dem: Dem, step: int = 1) -> Geodetic:
     return Geodetic(lat=lat, lon=lon, height=np.asarray(dem.posts, np.float64)[row, col])
 
 
-def map_axes(ax: Axes, dem: Dem) -> None:
-    """Limits of the terrain, equal lengths north and east, and degrees as labels."""
-    lon, lat = lonlat_deg(post_positions(dem, step=max(1, int(np.min(np.asarray(dem.extent))) // 32)))
-    ax.set_xlim(lon.min(), lon.max())
-    ax.set_ylim(lat.min(), lat.max())
-    ax.set_aspect(1.0 / math.cos(math.radians(float(lat.mean()))))
-    ax.xaxis.set_major_formatter(lambda value, _: f"{abs(value):.2f}° {'E' if value >= 0 else 'W'}")
-    ax.yaxis.set_major_formatter(lambda value, _: f"{abs(value):.2f}° {'N' if value >= 0 else 'S'}")
-    ax.tick_params(labelsize=9)
+def map_axes(dem: Dem, ax: Axes | None = None) -> Axes:
+    """Axes of a map: limits of the terrain, equal lengths north and east, and degrees as labels."""
+    check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
+    with house_axes(ax, tall=0.8) as ax:
+        lon, lat = lonlat_deg(post_positions(dem, step=max(1, int(np.min(np.asarray(dem.extent))) // 32)))
+        ax.set(xlim=(lon.min(), lon.max()), ylim=(lat.min(), lat.max()))
+        degrees(ax, float(lat.mean()))
+    return ax
 
 
-def hillshade(dem: Dem, ax: Axes, **light: float) -> None:
+def degrees(ax: Axes, lat_deg: float) -> None:
+    """Equal lengths north and east about a latitude, and degrees as labels."""
+    if ax.get_gid() == "jaxgeo: degrees":
+        return
+    ax.set_gid("jaxgeo: degrees")
+    ax.set_aspect(1.0 / math.cos(math.radians(lat_deg)))
+    ax.set(xlabel="longitude, °", ylabel="latitude, °")
+    for axis, signs in ((ax.xaxis, "EW"), (ax.yaxis, "NS")):
+        axis.set_major_formatter(FuncFormatter(lambda value, _, axis=axis, signs=signs: _named(axis, value, signs)))
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    across = 72.0 * figure.get_figwidth() * ax.get_position().width
+    ax.xaxis.set_major_locator(MaxNLocator(int(np.clip(across / TICK, 2, 7))))
+
+
+def _named(axis: Any, value: float, signs: str) -> str:
+    """A label of degrees, with as many decimals as tell it from the next tick."""
+    low, high = sorted(axis.get_view_interval())
+    decimals = int(np.clip(math.ceil(1.0 - math.log10(max(high - low, 1e-9))), 0, 7))
+    turned = math.remainder(value, 360.0) if signs == "EW" else value
+    return f"{abs(turned):.{decimals}f}° {signs[0] if turned >= 0 else signs[1]}"
+
+
+def hillshade(dem: Dem, ax: Axes | None = None, **light: float) -> Axes:
     """Terrain in quiet colours under an oblique light, as `shaded_relief` makes it; voids stay blank."""
+    check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
     step = max(1, math.ceil(int(np.max(np.asarray(dem.extent))) / MOST_POSTS))
     rgba = shaded_relief(dem, step, **light)
-    ax.pcolormesh(*lonlat_deg(post_positions(dem, step)), rgba, shading="nearest", rasterized=True, zorder=0)
+    lon, lat = lonlat_deg(post_positions(dem, step))
+    with house_axes(ax, tall=0.8) as ax:
+        ax.pcolormesh(lon, lat, rgba, shading="nearest", rasterized=True, zorder=0)
+        degrees(ax, float(lat.mean()))
+    return ax
 
 
 def shaded_relief(
@@ -78,12 +106,28 @@ def shaded_relief(
     position = post_positions(dem, step)
     rows, cols = (int(n) for n in np.asarray(dem.extent))
     height = np.where(np.asarray(dem.void)[:rows:step, :cols:step], np.nan, np.asarray(position.height))
-    slope_east, slope_north = _slopes(height, *_plane(position))
+    light = math.radians(light_azimuth_deg), math.radians(light_elevation_deg)
+    return relief_colours(height, *_plane(position), light=light, exaggeration=exaggeration)
+
+
+def relief_colours(
+    height: np.ndarray,
+    east: np.ndarray,
+    north: np.ndarray,
+    *,
+    light: tuple[float, float] = (math.radians(315.0), math.radians(40.0)),
+    exaggeration: float = 1.5,
+) -> np.ndarray:
+    """Colours (rows, cols, red green blue alpha) of heights in m at places in m; what is NaN is transparent.
+
+    `light` is the azimuth and the elevation of the light in rad.
+    """
+    slope_east, slope_north = _slopes(height, east, north)
     normal = np.stack([-exaggeration * slope_east, -exaggeration * slope_north, np.ones_like(height)])
-    azimuth, elevation = math.radians(light_azimuth_deg), math.radians(light_elevation_deg)
+    azimuth, elevation = light
     horizontal = math.cos(elevation)
-    light = np.array([horizontal * math.sin(azimuth), horizontal * math.cos(azimuth), math.sin(elevation)])
-    shade = np.tensordot(light, normal / np.linalg.norm(normal, axis=0), axes=1) / math.sin(elevation)
+    towards = np.array([horizontal * math.sin(azimuth), horizontal * math.cos(azimuth), math.sin(elevation)])
+    shade = np.tensordot(towards, normal / np.linalg.norm(normal, axis=0), axes=1) / math.sin(elevation)
     low, high = np.nanpercentile(height, [1.0, 99.5])
     rgb = RELIEF((height - low) / max(high - low, 1.0))[..., :3]
     rgb = rgb * (0.25 + 0.75 * np.clip(shade, 0.0, 1.0))[..., None]
@@ -92,90 +136,106 @@ def shaded_relief(
     return np.clip(np.where(known, np.concatenate([rgb, known], axis=-1), 0.0), 0.0, 1.0)
 
 
-def hidden_ground(dem: Dem, hidden: np.ndarray, ax: Axes, *, label: str = "hidden from the camera") -> Patch:
-    """Marks posts (rows, cols) that terrain hides; returns the patch for a legend."""
+def hidden_ground(
+    dem: Dem, hidden: np.ndarray, ax: Axes | None = None, *, label: str = "hidden from the camera"
+) -> Axes:
+    """Marks posts (rows, cols) that terrain hides. Raises `ValueError` for flags of another shape."""
+    shape = tuple(int(n) for n in np.asarray(dem.extent))
+    if np.shape(hidden) != shape:
+        raise ValueError(f"hidden must flag each post, {shape}; got the shape {np.shape(hidden)}.")
     colour = (*matplotlib.colors.to_rgb(HIDDEN), 0.55)
-    rgba = np.where(hidden[..., None], np.array(colour), 0.0)
-    ax.pcolormesh(*lonlat_deg(post_positions(dem)), rgba, shading="nearest", rasterized=True, zorder=1)
-    return Patch(facecolor=colour, label=label)
+    lon, lat = lonlat_deg(post_positions(dem))
+    with house_axes(ax, tall=0.8) as ax:
+        rgba = np.where(hidden[..., None], np.array(colour), 0.0)
+        ax.pcolormesh(lon, lat, rgba, shading="nearest", rasterized=True, zorder=1)
+        keyed(ax, label, area=True, facecolor=colour)
+        degrees(ax, float(lat.mean()))
+    return ax
 
 
-def footprint(outline: Geodetic, ax: Axes, *, label: str = "footprint") -> Line2D:
-    """Outline of what an image sees: positions (n,) in order; a gap where one is unknown."""
-    lon, lat = lonlat_deg(outline)
-    style: dict[str, Any] = {"color": EDGE, "linewidth": 1.8, "label": label, "zorder": 4}
-    (line,) = ax.plot(np.append(lon, lon[0]), np.append(lat, lat[0]), path_effects=_halo(3.2), **style)
-    return line
-
-
-def sight_lines(origin: Geodetic, fix: Fix, ax: Axes, *, label: str = "lines of sight") -> Line2D:
+def sight_lines(origin: Geodetic, fix: Fix, ax: Axes | None = None, *, label: str = "lines of sight") -> Axes:
     """A line on the map from the camera to each fix of a batch (n,) that has coordinates."""
+    check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
     lon0, lat0 = (float(x) for x in lonlat_deg(origin))
     known = np.isfinite(lon)
     segments = [[(lon0, lat0), point] for point in zip(lon[known], lat[known], strict=True)]
-    ax.add_collection(LineCollection(segments, colors=SIGHT, linewidths=0.7, alpha=0.6, zorder=3), autolim=False)
-    return Line2D([], [], color=SIGHT, linewidth=1.2, label=label)
+    with house_axes(ax, tall=0.8) as ax:
+        lines = LineCollection(segments, colors=SIGHT, linewidths=0.7, alpha=0.6, zorder=3)
+        ax.add_collection(lines, autolim=ax.get_autoscale_on() and not ax.has_data())
+        keyed(ax, label, color=SIGHT, linewidth=1.2)
+        degrees(ax, lat0)
+        ax.autoscale_view()
+    return ax
 
 
-def fixes(fix: Fix, ax: Axes, *, label: str = "fixes") -> Line2D:
+def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
     """A point for each fix of a batch that has coordinates: full where it is ok, open where it is not."""
+    check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
-    ok = np.ravel(np.asarray(fix.ok))
+    known, ok = np.isfinite(lon), np.ravel(np.asarray(fix.ok))
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.5, "color": FIX, "zorder": 5}
-    ax.plot(lon[~ok], lat[~ok], markerfacecolor="none", **style)
-    (points,) = ax.plot(lon[ok], lat[ok], markeredgecolor="white", markeredgewidth=0.8, label=label, **style)
-    return points
+    with house_axes(ax, tall=0.8) as ax:
+        if (known & ~ok).any():
+            others = f"{label}, with reserve" if ok.any() else label
+            ax.plot(lon[known & ~ok], lat[known & ~ok], markerfacecolor="white", label=others, **style)
+        ax.plot(
+            lon[known & ok],
+            lat[known & ok],
+            markeredgecolor="white",
+            markeredgewidth=0.8,
+            label=label if ok.any() else f"_{label}",
+            **style,
+        )
+        degrees(ax, float(np.mean(lat[known])) if known.any() else 0.0)
+    return ax
 
 
-def camera(position: Geodetic, heading: float, ax: Axes, *, label: str = "camera") -> Line2D:
+def camera(position: Geodetic, heading: float, ax: Axes | None = None, *, label: str = "camera") -> Axes:
     """Where the camera is, as an arrowhead along its heading in rad; where outside the axes, an arrow at their edge."""
     lon, lat = (float(x) for x in lonlat_deg(position))
-    (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
-    inside = west <= lon <= east and south <= lat <= north
-    if not inside:
-        centre = ((west + east) / 2.0, (south + north) / 2.0)
-        reach = max(abs(lon - centre[0]) / ((east - west) / 2.0), abs(lat - centre[1]) / ((north - south) / 2.0))
-        lon, lat = (c + (value - c) * 0.96 / reach for c, value in zip(centre, (lon, lat), strict=True))
     marker = (3, 0, -math.degrees(heading))
-    style: dict[str, Any] = {"color": SIGHT, "markersize": 15, "markeredgecolor": "white", "zorder": 6}
-    (point,) = ax.plot([lon], [lat], linestyle="none", marker=marker, label=label, **style)
-    return point
+    style: dict[str, Any] = {"color": CAMERA, "markersize": 13.0, "markeredgecolor": "white", "zorder": 6}
+    with house_axes(ax, tall=0.8) as ax:
+        if ax.has_data() or not ax.get_autoscale_on():
+            (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
+            if not (west <= lon <= east and south <= lat <= north):
+                centre = ((west + east) / 2.0, (south + north) / 2.0)
+                across, up = (east - west) / 2.0, (north - south) / 2.0
+                reach = max(abs(lon - centre[0]) / across, abs(lat - centre[1]) / up)
+                lon, lat = (c + (value - c) * 0.96 / reach for c, value in zip(centre, (lon, lat), strict=True))
+        ax.plot([lon], [lat], linestyle="none", marker=marker, label=label, **style)
+        degrees(ax, lat)
+    return ax
 
 
-def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, float] = (0.05, 0.05)) -> None:
+def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, float] = (0.05, 0.05)) -> Axes:
     """A bar of a round length, about a fifth of the map, at a place given in fractions of the axes."""
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     lat = math.radians(south + anchor[1] * (north - south))
     metres_per_degree = math.radians(1.0) * float(WGS84.prime_vertical_radius(jnp.asarray(lat))) * math.cos(lat)
-    length = length_m or _round_length(0.2 * (east - west) * metres_per_degree)
+    length = length_m or round_length(0.2 * (east - west) * metres_per_degree)
     x0, y0 = west + anchor[0] * (east - west), south + anchor[1] * (north - south)
     x1 = x0 + length / metres_per_degree
-    ax.plot([x0, x1], [y0, y0], color=EDGE, linewidth=4, solid_capstyle="butt", path_effects=_halo(7.0), zorder=7)
+    style: dict[str, Any] = {"color": INK, "linewidth": 3.0, "solid_capstyle": "butt", "zorder": 7}
+    ax.plot([x0, x1], [y0, y0], path_effects=halo(5.5), label="_scale", **style)
     text = f"{length / 1000.0:g} km" if length >= 1000.0 else f"{length:g} m"
     y_text = y0 + 0.012 * (north - south)
-    ax.text((x0 + x1) / 2, y_text, text, ha="center", va="bottom", fontsize=10, path_effects=_halo(3.0), zorder=7)
+    ax.text((x0 + x1) / 2, y_text, text, ha="center", va="bottom", path_effects=halo(2.5), zorder=7)
+    return ax
 
 
-def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> None:
+def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
     """An arrow to true north, at a place given in fractions of the axes."""
     x, y = anchor
-    arrow = {"arrowstyle": "-|>", "linewidth": 2.0, "color": EDGE}
+    arrow = {"arrowstyle": "-|>", "linewidth": 1.6, "color": INK, "path_effects": halo(3.0)}
     ax.annotate("", (x, y + 0.06), (x, y - 0.02), xycoords="axes fraction", arrowprops=arrow, zorder=7)
-    style: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": 12, "fontweight": "bold", "zorder": 7}
-    ax.text(x, y - 0.025, "N", transform=ax.transAxes, path_effects=_halo(3.0), **style)
+    style: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": "large", "fontweight": "bold", "zorder": 7}
+    ax.text(x, y - 0.025, "N", transform=ax.transAxes, path_effects=halo(2.5), **style)
+    return ax
 
 
-def _halo(width: float) -> list[Any]:
-    return [matplotlib.patheffects.withStroke(linewidth=width, foreground="white", alpha=0.9)]
-
-
-def _round_length(length: float) -> float:
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length)
-
-
-def _plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
+def plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     """(east, north) in m about the middle, good enough for a slope."""
     lat, lon = np.asarray(position.lat), np.asarray(position.lon)
     middle = jnp.asarray(lat.mean())
@@ -183,7 +243,7 @@ def _plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
     return N * np.cos(lat) * (lon - lon.mean()), M * (lat - lat.mean())
 
 
-def _slopes(height: np.ndarray, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def slopes(height: np.ndarray, east: np.ndarray, north: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """d height / d east and d north, from differences along rows and columns of any orientation."""
     (h_r, h_c), (e_r, e_c), (n_r, n_c) = np.gradient(height), np.gradient(east), np.gradient(north)
     determinant = e_r * n_c - e_c * n_r
