@@ -398,19 +398,24 @@ def test_cells_of_a_turned_raster_have_their_own_size(capsys) -> None:
     ],
 )
 def test_a_lack_of_memory_is_one_line(capsys, error: Exception, words: str) -> None:
-    with pytest.raises(typer.Exit) as end, mistakes_told(show_traceback=False):
+    with pytest.raises(typer.Exit) as end, mistakes_told(debug=False):
         raise error
     assert end.value.exit_code == 2
     told = capsys.readouterr().err
     assert words in told.replace("\n", " ")
     assert told.startswith("jaxgeo: there is not enough memory")
-    with pytest.raises(type(error)), mistakes_told(show_traceback=True):
+    with pytest.raises(typer.Exit), mistakes_told(debug=True):
         raise error
+    assert capsys.readouterr().err.startswith("Traceback")
 
 
-def test_other_failures_are_not_taken_for_a_lack_of_memory() -> None:
-    with pytest.raises(RuntimeError, match="mine"), mistakes_told(show_traceback=False):
-        raise RuntimeError("mine")
+def test_other_failures_are_told_as_faults_of_the_program(capsys) -> None:
+    with pytest.raises(typer.Exit) as end, mistakes_told(debug=False):
+        raise RuntimeError("mine\nand mine")
+    assert end.value.exit_code == 70
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told.startswith("jaxgeo: unexpected RuntimeError (mine and mine): a fault of jaxgeo's")
+    assert "--debug" in told
 
 
 def test_earlier_results_go_when_new_ones_are_there_and_not_before(tmp_path: pathlib.Path) -> None:

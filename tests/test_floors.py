@@ -21,7 +21,8 @@ FLOORS = [
     ["coverage", "register"],
     ["io", "plot", "scale"],
     ["studies", "demo"],
-    ["cli", "report"],
+    ["report"],
+    ["cli"],
     ["__main__"],
 ]
 FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
@@ -99,6 +100,7 @@ NUMPY_FILES = {
     "sensor/scanning.py": "the same as camera.py",
     "sensor/trajectory.py": "checks of knots, outside any trace",
     "status.py": "counts concrete statuses for reports",
+    "uncertainty/accuracy_of_each.py": "judges finished looks, and puts samples into arrays, outside any trace",
     "uncertainty/chunks.py": "sizes of chunks and meshes of devices, outside any trace",
     "uncertainty/compare.py": "reads kept samples, after all computing",
     "uncertainty/metrics/_ball.py": "nodes of quadratures, constants of the program",

@@ -1,12 +1,10 @@
-"""What the commands share: mistakes in one message, endings of names, and a compiler that does not dawdle."""
+"""What the commands share: mistakes in one line, codes of exit, endings of names."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import pathlib
-import subprocess
-import sys
+import traceback
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -14,9 +12,9 @@ import typer
 
 from jaxgeo.cli._screen import tell
 
-QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+DONE, NO_ANSWER, MISTAKE, FAULT, INTERRUPTED = 0, 1, 2, 70, 130  # codes of exit; 70 as in sysexits.h, 130 as shells do
 
-Traceback = Annotated[bool, typer.Option("--traceback", help="Show where an error was raised.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show where an error was raised.")]
 
 
 class UserError(Exception):
@@ -24,42 +22,38 @@ class UserError(Exception):
 
 
 @contextlib.contextmanager
-def mistakes_told(show_traceback: bool) -> Iterator[None]:
-    """Callers' mistakes as one message on stderr and exit code 2."""
+def mistakes_told(debug: bool) -> Iterator[None]:
+    """What goes wrong as one message on stderr: exit code 2 for a caller's mistake, 70 for a fault of the program's.
+
+    With `debug`, it stands below the traceback.
+    """
     try:
         yield
-    except (UserError, ValueError, OSError) as error:
-        if show_traceback:
-            raise
-        tell(str(error) or type(error).__name__)
-        raise typer.Exit(2) from None
-    except (MemoryError, RuntimeError) as error:
-        if show_traceback or not _is_of_memory(error):
-            raise
+    except (typer.Exit, typer.Abort, BrokenPipeError):
+        raise
+    except (UserError, ValueError, OSError, ImportError) as error:
+        _end(str(error) or type(error).__name__, MISTAKE, debug)
+    except Exception as error:
         reason = " ".join(str(error).split())
-        told = f" ({reason})" if reason else ""
-        tell(f"there is not enough memory for this{told}; ask for fewer pixels, cells or samples at once.")
-        raise typer.Exit(2) from None
+        if _is_of_memory(error):
+            said = f"there is not enough memory for this{f' ({reason})' if reason else ''}; "
+            _end(f"{said}ask for fewer pixels, cells or samples at once.", MISTAKE, debug)
+        said = f"unexpected {type(error).__name__}{f' ({reason})' if reason else ''}: a fault of jaxgeo's, not of yours"
+        _end(f"{said}; run it again with --debug to see where, and report it.", FAULT, debug)
 
 
-def _is_of_memory(error: MemoryError | RuntimeError) -> bool:
+def _end(message: str, code: int, debug: bool) -> None:
+    if debug:
+        traceback.print_exc()
+    tell(message)
+    raise typer.Exit(code) from None
+
+
+def _is_of_memory(error: Exception) -> bool:
     """Whether memory ran out, NumPy's or XLA's."""
-    return isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)
+    return isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error))
 
 
 def name_says(output: pathlib.Path) -> str:
     """Why a format cannot be told by the name of a file."""
     return f"the ending {output.suffix} is not one that is known" if output.suffix else "the name has no ending"
-
-
-def compile_quickly() -> None:
-    """Have XLA compile in half the time what is computed only a few times; before anything is computed.
-
-    A version of XLA that does not know the flags would end the process, so another process tries them first.
-    """
-    if "XLA_FLAGS" in os.environ:
-        return
-    environment = {**os.environ, "XLA_FLAGS": QUICK_TO_COMPILE}
-    probe = [sys.executable, "-c", "import jax; jax.devices()"]
-    if subprocess.run(probe, env=environment, capture_output=True, check=False).returncode == 0:
-        os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE

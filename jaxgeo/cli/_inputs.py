@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
+from jaxgeo._destination import check_no_input
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._screen import working
 
 
 def read_terrain(paths: list[pathlib.Path], vertical_datum: str | None) -> Any:
     """The elevation model of one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
+    with working("reading the elevation model"):
+        return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
 
 
 def terrain_files(paths: list[pathlib.Path], vertical_datum: str | None) -> list[str]:
@@ -22,6 +25,18 @@ def terrain_files(paths: list[pathlib.Path], vertical_datum: str | None) -> list
 
     tiles = [file for tile in expanded([str(path) for path in paths]) for file in files_behind(tile)]
     return tiles if vertical_datum is None else [*tiles, vertical_datum]
+
+
+def keep_inputs(
+    option: str,
+    output: pathlib.Path | None,
+    read: Iterable[pathlib.Path | None],
+    ground: tuple[list[pathlib.Path], str | None] = ([], None),
+) -> None:
+    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files and datum."""
+    if output is not None:
+        tiles = terrain_files(*ground) if ground[0] else []
+        check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
 
 
 def datum(text: str | None) -> str | float | None:

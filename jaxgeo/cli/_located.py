@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from jaxgeo.cli._question import Question
-from jaxgeo.cli._screen import number_table, progress_bar, stderr
+from jaxgeo.cli._screen import number_table, progress_bar, working
 
-CHUNKS = (16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
+CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
 FEW = 20  # fixes up to which samples are as many as for one
 SAMPLES_OF_MANY = 2000  # for each of more, whose figures then are good to some 3 %
 WIDE = 120  # characters of a screen on which there is room for all columns
@@ -49,7 +49,7 @@ def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
 
     total = len(question.uv)
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
-    program = _program(question.axes[0], question.axes[3])
+    program = _program(question.axes[0], question.axes[3], size == 1)
     with progress_bar() as progress:
         task = progress.add_task("locating", total=total)
         for start in range(0, total, size):
@@ -61,7 +61,8 @@ def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
 
 
 @functools.cache
-def _program(sensor_axis: int | None, terrain_axis: int | None) -> Any:
+def _program(sensor_axis: int | None, terrain_axis: int | None, is_alone: bool) -> Any:
+    """`locate` of a batch; of a batch of one without `vmap`, which is traced in half the time."""
     import jax
 
     from jaxgeo.locate import locate
@@ -69,7 +70,15 @@ def _program(sensor_axis: int | None, terrain_axis: int | None) -> Any:
     def through_the_air(sensor: Any, shot: Any, uv: Any, terrain: Any, atmosphere: Any) -> Any:
         return locate(sensor, shot, uv, terrain, atmosphere=atmosphere)
 
-    return jax.jit(jax.vmap(through_the_air, in_axes=(sensor_axis, 0, 0, terrain_axis, None)))
+    axes = (sensor_axis, 0, 0, terrain_axis, None)
+    if not is_alone:
+        return jax.jit(jax.vmap(through_the_air, in_axes=axes))
+
+    def of_one(*given: Any) -> Any:
+        own = [jax.tree.map(lambda x: x[0], one) if axis == 0 else one for one, axis in zip(given, axes, strict=True)]
+        return jax.tree.map(lambda leaf: leaf[None], through_the_air(*own))
+
+    return jax.jit(of_one)
 
 
 def _taken(question: Question, index: Any) -> list[Any]:
@@ -101,7 +110,7 @@ def _how_sure(question: Question, fixes: Any, probability: float) -> Any:
         return None
     sensor, shots, uv, terrain = _taken(question, index)
     errors = _part(question.errors, index) if question.axes[4] == 0 else question.errors
-    with stderr().status("computing how sure that is ..."):
+    with working("computing how sure that is"):
         found = accuracy_of_each(
             sensor,
             shots,
@@ -160,36 +169,12 @@ def _plain(value: Any, spec: str) -> Any:
 def where_from(question: Question) -> str | None:
     """Why there may be no fix at all, in words: the elevation model lies elsewhere than the first camera."""
     import numpy as np
-    import pyproj
 
+    from jaxgeo.io.extent import camera_beside
     from jaxgeo.terrain import Dem
 
     if not isinstance(question.terrain, Dem):
         return None
-    west, south, east, north = _bounds(question.terrain)
     position = question.shots.pose.position
     lat, lon = (float(np.rad2deg(np.asarray(angle)[0])) for angle in (position.lat, position.lon))
-    lon = west + (lon - west) % 360.0
-    if not (np.isfinite(lat) and np.isfinite(lon)) or (south <= lat <= north and lon <= east):
-        return None
-    nearest = (min(max(lon, west), east) if lon - east < west + 360.0 - lon else west, min(max(lat, south), north))
-    _, _, off = pyproj.Geod(ellps="WGS84").inv(lon, lat, *nearest)
-    return (
-        f"the elevation model reaches from {south:.4f} to {north:.4f} deg north and {west:.4f} to {east:.4f} deg east; "
-        f"the camera is at {lat:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
-        f"{off / 1000.0:.3g} km beside it"
-    )
-
-
-def _bounds(dem: Any) -> tuple[float, float, float, float]:
-    """(west, south, east, north) in deg of an elevation model's outline."""
-    import jax
-    import numpy as np
-
-    rows, cols = (int(posts) - 1 for posts in np.asarray(dem.extent))
-    ways = np.linspace(0.0, 1.0, 9)
-    edge = [(r * rows, c * cols) for r in ways for c in ways]
-    x, y, z = np.moveaxis(np.asarray(jax.vmap(dem.grid.normal)(np.array(edge))), -1, 0)
-    lat, lon = np.rad2deg(np.arctan2(z, np.hypot(x, y))), np.rad2deg(np.arctan2(y, x))
-    lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
-    return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
+    return camera_beside(question.terrain, lat, lon)

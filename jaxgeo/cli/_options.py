@@ -8,18 +8,31 @@ from typing import Annotated
 
 import typer
 
-SceneFile = Annotated[pathlib.Path, typer.Option("--scene", help="Scene file (TOML): camera, gimbal, mount and pose.")]
-DemFiles = Annotated[list[pathlib.Path], typer.Option("--dem", help="Elevation model; repeat it for several tiles.")]
+SceneFile = Annotated[
+    pathlib.Path,
+    typer.Option("--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose."),
+]
+DemFiles = Annotated[
+    list[pathlib.Path],
+    typer.Option("--dem", metavar="FILE", help="Elevation model; repeat it for several tiles."),
+]
 VerticalDatum = Annotated[
-    str | None, typer.Option(help='What the DEM heights are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.')
+    str | None,
+    typer.Option(
+        metavar="DATUM", help='What the DEM heights are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.'
+    ),
 ]
 HeightDatum = Annotated[
     str | None,
-    typer.Option(help='What other heights are above: "EPSG:5773", "ellipsoid", metres; that of the scene if left out.'),
+    typer.Option(
+        metavar="DATUM",
+        help='What other heights are above: "EPSG:5773", "ellipsoid", metres; that of the scene if left out.',
+    ),
 ]
-ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", help="CSV with a shot in each row.")]
+ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", metavar="FILE", help="CSV with a shot in each row.")]
 NavigationFile = Annotated[
-    pathlib.Path | None, typer.Option("--navigation", help="CSV with a navigation record of the flight in each row.")
+    pathlib.Path | None,
+    typer.Option("--navigation", metavar="FILE", help="CSV with a navigation record of the flight in each row."),
 ]
 
 

@@ -304,7 +304,7 @@ def pixels_of(texts: list[str], camera: Any) -> Any:
 def _in_air(views: _Views) -> _Views:
     import numpy as np
 
-    from jaxgeo import Atmosphere
+    from jaxgeo.earth import Atmosphere
     from jaxgeo.io import undulation
 
     if views.atmosphere is not None:
@@ -343,8 +343,8 @@ def _terrain(asked: Asked, views: _Views) -> tuple[Any, bool]:
     """(the ground, whether there is one for each pixel)."""
     import numpy as np
 
-    from jaxgeo import ConstantHeight
     from jaxgeo.io.scene import ellipsoidal_heights
+    from jaxgeo.terrain import ConstantHeight
 
     if asked.ground is None:
         return read_terrain(asked.dem, asked.vertical_datum), False

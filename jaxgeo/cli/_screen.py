@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+import contextlib
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
 
 from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+Item = TypeVar("Item")
 
 
 def tell(message: str) -> None:
@@ -21,10 +26,38 @@ def stderr() -> Console:
     return Console(stderr=True)
 
 
+@contextlib.contextmanager
+def working(words: str) -> Iterator[None]:
+    """A spinner on stderr, if that is a terminal, for as long as work goes on."""
+    console = stderr()
+    if console.is_terminal:
+        with console.status(f"{words} ..."):
+            yield
+    else:
+        yield
+
+
+@contextlib.contextmanager
+def bars_on_stderr() -> Iterator[None]:
+    """What the library shows of its progress on the screen goes to stderr: stdout is for results."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
+
+def track(items: Sequence[Item], words: str) -> Iterator[Item]:
+    """The items with a bar on stderr, which says of the first that its programs are compiled."""
+    with progress_bar() as progress:
+        task = progress.add_task(f"compiling, {words}", total=len(items))
+        for count, item in enumerate(items, 1):
+            yield item
+            progress.update(task, completed=count, description=words)
+
+
 def progress_bar() -> Progress:
-    """A bar on stderr that goes away when the work is done."""
+    """A bar on stderr, if that is a terminal, that goes away when the work is done."""
+    console = stderr()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=stderr(), transient=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def print_counts(counts: dict[str, int], total: int, noun: str = "pixel", hit: str | None = None) -> None:

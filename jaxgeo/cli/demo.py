@@ -9,34 +9,56 @@ import typer
 from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
-from jaxgeo.cli._screen import fix_table, print_counts, tell
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._screen import fix_table, print_counts, tell, working
 
 PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # that matplotlib writes by itself
 
 
 def demo_command(
-    output: Annotated[pathlib.Path, typer.Option(help="The picture: .png, .pdf, .svg, ...")] = pathlib.Path(
-        "jaxgeo-demo.png"
-    ),
-    write_scene: Annotated[pathlib.Path | None, typer.Option(help="Also write the scene file, to start from.")] = None,
-    traceback: Traceback = False,
+    output: Annotated[
+        pathlib.Path,
+        typer.Option("--output", "-o", metavar="FILE", help="The picture: .png, .pdf, .svg, ..."),
+    ] = pathlib.Path("jaxgeo-demo.png"),
+    write_scene: Annotated[
+        pathlib.Path | None, typer.Option(metavar="FILE", help="Also write the scene file, to start from.")
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """An oblique camera over real terrain: a table of fixes and a picture.
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there is the table only, and the exit code is 1.
     """
-    with mistakes_told(traceback):
-        _demo(output, write_scene)
+    inputs = asked(locals())
+    with mistakes_told(debug):
+        _demo(output, write_scene, inputs if as_json else None)
 
 
-def _demo(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
+def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
+    """With `inputs`, what is found is printed as JSON."""
+    from jaxgeo import demo
+
+    _check_one_is_not_the_other(output, write_scene)
+    keep_inputs("--write-scene", write_scene, [demo.scene_file()])
     with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
         if write_scene is not None:
             _write_demo_scene(write_scene)
-        _show_demo(stream, picture_format)
-    Console().print(f"picture: {output}", highlight=False, soft_wrap=True)
+        rows, made = _show_demo(inputs is None)
+        if inputs is not None:
+            print_json("demo", {"inputs": inputs, **_content(made, rows)})
+        _draw(made, stream, picture_format)
+    if inputs is None:
+        Console().print(f"picture: {output}", highlight=False, soft_wrap=True)
+
+
+def _check_one_is_not_the_other(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
+    if write_scene is not None and write_scene.resolve() == output.resolve():
+        raise UserError(f"--write-scene {write_scene}: the picture goes there; name another file.")
 
 
 def _picture_format(output: pathlib.Path) -> str:
@@ -54,8 +76,8 @@ def _write_demo_scene(path: pathlib.Path) -> None:
         stream.write(demo.scene_file().read_text(encoding="utf-8"))
 
 
-def _show_demo(stream: Any, picture_format: str) -> None:
-    """The table on the screen, the picture into a stream; without matplotlib a message and exit code 1."""
+def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
+    """(rows of fixes, all that was made), on the screen if it `shows` them."""
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import height_msl
@@ -64,20 +86,45 @@ def _show_demo(stream: Any, picture_format: str) -> None:
     compile_quickly()
     enable_x64()
     console = Console()
-    with console.status("compiling, locating and sampling ..."):
+    with working("compiling, locating and sampling"):
         made = demo.make_demo()
     rows = [
         {"u": u, "v": v, **row} for (u, v), row in zip(made.uv, fix_rows(made.fix, height_msl(made.fix)), strict=True)
     ]
-    console.print(fix_table(rows, title=made.title))
+    if shows:
+        console.print(fix_table(rows, title=made.title))
     print_counts(
         {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
     )
-    console.print(f"\nHow sure fix {made.errors.number} of them is, by every method:", highlight=False)
-    for part in (made.errors.comparison, made.errors.accuracy, made.errors.budget):
-        console.print(str(part), highlight=False, soft_wrap=True)
+    if shows:
+        console.print(f"\nHow sure fix {made.errors.number} of them is, by every method:", highlight=False)
+        for part in (made.errors.comparison, made.errors.accuracy, made.errors.budget):
+            console.print(str(part), highlight=False, soft_wrap=True)
+    return rows, made
+
+
+def _content(made: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The fixes, and how sure one of them is."""
+    errors = made.errors
+    sure = {"number": errors.number, "comparison": str(errors.comparison), "accuracy": str(errors.accuracy)}
+    return {"title": made.title, "fixes": _numbers(made, rows), "errors": sure | {"budget": errors.budget.to_dict()}}
+
+
+def _numbers(made: Any, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with all digits."""
+    found = made.fix.to_dict()
+    return [
+        {"u": row["u"], "v": row["v"], **{name: values[i] for name, values in found.items()}}
+        for i, row in enumerate(rows)
+    ]
+
+
+def _draw(made: Any, stream: Any, picture_format: str) -> None:
+    """The picture into a stream; without matplotlib a message and exit code 1."""
+    from jaxgeo import demo
+
     try:
         demo.draw(made, stream, picture_format)
     except ImportError as error:
         tell(f"there is no picture, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
-        raise typer.Exit(1) from None
+        raise typer.Exit(NO_ANSWER) from None

@@ -11,10 +11,12 @@ import typer
 from rich.console import Console
 
 from jaxgeo._destination import check_place
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
-from jaxgeo.cli._inputs import read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._inputs import keep_inputs, read_terrain, shot_of, shots_of, single
 from jaxgeo.cli._options import DemFiles, HeightDatum, SceneFile, ShotsFile, VerticalDatum
-from jaxgeo.cli._screen import number_table, print_counts, progress_bar
+from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._screen import number_table, print_counts, track
 
 ENDINGS = (".geojson", ".json", ".gpkg")
 COLUMNS = {
@@ -40,22 +42,31 @@ def footprint_command(
     vertical_datum: VerticalDatum = None,
     height_datum: HeightDatum = None,
     output: Annotated[
-        pathlib.Path | None, typer.Option(help="File to write (.geojson, .json, .gpkg); none if left out.")
+        pathlib.Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); none if left out."
+        ),
     ] = None,
-    crs: Annotated[str, typer.Option(help='Map of the file: "EPSG:4326", "EPSG:32616", ...')] = "EPSG:4326",
+    crs: Annotated[
+        str, typer.Option(metavar="CRS", help='Map of the file: "EPSG:4326", "EPSG:32616", ...')
+    ] = "EPSG:4326",
     tolerance: Annotated[float, typer.Option(help="How near the outline comes to the true one, m.")] = 1.0,
     edges: Annotated[bool, typer.Option("--edges", help="Also lines along what is seen, and over what is hidden.")] = (
         False
     ),
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """The ground that images cover: outlines for a map, their areas, and how large a pixel is in their middle."""
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         if output is not None:
             _check_output(output)
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
-        _footprint(scene, dem, shots, (vertical_datum, height_datum), output, (crs, tolerance, edges))
+        keep_inputs("--output", output, [scene, shots], (dem, vertical_datum))
+        rows, outlines = _footprint(scene, dem, shots, (vertical_datum, height_datum), output, (crs, tolerance, edges))
+        _show(rows, outlines, inputs if as_json else None)
 
 
 def _check_output(output: pathlib.Path) -> None:
@@ -71,10 +82,10 @@ def _footprint(
     datums: tuple[str | None, str | None],
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool],
-) -> None:
+) -> tuple[list[dict[str, Any]], list[Any]]:
+    """(numbers of each footprint, the footprints), written if there is an output."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
-    from jaxgeo.io.footprints import WHOLE
     from jaxgeo.io.scene import read_scene
 
     compile_quickly()
@@ -88,16 +99,40 @@ def _footprint(
         shots = list(single(batch))
     terrain = read_terrain(dem_paths, datums[0])
     outlines, rows = [], []
-    with progress_bar() as progress:
-        for index, shot in enumerate(progress.track(shots, description="outlining")):
-            outline, row = _outlined(scene, shot, terrain, tolerance)
-            outlines.append(outline)
-            rows.append({"shot": index, **row})
+    for index, shot in enumerate(track(shots, "outlining")):
+        outline, row = _outlined(scene, shot, terrain, tolerance)
+        outlines.append(outline)
+        rows.append({"shot": index, **row})
     if output is not None:
         write_footprints(output, outlines, crs=crs, attributes=_attributes(carried), edges=edges)
-    Console(width=None if Console().is_terminal else 160).print(number_table(rows, COLUMNS, CAPTION))
+    return rows, outlines
+
+
+def _show(rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None) -> None:
+    """A table, or with `inputs` all there is as JSON; the count of statuses on stderr."""
+    from jaxgeo.io.footprints import WHOLE
+
     names = [row["status"] for row in rows]
     print_counts({name: names.count(name) for name in names}, len(names), "footprint", WHOLE)
+    if inputs is not None:
+        each = zip(rows, outlines, strict=True)
+        content = [{**row, **status_words(one.status, WHOLE), "outline": _places(one)} for row, one in each]
+        print_json("footprint", {"inputs": inputs, "footprints": content})
+        return
+    Console(width=None if Console().is_terminal else 160).print(number_table(rows, COLUMNS, CAPTION))
+
+
+def _places(outline: Any) -> list[dict[str, Any]]:
+    """What the edge of the image sees, place by place: clockwise in the image, from its upper left corner."""
+    import numpy as np
+
+    numbers = zip(*(np.asarray(one) for one in outline.fix.position.to_degrees()), strict=True)
+    each = zip(np.asarray(outline.uv), numbers, np.asarray(outline.hidden), strict=True)
+    names = ("lat_deg", "lon_deg", "height_m")
+    return [
+        {"u": u, "v": v, **dict(zip(names, place, strict=True)), "jumps_to_next": bool(hidden)}
+        for (u, v), place, hidden in each
+    ]
 
 
 def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:

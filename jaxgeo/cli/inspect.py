@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import pathlib
 from typing import Annotated, Any
@@ -10,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo._destination import check_no_input, destination
+from jaxgeo._destination import check_place, destination
 from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
@@ -25,15 +24,20 @@ from jaxgeo.cli._acquisitions import (
     as_typed,
     how_to_read,
 )
-from jaxgeo.cli._common import Traceback, UserError, mistakes_told, name_says
-from jaxgeo.cli._screen import number_table
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._poses import pose_columns
+from jaxgeo.cli._poses import rows_of as as_rows
+from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._screen import number_table, working
 
 SHOWN = 5  # exposures on the screen
 
 
 def inspect_command(
     file: Annotated[
-        pathlib.Path, typer.Argument(help="Drone image or folder, KLV, SBET, table, reconstruction, scene.")
+        pathlib.Path,
+        typer.Argument(metavar="FILE", help="Drone image or folder, KLV, SBET, table, reconstruction, scene."),
     ],
     height_datum: SourceDatum = None,
     takeoff_height: TakeoffHeight = None,
@@ -46,39 +50,49 @@ def inspect_command(
     errors: SbetErrors = None,
     interior: InteriorFile = None,
     output: Annotated[
-        pathlib.Path | None, typer.Option(help="Write all exposures to a table (.csv), as jaxgeo locate --shots takes.")
+        pathlib.Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write all exposures to a table (.csv), as jaxgeo locate --shots takes.",
+        ),
     ] = None,
     tags: Annotated[bool, typer.Option("--tags", help="With --json: all that the file says of each exposure.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON, with every exposure.")] = False,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
-    """What a file tells of exposures: cameras, poses, errors, and what its reader had to assume.
-
-    Example: jaxgeo inspect DJI_0042.JPG
-    """
-    with mistakes_told(traceback):
+    """What a file tells of exposures: cameras, poses, errors, and what its reader had to assume."""
+    inputs = asked(locals())
+    with mistakes_told(debug):
         from jaxgeo._checks import enable_x64
 
         if output is not None:
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
-            check_no_input("--output", [output], [file])
+            check_place("--output", output)
+            keep_inputs("--output", output, [*_files_in(file), errors, interior])
         if tags and not as_json:
             raise UserError("--tags goes with --json.")
         enable_x64()
         how = how_to_read(
             height_datum, takeoff_height, crs, camera, image_size, (upright, keep_damaged, stream), errors, interior
         )
-        found, unstated = _read(file, how)
+        with working("reading"):
+            found, unstated = _read(file, how)
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
             _write(output, rows)
         if as_json:
-            typer.echo(json.dumps(_content(found, rows, unstated, tags), indent=1, allow_nan=False, default=str))
+            print_json("inspect", {"inputs": inputs, **_content(found, rows, unstated, tags)})
         else:
             _show(found, rows, unstated)
+
+
+def _files_in(file: pathlib.Path) -> list[pathlib.Path]:
+    return [file, *file.iterdir()] if file.is_dir() else [file]
 
 
 def _read(file: pathlib.Path, how: dict[str, Any]) -> tuple[Any, str | None]:
@@ -95,16 +109,11 @@ def rows_of(found: Any) -> list[dict[str, Any]]:
     """A row for each exposure, numbers in degrees and metres, None for what is not known."""
     import numpy as np
 
-    from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
     from jaxgeo.io.acquisitions import compare_reported
 
-    pose, position = found.shots.pose, found.shots.pose.position
-    places = [np.rad2deg(position.lat), np.rad2deg(position.lon), position.height]
-    attitude = [np.rad2deg(angle) for angle in (pose.heading, pose.pitch, pose.roll)]
-    columns = {"time_s": found.shots.time} | dict(zip(POSE_COLUMNS, [*places, *attitude], strict=True))
+    names = [str(name) for name in found.names]
+    columns = {"name": names} | pose_columns(found.shots, None if found.sensor is None else found.sensor.gimbal.names)
     if found.sensor is not None:
-        readings = np.rad2deg(np.asarray(found.shots.gimbal_readings)).T
-        columns |= dict(zip(gimbal_columns(found.sensor.gimbal.names), readings, strict=True))
         focal = np.asarray(found.sensor.camera.focal_px)
         columns |= {"focal_u_px": focal[:, 0], "focal_v_px": focal[:, 1]}
     if found.reported is not None:
@@ -116,15 +125,7 @@ def rows_of(found: Any) -> list[dict[str, Any]]:
             columns |= {"range_off_m": off.slant_range, "axis_off_east_m": off.east, "axis_off_north_m": off.north}
             columns |= {"axis_off_azimuth_mrad": 1e3 * off.azimuth, "axis_off_elevation_mrad": 1e3 * off.elevation}
             columns |= {"image_off_turn_deg": np.rad2deg(off.turn)}
-    numbers = {name: np.asarray(values, np.float64) for name, values in columns.items()}
-    return [
-        {"name": str(name)} | {key: _known(values[i]) for key, values in numbers.items()}
-        for i, name in enumerate(found.names)
-    ]
-
-
-def _known(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return as_rows(columns)
 
 
 def _write(output: pathlib.Path, rows: list[dict[str, Any]]) -> None:

@@ -24,8 +24,8 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
-from jaxgeo.cli._common import Traceback as Debug
-from jaxgeo.cli._common import UserError, compile_quickly, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import (
     AttitudeSigma,
     DemCorrelation,
@@ -50,16 +50,8 @@ from jaxgeo.cli._question import (
     TableOfShots,
     read_question,
 )
+from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, tell
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-
-
-def print_json(command: str, content: Any) -> None:
-    import json
-
-    typer.echo(json.dumps({"command": command, **content}, indent=1))
-
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 

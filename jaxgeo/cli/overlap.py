@@ -12,10 +12,12 @@ import typer
 from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
-from jaxgeo.cli._inputs import read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._inputs import keep_inputs, read_terrain, shots_of, single, trajectory_of
 from jaxgeo.cli._options import Along, DemFiles, HeightDatum, NavigationFile, SceneFile, ShotsFile, VerticalDatum
-from jaxgeo.cli._screen import number_table, print_counts, progress_bar
+from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._screen import number_table, print_counts, track
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
 COLUMNS = {
@@ -47,7 +49,9 @@ def overlap_command(
     scene: SceneFile,
     dem: DemFiles,
     navigation: NavigationFile = None,
-    times: Annotated[str | None, typer.Option(help="T1,T2[,...]: when images are taken, s, with --navigation.")] = None,
+    times: Annotated[
+        str | None, typer.Option(metavar="TIMES", help="T1,T2[,...]: when images are taken, s, with --navigation.")
+    ] = None,
     shots: ShotsFile = None,
     along: Along = None,
     vertical_datum: VerticalDatum = None,
@@ -55,16 +59,23 @@ def overlap_command(
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
     ] = None,
-    output: Annotated[pathlib.Path | None, typer.Option(help="File to write (.csv); the screen if left out.")] = None,
-    traceback: Traceback = False,
+    output: Annotated[
+        pathlib.Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv); the screen if left out."),
+    ] = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """How much of the ground each image shares with the one before it, one row for each pair."""
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
+        keep_inputs("--output", output, [scene, navigation, shots], (dem, vertical_datum))
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.io.scene import read_scene
+            from jaxgeo.status import Status
 
             compile_quickly()
             enable_x64()
@@ -74,7 +85,13 @@ def overlap_command(
             else:
                 images = _images(given, scene, shots, height_datum)
             terrain = read_terrain(dem, vertical_datum)
-            _write(_overlaps(given, images, terrain, None if along is None else along.value), chosen, stream)
+            rows = _overlaps(given, images, terrain, None if along is None else along.value)
+            _count(rows)
+            if output is not None or not as_json:
+                _write(rows, chosen, stream)
+        if as_json:
+            told = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
+            print_json("overlap", {"inputs": inputs, "pairs": told})
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:
@@ -136,21 +153,22 @@ def _images(
     return [(str(index), shot) for index, shot in enumerate(single(batch))]
 
 
-def _overlaps(
-    scene: Any, images: list[tuple[str, Any]], terrain: Any, along: Any
-) -> list[dict[str, str | float | None]]:
+def _overlaps(scene: Any, images: list[tuple[str, Any]], terrain: Any, along: Any) -> list[dict[str, Any]]:
     from jaxgeo.coverage import overlap
     from jaxgeo.status import Status
 
     rows = []
-    with progress_bar() as progress:
-        pairs = list(itertools.pairwise(images))
-        for (name, before), (next_name, after) in progress.track(pairs, description="looking"):
-            found: Any = overlap(scene.sensor, before, after, terrain, along=along, atmosphere=scene.atmosphere)
-            numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
-            row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
-            rows.append({"before": name, "after": next_name, **row, "status": Status(int(found.status)).name})
+    for (name, before), (next_name, after) in track(list(itertools.pairwise(images)), "looking"):
+        found: Any = overlap(scene.sensor, before, after, terrain, along=along, atmosphere=scene.atmosphere)
+        numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
+        row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}
+        rows.append({"before": name, "after": next_name, **row, "status": Status(int(found.status)).name})
     return rows
+
+
+def _count(rows: list[dict[str, Any]]) -> None:
+    names = [row["status"] for row in rows]
+    print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)
 
 
 def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any) -> None:
@@ -160,8 +178,6 @@ def _write(rows: list[dict[str, Any]], output_format: Format, stream: Any) -> No
         Console(file=stream, width=None if stream.isatty() else 160).print(number_table(rows, COLUMNS, CAPTION))
     else:
         write_csv(({**row, **_texts(row)} for row in rows), stream)
-    names = [row["status"] for row in rows]
-    print_counts({name: names.count(name) for name in names}, len(names), "pair", BOTH)
 
 
 def _texts(row: dict[str, Any]) -> dict[str, str | None]:

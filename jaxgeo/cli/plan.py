@@ -10,10 +10,13 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo._destination import check_place
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told, name_says
-from jaxgeo.cli._inputs import read_terrain, trajectory_of
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._inputs import keep_inputs, read_terrain, trajectory_of
 from jaxgeo.cli._options import Along, DemFiles, HeightDatum, SceneFile, VerticalDatum
-from jaxgeo.cli._screen import print_counts, stderr
+from jaxgeo.cli._poses import pose_columns, rows_of
+from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._screen import print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
 
 WAYS = "ground, velocity-height or fixed:PERIOD"
@@ -29,8 +32,13 @@ class Place(StrEnum):
 def plan_command(
     scene: SceneFile,
     dem: DemFiles,
-    navigation: Annotated[pathlib.Path, typer.Option(help="CSV with a navigation record of the flight in each row.")],
-    output: Annotated[pathlib.Path, typer.Option(help="File to write (.csv): a row for each exposure.")],
+    navigation: Annotated[
+        pathlib.Path, typer.Option(metavar="FILE", help="CSV with a navigation record of the flight in each row.")
+    ],
+    output: Annotated[
+        pathlib.Path,
+        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv): a row for each exposure."),
+    ],
     overlap: Annotated[
         float | None, typer.Option(help="Wished share of an image's length: 0.15 for 15 %; not with a fixed period.")
     ] = None,
@@ -48,24 +56,29 @@ def plan_command(
     along: Along = None,
     vertical_datum: VerticalDatum = None,
     height_datum: HeightDatum = None,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """When to expose on a flight: navigation records in, exposures and the overlap to expect out.
 
     Heights in the output are above the ellipsoid.
     """
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
         check_place("--output", output)
+        keep_inputs("--output", output, [scene, navigation], (dem, vertical_datum))
         period = _checked_wishes(timing, overlap, place)
-        _plan(
+        exposures = _plan(
             (scene, dem, navigation),
             (vertical_datum, height_datum),
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
             output,
         )
+        if as_json:
+            print_json("plan", {"inputs": inputs, "exposures": exposures})
 
 
 def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> float | None:
@@ -102,7 +115,8 @@ def _plan(
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
     output: pathlib.Path,
-) -> None:
+) -> list[dict[str, Any]]:
+    """The exposures, which are written too."""
     import jax
 
     from jaxgeo._checks import enable_x64
@@ -117,13 +131,25 @@ def _plan(
     scene = read_scene(scene_path)
     flight = trajectory_of(scene, scene_path, navigation, datums[1])
     terrain = read_terrain(dem_paths, datums[0])
-    with stderr().status("flying ..."):
+    with working("compiling and flying"):
         found = plan(
             scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
         )
         shots = jax.vmap(flight.at)(found.times)
     write_exposures(output, shots, scene.sensor.gimbal.names, overlaps=found.overlaps)
-    _summarise(found, wishes, output)
+    _summarise(found, output)
+    return _exposures(shots, scene.sensor.gimbal.names, found.overlaps)
+
+
+def _exposures(shots: Any, names: tuple[str, ...], overlaps: Any) -> list[dict[str, Any]]:
+    """A row for each exposure, with what it shares with the one before."""
+    import numpy as np
+
+    rows = rows_of({"exposure": np.arange(np.size(shots.time)), **pose_columns(shots, names)})
+    for index, row in enumerate(rows[1:]):
+        shares = {f"overlap_{name}": float(getattr(overlaps, name)[index]) for name in ("near", "far", "least", "side")}
+        row |= shares | status_words(overlaps.status[index], BOTH)
+    return rows
 
 
 def _timing(way: str, number: float | None, place: Place) -> Any:
@@ -134,7 +160,7 @@ def _timing(way: str, number: float | None, place: Place) -> Any:
     return VelocityHeight(number) if way == "velocity-height" else FixedPeriod(number)
 
 
-def _summarise(found: Any, wishes: tuple[str, float | None, Place], output: pathlib.Path) -> None:
+def _summarise(found: Any, output: pathlib.Path) -> None:
     """How many exposures, and what overlap is to be expected, on stderr."""
     import numpy as np
 

@@ -8,37 +8,54 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
+from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
+from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import numbers_in, read_terrain, said_datum, shot_of
 from jaxgeo.cli._options import HeightDatum, SceneFile, VerticalDatum
-from jaxgeo.cli._screen import stderr
+from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._screen import stderr, working
 
-HIT, NOT_HIT = 0, 1  # exit codes
 UNHIDDEN = "The readings look there; whether ground lies before it, nobody asked."
 
 
 def point_command(
     scene: SceneFile,
     dem: Annotated[
-        list[pathlib.Path] | None, typer.Option(help="Elevation model that may hide the target; repeat it for tiles.")
+        list[pathlib.Path] | None,
+        typer.Option(metavar="FILE", help="Elevation model that may hide the target; repeat it for tiles."),
     ] = None,
     target: Annotated[
-        str | None, typer.Option(help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, the ground of --dem.")
+        str | None,
+        typer.Option(metavar="PLACE", help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, the ground of --dem."),
     ] = None,
     line_of_sight: Annotated[
-        str | None, typer.Option(help="AZIMUTH,DEPRESSION in deg, instead of a target: true, and below the horizontal.")
+        str | None,
+        typer.Option(
+            metavar="DIRECTION", help="AZIMUTH,DEPRESSION in deg, instead of a target: true, and below the horizontal."
+        ),
     ] = None,
-    pixel: Annotated[str | None, typer.Option(help="COLUMN,ROW to look with; the optical axis if left out.")] = None,
+    pixel: Annotated[
+        str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to look with; the optical axis if left out.")
+    ] = None,
     vertical_datum: VerticalDatum = None,
     height_datum: HeightDatum = None,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """Gimbal readings that look at a place on the ground, or along a line of sight, from the pose of a scene.
 
     The exit code is 1 where they do not: out of the gimbal's range (then they are the nearest), or hidden by terrain.
     """
-    with mistakes_told(traceback):
-        code = _point(scene, dem or [], (target, line_of_sight, pixel), (vertical_datum, height_datum))
+    inputs = asked(locals())
+    with mistakes_told(debug):
+        datums = vertical_datum, height_datum
+        names, found, aim = _point(scene, dem or [], (target, line_of_sight, pixel), datums)
+        code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
+        if as_json:
+            meaning = UNHIDDEN if not dem else None
+            print_json(
+                "point", {"inputs": inputs, **_content(names, found, aim), **status_words(found.status, meaning)}
+            )
     raise typer.Exit(code)
 
 
@@ -47,7 +64,8 @@ def _point(
     dem_paths: list[pathlib.Path],
     texts: tuple[str | None, str | None, str | None],
     datums: tuple[str | None, str | None],
-) -> int:
+) -> tuple[tuple[str, ...], Any, Any]:
+    """(names of the axes, the pointing, what was aimed at)."""
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
@@ -69,8 +87,9 @@ def _point(
     aim = _aim(direction) if direction is not None else _target(scene, place, terrain, datums[1])
     if not scene.sensor.gimbal.names:
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
-    found = point(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
-    return _shown(scene.sensor.gimbal.names, found, terrain is None)
+    with working("compiling and pointing"):
+        found = point(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
+    return scene.sensor.gimbal.names, found, aim
 
 
 def _aim(text: str) -> Any:
@@ -101,8 +120,25 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)
 
 
-def _shown(names: tuple[str, ...], found: Any, is_free: bool) -> int:
-    """Readings as a scene file has them, on the screen; what became of it on stderr."""
+def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:
+    """Readings and what they look at, in deg and m."""
+    import numpy as np
+
+    from jaxgeo.earth import Geodetic
+
+    content: dict[str, Any] = {"readings_deg": dict(zip(names, np.rad2deg(found.readings).tolist(), strict=True))}
+    content["miss_deg"] = np.rad2deg(float(found.miss))
+    if isinstance(aim, Geodetic):
+        place = (float(one) for one in aim.to_degrees())
+        content["target"] = dict(zip(("lat_deg", "lon_deg", "height_m"), place, strict=True))
+    return content
+
+
+def _shown(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
+    """The code of exit. Readings as a scene file has them, on the screen unless as JSON; on stderr what became of it.
+
+    `unhidden` is what a hit means where no terrain was asked.
+    """
     import numpy as np
 
     from jaxgeo.status import Status
@@ -110,11 +146,11 @@ def _shown(names: tuple[str, ...], found: Any, is_free: bool) -> int:
     status, readings = Status(int(found.status)), np.rad2deg(np.asarray(found.readings))
     console = Console()
     for name, reading in zip(names, readings, strict=True):
-        if np.isfinite(reading):
+        if np.isfinite(reading) and not as_json:
             console.print(f"{name}_deg = {reading:.6f}", highlight=False, markup=False)
-    meaning = UNHIDDEN if is_free and status == Status.hit else status.message
+    meaning = status_words(status, unhidden)["status_text"]
     stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
     if status == Status.outside_gimbal_range:
         off = f"the line of sight then misses by {np.rad2deg(float(found.miss)):.4f} deg"
         stderr().print(off, highlight=False, soft_wrap=True)
-    return HIT if status == Status.hit else NOT_HIT
+    return DONE if status == Status.hit else NO_ANSWER

@@ -11,10 +11,12 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
+from jaxgeo.cli._common import Debug, UserError, mistakes_told
+from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
-from jaxgeo.cli._screen import print_counts
+from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._screen import bars_on_stderr, print_counts
 
 QUICK_PIXELS = 40_000_000  # fewer are not worth the time that it takes to compile well
 SHOWN = "The image shows this cell (where the image itself is unknown, so is the cell)."
@@ -29,22 +31,27 @@ class Interpolation(StrEnum):
 
 
 def rectify_command(
-    image: Annotated[pathlib.Path, typer.Argument(help="Image file, of the size of the scene's camera.")],
+    image: Annotated[
+        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, of the size of the scene's camera.")
+    ],
     scene: SceneFile,
     dem: DemFiles,
-    output: Annotated[pathlib.Path, typer.Option(help="GeoTIFF to write (.tif).")],
+    output: Annotated[pathlib.Path, typer.Option("--output", "-o", metavar="FILE", help="GeoTIFF to write (.tif).")],
     vertical_datum: VerticalDatum = None,
     crs: Annotated[
-        str | None, typer.Option(help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
+        str | None, typer.Option(metavar="CRS", help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
     ] = None,
     bounds: Annotated[
-        str | None, typer.Option(help="WEST,SOUTH,EAST,NORTH in the unit of --crs; all that is seen if left out.")
+        str | None,
+        typer.Option(metavar="EDGES", help="WEST,SOUTH,EAST,NORTH in the unit of --crs; all that is seen if left out."),
     ] = None,
     resolution: Annotated[
-        str | None, typer.Option(help="Size of a cell in that unit, or ACROSS,DOWN; that of a pixel if left out.")
+        str | None,
+        typer.Option(metavar="SIZE", help="Size of a cell in that unit, or ACROSS,DOWN; that of a pixel if left out."),
     ] = None,
     like: Annotated[
-        pathlib.Path | None, typer.Option(help="Orthoimage onto whose cells to write, in place of the three.")
+        pathlib.Path | None,
+        typer.Option(metavar="FILE", help="Orthoimage onto whose cells to write, in place of the three."),
     ] = None,
     band: Annotated[list[int] | None, typer.Option(help="Band of the image, from 1; repeat it for more.")] = None,
     interpolation: Annotated[Interpolation, typer.Option(help="How values between pixels are told.")] = (
@@ -57,10 +64,12 @@ def rectify_command(
     no_hidden_mask: Annotated[
         bool, typer.Option("--no-hidden-mask", help="Fill cells that ground hides with what hides them; faster.")
     ] = False,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """An image as it lies on the ground: a GeoTIFF on a map, without what the terrain hides."""
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
         form = "one size, or ACROSS,DOWN"
         cell = None if resolution is None else tuple(numbers_in("--resolution", resolution, (1, 2), form))
@@ -70,7 +79,12 @@ def rectify_command(
         if bounds is not None and crs is None:
             raise UserError(f"--bounds {bounds}: in the unit of which map? Name it with --crs.")
         wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
-        _rectify(image, scene, (dem, vertical_datum), output, placed | wishes, interpolation)
+        done, seconds = _rectify(image, scene, (dem, vertical_datum), output, placed | wishes, interpolation)
+        if as_json:
+            print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
+        else:
+            print_raster(done, seconds)
+        count_cells(done)
 
 
 def _rectify(
@@ -80,7 +94,8 @@ def _rectify(
     output: pathlib.Path,
     wishes: dict[str, Any],
     interpolation: Interpolation,
-) -> None:
+) -> tuple[Any, float]:
+    """(what was written, seconds that it took)."""
     from jaxgeo._checks import enable_x64
     from jaxgeo._destination import check_no_input
     from jaxgeo.io import rectify_file
@@ -100,18 +115,19 @@ def _rectify(
     shot = shot_of(scene, scene_path, "rectifying")
     terrain = read_terrain(*ground)
     began = time.perf_counter()
-    done = rectify_file(
-        output,
-        image,
-        scene.sensor,
-        shot,
-        terrain,
-        interpolation=_interpolations()[interpolation],
-        progress=True,
-        atmosphere=scene.atmosphere,
-        **wishes,
-    )
-    print_raster(done, time.perf_counter() - began)
+    with bars_on_stderr():
+        done = rectify_file(
+            output,
+            image,
+            scene.sensor,
+            shot,
+            terrain,
+            interpolation=_interpolations()[interpolation],
+            progress=True,
+            atmosphere=scene.atmosphere,
+            **wishes,
+        )
+    return done, time.perf_counter() - began
 
 
 def pixels_of(path: pathlib.Path) -> int:
@@ -123,13 +139,11 @@ def pixels_of(path: pathlib.Path) -> int:
 
 
 def print_raster(done: Any, seconds: float) -> None:
-    """What was written: the raster on stdout, what became of its cells on stderr."""
+    """What was written, on stdout."""
     rows, cols = done.raster.shape
-    a, b, _, d, e, _ = done.raster.transform[:6]
-    across, down = math.hypot(a, d), math.hypot(b, e)  # also where the raster is turned
     unit = done.raster.crs.axis_info[0].unit_name
-    name = ":".join(done.raster.crs.to_authority() or ()) or done.raster.crs.name
-    sides = f"{across:.6g}", f"{down:.6g}"
+    name = _crs_name(done.raster)
+    sides = [f"{size:.6g}" for size in _cell(done.raster)]
     size = sides[0] if sides[0] == sides[1] else " x ".join(sides)
     console = Console(soft_wrap=True)
     console.print(
@@ -138,7 +152,31 @@ def print_raster(done: Any, seconds: float) -> None:
         highlight=False,
         markup=False,
     )
+
+
+def count_cells(done: Any) -> None:
+    """What became of the cells, on stderr."""
+    rows, cols = done.raster.shape
     print_counts({one.name: count for one, count in done.counts.items()}, rows * cols, "cell", SHOWN)
+
+
+def _content(done: Any, seconds: float) -> dict[str, Any]:
+    """What was written, for machines; `transform` as rasterio has it: (a, b, c, d, e, f)."""
+    rows, cols = done.raster.shape
+    cells = {"rows": rows, "columns": cols, "known": done.known}
+    statuses = {one.name: count for one, count in done.counts.items()}
+    place = {"crs": _crs_name(done.raster), "transform": list(done.raster.transform[:6]), "cell": _cell(done.raster)}
+    return {"file": done.path, **place, **cells, "cells_by_status": statuses, "seconds": seconds}
+
+
+def _cell(raster: Any) -> tuple[float, float]:
+    """Sides of a cell, across and down, also where the raster is turned."""
+    a, b, _, d, e, _ = raster.transform[:6]
+    return math.hypot(a, d), math.hypot(b, e)
+
+
+def _crs_name(raster: Any) -> str:
+    return ":".join(raster.crs.to_authority() or ()) or raster.crs.name
 
 
 def _interpolations() -> dict[Interpolation, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -9,10 +10,13 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import Traceback, UserError, compile_quickly, mistakes_told
-from jaxgeo.cli._inputs import read_terrain
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._examples import examples_of
+from jaxgeo.cli._inputs import keep_inputs, read_terrain
 from jaxgeo.cli._options import VerticalDatum
-from jaxgeo.cli._screen import tell
+from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._screen import tell, working
 
 WIDE = 150  # characters of a line in a file
 
@@ -20,42 +24,47 @@ studies = typer.Typer(help="What papers print, made again.", no_args_is_help=Tru
 
 Folder = Annotated[
     pathlib.Path | None,
-    typer.Option("--output", help="Folder for tables (CSV, Markdown) and pictures; none if left out."),
+    typer.Option(
+        "--output", "-o", metavar="FOLDER", help="Folder for tables (CSV, Markdown) and pictures; none if left out."
+    ),
 ]
 
 
-@studies.command("li2020")
-def li2020_command(output: Folder = None, traceback: Traceback = False) -> None:
+@studies.command("li2020", epilog=examples_of("li2020"))
+def li2020_command(output: Folder = None, as_json: AsJson = False, debug: Debug = False) -> None:
     """The overlap analysis of Li et al. (2020) beside ours: attitude, compensation, strips in flight, timing.
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         _begin(output)
         from jaxgeo.studies import li2020
 
-        _show(li2020, li2020.run, output)
+        _show(li2020, li2020.run, output, inputs if as_json else None)
 
 
-@studies.command("li2023")
+@studies.command("li2023", epilog=examples_of("li2023"))
 def li2023_command(
     output: Folder = None,
     samples: Annotated[int, typer.Option(help="Samples for each row of a table.")] = 50_000,
     seed: Annotated[int, typer.Option(help="Of the samples.")] = 0,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """The error analysis of Li et al. (2023) beside ours: pointing, frame angle, targets, their RMS and CEP.
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         _begin(output)
         from jaxgeo.studies import li2023
 
-        _show(li2023, lambda: li2023.run(samples=samples, seed=seed), output)
+        _show(li2023, lambda: li2023.run(samples=samples, seed=seed), output, inputs if as_json else None)
 
 
-@studies.command("xue2019")
+@studies.command("xue2019", epilog=examples_of("xue2019"))
 def xue2019_command(
     output: Folder = None,
     size: Annotated[
@@ -63,21 +72,23 @@ def xue2019_command(
     ] = 1000.0,
     trials: Annotated[int, typer.Option(help="Smaller blocks with other noise, to test the standard deviations.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """The block of Xue et al. (2019), simulated: direct georeferencing, free net, self-calibration, boresight.
 
     Takes minutes, most of them to compile. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and
     with --output the exit code is 1.
     """
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         _begin(output)
         from jaxgeo.studies import xue2019
 
-        _show(xue2019, lambda: xue2019.run(seed, size, trials=trials), output)
+        _show(xue2019, lambda: xue2019.run(seed, size, trials=trials), output, inputs if as_json else None)
 
 
-@studies.command("gu2017")
+@studies.command("gu2017", epilog=examples_of("gu2017"))
 def gu2017_command(
     output: Folder = None,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
@@ -94,18 +105,21 @@ def gu2017_command(
     vertical_datum: VerticalDatum = None,
     position_sigma: Annotated[float, typer.Option(help="How the position of a real image errs, m.")] = 50.0,
     attitude_sigma: Annotated[float, typer.Option(help="How its attitude errs, deg.")] = 0.5,
-    traceback: Traceback = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
 ) -> None:
     """The registration of Gu and Qiao (2017): its table, an image end to end, blocks and ties, searches, frames.
 
     Takes minutes, most of them to compile. Without a real image one is made over the package's own elevation model.
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
-    with mistakes_told(traceback):
+    inputs = asked(locals())
+    with mistakes_told(debug):
         files = {"--image": image, "--reference": reference, "--dem": dem or None, "--scene": scene}
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
+        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum))
         _begin(output)
         from jaxgeo.studies import gu2017
 
@@ -113,7 +127,7 @@ def gu2017_command(
         if image is not None and reference is not None and scene is not None:
             terrain = read_terrain(dem or [], vertical_datum)
             given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma))
-        _show(gu2017, lambda: gu2017.run(seed, given), output)
+        _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
 
 def _begin(folder: pathlib.Path | None) -> None:
@@ -122,19 +136,29 @@ def _begin(folder: pathlib.Path | None) -> None:
 
     compile_quickly()
     enable_x64()
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+    if folder is None:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
+    folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise UserError(f"--output {folder}: nothing may be written there; name another folder.")
 
 
-def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None) -> None:
-    """Tables on the screen, and with pictures into a folder."""
+def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
+    """Tables on the screen, or as JSON with `inputs`; and with pictures into a folder."""
     console = Console()
     if not console.is_terminal:  # a file has room for all of a table
         console = Console(width=WIDE)
-    with console.status("computing ..."):
+    with working("compiling and computing"):
         report = run()
-    for sheet in study.sheets_of(report):
-        console.print(sheet.to_rich(console.width))
+    sheets = study.sheets_of(report)
+    if inputs is None:
+        for sheet in sheets:
+            console.print(sheet.to_rich(console.width))
+    else:
+        name = study.__name__.rpartition(".")[2]
+        print_json(f"study {name}", {"inputs": inputs, "tables": [_content(sheet) for sheet in sheets]})
     if folder is None:
         return
     study.write_tables(report, folder)
@@ -142,5 +166,12 @@ def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None) -> No
         study.write_pictures(report, folder)
     except ImportError as error:
         tell(f"there are no pictures, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
-        raise typer.Exit(1) from None
-    console.print(f"tables and pictures: {folder}", highlight=False, soft_wrap=True)
+        raise typer.Exit(NO_ANSWER) from None
+    if inputs is None:
+        console.print(f"tables and pictures: {folder}", highlight=False, soft_wrap=True)
+
+
+def _content(sheet: Any) -> dict[str, Any]:
+    """A table with all digits."""
+    rows = [dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows]
+    return {"name": sheet.name, "title": sheet.title, "rows": rows, "note": sheet.note}

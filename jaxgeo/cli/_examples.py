@@ -1,0 +1,52 @@
+"""Examples of every command, as its help shows them; the tests run them all."""
+
+from __future__ import annotations
+
+SCENE = "--scene scene.toml --dem dem.tif"
+EXAMPLES = {
+    "inspect": (
+        "jaxgeo inspect DJI_0042.JPG",
+        "jaxgeo inspect flight.klv --output shots.csv",
+        "jaxgeo inspect mission.sbet --json",
+    ),
+    "locate": (
+        "jaxgeo locate DJI_0042.JPG --height-datum ellipsoid --dem dem.tif --pixel 2000,1500",
+        "jaxgeo locate flight.klv --ground reported -o fixes.kml",
+        f"jaxgeo locate {SCENE} --shots shots.csv -o fixes.csv",
+    ),
+    "report": (f"jaxgeo report {SCENE} --pixel 1200,2400 -o report.html",),
+    "footprint": (
+        f"jaxgeo footprint {SCENE}",
+        f"jaxgeo footprint {SCENE} --shots shots.csv -o footprints.gpkg --crs EPSG:32616",
+    ),
+    "point": (
+        f"jaxgeo point {SCENE} --target 36.31,-84.25",
+        "jaxgeo point --scene scene.toml --line-of-sight 250,18.5",
+    ),
+    "overlap": (
+        f"jaxgeo overlap {SCENE} --navigation flight.csv --times 101,103,107",
+        f"jaxgeo overlap {SCENE} --shots shots.csv -o overlaps.csv",
+    ),
+    "plan": (
+        f"jaxgeo plan {SCENE} --navigation flight.csv --overlap 0.15 -o exposures.csv",
+        f"jaxgeo plan {SCENE} --navigation flight.csv --timing fixed:2.5 -o exposures.csv",
+    ),
+    "rectify": (
+        f"jaxgeo rectify image.tif {SCENE} -o ortho.tif",
+        f"jaxgeo rectify image.tif {SCENE} --crs EPSG:32616 --resolution 5 --cog -o ortho.tif",
+    ),
+    "register": (
+        f"jaxgeo register image.tif --reference ortho.tif {SCENE} --position-sigma 20 --attitude-sigma 0.3 "
+        "-o registered",
+    ),
+    "demo": ("jaxgeo demo", "jaxgeo demo --write-scene scene.toml"),
+    "li2020": ("jaxgeo study li2020 -o tables",),
+    "li2023": ("jaxgeo study li2023 --samples 5000",),
+    "xue2019": ("jaxgeo study xue2019 --trials 20 -o tables",),
+    "gu2017": ("jaxgeo study gu2017 -o tables",),
+}
+
+
+def examples_of(command: str) -> str:
+    """The end of a command's help."""
+    return "\n".join(["[bold]Examples[/bold]", *(f"$ {line}" for line in EXAMPLES[command])])

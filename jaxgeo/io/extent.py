@@ -1,0 +1,40 @@
+"""Where an elevation model lies, in words for who looks elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyproj
+
+from jaxgeo.terrain import Dem
+
+
+def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
+    """(west, south, east, north) in deg of an elevation model's outline; east is not less than west."""
+    rows, cols = (int(posts) - 1 for posts in np.asarray(dem.extent))
+    ways = np.linspace(0.0, 1.0, 9)
+    edge = [(r * rows, c * cols) for r in ways for c in ways]
+    x, y, z = np.moveaxis(np.asarray(jax.vmap(dem.grid.normal)(jnp.array(edge))), -1, 0)
+    lat, lon = np.rad2deg(np.arctan2(z, np.hypot(x, y))), np.rad2deg(np.arctan2(y, x))
+    lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
+    return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
+
+
+def camera_beside(dem: Dem, lat_deg: float, lon_deg: float) -> str | None:
+    """How far beside an elevation model a camera is, and where both are; None if it is over it, or nowhere."""
+    west, south, east, north = extent_deg(dem)
+    lon = west + (lon_deg - west) % 360.0
+    is_over = south <= lat_deg <= north and lon <= east
+    if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)) or is_over:
+        return None
+    is_nearer_to_west = lon - east >= west + 360.0 - lon
+    nearest = west if is_nearer_to_west else min(lon, east), min(max(lat_deg, south), north)
+    _, _, off = pyproj.Geod(ellps="WGS84").inv(lon, lat_deg, *nearest)
+    return (
+        f"the elevation model reaches from {south:.4f} to {north:.4f} deg north and {west:.4f} to {east:.4f} deg east; "
+        f"the camera is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
+        f"{off / 1000.0:.3g} km beside it"
+    )
