@@ -91,7 +91,7 @@ def make_demo() -> Demo:
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
         errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem, scene.errors)
-        fix = _located(sensor, shot, uv, dem)
+        fix = located(sensor, shot, uv, dem)
         return Demo(
             title=scene.title,
             dem=dem,
@@ -109,7 +109,7 @@ def make_demo() -> Demo:
         )
 
 
-def _located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
+def located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
     """Fixes of pixels (n, 2), in chunks of one size, so that one compilation does for all."""
     chunks = []
     for start in range(0, len(uv), CHUNK):
@@ -128,7 +128,7 @@ def _hidden(
     sensor: Sensor, shot: Shot, dem: Dem, posts: np.ndarray, uv: np.ndarray, distance: np.ndarray
 ) -> np.ndarray:
     """Which posts (rows, cols) are hidden: at the pixel that they project to, the camera sees nearer ground."""
-    nearer = _located(sensor, shot, uv, dem).slant_range < distance - HIDDEN_BY
+    nearer = located(sensor, shot, uv, dem).slant_range < distance - HIDDEN_BY
     hidden = np.zeros(np.shape(dem.posts), bool)
     hidden[tuple(posts[nearer].T)] = True
     return hidden
@@ -214,3 +214,15 @@ def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorMo
     compared = compare(*scene, model, key=key, count=SAMPLES, chunk=SAMPLES)
     trusted = accuracy(*scene, model, key=key, count=SAMPLES)
     return Errors(DOUBTED, compared, trusted, budget(propagate(*scene, model, slope=Footprint())))
+
+
+def sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
+    """Values (..., bands) between the posts of (rows, cols, bands), bilinear."""
+    first = np.clip(np.floor(rowcol).astype(int), 0, np.array(image.shape[:2]) - 2)
+    row, col = first[..., 0], first[..., 1]
+    r, c = np.moveaxis(np.clip(rowcol - first, 0.0, 1.0)[..., None], -2, 0)
+    near, far = (
+        image[row, col] * (1 - c) + image[row, col + 1] * c,
+        image[row + 1, col] * (1 - c) + image[row + 1, col + 1] * c,
+    )
+    return near * (1 - r) + far * r

@@ -1,0 +1,144 @@
+"""A drone's image to try things on: packaged terrain as its camera sees it, with a drone's tags and their errors."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxgeo._checks import require_x64
+from jaxgeo.demo.made import located
+from jaxgeo.demo.scenery import painted
+from jaxgeo.io import example_dem
+from jaxgeo.io.acquisitions.usual_errors import LEVEL, LEVEL_ELSE, POSITION
+from jaxgeo.io.scene import ellipsoidal_heights
+from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.camera import check_size
+from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.sources import GimbalAngles, Position
+
+COLUMNS = 1200
+FILM, DIAGONAL = 24.0, math.hypot(36.0, 24.0)  # mm, focal length and film: the wide lens of usual drones
+LAT, LON, HEIGHT = 36.335, -84.2285, 592.0  # deg, m above the ellipsoid: over a ridge
+TAKEOFF = 472.0  # m above the ellipsoid
+YAW, PITCH = 155.0, -9.0  # deg: along a valley, at the foot of mountains
+TAKEN = "2024:05:14 09:26:41"
+
+RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
+DJI = "http://www.dji.com/drone-dji/1.0/"
+MAKE, MODEL, DESCRIPTION, SOFTWARE, EXIF, GPS = 0x010F, 0x0110, 0x010E, 0x0131, 0x8769, 0x8825
+
+
+class DroneImage(NamedTuple):
+    """What is true of the image at `path`: the sensor, and the shot as it was, not as its tags have it."""
+
+    path: str
+    sensor: Sensor
+    shot: Shot
+
+
+def drone_image(path: str | os.PathLike[str] = "drone.jpg", *, seed: int = 0, columns: int = COLUMNS) -> DroneImage:
+    """Write a JPEG, 4 : 3, as a small drone would bring it home, and tell the truth about it.
+
+    It looks over the terrain of `jaxgeo.io.example_dem()`; colours, light and haze are made up, the ground is where the
+    terrain has it. Its tags are those of DJI, altitudes above mean sea level included, whose datum they do not state
+    (it is EGM96, "EPSG:5773"). They err, drawn with the `seed`, by the errors that `jaxgeo.io.with_usual_errors`
+    assumes: so a fix by the tags can be held against `jaxgeo.locate` with the sensor and the shot that are returned.
+    """
+    require_x64()
+    sensor, shot = true_view(check_size(columns, "columns"))
+    camera, dem = sensor.camera, example_dem()
+    assert isinstance(camera, FrameCamera)
+    shape = camera.height, camera.width
+    uv = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).reshape(-1, 2).astype(float)
+    fix = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), located(sensor, shot, uv, dem))
+    _write(
+        os.fspath(path), painted(dem, fix, float(np.asarray(camera.focal_px)[0])), camera, tagged(sensor, shot, seed)
+    )
+    return DroneImage(os.fspath(path), sensor, shot)
+
+
+def true_view(columns: int = COLUMNS) -> tuple[Sensor, Shot]:
+    """The camera, so many columns wide, and the shot as it truly was."""
+    rows = columns * 3 // 4
+    camera = FrameCamera.from_pixels(focal_px=FILM * math.hypot(columns, rows) / DIAGONAL, width=columns, height=rows)
+    sensor = Sensor(camera, Gimbal.three_axis(), Mount.forward())
+    pose = Pose.from_degrees(lat=LAT, lon=LON, height=HEIGHT, heading=YAW, pitch=-2.0, roll=1.0)
+    return sensor, Shot(pose, sensor.gimbal.readings_from_degrees(yaw=YAW, pitch=PITCH, roll=0.0))
+
+
+def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
+    """The shot as the drone has it: with a draw of the errors of its position and of its camera's angles."""
+    rng = np.random.default_rng(seed)
+    north, east, down = POSITION
+    angles: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) for name in sensor.gimbal.names}
+    look = Look.of(sensor, shot, np.zeros(2), example_dem())
+    for source in (Position.from_ned(north=north, east=east, down=down), GimbalAngles.from_degrees(**angles)):
+        error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
+        look = eqx.filter_jit(source.moved)(look, error)
+    assert isinstance(look.motion, Shot)
+    return look.motion
+
+
+def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> None:
+    """A JPEG of colours (rows, columns, 3) between 0 and 1, with the tags of a shot."""
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    lat, lon, height = (float(x) for x in shot.pose.position.to_degrees())
+    sea = height - float(ellipsoidal_heights(np.array([lon]), np.array([lat]), np.zeros(1), "EPSG:5773")[0])
+    tags = Image.Exif()
+    tags[DESCRIPTION] = "Rendered from terrain (SRTM, Jacksboro Fault, Tennessee); no photograph"
+    tags[MAKE], tags[MODEL], tags[SOFTWARE] = "jaxgeo", "made-up drone", "jaxgeo.demo.drone_image"
+    tags.get_ifd(EXIF).update({0x9003: TAKEN, 0x9011: "-04:00", 0x920A: IFDRational(67, 10), 0xA405: int(FILM)})
+    tags.get_ifd(EXIF).update({0xA002: camera.width, 0xA003: camera.height})
+    place = {1: "N" if lat >= 0.0 else "S", 2: _degrees(lat), 3: "E" if lon >= 0.0 else "W", 4: _degrees(lon)}
+    tags.get_ifd(GPS).update(place | {5: 0, 6: IFDRational(round(1000 * sea), 1000)})
+    told = {
+        "GpsLatitude": f"{lat:+.9f}",
+        "GpsLongitude": f"{lon:+.9f}",
+        "AbsoluteAltitude": f"{sea:+.3f}",
+        "RelativeAltitude": f"{height - TAKEOFF:+.3f}",
+        "CalibratedFocalLength": f"{np.asarray(camera.focal_px)[0]:.6f}",
+        "CalibratedOpticalCenterX": f"{camera.width / 2:.6f}",
+        "CalibratedOpticalCenterY": f"{camera.height / 2:.6f}",
+    }
+    pixels = np.round(255.0 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
+    Image.fromarray(pixels).save(path, "JPEG", quality=88, exif=tags, xmp=_packet(told | _angles(shot)))
+
+
+def _degrees(angle: float) -> tuple[Any, ...]:
+    """Degrees, minutes and seconds of EXIF."""
+    from PIL.TiffImagePlugin import IFDRational
+
+    seconds = round(abs(angle) * 3600.0 * 10_000)
+    minutes, seconds = divmod(seconds, 60 * 10_000)
+    return (*(IFDRational(part) for part in divmod(minutes, 60)), IFDRational(seconds, 10_000))
+
+
+def _angles(shot: Shot) -> dict[str, str]:
+    """How camera and aircraft are turned, deg, by the names of DJI's tags."""
+    pose = shot.pose
+    angles = {"Gimbal": tuple(np.asarray(shot.gimbal_readings)), "Flight": (pose.heading, pose.pitch, pose.roll)}
+    return {
+        f"{what}{name}Degree": f"{_turn(math.degrees(float(angle))):+.2f}"
+        for what, three in angles.items()
+        for name, angle in zip(("Yaw", "Pitch", "Roll"), three, strict=True)
+    }
+
+
+def _packet(values: dict[str, str]) -> bytes:
+    told = " ".join(f'drone-dji:{name}="{value}"' for name, value in values.items())
+    return (
+        f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="{RDF}"><rdf:Description rdf:about="" '
+        f'xmlns:drone-dji="{DJI}" {told}/></rdf:RDF></x:xmpmeta>'
+    ).encode()
+
+
+def _turn(angle_deg: float) -> float:
+    """An angle between -180 and 180 deg."""
+    return (angle_deg + 180.0) % 360.0 - 180.0
