@@ -44,18 +44,16 @@ def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str 
 def _draw_map(demo: Demo, ax: Any) -> None:
     from jaxgeo import plot
 
-    plot.map_axes(ax, demo.dem)
+    plot.map_axes(demo.dem, ax)
     plot.hillshade(demo.dem, ax)
-    handles = [
-        plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera, along its heading"),
-        plot.footprint(demo.outline, ax, label="footprint of the image"),
-        plot.sight_lines(demo.centre, demo.fix, ax),
-        plot.fixes(demo.fix, ax, label="fixes"),
-        plot.hidden_ground(demo.dem, demo.hidden, ax, label="in the image, but behind terrain"),
-    ]
+    plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera, along its heading")
+    plot.footprints(demo.outline, ax, labels=["footprint of the image"])
+    plot.sight_lines(demo.centre, demo.fix, ax)
+    plot.fixes(demo.fix, ax, label="fixes")
+    plot.hidden_ground(demo.dem, demo.hidden, ax, label="in the image, but behind terrain")
     plot.scale_bar(ax)
     plot.north_arrow(ax)
-    ax.legend(handles=handles, loc="upper left", framealpha=0.92, fontsize=10.5)
+    plot.legend(ax, loc="upper left")
     ax.set_title("Where each pixel lies")
 
 
@@ -125,9 +123,7 @@ def _draw_errors(demo: Demo, ax: Any) -> None:
     from jaxgeo import plot
 
     compared, trusted = demo.errors.comparison, demo.errors.accuracy
-    shown = {name: compared.propagations[name] for name in ("linear, facet", "linear, footprint")}
-    handles = plot.error_cloud(compared, ax, dem=demo.dem, propagations=shown, jumped=compared.beyond_gap)
-    ax.figure.legend(handles=handles, loc="outside lower left", ncols=5, framealpha=0.92, fontsize=10.0)
+    plot.error_cloud(compared, ax, dem=demo.dem)
     ax.set_title(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}")
 
 

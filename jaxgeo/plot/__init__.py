@@ -1,7 +1,19 @@
-"""Pictures: each function draws records on matplotlib axes, and returns what a legend or a colour bar needs.
+"""Pictures: what is known, drawn on matplotlib's axes.
 
-Nothing here keeps a state. Maps are in degrees of longitude and latitude; `map_axes` prepares axes so that a kilometre
-is as long north as east. Pictures of errors are in m east and north of the fix that they belong to.
+One rule for all: a drawing is named by a noun, takes what it draws first and then the axes, `ax`, all else by keyword,
+draws on these axes and returns them. Without `ax` it makes a figure of its own, in the style of the house:
+`budget_bars(shares).figure.savefig("budget.pdf")`. Nothing here keeps a state, changes matplotlib's settings or opens a
+window.
+
+- On a map, in degrees of longitude and latitude, drawings lie on each other: `map_axes`, `hillshade`, `hidden_ground`,
+  `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`, `scale_bar`,
+  `north_arrow`. What they draw has labels: `legend(ax)` tells them, `colour_bar(ax, "CE90, m")` the colours.
+- Charts stand alone and have their legend, `legend=False` leaves it out: `budget_bars`, `error_cloud`, `sight_section`,
+  `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`; `overlap_along`, `checkerboard`
+  and `convention` need none by themselves.
+- `conventions_figure` and `registration_figure` are whole pages, and return the figure.
+
+`style.style(width)` has the settings of a figure for print, `style` the colours and what each stands for.
 """
 
 try:
@@ -9,19 +21,20 @@ try:
 except ImportError as error:
     raise ImportError("jaxgeo.plot draws with matplotlib: pip install 'jaxgeo[plot]'") from error
 
-from jaxgeo.plot.accuracy import accuracy_map, budget_bars
-from jaxgeo.plot.cloud import error_cloud
+from jaxgeo.plot import style
+from jaxgeo.plot.accuracy import accuracy_map
+from jaxgeo.plot.adjustment import residual_arrows, residual_histogram
+from jaxgeo.plot.budgets import budget_bars
+from jaxgeo.plot.cloud import error_cloud, ground_about
+from jaxgeo.plot.conventions import convention, conventions_figure
 from jaxgeo.plot.coverage import footprints, overlap_along
+from jaxgeo.plot.errors_on_map import cloud_on_map, ellipses_on_map
+from jaxgeo.plot.legends import colour_bar, legend
 from jaxgeo.plot.maps import (
-    EDGE,
-    FIX,
-    HIDDEN,
     MOST_POSTS,
     RELIEF,
-    SIGHT,
     camera,
     fixes,
-    footprint,
     hidden_ground,
     hillshade,
     lonlat_deg,
@@ -32,8 +45,10 @@ from jaxgeo.plot.maps import (
     shaded_relief,
     sight_lines,
 )
-from jaxgeo.plot.registration import before_after, checkerboard, circles_on_map, shifts, ties_on_map
+from jaxgeo.plot.registration import checkerboard, circles_on_map, shifts, ties_on_map
 from jaxgeo.plot.registration_page import registration_figure
+from jaxgeo.plot.sightline import Section, section_under, sight_section
+from jaxgeo.plot.style import EDGE, FIX, HIDDEN, SIGHT
 
 __all__ = [
     "EDGE",
@@ -42,27 +57,38 @@ __all__ = [
     "MOST_POSTS",
     "RELIEF",
     "SIGHT",
+    "Section",
     "accuracy_map",
-    "before_after",
     "budget_bars",
     "camera",
     "checkerboard",
     "circles_on_map",
+    "cloud_on_map",
+    "colour_bar",
+    "convention",
+    "conventions_figure",
+    "ellipses_on_map",
     "error_cloud",
     "fixes",
-    "footprint",
     "footprints",
+    "ground_about",
     "hidden_ground",
     "hillshade",
+    "legend",
     "lonlat_deg",
     "map_axes",
     "north_arrow",
     "overlap_along",
     "post_positions",
     "registration_figure",
+    "residual_arrows",
+    "residual_histogram",
     "scale_bar",
+    "section_under",
     "shaded_relief",
     "shifts",
     "sight_lines",
+    "sight_section",
+    "style",
     "ties_on_map",
 ]

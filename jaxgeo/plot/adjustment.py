@@ -8,27 +8,27 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 
 from jaxgeo._checks import check_is
 from jaxgeo.adjust import Adjustment, Reliability, reliability
-from jaxgeo.plot.style import BLUE, INK, MUTED, ORANGE, VERMILLION, grid_behind, legend_below
+from jaxgeo.plot.legends import keyed, legend_of
+from jaxgeo.plot.style import BLUE, INK, MUTED, ORANGE, VERMILLION, grid_behind, house_axes, round_length
 
 LONG = 0.06  # of the image's width: how long most residuals are at most, drawn by themselves
 WIDEST = 5.0  # standard deviations on either side of a histogram
 BINS = 40
-STEPS = (1.0, 2.0, 5.0)
 SHAFT = 0.010  # inches: the width of an arrow
 
 
-def draw_residuals(
-    axes: Axes,
+def residual_arrows(
     adjustment: Adjustment,
+    ax: Axes | None = None,
     *,
     image: str | None = None,
     exaggeration: float | None = None,
     checked: Reliability | None = None,
+    legend: bool = True,
 ) -> Axes:
     """Residuals of image points, adjusted less measured, as arrows over the image plane, many times as long.
 
@@ -49,25 +49,28 @@ def draw_residuals(
     if not (math.isfinite(times) and times > 0.0):
         raise ValueError(f"exaggeration must be a positive number; got {exaggeration!r}.")
     wrong = np.zeros(len(uv), bool) if checked is None else _exceeds(checked)[rows]
-    handles = _arrows(axes, uv, residuals, wrong, times, checked)
     edge = np.array([[-0.5, -0.5], [camera.width - 0.5, camera.height - 0.5]])
     drawn = np.concatenate([edge, uv, uv + times * residuals])  # some tips lie beyond the image's edge
     low, high = drawn.min(axis=0), drawn.max(axis=0)
-    axes.add_patch(
-        Rectangle((-0.5, -0.5), camera.width, camera.height, facecolor="none", edgecolor=MUTED, linewidth=0.8)
-    )
-    axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
-    axes.set(aspect="equal", xlabel="column, px", ylabel="row, px")
-    axes.spines[:].set_visible(True)
-    handles.append(_key(axes, times, camera.width))
     rms = np.sqrt(np.mean(residuals**2, axis=0))
     which = f"image {image}" if image is not None else f"{len(np.unique(seen.image[rows]))} images"
-    axes.set_title(f"{which}: rms {rms[0]:.2g}, {rms[1]:.2g} px", pad=9.0)
-    legend_below(axes, handles)
-    return axes
+    frame: dict[str, Any] = {"facecolor": "none", "edgecolor": MUTED, "linewidth": 0.8}
+    with house_axes(ax, tall=0.8) as ax:
+        handles = _arrows(uv, residuals, wrong, times, checked, ax)
+        ax.add_patch(Rectangle((-0.5, -0.5), camera.width, camera.height, **frame))
+        ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+        ax.set(aspect="equal", xlabel="column, px", ylabel="row, px")
+        ax.spines[:].set_visible(True)
+        handles.append(_key(times, camera.width, ax))
+        ax.set_title(f"{which}: rms {rms[0]:.2g}, {rms[1]:.2g} px", pad=9.0)
+        if legend:
+            legend_of(ax, handles)
+    return ax
 
 
-def draw_residual_histogram(axes: Axes, adjustment: Adjustment, *, checked: Reliability | None = None) -> Axes:
+def residual_histogram(
+    adjustment: Adjustment, ax: Axes | None = None, *, checked: Reliability | None = None, legend: bool = True
+) -> Axes:
     """Standardised residuals of image points, of columns and rows, and how many there would be if sigmas were right.
 
     A residual is divided by its own standard deviation, which is smaller than that of the measurement by the root of
@@ -83,24 +86,24 @@ def draw_residual_histogram(axes: Axes, adjustment: Adjustment, *, checked: Reli
     if not known.any():
         raise ValueError("no residual is checked by another measurement: there is nothing to compare.")
     edges = np.linspace(-WIDEST, WIDEST, _bins(int(known.sum())) + 1)
-    handles: list[Artist] = []
-    for column, (label, filled) in enumerate((("columns", True), ("rows", False))):
-        own = values[known[:, column], column]
-        count, _ = np.histogram(own, edges)
-        handles.append(_steps(axes, count, edges, f"{label}, spread {_spread(own)}", filled))
     x = np.linspace(-WIDEST, WIDEST, 401)
     whole = 0.5 * known.sum() * (edges[1] - edges[0])  # of either axis
     expected = whole * np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi)
-    handles += axes.plot(x, expected, color=INK, linewidth=1.3, zorder=4, label="expected, spread 1")
-    _limits(axes, checked)
-    axes.set(
-        xlim=(-WIDEST, WIDEST), xlabel="residual, in its own standard deviations", ylabel="residuals in a bin, count"
-    )
-    axes.set_ylim(0.0, 1.12 * axes.dataLim.y1)
-    grid_behind(axes)
-    axes.set_title(f"\N{GREEK SMALL LETTER SIGMA}0 {adjustment.sigma0:.3f}, redundancy {adjustment.redundancy}")
-    legend_below(axes, handles, title=_remark(checked, values))
-    return axes
+    with house_axes(ax) as ax:
+        handles: list[Artist] = []
+        for column, (label, filled) in enumerate((("columns", True), ("rows", False))):
+            own = values[known[:, column], column]
+            count, _ = np.histogram(own, edges)
+            handles.append(_steps(count, edges, f"{label}, spread {_spread(own)}", filled, ax))
+        handles += ax.plot(x, expected, color=INK, linewidth=1.3, zorder=4, label="expected, spread 1")
+        _limits(checked, ax)
+        ax.set(xlim=(-WIDEST, WIDEST), ylim=(0.0, 1.12 * ax.dataLim.y1))
+        ax.set(xlabel="residual, in its own standard deviations", ylabel="residuals in a bin, count")
+        grid_behind(ax)
+        ax.set_title(f"\N{GREEK SMALL LETTER SIGMA}0 {adjustment.sigma0:.3f}, redundancy {adjustment.redundancy}")
+        if legend:
+            legend_of(ax, handles, title=_remark(checked, values))
+    return ax
 
 
 def _measured(adjustment: Adjustment, image: str | None) -> tuple[np.ndarray, str]:
@@ -129,16 +132,11 @@ def _exceeds(checked: Reliability) -> np.ndarray:
 def _times(residuals: np.ndarray, width: int) -> float:
     """A round number by which most residuals become visible, and few long."""
     longest = float(np.quantile(np.linalg.norm(residuals, axis=1), 0.95))
-    return _round(LONG * width / longest) if longest > 0.0 else 1.0
-
-
-def _round(value: float) -> float:
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(step * power for step in STEPS if step * power <= value * (1.0 + 1e-12))
+    return round_length(LONG * width / longest) if longest > 0.0 else 1.0
 
 
 def _arrows(
-    axes: Axes, uv: np.ndarray, residuals: np.ndarray, wrong: np.ndarray, times: float, checked: Reliability | None
+    uv: np.ndarray, residuals: np.ndarray, wrong: np.ndarray, times: float, checked: Reliability | None, ax: Axes
 ) -> list[Artist]:
     """Arrows from where points were measured; handles that say how many there are."""
     handles: list[Artist] = []
@@ -150,20 +148,19 @@ def _arrows(
         style |= {"units": "inches", "width": SHAFT if colour == BLUE else 1.7 * SHAFT}
         heads: dict[str, Any] = {"headwidth": 4.0, "headlength": 5.0, "headaxislength": 4.5, "minlength": 0.5}
         zorder = 4 if colour == VERMILLION else 3
-        arrows = axes.quiver(*uv[which].T, *residuals[which].T, color=colour, zorder=zorder, **style, **heads)
+        arrows = ax.quiver(*uv[which].T, *residuals[which].T, color=colour, zorder=zorder, **style, **heads)
         arrows.set_in_layout(False)
-        handles.append(Line2D([], [], color=colour, linewidth=1.4, label=f"{which.sum()} {label}"))
+        handles.append(keyed(ax, f"{which.sum()} {label}", color=colour, linewidth=1.4))
     return handles
 
 
-def _key(axes: Axes, times: float, width: int) -> Artist:
+def _key(times: float, width: int, ax: Axes) -> Artist:
     """A bar above the image, as long as a residual of a round number of px, and its handle."""
-    length = _round(0.15 * width / times)
+    length = round_length(0.15 * width / times)
     bar: dict[str, Any] = {"color": INK, "linewidth": 2.0, "solid_capstyle": "butt", "clip_on": False, "zorder": 5}
     x = width - 0.5 - np.array([length * times, 0.0])
-    axes.plot(x, [1.025, 1.025], label="_key", transform=axes.get_xaxis_transform(), **bar)
-    label = f"a residual of {length:g} px ({times:g} times)"
-    return Line2D([], [], color=INK, linewidth=2.0, label=label)
+    ax.plot(x, [1.025, 1.025], label="_key", transform=ax.get_xaxis_transform(), **bar)
+    return keyed(ax, f"a residual of {length:g} px ({times:g} times)", color=INK, linewidth=2.0)
 
 
 def _bins(count: int) -> int:
@@ -171,15 +168,15 @@ def _bins(count: int) -> int:
     return int(np.clip(2 * round(0.5 * WIDEST * count ** (1.0 / 3.0) / 1.5), 10, BINS))
 
 
-def _steps(axes: Axes, count: np.ndarray, edges: np.ndarray, label: str, filled: bool) -> Artist:
+def _steps(count: np.ndarray, edges: np.ndarray, label: str, filled: bool, ax: Axes) -> Artist:
     """One histogram: an area, or an outline over it."""
     if filled:
         look: dict[str, Any] = {"facecolor": "#a9cbe3", "edgecolor": BLUE, "linewidth": 0.8}
-        axes.stairs(count, edges, fill=True, zorder=2, label=f"_{label}", **look)
-        return Patch(label=label, **look)
+        ax.stairs(count, edges, fill=True, zorder=2, label=f"_{label}", **look)
+        return keyed(ax, label, area=True, **look)
     line: dict[str, Any] = {"edgecolor": ORANGE, "linewidth": 1.4}
-    axes.stairs(count, edges, zorder=3, label=f"_{label}", **line)
-    return Line2D([], [], color=ORANGE, linewidth=1.4, label=label)
+    ax.stairs(count, edges, zorder=3, label=f"_{label}", **line)
+    return keyed(ax, label, color=ORANGE, linewidth=1.4)
 
 
 def _spread(values: np.ndarray) -> str:
@@ -187,11 +184,11 @@ def _spread(values: np.ndarray) -> str:
     return f"{math.sqrt(float(np.mean(values**2))):.2f}" if len(values) else "unknown"
 
 
-def _limits(axes: Axes, checked: Reliability) -> None:
+def _limits(checked: Reliability, ax: Axes) -> None:
     """Lines at the critical value of the test on either side."""
     for side in (-1.0, 1.0):
         if checked.critical < WIDEST:
-            axes.axvline(side * checked.critical, color=MUTED, linewidth=0.9, linestyle="--", zorder=1)
+            ax.axvline(side * checked.critical, color=MUTED, linewidth=0.9, linestyle="--", zorder=1)
 
 
 def _remark(checked: Reliability, values: np.ndarray) -> str:

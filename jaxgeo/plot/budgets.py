@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import ScaledTranslation
 
 from jaxgeo._checks import check_is
-from jaxgeo.plot.style import BLUE, HAIR, MUTED, ORANGE, legend_below, metres
+from jaxgeo.plot.legends import legend_of
+from jaxgeo.plot.style import HAIR, HORIZONTAL, MUTED, VERTICAL, house_axes, metres
 from jaxgeo.uncertainty import Budget
 from jaxgeo.uncertainty.budget import SigmaShare
 
@@ -29,7 +30,7 @@ class _Row(NamedTuple):
     without: float
 
 
-def draw_budget(axes: Axes, budget: Budget, *, most: int = MOST) -> Axes:
+def budget_bars(budget: Budget, ax: Axes | None = None, *, most: int = MOST, legend: bool = True) -> Axes:
     """Shares of each error in the horizontal and in the vertical variance, %, the largest first.
 
     Beside the bars stands the circular error in m that would be left without the error, all others as they are. The
@@ -42,21 +43,21 @@ def draw_budget(axes: Axes, budget: Budget, *, most: int = MOST) -> Axes:
     if not budget.total.horizontal > 0.0:
         raise ValueError("the horizontal variance of this budget is zero: there is nothing to share.")
     rows = _shown(sorted(_rows(budget), key=lambda row: (-row.horizontal, -row.vertical)), most)
-    handles = _bars(axes, rows)
-    _figures(axes, rows, budget)
-    axes.set_yticks(np.arange(len(rows)), [_label(row) for row in rows])
-    axes.set_ylim(len(rows) - 0.45, -0.55)
-    axes.set_xlim(0.0, ROOM * max(100.0 * max(row.horizontal, row.vertical) for row in rows))
-    axes.set_xlabel("share of the variance, %")
-    axes.tick_params(axis="y", length=0.0)
-    axes.grid(True, axis="x")
-    axes.set_axisbelow(True)
-    height = math.sqrt(budget.total.vertical)
-    figure = _figure(budget)
-    title = f"{figure} {budget.circular_error:.3g} m, sigma of height {height:.3g} m"
-    axes.set_title(title, loc="right", fontsize="medium", fontweight="normal", pad=2.2 * HEADER)
-    legend_below(axes, handles, loc="upper right", bbox_to_anchor=(1.0, 0.0))
-    return axes
+    title = f"{_figure(budget)} {budget.circular_error:.3g} m, sigma of height {math.sqrt(budget.total.vertical):.3g} m"
+    with house_axes(ax, tall=0.55) as ax:
+        handles = _bars(rows, ax)
+        _figures(rows, budget, ax)
+        ax.set_yticks(np.arange(len(rows)), [_label(row) for row in rows])
+        ax.set_ylim(len(rows) - 0.45, -0.55)
+        ax.set_xlim(0.0, ROOM * max(100.0 * max(row.horizontal, row.vertical) for row in rows))
+        ax.set_xlabel("share of the variance, %")
+        ax.tick_params(axis="y", length=0.0)
+        ax.grid(True, axis="x")
+        ax.set_axisbelow(True)
+        ax.set_title(title, loc="right", fontsize="medium", fontweight="normal", pad=2.2 * HEADER)
+        if legend:
+            legend_of(ax, handles, loc="upper right", bbox_to_anchor=(1.0, 0.0))
+    return ax
 
 
 def _rows(budget: Budget) -> list[_Row]:
@@ -92,29 +93,29 @@ def _label(row: _Row) -> str:
     return f"{row.name}, {row.sigma}" if row.sigma else row.name
 
 
-def _bars(axes: Axes, rows: list[_Row]) -> list[Any]:
+def _bars(rows: list[_Row], ax: Axes) -> list[Any]:
     """Bars of both variances and how long they are."""
     place = np.arange(len(rows))
     across, up = (100.0 * np.array([getattr(row, name) for row in rows]) for name in ("horizontal", "vertical"))
-    wide = axes.barh(place - 0.5 * THIN, across, TALL, color=BLUE, label="horizontal variance", zorder=2)
-    thin = axes.barh(place + 0.5 * TALL, up, THIN, color=ORANGE, label="vertical variance", zorder=2)
-    axes.bar_label(wide, [f"{share:.1f}" for share in across], padding=2.5, fontsize="small")
+    wide = ax.barh(place - 0.5 * THIN, across, TALL, color=HORIZONTAL, label="horizontal variance", zorder=2)
+    thin = ax.barh(place + 0.5 * TALL, up, THIN, color=VERTICAL, label="vertical variance", zorder=2)
+    ax.bar_label(wide, [f"{share:.1f}" for share in across], padding=2.5, fontsize="small")
     return [wide, thin]
 
 
-def _figures(axes: Axes, rows: list[_Row], budget: Budget) -> None:
+def _figures(rows: list[_Row], budget: Budget, ax: Axes) -> None:
     """A column right of the axes: the circular error without each, m."""
-    figure = axes.get_figure(root=False)
+    figure = ax.get_figure(root=False)
     assert figure is not None
     right = ScaledTranslation(30.0 / 72.0, 0.0, figure.dpi_scale_trans)
     style: dict[str, Any] = {"ha": "right", "fontsize": "small", "clip_on": False}
     for place, row in enumerate(rows):
         if math.isfinite(row.without):
-            where = axes.get_yaxis_transform() + right
-            axes.text(1.0, place, metres(row.without), transform=where, va="center", **style)
-    where = axes.transAxes + right
-    axes.text(1.0, 1.01, f"{_figure(budget)} without", transform=where, va="bottom", color=MUTED, **style)
-    axes.axhline(-0.55, color=HAIR, linewidth=0.6)
+            where = ax.get_yaxis_transform() + right
+            ax.text(1.0, place, metres(row.without), transform=where, va="center", **style)
+    where = ax.transAxes + right
+    ax.text(1.0, 1.01, f"{_figure(budget)} without", transform=where, va="bottom", color=MUTED, **style)
+    ax.axhline(-0.55, color=HAIR, linewidth=0.6)
 
 
 def _figure(budget: Budget) -> str:

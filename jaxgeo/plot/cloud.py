@@ -1,9 +1,9 @@
-"""The cloud of a fix's sampled errors, over the ground that it lies on."""
+"""The cloud of a fix's sampled errors beside what linear propagation says, over the ground that it lies on."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -11,68 +11,93 @@ import jax.numpy as jnp
 import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
 from jaxgeo._checks import check_is
 from jaxgeo._typing import Vector3
 from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.fix import Fix
-from jaxgeo.plot.maps import EDGE, _halo, _slopes
+from jaxgeo.plot.legends import keyed, legend_of
+from jaxgeo.plot.maps import slopes
+from jaxgeo.plot.style import INK, JUMPED, LINEAR, SAMPLE, SAMPLED, grid_behind, halo, house_axes, metres, percent
 from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import surface_point
 from jaxgeo.uncertainty import Comparison, Propagation, Sampled
 
-MOST_POINTS = 4000  # of a cloud; more make it no clearer
+MOST_POINTS = 5000  # of a cloud; more make it no clearer
 ACROSS = 240  # places from side to side at which the ground of a picture is drawn, at least
 INTERVALS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # m, between contour lines
-# Okabe and Ito (2008), "Color universal design": told apart by all eyes, and in print by their lightness.
-SAMPLE, JUMPED = "#0072b2", "#d55e00"
-ELLIPSES = (("black", "--"), ("#e69f00", "-"), ("#cc79a7", "-."), ("#56b4e9", ":"))
-CIRCLE = "#7a0177"
 SHOWN = ("linear, facet", "linear, footprint")  # of a comparison; level ground would only be in the way
-GREYS = matplotlib.colors.LinearSegmentedColormap.from_list("greys", ["#a8a8a8", "#fbfbfb"])
+MOST = 0.99  # of the samples, and of those that jumped, which a picture holds that is not told its reach
+FAR = 8.0  # times the largest circle: no picture goes farther by itself
+JUDGED = 0.9, 1  # the circular error whose methods a comparison judges, and where it stands among its figures
+DASHES = (0, (4, 2))
+GREYS = matplotlib.colors.LinearSegmentedColormap.from_list("greys", ["#b4b4b4", "#fdfdfd"])
 
 
 def error_cloud(
     errors: Comparison | Sampled,
-    ax: Axes,
+    ax: Axes | None = None,
     *,
     dem: Dem | None = None,
     propagations: Mapping[str, Propagation] | None = None,
     jumped: Any = None,
-    probabilities: Sequence[float] = (0.5, 0.9),
+    probability: float = 0.9,
     reach: float | None = None,
-) -> list[Line2D]:
-    """Sampled errors of one fix in m east and north of it, over the ground there, and what linear propagation says.
+    legend: bool = True,
+) -> Axes:
+    """Sampled errors of one fix in m east and north of it, and what linear propagation says of them.
 
-    `errors` are samples that were kept; `jumped` (count,) marks those in another colour. `propagations` are drawn by
-    name as ellipses that hold the `probabilities`, the samples' circular errors as circles. Of a comparison both are
-    known: its samples beyond a gap, and linear propagation by facet and footprint. `reach` is half the side in m; if
-    left out, that of all but the farthest 1 %. Returns handles for a legend. Raises `TypeError` for other
-    records, `ValueError` for samples that were not kept, marks of another number, and a reach that is not positive.
+    `errors` are samples that were kept; `jumped` (count,) marks those on other ground, as crosses. Full lines are
+    ellipses of the covariances, dashed ones circles that hold the truth with a `probability`: where samples are normal
+    an ellipse holds as many as its circle. `propagations`, up to three by name, are drawn beside the samples. A
+    `Comparison` knows both, linear propagation over facet and footprint, and its verdict stands in the legend. With a
+    `dem` the ground about the fix is drawn below. `reach` is half the side in m, by default such that 99 % of the
+    samples, of those that jumped too, and all circles are inside, or eight times the largest circle; what is outside
+    is counted in words. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no
+    fix, marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
+    positive.
     """
-    sampled = errors.sampled if isinstance(errors, Comparison) else errors
-    if isinstance(errors, Comparison):
-        jumped = errors.beyond_gap if jumped is None else jumped
-        if propagations is None:
-            propagations = {name: one for name, one in errors.propagations.items() if name in SHOWN}
+    compared = errors if isinstance(errors, Comparison) else None
+    sampled = compared.sampled if compared is not None else errors
     check_is(sampled, Sampled, "errors", "Make them with jaxgeo.uncertainty.sample or compare.")
+    assert isinstance(sampled, Sampled)
+    if compared is not None:
+        jumped = compared.beyond_gap if jumped is None else jumped
+        if propagations is None:
+            propagations = {name: compared.propagations[name] for name in SHOWN if name in compared.propagations}
+    linear = _checked(propagations or {})
     points, marked = _kept(sampled, jumped)
-    reach = _reach(points, reach)
-    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="east, m", ylabel="north, m")
-    if dem is not None:
-        _ground(dem, sampled.fix, reach, ax)
-    handles = _points(points, marked, ax)
-    for number, (name, one) in enumerate((propagations or {}).items()):
+    radii = [
+        sampled.circular_error(probability).value,
+        *(float(x.circular_error(probability)) for x in linear.values()),
+    ]
+    half = _reach(points, marked, [one for one in radii if math.isfinite(one)], reach)
+    with house_axes(ax) as ax:
+        ax.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="east, m", ylabel="north, m")
+        grid_behind(ax)
+        if dem is not None:
+            _ground(dem, sampled.fix, half, ax)
+        handles = _points(points, marked, sampled, ax)
+        handles.append(_sampled(sampled, probability, ax))
+        for colour, (name, one) in zip(LINEAR, linear.items(), strict=False):
+            judged = _judged(compared, name) if probability == JUDGED[0] else ""
+            handles.append(_linear(name, one, probability, colour, judged, ax))
+        ax.plot([0.0], [0.0], "+", color=INK, markersize=8.0, markeredgewidth=1.2, zorder=7, label="_fix")
+        ax.lines[-1].set_path_effects(halo(3.0))
+        share = f"{100.0 * probability:g} %"
+        handles.append(keyed(ax, f"ellipse of the covariance, {share}", color="0.4", linewidth=1.0))
+        handles.append(keyed(ax, f"circle of {share}, CE{share[:-2]}", color="0.4", linewidth=1.0, linestyle=DASHES))
+        if legend:
+            legend_of(ax, handles, beside=True, title=_remark(sampled, compared, points, half))
+    return ax
+
+
+def _checked(propagations: Mapping[str, Propagation]) -> dict[str, Propagation]:
+    if len(propagations) > len(LINEAR):
+        raise ValueError(f"propagations must be {len(LINEAR)} or fewer; got {len(propagations)}.")
+    for name, one in propagations.items():
         check_is(one, Propagation, name, "Make it with jaxgeo.uncertainty.propagate.")
-        colour, line = ELLIPSES[number % len(ELLIPSES)]
-        style = {"color": colour, "linestyle": line, "zorder": 6.0 - 0.1 * number}  # the first on top
-        handles.append(_ellipses(name, one, probabilities, ax, style))
-    handles.extend(_circles(sampled, probabilities, ax))
-    (cross,) = ax.plot([0.0], [0.0], "+", color=EDGE, markersize=11, markeredgewidth=1.8, label="fix", zorder=7)
-    cross.set_path_effects(_halo(3.5))
-    _remark(sampled, points, reach, ax)
-    return [*handles, cross]
+    return dict(propagations)
 
 
 def _kept(sampled: Sampled, jumped: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -88,90 +113,94 @@ def _kept(sampled: Sampled, jumped: Any) -> tuple[np.ndarray, np.ndarray]:
     return (sampled.errors_enu + sampled.centre_enu)[found, :2], marked[found]
 
 
-def _reach(points: np.ndarray, reach: float | None) -> float:
+def _reach(points: np.ndarray, marked: np.ndarray, circles: list[float], reach: float | None) -> float:
+    """Half the side of the picture, m."""
     if reach is None:
-        return 1.1 * float(np.quantile(np.abs(points).max(axis=1), 0.99)) or 1.0
+        away = np.abs(points).max(axis=1)
+        far = [float(np.quantile(away[kind], MOST)) for kind in (~marked, marked) if kind.any()]
+        most = FAR * max(circles) if circles else math.inf
+        return 1.06 * max(min(max(far), most), *circles, 1e-3)
     if not (math.isfinite(reach) and reach > 0.0):
         raise ValueError(f"reach must be a positive length in m; got {reach!r}.")
     return reach
 
 
-def _points(points: np.ndarray, marked: np.ndarray, ax: Axes) -> list[Line2D]:
-    """The cloud, thinned; handles for the kinds of samples that there are."""
+def _points(points: np.ndarray, marked: np.ndarray, sampled: Sampled, ax: Axes) -> list[Any]:
+    """The cloud, thinned to what can be seen, and handles that say how many samples there are."""
+    share = float(np.count_nonzero(marked)) / sampled.count
     step = -(-len(points) // MOST_POINTS)
     points, marked = points[::step], marked[::step]
-    size = 2.2 if len(points) > 1000 else 4.0
-    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0.0, "rasterized": True}
-    handles = []
-    for which, colour, label in ((~marked, SAMPLE, "samples"), (marked, JUMPED, "samples that jumped")):
-        if which.any():
-            ax.plot(*points[which].T, color=colour, markersize=size, alpha=0.5, zorder=3, **style)
-            handles.append(Line2D([], [], color=colour, markersize=5.0, label=label, **style))
+    dots: dict[str, Any] = {"marker": "o", "color": SAMPLE, "linestyle": "none", "markeredgewidth": 0.0}
+    size = 1.9 if len(points) > 1500 else 2.8
+    ax.plot(*points[~marked].T, alpha=0.7, markersize=size, rasterized=True, zorder=2, label="_samples", **dots)
+    handles = [keyed(ax, f"{sampled.count:,} samples".replace(",", " "), markersize=4.0, **dots)]
+    if marked.any():
+        cross: dict[str, Any] = {"marker": "x", "color": JUMPED, "linestyle": "none", "markeredgewidth": 0.6}
+        ax.plot(*points[marked].T, markersize=2.6, rasterized=True, zorder=3, label="_jumped", **cross)
+        handles.append(keyed(ax, f"on other ground, {percent(share)}", markersize=4.5, **cross))
     return handles
 
 
-def _ellipses(name: str, one: Propagation, probabilities: Sequence[float], ax: Axes, style: dict[str, Any]) -> Line2D:
-    """The error ellipses of a propagation about its mean, the larger ones thicker."""
-    values, vectors = np.linalg.eigh(np.asarray(one.cov_enu)[:2, :2])
-    unit = (vectors * np.sqrt(np.maximum(values, 0.0))) @ _unit_circle()
-    mean = np.asarray(one.bias_enu)[:2, None]
-    for probability, width in _widths(probabilities):
-        ring = mean + math.sqrt(-2.0 * math.log1p(-probability)) * unit
-        ax.plot(*ring, linewidth=width, path_effects=_halo(width + 1.0), **style)
-    return Line2D([], [], linewidth=1.8, label=f"{name}, {_percents(probabilities)}", **style)
+def _sampled(sampled: Sampled, probability: float, ax: Axes) -> Any:
+    """Ellipse and circle of the samples."""
+    figure = sampled.circular_error(probability)
+    style: dict[str, Any] = {"color": SAMPLED, "linewidth": 1.8}
+    mean, centre = np.asarray(sampled.mean_enu)[:2], np.asarray(sampled.centre_enu)[:2]
+    _ellipse("sampled", mean, np.asarray(sampled.cov_enu)[:2, :2], probability, ax, {**style, "zorder": 5})
+    _circle("sampled", centre, figure.value, ax, {**style, "zorder": 5})
+    between = f" ({figure.low:.3g} to {figure.high:.3g})" if math.isfinite(figure.high) else ""
+    return keyed(ax, f"sampled: CE{100.0 * probability:g} {metres(figure.value)}{between}", **style)
 
 
-def _circles(sampled: Sampled, probabilities: Sequence[float], ax: Axes) -> list[Line2D]:
-    """Circles that hold shares of the samples; a radius without end is only named."""
-    style: dict[str, Any] = {"color": CIRCLE, "linestyle": ":"}
-    names = []
-    for probability, width in _widths(probabilities):
-        radius = sampled.circular_error(probability).value
-        if math.isfinite(radius):
-            ring = np.asarray(sampled.centre_enu)[:2, None] + radius * _unit_circle()
-            ax.plot(*ring, linewidth=width, zorder=6, path_effects=_halo(width + 1.4), **style)
-        names.append(f"CE{100.0 * probability:g} {_length(radius)}")
-    return [Line2D([], [], linewidth=1.8, label=f"sampled {', '.join(names)}", **style)]
+def _linear(name: str, one: Propagation, probability: float, colour: str, judged: str, ax: Axes) -> Any:
+    """Ellipse and circle of one linear method, and whether the samples bear its circular error out."""
+    radius = float(one.circular_error(probability))
+    style: dict[str, Any] = {"color": colour, "linewidth": 1.4}
+    mean, cov = np.asarray(one.bias_enu)[:2], np.asarray(one.cov_enu)[:2, :2]
+    _ellipse(name, mean, cov, probability, ax, {**style, "zorder": 6})
+    _circle(name, np.zeros(2), radius, ax, {**style, "zorder": 6})
+    return keyed(ax, f"{name}: CE{100.0 * probability:g} {metres(radius)}{judged}", **style)
 
 
-def _length(radius: float) -> str:
-    if not math.isfinite(radius):
-        return "without end"
-    return f"{radius:.3g} m" if radius < 1000.0 else f"{radius:.0f} m"
+def _judged(compared: Comparison | None, name: str) -> str:
+    rows = [] if compared is None else [row for row in compared.rows if row.method == name]
+    return f", {rows[0].validity[JUDGED[1]]}" if rows else ""
 
 
-def _unit_circle() -> np.ndarray:
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+def _ellipse(name: str, mean: np.ndarray, cov: np.ndarray, probability: float, ax: Axes, style: dict[str, Any]) -> None:
+    """The ellipse that holds a share of a normal distribution."""
+    values, vectors = np.linalg.eigh(cov)
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) * math.sqrt(-2.0 * math.log1p(-probability))
+    edge = halo(style["linewidth"] + 1.0)
+    ax.plot(*(mean[:, None] + root @ unit_circle()), label=f"_ellipse, {name}", path_effects=edge, **style)
+
+
+def _circle(name: str, centre: np.ndarray, radius: float, ax: Axes, style: dict[str, Any]) -> None:
+    """A circle; none where its radius has no end."""
+    if math.isfinite(radius):
+        ring = centre[:, None] + radius * unit_circle()
+        ax.plot(*ring, linestyle=DASHES, label=f"_circle, {name}", **style)
+
+
+def unit_circle() -> np.ndarray:
+    turn = np.linspace(0.0, 2.0 * np.pi, 241)
     return np.stack([np.cos(turn), np.sin(turn)])
 
 
-def _widths(probabilities: Sequence[float]) -> list[tuple[float, float]]:
-    """Each probability, from the least on, with the width of its line."""
-    for probability in probabilities:
-        if not 0.0 < probability < 1.0:
-            raise ValueError(f"probabilities must lie between 0 and 1; got {probability!r}.")
-    ordered = sorted(probabilities)
-    return list(zip(ordered, np.linspace(1.9, 1.1, len(ordered))[::-1], strict=True))
-
-
-def _percents(probabilities: Sequence[float]) -> str:
-    return " and ".join(f"{100.0 * probability:g}" for probability in sorted(probabilities)) + " %"
-
-
-def _remark(sampled: Sampled, points: np.ndarray, reach: float, ax: Axes) -> None:
-    """What the picture does not show: samples outside it, and those without a fix."""
+def _remark(sampled: Sampled, compared: Comparison | None, points: np.ndarray, reach: float) -> str:
+    """The verdict, and what the picture does not show: samples outside it, and those without a fix."""
     outside = float(np.mean(np.abs(points).max(axis=1) > reach)) * sampled.found / sampled.count
-    shares = ((outside, "outside the picture"), (1.0 - sampled.found / sampled.count, "without a fix"))
-    said = [f"{100.0 * share:.2g} % {what}" for share, what in shares if share > 0.0]
-    text = ", ".join([f"{sampled.count} samples", *said])
-    style: dict[str, Any] = {"ha": "left", "va": "bottom", "fontsize": 8.5, "zorder": 8}
-    ax.text(0.02, 0.02, text, transform=ax.transAxes, path_effects=_halo(3.0), **style)
+    said = [] if compared is None or not compared.verdict else [compared.verdict]
+    said += [f"Outside the picture: {percent(outside)}."] if outside > 0.0 else []
+    if compared is None and sampled.found < sampled.count:
+        said.append(f"Without a fix: {percent(1.0 - sampled.found / sampled.count)}.")
+    return " ".join(said)
 
 
 def _ground(dem: Dem, fix: Fix, reach: float, ax: Axes) -> None:
     """The surface about a fix, as rays meet it: grey under an oblique light, with contour lines of height."""
     (east, north), heights = ground_about(dem, fix, reach)
-    slope_east, slope_north = _slopes(heights, east, north)
+    slope_east, slope_north = slopes(heights, east, north)
     shade = (0.64 + 0.54 * (slope_east - slope_north)) / np.sqrt(1.0 + slope_east**2 + slope_north**2)
     ax.pcolormesh(
         east, north, np.clip(shade, 0.0, 1.0), cmap=GREYS, vmin=0.0, vmax=1.0, shading="gouraud", rasterized=True
@@ -183,8 +212,8 @@ def _ground(dem: Dem, fix: Fix, reach: float, ax: Axes) -> None:
     low, high = np.nanmin(heights), np.nanmax(heights)
     interval = next((step for step in INTERVALS if (high - low) / step <= 12.0), INTERVALS[-1])
     levels = interval * np.arange(2.0 * np.floor(0.5 * low / interval), np.ceil(high / interval) + 1)  # even ones named
-    lines = ax.contour(east, north, heights, levels, colors="#5b4a35", linewidths=0.6, alpha=0.8, zorder=1)
-    ax.clabel(lines, levels[::2], fontsize=7, fmt=lambda level: f"{level:g} m")
+    lines = ax.contour(east, north, heights, levels, colors="#6b5a45", linewidths=0.6, alpha=0.8, zorder=1)
+    ax.clabel(lines, levels[::2], fontsize="x-small", fmt=lambda level: f"{level:g} m")
 
 
 def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Polygon, Rectangle
 
 from jaxgeo._checks import require_x64
-from jaxgeo.plot.style import BLUE, INK, MUTED, PAGE, style
+from jaxgeo.plot.style import BLUE, COLUMN, INK, MUTED, PAGE, house_axes, style
 from jaxgeo.sensor import Gimbal, Mount, Pose
 
 NED, BODY, HEAD, CAMERA = "#3f7a3a", BLUE, "#b26a00", "#b3293f"  # a colour for each frame, light ones in no text
@@ -69,13 +69,14 @@ FRAMES = (  # name, colour, what leads to the next, and how that reads in code
 )
 
 
-def draw_convention(axes: Axes, name: str) -> Axes:
+def convention(name: str, ax: Axes | None = None) -> Axes:
     """One drawing of the conventions by its name, one of `PANELS`; raises `ValueError` for another."""
     require_x64()
     if name not in PANELS:
         raise ValueError(f"name must be one of {', '.join(PANELS)}; got {name!r}.")
-    PANELS[name](axes)
-    return axes
+    with house_axes(ax, width=COLUMN, tall=SLOT) as ax:
+        PANELS[name](ax)
+    return ax
 
 
 def conventions_figure(width: float = PAGE) -> Figure:
@@ -90,7 +91,7 @@ def conventions_figure(width: float = PAGE) -> Figure:
         for number, name in enumerate(names):
             row, column = divmod(number, columns)
             last = columns if number == len(names) - 1 else column + 1
-            draw_convention(figure.add_subplot(grid[row, column:last]), name)
+            convention(name, figure.add_subplot(grid[row, column:last]))
     return figure
 
 

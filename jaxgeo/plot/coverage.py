@@ -9,19 +9,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from jaxgeo._checks import check_is
 from jaxgeo.coverage import Footprint, Overlap
 from jaxgeo.earth import Geodetic, TransverseMercator
-from jaxgeo.plot.maps import EDGE, FIX, HIDDEN, MOST_POSTS, SIGHT, lonlat_deg, post_positions, shaded_relief
+from jaxgeo.plot.legends import keyed
+from jaxgeo.plot.maps import MOST_POSTS, degrees, lonlat_deg, post_positions, shaded_relief
+from jaxgeo.plot.style import INK, OUTLINES, SIGHT, halo, house_axes
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
-OUTLINES = (EDGE, SIGHT, FIX, HIDDEN, "#1a7f5a", "#b35806")  # colours of outlines, in turn
 GAP = "#f3d9d3"
 PARTS: dict[str, tuple[Any, str]] = {
     "hidden": ("--", "nearer ground hides the way"),
@@ -30,53 +28,65 @@ PARTS: dict[str, tuple[Any, str]] = {
 
 
 def footprints(
-    seen: Sequence[Footprint],
-    ax: Axes,
+    seen: Footprint | Geodetic | Sequence[Footprint | Geodetic],
+    ax: Axes | None = None,
     *,
     labels: Sequence[str] | None = None,
     dem: Dem | None = None,
     origin: Geodetic | None = None,
     colours: Sequence[Any] = OUTLINES,
-) -> list[Line2D]:
+) -> Axes:
     """Outlines of images on a map: full lines where ground is seen, dashed over ground that nearer ground hides, dotted
     from where the outline leaves the ground to where it comes back.
 
-    Axes are in deg of longitude and latitude, or with an `origin` in km east and north of it, on the Gauss-Krueger map
-    about its meridian. A `dem` is drawn below, as a relief. Returns handles for a legend: one for each outline
-    (`labels`, or its number), and one for each other kind of line there is. Raises `ValueError` for no footprints and
-    for another number of labels.
+    `seen` are footprints, or outlines as positions (n,) in order, NaN where no ground is seen. Axes are in deg of
+    longitude and latitude, or with an `origin` in km east and north of it, on the Gauss-Krueger map about its meridian.
+    A `dem` is drawn below, as a relief. Axes that nothing lies on yet get limits around what is seen. The legend's
+    words are `labels`, or numbers. Raises `TypeError` for other records, `ValueError` for no footprints, for another
+    number of labels, and where none sees any ground.
     """
-    if not seen or (labels is not None and len(labels) != len(seen)):
-        raise ValueError(f"labels must name each of one or more footprints; got {len(seen)} footprints and {labels}.")
-    for one in seen:
-        check_is(one, Footprint, "seen", "A list of what jaxgeo.coverage.footprint gives.")
-    on_axes = [_on_axes(one.fix.position, origin) for one in seen]
-    if not any(np.isfinite(places).any() for places in on_axes):
-        raise ValueError(f"none of the footprints sees any ground: {Status(int(seen[0].status)).message}")
-    if dem is not None:
-        _relief(dem, origin, ax)
-    handles: list[Line2D] = []
-    kinds: set[str] = set()
-    for index, (one, places) in enumerate(zip(seen, on_axes, strict=True)):
-        style: dict[str, Any] = {"color": colours[index % len(colours)], "linewidth": 1.8, "zorder": 4}
-        lines = _parts(one, places)
-        for kind, (dashes, _) in PARTS.items():
-            ax.plot(*lines[kind].T, linestyle=dashes, **style)
-        label = f"footprint {index}" if labels is None else labels[index]
-        handles += ax.plot(*lines["seen"].T, label=label, **style)
-        kinds |= {kind for kind in PARTS if len(lines[kind])}
-    _prepare(ax, origin, np.concatenate(on_axes))
-    others = {kind: look for kind, look in PARTS.items() if kind in kinds}
-    return handles + [Line2D([], [], color="0.3", linestyle=dashes, label=text) for dashes, text in others.values()]
+    rows = [seen] if isinstance(seen, Footprint | Geodetic) else list(seen)
+    if not rows or (labels is not None and len(labels) != len(rows)):
+        raise ValueError(f"labels must name each of one or more footprints; got {len(rows)} footprints and {labels}.")
+    for one in rows:
+        if not isinstance(one, Geodetic):
+            check_is(one, Footprint, "seen", "What jaxgeo.coverage.footprint gives, or an outline as a Geodetic.")
+    places = [_on_axes(one if isinstance(one, Geodetic) else one.fix.position, origin) for one in rows]
+    if not any(np.isfinite(ring).any() for ring in places):
+        why = Status(int(rows[0].status)).message if isinstance(rows[0], Footprint) else "all positions are NaN."
+        raise ValueError(f"none of the footprints sees any ground: {why}")
+    with house_axes(ax, tall=0.8) as ax:
+        is_empty = not ax.has_data() and ax.get_autoscale_on()
+        if dem is not None:
+            _relief(dem, origin, ax)
+        kinds: set[str] = set()
+        for index, (one, ring) in enumerate(zip(rows, places, strict=True)):
+            style: dict[str, Any] = {"color": colours[index % len(colours)], "linewidth": 1.8, "zorder": 4}
+            hidden = np.zeros(len(ring), bool) if isinstance(one, Geodetic) else np.asarray(one.hidden)
+            lines = _parts(np.all(np.isfinite(ring), axis=1), hidden, ring)
+            for kind, (dashes, _) in PARTS.items():
+                ax.plot(*lines[kind].T, linestyle=dashes, label=f"_{kind}", **style)
+            label = f"footprint {index + 1}" if labels is None else labels[index]
+            ax.plot(*lines["seen"].T, label=label, path_effects=halo(2.8), **style)
+            kinds |= {kind for kind in PARTS if len(lines[kind])}
+        _prepare(ax, origin, np.concatenate(places), is_empty)
+        for kind in sorted(kinds):
+            keyed(ax, PARTS[kind][1], color="0.3", linestyle=PARTS[kind][0])
+    return ax
 
 
 def overlap_along(
-    found: Overlap, ax: Axes, *, wished: float | None = None, label: str = "overlap", colour: Any = SIGHT
-) -> list[Artist]:
+    found: Overlap,
+    ax: Axes | None = None,
+    *,
+    wished: float | None = None,
+    label: str = "overlap",
+    colour: Any = SIGHT,
+) -> Axes:
     """Overlap along the flight over the distance across it, from the near end to the far end; gaps are shaded.
 
     `found` holds one overlap, or with a leading axis a row of them, drawn as one bundle; what is not `ok` has no line.
-    Returns handles for a legend. Raises `ValueError` where there is nothing to draw.
+    Raises `ValueError` where there is nothing to draw.
     """
     check_is(found, Overlap, "found", "Make one with jaxgeo.coverage.overlap.")
     along, across = (np.atleast_2d(np.asarray(x)) for x in (found.along, found.across))
@@ -85,26 +95,24 @@ def overlap_along(
         why = Status(int(np.ravel(found.status)[0]))
         raise ValueError(f"none of the overlaps has a line along the flight: {why.message}")
     style: dict[str, Any] = {"linewidth": 1.8} if known.sum() == 1 else {"linewidth": 0.8, "alpha": 0.6}
-    from_near, percent = 1e-3 * (across - across[:, :1])[known], 100.0 * along[known]
-    ax.plot(from_near.T, percent.T, color=colour, zorder=3, **style)
-    handles: list[Artist] = [Line2D([], [], color=colour, linewidth=1.8, label=label)]
-    if wished is not None:
-        dashed: dict[str, Any] = {"color": EDGE, "linewidth": 1.0, "linestyle": "--", "label": f"wished {wished:.0%}"}
-        handles.append(ax.axhline(100.0 * wished, **dashed))
-    if percent.min() < 0.0:
-        low, high = ax.get_ylim()
-        ax.axhspan(low, 0.0, color=GAP, zorder=0)
-        ax.set_ylim(low, high)
-        handles.append(Patch(color=GAP, label="gap between the images"))
-    ax.set_xlim(0.0, float(from_near.max()))
-    ax.set_xlabel("across the flight from the near end, km")
-    ax.set_ylabel("overlap, %")
-    return handles
+    from_near, shared = 1e-3 * (across - across[:, :1])[known], 100.0 * along[known]
+    with house_axes(ax) as ax:
+        ax.plot(from_near.T, shared.T, color=colour, zorder=3, **style)
+        keyed(ax, label, color=colour, linewidth=1.8)
+        if wished is not None:
+            ax.axhline(100.0 * wished, color=INK, linewidth=1.0, linestyle="--", label=f"wished {wished:.0%}")
+        if shared.min() < 0.0:
+            low, high = ax.get_ylim()
+            ax.axhspan(low, 0.0, color=GAP, zorder=0)
+            ax.set_ylim(low, high)
+            keyed(ax, "gap between the images", area=True, color=GAP)
+        ax.set_xlim(0.0, float(from_near.max()))
+        ax.set(xlabel="across the flight from the near end, km", ylabel="overlap, %")
+    return ax
 
 
-def _parts(one: Footprint, places: np.ndarray) -> dict[str, np.ndarray]:
+def _parts(found: np.ndarray, hidden: np.ndarray, places: np.ndarray) -> dict[str, np.ndarray]:
     """Lines of each kind around a ring of places (n, 2), parted by rows of NaN."""
-    found, hidden = one.found, np.asarray(one.hidden)
     following = np.roll(places, -1, axis=0)
     known = found & np.roll(found, -1)
     ring = np.concatenate([places, places[:1]])
@@ -147,17 +155,13 @@ def _relief(dem: Dem, origin: Geodetic | None, ax: Axes) -> None:
     ax.pcolormesh(x, y, shaded_relief(dem, step), shading="nearest", rasterized=True, zorder=0)
 
 
-def _prepare(ax: Axes, origin: Geodetic | None, places: np.ndarray) -> None:
+def _prepare(ax: Axes, origin: Geodetic | None, places: np.ndarray, is_empty: bool) -> None:
     """Labels, equal lengths north and east, and limits around what is seen."""
     low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
     margin = 0.08 * (high - low)
-    ax.set_xlim(low[0] - margin[0], high[0] + margin[0])
-    ax.set_ylim(low[1] - margin[1], high[1] + margin[1])
+    if is_empty:
+        ax.set(xlim=(low[0] - margin[0], high[0] + margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
     if origin is None:
-        ax.set_aspect(1.0 / math.cos(math.radians(0.5 * (low[1] + high[1]))))
-        ax.set_xlabel("longitude, °")
-        ax.set_ylabel("latitude, °")
+        degrees(ax, 0.5 * (low[1] + high[1]))
     else:
-        ax.set_aspect("equal")
-        ax.set_xlabel("east, km")
-        ax.set_ylabel("north, km")
+        ax.set(aspect="equal", xlabel="east, km", ylabel="north, km")

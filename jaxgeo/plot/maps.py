@@ -107,7 +107,7 @@ def shaded_relief(
     rows, cols = (int(n) for n in np.asarray(dem.extent))
     height = np.where(np.asarray(dem.void)[:rows:step, :cols:step], np.nan, np.asarray(position.height))
     light = math.radians(light_azimuth_deg), math.radians(light_elevation_deg)
-    return relief_colours(height, *_plane(position), light=light, exaggeration=exaggeration)
+    return relief_colours(height, *plane(position), light=light, exaggeration=exaggeration)
 
 
 def relief_colours(
@@ -117,18 +117,20 @@ def relief_colours(
     *,
     light: tuple[float, float] = (math.radians(315.0), math.radians(40.0)),
     exaggeration: float = 1.5,
+    between: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """Colours (rows, cols, red green blue alpha) of heights in m at places in m; what is NaN is transparent.
 
-    `light` is the azimuth and the elevation of the light in rad.
+    `light` is the azimuth and the elevation of the light in rad; colours go from the lower to the higher height of
+    `between`, by default those of these places.
     """
-    slope_east, slope_north = _slopes(height, east, north)
+    slope_east, slope_north = slopes(height, east, north)
     normal = np.stack([-exaggeration * slope_east, -exaggeration * slope_north, np.ones_like(height)])
     azimuth, elevation = light
     horizontal = math.cos(elevation)
     towards = np.array([horizontal * math.sin(azimuth), horizontal * math.cos(azimuth), math.sin(elevation)])
     shade = np.tensordot(towards, normal / np.linalg.norm(normal, axis=0), axes=1) / math.sin(elevation)
-    low, high = np.nanpercentile(height, [1.0, 99.5])
+    low, high = np.nanpercentile(height, [1.0, 99.5]) if between is None else between
     rgb = RELIEF((height - low) / max(high - low, 1.0))[..., :3]
     rgb = rgb * (0.25 + 0.75 * np.clip(shade, 0.0, 1.0))[..., None]
     rgb = rgb + (1.0 - rgb) * 0.6 * np.clip(shade - 1.0, 0.0, 0.6)[..., None]

@@ -7,20 +7,24 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from jaxgeo.plot.registration import before_after, checkerboard, circles_on_map, shifts, ties_on_map
+from jaxgeo.plot.legends import legend
+from jaxgeo.plot.registration import checkerboard, circles_on_map, shifts, ties_on_map
+from jaxgeo.plot.style import PAGE, style
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.registration import LIMITS, Registration
 from jaxgeo.uncertainty import Propagation
 
-SIZE = (15.0, 10.2)  # inches, as an A4 page lies on its side
+SIZE = (11.7, 8.3)  # inches: an A4 page on its side
 COLUMN = 62  # characters of a line of text
+DETAIL = 210  # cells on a side of the part that shows before and after
 
 
 def registration_figure(
@@ -41,26 +45,28 @@ def registration_figure(
     before (`Prior.covariance`). What is left out, or never came to be, has no picture: of an image that is not
     registered the page shows what was tried, and says what became of it.
     """
-    figure = Figure(figsize=SIZE, layout="constrained")
-    axes: list[Axes] = list(np.ravel(figure.subplots(2, 3)))
-    figure.suptitle(registration.outcome.name.replace("_", " "), fontsize=13)
-    _words(registration, axes[0])
-    shown = telling_pass(registration)
-    if shown is not None and shown.matches.is_candidate.any():
-        number = registration.passes.index(shown) + 1
-        _framed(axes[1], f"shifts of blocks, pass {number}", shifts(shown, axes[1], covariance=covariance))
-    else:
-        axes[1].set_axis_off()
-    if places is not None:
-        _framed(axes[2], "blocks of the last pass", ties_on_map(reference, registration, places, axes[2]))
-    else:
-        axes[2].set_axis_off()
-    _boards(reference, before, after, axes[3:5])
-    if direct is not None:
-        title = "a pixel's fix, and where it is with 90 %"
-        _framed(axes[5], title, circles_on_map(reference, after or before, direct, updated, axes[5]))
-    else:
-        axes[5].set_axis_off()
+    with mpl.rc_context(style(PAGE)):
+        figure = Figure(figsize=SIZE, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes: list[Axes] = list(np.ravel(figure.subplots(2, 3)))
+        figure.suptitle(registration.outcome.name.replace("_", " "), fontsize="x-large")
+        _words(registration, axes[0])
+        shown = telling_pass(registration)
+        if shown is not None and shown.matches.is_candidate.any():
+            number = registration.passes.index(shown) + 1
+            _framed(f"Shifts of blocks, pass {number}", shifts(shown, axes[1], covariance=covariance, legend=False))
+        else:
+            axes[1].set_axis_off()
+        if places is not None:
+            _framed("Blocks of the last pass", ties_on_map(reference, registration, places, axes[2], legend=False))
+        else:
+            axes[2].set_axis_off()
+        _boards(reference, before, after, axes[3:5])
+        if direct is not None:
+            drawn = circles_on_map(reference, after or before, direct, updated, axes[5], legend=False)
+            _framed("A pixel's fix, and where it is with 90 %", drawn)
+        else:
+            axes[5].set_axis_off()
     return figure
 
 
@@ -72,20 +78,36 @@ def telling_pass(registration: Registration) -> Pass | None:
 
 def _boards(reference: Orthoimage, before: Orthoimage | None, after: Orthoimage | None, axes: Sequence[Axes]) -> None:
     if before is not None and after is not None:
-        before_after(reference, before, after, axes)
+        _before_after(reference, before, after, axes)
         return
     for ax, image in zip(axes, (before, after), strict=True):
         if image is None:
             ax.set_axis_off()
             continue
         checkerboard(reference, image, ax)
-        ax.set_title("by the navigation, beside the reference", loc="left", fontsize=10)
+        ax.set_title("By the navigation, beside the reference")
 
 
-def _framed(ax: Axes, title: str, handles: list[Line2D]) -> None:
+def _before_after(reference: Orthoimage, before: Orthoimage, after: Orthoimage, axes: Sequence[Axes]) -> None:
+    """Checkerboards of the reference with the image as the navigation has it, and as the registration has it.
+
+    Of large images a part of the middle, `DETAIL` cells on a side.
+    """
+    names = ("Before: by the navigation", "After: registered")
+    both = np.asarray(before.known) & np.asarray(after.known) & np.asarray(reference.known)
+    row, col = (int(np.median(x)) for x in np.nonzero(both)) if both.any() else (n // 2 for n in reference.shape)
+    part = min(DETAIL, reference.shape[0]), min(DETAIL, reference.shape[1])
+    middle = np.array([row, col]) - np.array(part) // 2
+    corner = [int(x) for x in np.clip(middle, 0, np.array(reference.shape) - np.array(part))]
+    for ax, image, name in zip(axes, (before, after), names, strict=True):
+        checkerboard(reference.window(corner[0], corner[1], part), image.window(corner[0], corner[1], part), ax)
+        ax.set_title(name)
+
+
+def _framed(title: str, ax: Axes) -> None:
     """A title above, a legend below the axes."""
-    ax.set_title(title, loc="left", fontsize=10)
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=1, fontsize=8.5, frameon=False)
+    ax.set_title(title)
+    legend(ax)
 
 
 def _words(registration: Registration, ax: Axes) -> None:
@@ -94,11 +116,9 @@ def _words(registration: Registration, ax: Axes) -> None:
     lines = textwrap.wrap(registration.outcome.message, COLUMN)
     for number, one in enumerate(registration.passes, 1):
         lines += ["", *textwrap.wrap(f"{number}. {one}", COLUMN, subsequent_indent="   ")]
-    text: dict[str, Any] = {"fontsize": 8.5, "va": "top", "transform": ax.transAxes}
-    ax.text(0.0, 1.0, "\n".join(lines), **text)
-    ax.text(
-        0.0, 0.0, "\n".join(_table(registration)), **{**text, "va": "bottom", "family": "monospace", "fontsize": 7.5}
-    )
+    text: dict[str, Any] = {"fontsize": "small", "transform": ax.transAxes}
+    ax.text(0.0, 1.0, "\n".join(lines), va="top", **text)
+    ax.text(0.0, 0.0, "\n".join(_table(registration)), va="bottom", **{**text, "family": "monospace", "fontsize": 6.2})
 
 
 def _table(registration: Registration) -> list[str]:

@@ -13,14 +13,14 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo._numerics import safe_norm
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.earth.ray import Ray
 from jaxgeo.locate import intersect
-from jaxgeo.plot.style import BLUE, EARTH, INK, MUTED, SHADE, VERMILLION, grid_behind, legend_below, metres
+from jaxgeo.plot.legends import keyed, legend_of
+from jaxgeo.plot.style import FIX, INK, MUTED, SHADE, SIGHT, TERRAIN, grid_behind, house_axes, metres
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
@@ -91,8 +91,8 @@ def section_under(ray: Ray, dem: Dem, *, atmosphere: Atmosphere | None = None, r
     return Section(distance, sight, ground, flat, inside & void, hits, status)
 
 
-def draw_sight_line(
-    axes: Axes, section: Section, *, window: tuple[float, float] | None = None, legend: bool = True
+def sight_section(
+    section: Section, ax: Axes | None = None, *, window: tuple[float, float] | None = None, legend: bool = True
 ) -> Axes:
     """A line of sight over the section of the ground under it, with its first hit and those farther on.
 
@@ -110,15 +110,16 @@ def draw_sight_line(
         raise ValueError(f"window must hold some of the section, 0 to {end:.0f} m; got {low!r} to {high!r} m.")
     km = 1e-3 * section.distance
     bottom, top = _limits(section, shown)
-    handles: list[Artist] = [_sight(axes, section, km), _over_flat(axes, section, km)]
-    handles += _ground(axes, section, km, bottom)
-    handles += _hits(axes, section)
-    axes.set(xlim=(1e-3 * low, 1e-3 * high), ylim=(bottom, top))
-    axes.set(xlabel="distance on the ellipsoid, km", ylabel="height above WGS 84, m")
-    grid_behind(axes)
-    if legend:
-        legend_below(axes, handles)
-    return axes
+    with house_axes(ax, tall=0.5) as ax:
+        handles: list[Artist] = [_sight(section, km, ax), _over_flat(section, km, ax)]
+        handles += _ground(section, km, bottom, ax)
+        handles += _hits(section, ax)
+        ax.set(xlim=(1e-3 * low, 1e-3 * high), ylim=(bottom, top))
+        ax.set(xlabel="distance on the ellipsoid, km", ylabel="height above WGS 84, m")
+        grid_behind(ax)
+        if legend:
+            legend_of(ax, handles)
+    return ax
 
 
 def _limits(section: Section, shown: np.ndarray) -> tuple[float, float]:
@@ -132,42 +133,43 @@ def _limits(section: Section, shown: np.ndarray) -> tuple[float, float]:
     return low - 0.10 * room, high + 0.08 * room
 
 
-def _sight(axes: Axes, section: Section, km: np.ndarray) -> Line2D:
+def _sight(section: Section, km: np.ndarray, ax: Axes) -> Line2D:
     end = 1e-3 * section.hits[0, 0] if len(section.hits) else km[-1]
     height = np.interp(end, km, section.sight)
     before = km < end
-    style: dict[str, Any] = {"color": BLUE, "zorder": 4}
+    style: dict[str, Any] = {"color": SIGHT, "zorder": 4}
     x, y = np.append(km[before], end), np.append(section.sight[before], height)
-    (line,) = axes.plot(x, y, label="line of sight", **style)
+    (line,) = ax.plot(x, y, label="line of sight", **style)
     if len(section.hits):
         x, y = np.insert(km[~before], 0, end), np.insert(section.sight[~before], 0, height)
-        axes.plot(x, y, linestyle=(0, (3, 2)), alpha=0.8, label="_behind the first hit", **style)
+        ax.plot(x, y, linestyle=(0, (3, 2)), alpha=0.8, label="_behind the first hit", **style)
     return line
 
 
-def _over_flat(axes: Axes, section: Section, km: np.ndarray) -> Line2D:
+def _over_flat(section: Section, km: np.ndarray, ax: Axes) -> Line2D:
     label = f"over a flat Earth, {metres(section.curved)} lower"
-    (line,) = axes.plot(km, section.flat, color=MUTED, linestyle=":", linewidth=0.9, zorder=3, label=label)
+    (line,) = ax.plot(km, section.flat, color=MUTED, linestyle=":", linewidth=0.9, zorder=3, label=label)
     return line
 
 
-def _ground(axes: Axes, section: Section, km: np.ndarray, bottom: float) -> list[Artist]:
+def _ground(section: Section, km: np.ndarray, bottom: float, ax: Axes) -> list[Artist]:
     """The ground as an area, voids as hatched bands."""
     known = np.isfinite(section.ground)
     ground = np.where(known, section.ground, bottom)
-    area = axes.fill_between(km, bottom, ground, where=known, color=EARTH, linewidth=0.0, zorder=1)
-    axes.plot(km, section.ground, color=INK, linewidth=0.6, zorder=2, label="_surface")
-    handles: list[Artist] = [Patch(facecolor=EARTH, edgecolor=INK, linewidth=0.6, label="ground")]
+    area = ax.fill_between(km, bottom, ground, where=known, color=TERRAIN, linewidth=0.0, zorder=1)
+    ax.plot(km, section.ground, color=INK, linewidth=0.6, zorder=2, label="_surface")
+    handles: list[Artist] = [keyed(ax, "ground", area=True, facecolor=TERRAIN, edgecolor=INK, linewidth=0.6)]
     area.set_label("_ground")
+    void: dict[str, Any] = {"facecolor": SHADE, "edgecolor": MUTED, "hatch": "////", "linewidth": 0.0}
     for first, last in _runs(section.void):
         start, end = km[max(first - 1, 0)], km[min(last + 1, len(km) - 1)]
-        axes.axvspan(start, end, facecolor=SHADE, edgecolor=MUTED, hatch="////", linewidth=0.0, zorder=0)
+        ax.axvspan(start, end, zorder=0, **void)
     if section.void.any():
-        handles.append(Patch(facecolor=SHADE, edgecolor=MUTED, hatch="////", linewidth=0.0, label="ground unknown"))
+        handles.append(keyed(ax, "ground unknown", area=True, **void))
     return handles
 
 
-def _hits(axes: Axes, section: Section) -> list[Artist]:
+def _hits(section: Section, ax: Axes) -> list[Artist]:
     """The first hit as a full mark, farther ones open; without a fix a line of the legend says why."""
     handles: list[Artist] = []
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "zorder": 6}
@@ -176,16 +178,16 @@ def _hits(axes: Axes, section: Section) -> list[Artist]:
     first = x[:1] if found else x[:0]
     if len(first):
         label = "first hit" if section.status == Status.hit else f"first hit ({_words(section.status)})"
-        full = {"color": VERMILLION, "markeredgecolor": "white", "markeredgewidth": 0.8, "markersize": 7.0}
-        handles += axes.plot(first, y[: len(first)], label=label, **style, **full)
+        full = {"color": FIX, "markeredgecolor": "white", "markeredgewidth": 0.8, "markersize": 7.0}
+        handles += ax.plot(first, y[: len(first)], label=label, **style, **full)
     else:
         label = "the first hit is farther on" if found else f"no fix: {_words(section.status)}"
-        handles.append(Line2D([], [], linestyle="none", label=label))
+        handles.append(keyed(ax, label, linestyle="none"))
     if len(x) > len(first):
         count = len(x) - len(first)
         label = f"{count} crossing{'s' if count > 1 else ''} farther on"
-        ring = {"color": VERMILLION, "markerfacecolor": "white", "markeredgewidth": 1.2, "markersize": 5.5}
-        handles += axes.plot(x[len(first) :], y[len(first) :], label=label, **style, **ring)
+        ring = {"color": FIX, "markerfacecolor": "white", "markeredgewidth": 1.2, "markersize": 5.5}
+        handles += ax.plot(x[len(first) :], y[len(first) :], label=label, **style, **ring)
     return handles
 
 

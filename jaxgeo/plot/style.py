@@ -1,31 +1,39 @@
-"""One look for all figures: colours that all eyes tell apart, sizes of type, legends that cover no data."""
+"""One look for all figures: colours with a meaning that all eyes tell apart, sizes of type, axes of its own."""
 
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
+import matplotlib.patheffects
 from matplotlib.axes import Axes
-from matplotlib.legend import Legend
-from matplotlib.transforms import ScaledTranslation
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 COLUMN, PAGE = 80.0 / 25.4, 7.0  # inches: a column of 80 mm, and both columns of a page
-BESIDE = 5.0  # inches from which on a legend may stand beside square axes
-MARGIN = 0.5  # inches left of the axes, of tick labels and the axis's name
-LETTER = 0.54  # of the size of type: the mean width of a letter
-HANDLE = 4.2  # of the size of type: what stands before a letter, and between columns
-RIGHT = 0.36  # of the room: how much of it a legend beside square axes has
-GRID_SHARE = 0.775  # of a figure's width, which matplotlib's grid fills before it is laid out
 
 # Okabe and Ito (2008), "Color universal design". What one figure has beside each other is told apart by all eyes
-# (tests/test_plot_figures.py), and by its mark, width or dashes too, which is what is left in grey.
+# (tests/test_plot_style.py), and by its mark, width or dashes too, which is what is left in grey.
 INK, MUTED, HAIR = "#1a1a1a", "#5f5f5f", "#d0d0d0"
 BLUE, SKY, GREEN = "#0072b2", "#56b4e9", "#009e73"
 ORANGE, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#8f3f71"
 EARTH, SHADE = "#cdb896", "#eeeeee"
+
+# What a colour stands for, in every figure.
+FIX = VERMILLION  # where a line of sight first meets the ground, and what is wrong
+SIGHT = CAMERA = BLUE  # the camera and its lines of sight
+HIDDEN = PURPLE  # ground that nearer ground hides
+EDGE = INK  # edges of images, and error ellipses on a map
+TERRAIN = EARTH  # ground in a section
+SAMPLE, SAMPLED = SKY, BLUE  # drawn errors, and what is told by them
+JUMPED = VERMILLION  # drawn errors on other ground
+LINEAR = (INK, ORANGE, GREEN)  # linear propagation: over the facet, over the footprint, any other
+HORIZONTAL, VERTICAL = BLUE, ORANGE  # variances
+REGISTERED = ORANGE  # what a registration found
+OUTLINES = (INK, BLUE, ORANGE, PURPLE, GREEN, SKY)  # of images, in turn
 
 
 def style(width: float = PAGE) -> dict[Any, Any]:
@@ -79,45 +87,30 @@ def style(width: float = PAGE) -> dict[Any, Any]:
     }
 
 
-def legend_below(axes: Axes, handles: Sequence[Any], *, title: str = "", beside: bool = False, **given: Any) -> Legend:
-    """A legend under the labels of the axes, where it covers no data, in as many columns as there is room for.
+@contextmanager
+def house_axes(ax: Axes | None, *, width: float = PAGE, tall: float = 0.62) -> Iterator[Axes]:
+    """The axes to draw on: those given as they are, or the only ones of a new figure in this style.
 
-    The `title` is words that belong to it, broken into lines. With `beside` it stands right of the axes where their
-    place in the figure is as wide as a page. `given` go to matplotlib's own.
+    A new figure is `width` inches wide and `tall` times as high, and hangs on no window.
     """
-    figure = axes.get_figure(root=False)
-    assert figure is not None
-    room, size = _room(axes), _points(mpl.rcParams["legend.fontsize"])
-    beside = beside and room > BESIDE
-    width = 72.0 * (RIGHT * room if beside else room - MARGIN)
-    said: dict[str, Any] = {"title": "\n".join(textwrap.wrap(title, max(int(width / (LETTER * size)), 20)))}
-    said |= {"title_fontsize": size, "alignment": "left"}
-    if beside:
-        axes.set_anchor("W")
-        place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.03, 1.0)}
-        return axes.legend(handles=list(handles), **{**place, **said, **given})
-    longest = max(len(str(handle.get_label())) for handle in handles)
-    columns = min(max(int(width / (size * (LETTER * longest + HANDLE))), 1), len(handles))
-    type_sizes = (mpl.rcParams["xtick.labelsize"], mpl.rcParams["axes.labelsize"])
-    down = sum(_points(one) * 1.3 for one in type_sizes) + 12.0
-    below = axes.transAxes + ScaledTranslation(0.0, -down / 72.0, figure.dpi_scale_trans)
-    place = {"loc": "upper left", "bbox_to_anchor": (0.0, 0.0), "bbox_transform": below}
-    return axes.legend(handles=list(handles), ncols=columns, **{**place, **said, **given})
+    if ax is not None:
+        yield ax
+        return
+    with mpl.rc_context(style(width)):
+        figure = Figure(figsize=(width, tall * width), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure.add_subplot()
 
 
-def _room(axes: Axes) -> float:
-    """Width of the place that the axes have in their figure, inches."""
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    spec = axes.get_subplotspec()
-    share = axes.get_position().width if spec is None else spec.get_position(figure).width / GRID_SHARE
-    return float(figure.get_size_inches()[0]) * min(share, 1.0)
+def halo(width: float) -> list[Any]:
+    """A light edge about lines and words on a picture, `width` points wide."""
+    return [matplotlib.patheffects.withStroke(linewidth=width, foreground="white", alpha=0.9)]
 
 
-def grid_behind(axes: Axes) -> None:
+def grid_behind(ax: Axes) -> None:
     """Hairlines at the ticks, behind all that is drawn."""
-    axes.grid(True)
-    axes.set_axisbelow(True)
+    ax.grid(True)
+    ax.set_axisbelow(True)
 
 
 def percent(share: float) -> str:
@@ -135,8 +128,7 @@ def metres(length: float) -> str:
     return f"{length:.0f} m" if abs(length) >= 999.5 else f"{length:.3g} m"
 
 
-def _points(size: Any) -> float:
-    """The size of type in points, of a number or one of matplotlib's words."""
-    from matplotlib.font_manager import FontProperties
-
-    return float(FontProperties(size=size).get_size_in_points())
+def round_length(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is no more than a positive length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-12))

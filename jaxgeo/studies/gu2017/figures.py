@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxgeo.plot import EDGE, FIX, SIGHT
-from jaxgeo.plot.registration import checkerboard, circles_on_map
+from jaxgeo.plot import EDGE, FIX, SIGHT, checkerboard, circles_on_map
 from jaxgeo.register import Orthoimage
 from jaxgeo.studies.gu2017.density import Dense
 from jaxgeo.studies.gu2017.flow import Flow
@@ -109,9 +108,8 @@ def draw_circles(found: Flow, figure: Figure) -> None:
     """Fig. 5: the rectified image over the map, and circles of 90 % before and after, with ellipses."""
     ax = figure.subplots()
     shown = found.by_navigation if found.registered is None else found.registered
-    handles = circles_on_map(found.reference, shown, found.direct, found.updated, ax)
+    circles_on_map(found.reference, shown, found.direct, found.updated, ax)
     ax.set_title("A pixel's fix, and where it is with 90 % (Fig. 5)")
-    figure.legend(handles=handles, frameon=False, ncols=2, loc="outside lower center")
 
 
 def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figure) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from jaxgeo.plot import EDGE, FIX, HIDDEN, SIGHT, footprints
+from jaxgeo.plot import EDGE, FIX, HIDDEN, SIGHT, footprints, legend
 from jaxgeo.studies.li2020 import printed
 from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, FIRST, Outlines, outlines
 from jaxgeo.studies.li2020.flight import Sighting, StripPair
@@ -46,17 +47,18 @@ def draw_footprints(found: Outlines, figure: Figure) -> None:
     titles = {ACTUAL: "Without compensation (Fig. 7)", COMPENSATED: "With compensation (Fig. 8)"}
     for ax, (last, title) in zip(panels, titles.items(), strict=True):
         names = [FIRST, EXPECTED, last]
-        handles = footprints(
+        footprints(
             [found.footprints[name] for name in names],
             ax,
             labels=[_with_overlap(name, found) for name in names],
             origin=found.middle,
             colours=[COLOURS[name] for name in names],
         )
-        for handle, dashes in zip(handles, ("-.", "-", "--"), strict=False):
-            handle.set_linestyle(dashes)
+        for outline, dashes in zip(ax.get_legend_handles_labels()[0], ("-.", "-", "--"), strict=False):
+            assert isinstance(outline, Line2D)
+            outline.set_linestyle(dashes)
         ax.set_title(title)
-        ax.legend(handles=handles, frameon=False, fontsize=9, loc="upper right")
+        legend(ax, loc="upper right", fontsize=9, frameon=False)
     reach = np.concatenate([_places(panel) for panel in panels])
     low, high = np.nanmin(reach, axis=0), np.nanmax(reach, axis=0)
     panels[0].set(xlim=(low[0] - 0.15, high[0] + 0.15), ylim=(low[1] - 0.15, high[1] + 0.75))
