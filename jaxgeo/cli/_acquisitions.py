@@ -10,25 +10,76 @@ import typer
 
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import numbers_in, said_datum
+from jaxgeo.cli._options import READING
 
 SourceDatum = Annotated[
     str | None,
-    typer.Option("--height-datum", help='What the file\'s heights are above: "ellipsoid", "EPSG:5773", metres.'),
+    typer.Option(
+        "--height-datum",
+        metavar="DATUM",
+        help='What the file\'s heights are above: "ellipsoid", "EPSG:5773", metres.',
+        rich_help_panel=READING,
+    ),
 ]
 TakeoffHeight = Annotated[
-    float | None, typer.Option(help="Drone images: the point of take-off, m above the ellipsoid; in place of a datum.")
+    float | None,
+    typer.Option(
+        metavar="HEIGHT",
+        help="Drone images: the point of take-off, m above the ellipsoid; in place of a datum.",
+        rich_help_panel=READING,
+    ),
 ]
 SourceCrs = Annotated[
-    str | None, typer.Option("--source-crs", help='Map of the file\'s positions: "EPSG:32651"; if it has them in one.')
+    str | None,
+    typer.Option(
+        "--source-crs",
+        metavar="CRS",
+        help='Map of the file\'s positions: "EPSG:32651"; if it has them in one.',
+        rich_help_panel=READING,
+    ),
 ]
-CameraName = Annotated[str | None, typer.Option("--camera", help="Which of the file's cameras, by name.")]
-VideoSize = Annotated[str | None, typer.Option("--image-size", help="Telemetry: WIDTH,HEIGHT of the video, in pixels.")]
-Upright = Annotated[bool, typer.Option("--upright", help="Telemetry: images are held level with the horizon.")]
-KeepDamaged = Annotated[bool, typer.Option("--keep-damaged", help="Telemetry: packets with a wrong checksum too.")]
-Stream = Annotated[int | None, typer.Option("--stream", help="Telemetry: which data stream of a transport stream.")]
-SbetErrors = Annotated[pathlib.Path | None, typer.Option("--errors", help="SBET: its file of errors (smrmsg).")]
+CameraName = Annotated[
+    str | None,
+    typer.Option("--camera", metavar="NAME", help="Which of the file's cameras, by name.", rich_help_panel=READING),
+]
+VideoSize = Annotated[
+    str | None,
+    typer.Option(
+        "--image-size",
+        metavar="SIZE",
+        help="Telemetry: WIDTH,HEIGHT of the video, in pixels.",
+        rich_help_panel=READING,
+    ),
+]
+Upright = Annotated[
+    bool,
+    typer.Option("--upright", help="Telemetry: images are held level with the horizon.", rich_help_panel=READING),
+]
+KeepDamaged = Annotated[
+    bool,
+    typer.Option("--keep-damaged", help="Telemetry: packets with a wrong checksum too.", rich_help_panel=READING),
+]
+Stream = Annotated[
+    int | None,
+    typer.Option(
+        "--stream",
+        metavar="NUMBER",
+        help="Telemetry: which data stream of a transport stream.",
+        rich_help_panel=READING,
+    ),
+]
+SbetErrors = Annotated[
+    pathlib.Path | None,
+    typer.Option("--errors", metavar="FILE", help="SBET: its file of errors (smrmsg).", rich_help_panel=READING),
+]
 InteriorFile = Annotated[
-    pathlib.Path | None, typer.Option("--interior", help="Orthority: the file of interior parameters (.yaml).")
+    pathlib.Path | None,
+    typer.Option(
+        "--interior",
+        metavar="FILE",
+        help="Orthority: the file of interior parameters (.yaml).",
+        rich_help_panel=READING,
+    ),
 ]
 
 

@@ -11,26 +11,59 @@ import typer
 
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import numbers_in
+from jaxgeo.cli._options import SURE
 
 DEM_SIGMA = 5.0  # m, where nobody says how the heights err
 GROUND_SIGMA = 10.0  # m, of ground that is taken to be level
 
 PositionSigma = Annotated[
-    str | None, typer.Option("--position-sigma", help="How positions err, m: one number, or NORTH,EAST,DOWN.")
+    str | None,
+    typer.Option(
+        "--position-sigma",
+        metavar="SIGMA",
+        help="How positions err, m: one number, or NORTH,EAST,DOWN.",
+        rich_help_panel=SURE,
+    ),
 ]
 AttitudeSigma = Annotated[
-    str | None, typer.Option("--attitude-sigma", help="How attitudes err, deg: one number, or HEADING,PITCH,ROLL.")
+    str | None,
+    typer.Option(
+        "--attitude-sigma",
+        metavar="SIGMA",
+        help="How attitudes err, deg: one number, or HEADING,PITCH,ROLL.",
+        rich_help_panel=SURE,
+    ),
 ]
 GimbalSigma = Annotated[
-    str | None, typer.Option("--gimbal-sigma", help="How readings of the gimbal err, deg: one number, or one for each.")
+    str | None,
+    typer.Option(
+        "--gimbal-sigma",
+        metavar="SIGMA",
+        help="How readings of the gimbal err, deg: one number, or one for each.",
+        rich_help_panel=SURE,
+    ),
 ]
 FocalSigma = Annotated[
-    str | None, typer.Option("--focal-sigma", help="How the focal length errs: 5px or 0.05mm; or FOCAL,COLUMN,ROWpx.")
+    str | None,
+    typer.Option(
+        "--focal-sigma",
+        metavar="SIGMA",
+        help="How the focal length errs: 5px or 0.05mm; or FOCAL,COLUMN,ROWpx.",
+        rich_help_panel=SURE,
+    ),
 ]
-DemSigma = Annotated[float | None, typer.Option("--dem-sigma", help="How heights of the ground err, m.")]
+DemSigma = Annotated[
+    float | None,
+    typer.Option("--dem-sigma", metavar="SIGMA", help="How heights of the ground err, m.", rich_help_panel=SURE),
+]
 DemCorrelation = Annotated[
     float | None,
-    typer.Option("--dem-correlation", help="Over this distance, m, they err alike; without it all do."),
+    typer.Option(
+        "--dem-correlation",
+        metavar="DISTANCE",
+        help="Over this distance, m, they err alike; without it all do.",
+        rich_help_panel=SURE,
+    ),
 ]
 
 

@@ -8,6 +8,9 @@ from typing import Annotated
 
 import typer
 
+SEEN, SURE = "What is seen", "How sure it is"  # panels of the help of commands with many options
+READING, WRITING = "How the FILE is read", "What comes out"
+
 SceneFile = Annotated[
     pathlib.Path,
     typer.Option("--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose."),

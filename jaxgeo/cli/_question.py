@@ -11,38 +11,80 @@ import typer
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas, errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import height_datum_of, numbers_in, read_terrain, said_datum, shot_of, terrain_files
+from jaxgeo.cli._options import SEEN
 
 Source = Annotated[
     pathlib.Path | None,
-    typer.Argument(help="Drone image or folder, KLV, SBET, table, reconstruction, scene.", show_default=False),
+    typer.Argument(
+        metavar="FILE",
+        help="Drone image or folder, KLV, SBET, table, reconstruction, scene.",
+        show_default=False,
+    ),
 ]
 SceneOption = Annotated[
     pathlib.Path | None,
-    typer.Option("--scene", help="Scene file (TOML): camera, gimbal, mount and pose; for FILEs without a camera too."),
+    typer.Option(
+        "--scene",
+        metavar="FILE",
+        help="Scene file (TOML): camera, gimbal, mount and pose; for FILEs without a camera too.",
+        rich_help_panel=SEEN,
+    ),
 ]
 GroundDem = Annotated[
-    list[pathlib.Path] | None, typer.Option("--dem", help="Elevation model; repeat it for several tiles.")
+    list[pathlib.Path] | None,
+    typer.Option("--dem", metavar="FILE", help="Elevation model; repeat it for several tiles.", rich_help_panel=SEEN),
+]
+GroundDatum = Annotated[
+    str | None,
+    typer.Option(
+        "--vertical-datum",
+        metavar="DATUM",
+        help='What heights of the ground are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.',
+        rich_help_panel=SEEN,
+    ),
 ]
 Ground = Annotated[
     str | None,
     typer.Option(
         "--ground",
+        metavar="HEIGHT",
         help="Level ground in place of --dem: its height in m, above the ellipsoid or --vertical-datum; or 'reported': "
         "the height of the frame centre that telemetry reports.",
+        rich_help_panel=SEEN,
     ),
 ]
 Pixels = Annotated[
     list[str] | None,
-    typer.Option("--pixel", help="COLUMN,ROW of a pixel; repeat it for more; the middle of the image if left out."),
+    typer.Option(
+        "--pixel",
+        metavar="PIXEL",
+        help="COLUMN,ROW of a pixel; repeat it for more; the middle of the image if left out.",
+        rich_help_panel=SEEN,
+    ),
 ]
 Exposures = Annotated[
-    list[str] | None, typer.Option("--exposure", help="Which of the FILE's exposures, by name; repeat it; all if not.")
+    list[str] | None,
+    typer.Option(
+        "--exposure",
+        metavar="NAME",
+        help="Which of the FILE's exposures, by name; repeat it; all if not.",
+        rich_help_panel=SEEN,
+    ),
 ]
 TableOfShots = Annotated[
-    pathlib.Path | None, typer.Option("--shots", help="With --scene: CSV with a shot and a pixel in each row.")
+    pathlib.Path | None,
+    typer.Option(
+        "--shots",
+        metavar="FILE",
+        help="With --scene: CSV with a shot and a pixel in each row.",
+        rich_help_panel=SEEN,
+    ),
 ]
 Refraction = Annotated[
-    bool, typer.Option("--refraction", help="Bend lines of sight by the US Standard Atmosphere of 1976.")
+    bool,
+    typer.Option(
+        "--refraction", help="Bend lines of sight by the US Standard Atmosphere of 1976.", rich_help_panel=SEEN
+    ),
 ]
 REPORTED = "reported"
 

@@ -36,11 +36,12 @@ from jaxgeo.cli._errors import (
     Sigmas,
 )
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, located, where_from
-from jaxgeo.cli._options import VerticalDatum
+from jaxgeo.cli._options import SURE, WRITING
 from jaxgeo.cli._question import (
     Asked,
     Exposures,
     Ground,
+    GroundDatum,
     GroundDem,
     Pixels,
     Question,
@@ -71,7 +72,7 @@ def locate_command(
     pixel: Pixels = None,
     exposure: Exposures = None,
     dem: GroundDem = None,
-    vertical_datum: VerticalDatum = None,
+    vertical_datum: GroundDatum = None,
     ground: Ground = None,
     accuracy: Annotated[
         bool | None,
@@ -79,9 +80,15 @@ def locate_command(
             "--accuracy/--no-accuracy",
             help="How sure each fix is; by default where it is known how a FILE or a scene errs, but not for --shots.",
             show_default=False,
+            rich_help_panel=SURE,
         ),
     ] = None,
-    probability: Annotated[float, typer.Option(help="Of the truth to lie within the radii that are given.")] = 0.9,
+    probability: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE", help="Of the truth to lie within the radii that are given.", rich_help_panel=SURE
+        ),
+    ] = 0.9,
     position_sigma: PositionSigma = None,
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
@@ -101,17 +108,41 @@ def locate_command(
     interior: InteriorFile = None,
     output: Annotated[
         pathlib.Path | None,
-        typer.Option("--output", "-o", help=f"File to write ({', '.join(ENDINGS)}); the screen if left out."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help=f"File to write ({', '.join(ENDINGS)}); the screen if left out.",
+            rich_help_panel=WRITING,
+        ),
     ] = None,
     output_format: Annotated[
         Format | None,
-        typer.Option("--format", help="On the screen: table, or csv for --shots, if left out.", show_default=False),
+        typer.Option(
+            "--format",
+            help="On the screen: table, or csv for --shots, if left out.",
+            show_default=False,
+            rich_help_panel=WRITING,
+        ),
     ] = None,
-    crs: Annotated[str, typer.Option(help='Map of the --output: "EPSG:4326", "EPSG:32616", ...')] = "EPSG:4326",
+    crs: Annotated[
+        str,
+        typer.Option(
+            metavar="CRS", help='Map of the --output: "EPSG:4326", "EPSG:32616", ...', rich_help_panel=WRITING
+        ),
+    ] = "EPSG:4326",
     heights: Annotated[
-        str | None, typer.Option(help='Heights of the --output are above: "ellipsoid", "EPSG:5773", ...')
+        str | None,
+        typer.Option(
+            metavar="DATUM",
+            help='Heights of the --output are above: "ellipsoid", "EPSG:5773", ...',
+            rich_help_panel=WRITING,
+        ),
     ] = None,
-    mgrs: Annotated[bool, typer.Option("--mgrs", help="With --output: squares of the Military Grid as well.")] = False,
+    mgrs: Annotated[
+        bool,
+        typer.Option("--mgrs", help="With --output: squares of the Military Grid as well.", rich_help_panel=WRITING),
+    ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
