@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 from rich.table import Table
 
 from jaxgeo.cli._question import Question
-from jaxgeo.cli._screen import number_table, progress_bar, working
+from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, working
 
 CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
 FEW = 20  # fixes up to which samples are as many as for one
@@ -110,7 +111,9 @@ def _how_sure(question: Question, fixes: Any, probability: float) -> Any:
         return None
     sensor, shots, uv, terrain = _taken(question, index)
     errors = _part(question.errors, index) if question.axes[4] == 0 else question.errors
-    with working("computing how sure that is"):
+    is_long = len(index) > FEW
+    waiting = contextlib.nullcontext() if is_long else working("computing how sure that is")
+    with waiting, bars_on_stderr() as is_shown:
         found = accuracy_of_each(
             sensor,
             shots,
@@ -119,7 +122,8 @@ def _how_sure(question: Question, fixes: Any, probability: float) -> Any:
             errors,
             in_axes=question.axes,
             probability=probability,
-            count=SAMPLES if len(index) <= FEW else SAMPLES_OF_MANY,
+            count=SAMPLES_OF_MANY if is_long else SAMPLES,
+            progress=is_long and is_shown,
             atmosphere=question.atmosphere,
         )
     arrays = (found.circular, found.linear, found.spherical, found.trust, found.cov_enu, found.bias_enu, found.signs)

@@ -12,6 +12,7 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas, errors_given, ground_errors, pixel_pitch_of
 from jaxgeo.cli._inputs import height_datum_of, numbers_in, read_terrain, said_datum, shot_of, terrain_files
 from jaxgeo.cli._options import SEEN
+from jaxgeo.cli._screen import working
 
 Source = Annotated[
     pathlib.Path | None,
@@ -251,7 +252,8 @@ def _of_file(asked: Asked) -> _Views:
 
     assert asked.file is not None
     try:
-        found = read_acquisition(asked.file, **asked.how)
+        with working(f"reading {asked.file.name}"):
+            found = read_acquisition(asked.file, **asked.how)
     except UnstatedDatum as error:
         raise UserError(as_typed(str(error))) from error
     found, atmosphere, of_errors = _with_camera(found, asked)

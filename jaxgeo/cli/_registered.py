@@ -82,7 +82,7 @@ def _ortho(work: Work, found: Any, path: pathlib.Path) -> dict[str, Any]:
     (row, col), shape = part
     whole = work.raster.transform
     raster = MapRaster(work.raster.crs, whole @ type(whole).translation(col, row), shape)
-    with bars_on_stderr():
+    with bars_on_stderr() as is_shown:
         done = rectify_file(
             path,
             work.image,
@@ -91,7 +91,7 @@ def _ortho(work: Work, found: Any, path: pathlib.Path) -> dict[str, Any]:
             found.terrain,
             like=raster,
             bands=work.bands,
-            progress=True,
+            progress=is_shown,
             atmosphere=air,
         )
     return {

@@ -38,10 +38,13 @@ def working(words: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def bars_on_stderr() -> Iterator[None]:
-    """What the library shows of its progress on the screen goes to stderr: stdout is for results."""
+def bars_on_stderr() -> Iterator[bool]:
+    """What the library shows of its progress on the screen goes to stderr: stdout is for results.
+
+    Gives whether it is to show any: whether stderr is a terminal.
+    """
     with contextlib.redirect_stdout(sys.stderr):
-        yield
+        yield stderr().is_terminal
 
 
 def track(items: Sequence[Item], words: str) -> Iterator[Item]:

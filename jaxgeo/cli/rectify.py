@@ -115,7 +115,7 @@ def _rectify(
     shot = shot_of(scene, scene_path, "rectifying")
     terrain = read_terrain(*ground)
     began = time.perf_counter()
-    with bars_on_stderr():
+    with bars_on_stderr() as is_shown:
         done = rectify_file(
             output,
             image,
@@ -123,7 +123,7 @@ def _rectify(
             shot,
             terrain,
             interpolation=_interpolations()[interpolation],
-            progress=True,
+            progress=is_shown,
             atmosphere=scene.atmosphere,
             **wishes,
         )
