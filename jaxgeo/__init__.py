@@ -1,4 +1,16 @@
-"""Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain, in JAX."""
+"""Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain, in JAX.
+
+Examples in docstrings take for granted that `jaxgeo` and `numpy as np` are imported, and 64-bit floats on:
+
+>>> jaxgeo.enable_x64()
+>>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)
+>>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
+>>> pose = jaxgeo.Pose.from_degrees(lat=36.3, lon=-84.1, height=5469.0, heading=160.0)
+>>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(outer=72.0, inner=0.0))
+>>> fix = jaxgeo.locate(sensor, shot, (1200, 2400), jaxgeo.ConstantHeight(300.0))
+>>> print(f"{fix.slant_range / 1000:.2f} km away: {jaxgeo.Status(int(fix.status)).name}")
+16.79 km away: hit
+"""
 
 from __future__ import annotations
 

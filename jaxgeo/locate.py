@@ -58,6 +58,13 @@ def intersect(
     Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
     Rays may be spread over devices; on a mesh with explicit axes let the compiler place what lies within:
     `jax.sharding.auto_axes(jax.vmap(intersect, in_axes=(0, None)), out_sharding=jax.P("rays"))`.
+
+    >>> above = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=1000.0)
+    >>> p_ecef = jaxgeo.WGS84.to_ecef(above)
+    >>> down = -jaxgeo.WGS84.normal_and_height(p_ecef)[0]
+    >>> fix = jaxgeo.intersect(jaxgeo.Ray(p_ecef, down), jaxgeo.ConstantHeight(600.0))
+    >>> print(f"{fix.slant_range:.3f} m to the ground")
+    400.000 m to the ground
     """
     check_throw(throw, (ray, terrain, atmosphere))
     check_is(ray, Ray, "ray")
@@ -94,6 +101,18 @@ def locate(
     A pixel outside the image or the lens's field, and input that is not finite, set the status and leave NaN. Raises
     `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong kind; `ValueError` for
     a wrong shape, a known latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
+
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())  # a drone's
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> fix = jaxgeo.locate(sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0))
+    >>> print(*np.round(fix.position.to_degrees(), 6), round(float(fix.slant_range), 2))
+    47.000935 11.000789 600.0 169.71
+    >>> sky = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=10.0, roll=0.0))
+    >>> above = jaxgeo.locate(sensor, sky, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0))
+    >>> print(bool(above.ok), jaxgeo.Status(int(above.status)).name, above.slant_range)
+    False rises_away nan
     """
     check_throw(throw, (sensor, shot, uv, terrain, time, atmosphere))
     check_terrain(terrain, search)
@@ -115,6 +134,14 @@ def at_range(
     No terrain is asked: `incidence_surface` and `slope` are NaN. An `atmosphere` bends the line of sight; that light is
     slower in air (some 0.3 m per km at sea level) is for the laser's own calibration. Raises as `intersect`; a range
     that is not positive and finite has the status `invalid_input`.
+
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> hit = jaxgeo.at_range(sensor, shot, (1999.5, 1499.5), 250.0)  # the laser says 250 m
+    >>> print(f"{hit.position.height:.2f} m above the ellipsoid")
+    543.23 m above the ellipsoid
     """
     looked = pixel_of_shot(sensor, shot, time, uv)
     distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
@@ -149,6 +176,17 @@ def project(
     `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or
     passes a void) the status says that. The point keeps its `uv` in every such case.
     Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a latitude beyond a pole.
+
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> seen = jaxgeo.project(sensor, shot, jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0))
+    >>> print(np.round(seen.uv, 1), bool(seen.ok))
+    [2211.  1291.2] True
+    >>> behind = jaxgeo.project(sensor, shot, jaxgeo.Geodetic.from_degrees(lat=46.99, lon=10.99, height=600.0))
+    >>> print(jaxgeo.Status(int(behind.status)).name)
+    behind_camera
     """
     seen_from = observation(sensor, shot, time)
     check_is(point, Geodetic, "point")

@@ -176,6 +176,16 @@ def intersect_images(
     Raises `RuntimeError` with 64-bit floats off; `TypeError` for float32 and arguments of the wrong kind; `ValueError`
     for shapes that do not fit, fewer than two rays, a latitude beyond a pole, a sigma that is not positive, neither
     sigma nor errors, and as `jaxgeo.uncertainty.propagate` does for errors.
+
+    >>> from jaxgeo import adjust
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    >>> shots = [jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=lon, height=1600.0)) for lon in (11.0, 11.004)]
+    >>> point = jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.002, height=610.0)
+    >>> pixels = np.stack([jaxgeo.project(sensor, shot, point).uv for shot in shots])
+    >>> found = adjust.intersect_images(sensor, shots, pixels, sigma=0.5)
+    >>> print(f"{found.position.height:.3f} m, LE90 {found.linear_error(0.9):.2f} m")
+    610.000 m, LE90 1.01 m
     """
     measured = checked_measurements(sensor, shots, uvs, sigma, errors, use, atmosphere, shot_of, flight_of)
     return _intersected(measured)

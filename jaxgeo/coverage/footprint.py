@@ -109,6 +109,14 @@ def footprint(
     hides, is known to a ten thousandth of a pixel. What is finer than the first places may be overlooked.
     Not for tracing: how many places there are is found by looking. Raises `ValueError` for a tolerance or a number of
     places that is not positive; what sees no ground has its status.
+
+    >>> from jaxgeo import coverage
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=1000, height=500)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=1600.0))
+    >>> seen = coverage.footprint(sensor, shot, jaxgeo.ConstantHeight(600.0))
+    >>> print(f"{np.ptp(seen.outline[:, 0]):.0f} m by {np.ptp(seen.outline[:, 1]):.0f} m")
+    1000 m by 500 m
     """
     sensor, image = checked_image(sensor, image)
     check_terrain(terrain, FIRST_HIT)

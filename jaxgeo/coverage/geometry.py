@@ -194,6 +194,12 @@ def path_of_overlap(*, overlap: Any, height_above_ground: Any, off_nadir: Any, f
     """Path in m to fly between strips that shall overlap so far (Eq 34).
 
     Raises `ValueError` for an overlap outside [0, 1), and as `overlap_at`.
+
+    >>> from jaxgeo.coverage import geometry
+    >>> setting = {"height_above_ground": 1000.0, "off_nadir": 0.0, "field_of_view": np.deg2rad(50.0)}
+    >>> step = geometry.path_of_overlap(overlap=0.6, **setting)
+    >>> print(f"an exposure every {step:.0f} m")
+    an exposure every 373 m
     """
     length = frame_length(height_above_ground=height_above_ground, off_nadir=off_nadir, field_of_view=field_of_view)
     return step_of_overlap(overlap, length)

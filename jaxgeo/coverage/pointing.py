@@ -70,6 +70,17 @@ def point(
     on it with `trajectory.with_readings`. Derivatives, first and second, are those of the implicit function.
     Raises `TypeError` and `ValueError` for a gimbal without axes and for arguments of the wrong kind or shape; what
     cannot be reached has a status.
+
+    >>> from jaxgeo import coverage
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> gimbal = jaxgeo.Gimbal.two_axis(limits=np.deg2rad([[-60.0, 60.0], [-5.0, 5.0]]))
+    >>> sensor = jaxgeo.Sensor(camera, gimbal, jaxgeo.Mount.nadir())
+    >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=3000.0), np.zeros(2))
+    >>> target = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.1, height=600.0)
+    >>> aimed = coverage.point(sensor, shot, target=target)
+    >>> outer, inner = np.rad2deg(aimed.readings)
+    >>> print(f"outer {outer:.2f} deg, {np.rad2deg(aimed.miss):.2f} deg short: {jaxgeo.Status(int(aimed.status)).name}")
+    outer 60.00 deg, 12.46 deg short: outside_gimbal_range
     """
     check_axes(sensor.gimbal)
     sensor, shot, _ = observation(sensor, shot, None)

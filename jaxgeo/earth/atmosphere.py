@@ -30,6 +30,10 @@ class Atmosphere(eqx.Module):
     `sea_level` m above the ellipsoid (the undulation of the geoid: air follows the geoid, heights here the ellipsoid),
     `refractivity` in m3/kg is (n - 1) / density and stands for the colour of the light. All may be traced and
     differentiated. Humidity is left out: at 20 g/m3 it changes n - 1 of visible light by less than half a percent.
+
+    >>> air = jaxgeo.Atmosphere.measured(pressure=95_000.0, temperature=298.15, height=560.0)
+    >>> print(f"{air.temperature_offset:+.2f} K, and {air.sea_level_pressure / 100:.1f} hPa at sea level")
+    +13.64 K, and 1012.6 hPa at sea level
     """
 
     temperature_offset: ScalarField = 0.0

@@ -20,7 +20,15 @@ CLOSE_ENOUGH = 1e-7  # m of height before the last Newton step, which squares it
 
 
 class Ellipsoid(eqx.Module):
-    """An oblate ellipsoid of revolution (or a sphere): semi-major axis `a` in m and flattening `f`."""
+    """An oblate ellipsoid of revolution (or a sphere): semi-major axis `a` in m and flattening `f`.
+
+    >>> point = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)
+    >>> p_ecef = jaxgeo.WGS84.to_ecef(point)
+    >>> print(np.round(p_ecef, 3))
+    [4278026.393  831564.093 4642203.601]
+    >>> print(*np.round(jaxgeo.WGS84.to_geodetic(p_ecef).to_degrees(), 6))
+    47.0 11.0 600.0
+    """
 
     a: float = eqx.field(static=True)
     f: float = eqx.field(static=True)

@@ -13,7 +13,14 @@ from jaxgeo._typing import ScalarField
 
 
 class Geodetic(eqx.Module):
-    """A point near the ellipsoid: latitude and longitude in rad, height above the ellipsoid in m."""
+    """A point near the ellipsoid: latitude and longitude in rad, height above the ellipsoid in m.
+
+    >>> summit = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=2450.0)
+    >>> print(f"{summit.lat:.6f} rad, {summit.height} m")
+    0.820305 rad, 2450.0 m
+    >>> print(*np.round(summit.to_degrees(), 9))
+    47.0 11.0 2450.0
+    """
 
     _: KW_ONLY
     lat: ScalarField

@@ -29,6 +29,11 @@ def horizon(
     On a sphere of `radius` m (for one azimuth: `WGS84.radius_in_azimuth`); with an `atmosphere` along the ray that
     grazes the ground, n r sin z = n r there (Snell on spherical shells). Differentiable in heights and air where
     `height` is above `ground`. Raises `ValueError` for known heights that are not finite or lie below the ground.
+
+    >>> from jaxgeo.earth.horizon import horizon
+    >>> bare, in_air = horizon(3000.0), horizon(3000.0, atmosphere=jaxgeo.Atmosphere())
+    >>> print(f"{bare.distance / 1000:.0f} km, through the air {in_air.distance / 1000:.0f} km")
+    195 km, through the air 214 km
     """
     check_finite(height, "height", "m above the ellipsoid")
     check_finite(ground, "ground", "m above the ellipsoid")
@@ -56,6 +61,10 @@ def sight_range(
     """Distance in m along smooth ground at which a target at `target_height` comes up over the horizon of `height`.
 
     All heights in m above the ellipsoid; the sum of both horizons' distances. Raises as `horizon`.
+
+    >>> from jaxgeo.earth.horizon import sight_range
+    >>> print(f"a mast of 200 m comes up over the horizon of 3 km at {sight_range(3000.0, 200.0) / 1000:.0f} km")
+    a mast of 200 m comes up over the horizon of 3 km at 246 km
     """
     here, there = (horizon(h, ground=ground, atmosphere=atmosphere, radius=radius) for h in (height, target_height))
     return here.distance + there.distance

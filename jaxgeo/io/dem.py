@@ -87,6 +87,11 @@ def read_dem(
 
     Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file and the reason; `RuntimeError`
     with 64-bit floats off. `read_dem_and_report` also says what was done, with the map's measured error.
+
+    >>> from jaxgeo.io.dem import DATA
+    >>> ridge = jaxgeo.io.read_dem(DATA / "jacksboro.tif", bounds=(-84.25, 36.30, -84.20, 36.35))
+    >>> print(f"{float(ridge.floor):.0f} to {float(ridge.ceiling):.0f} m above the ellipsoid")
+    279 to 690 m above the ellipsoid
     """
     return read_dem_and_report(
         path_or_paths,
@@ -155,7 +160,12 @@ def read_dem_and_report(
 
 
 def example_dem() -> Dem:
-    """Real ground inside the package: SRTM at 90 m about the Jacksboro Fault and Cross Mountain, Tennessee."""
+    """Real ground inside the package: SRTM at 90 m about the Jacksboro Fault and Cross Mountain, Tennessee.
+
+    >>> dem = jaxgeo.io.example_dem()
+    >>> print(dem.posts.shape, f"{dem.height_at(jaxgeo.Geodetic.from_degrees(lat=36.3, lon=-84.2, height=0.0)):.1f} m")
+    (344, 403) 343.9 m
+    """
     return read_dem(DATA / "jacksboro.tif")
 
 

@@ -101,6 +101,20 @@ def write_fixes(
     The file appears when all is written. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, is no map or does not reach, heights that cannot be named, and what does not belong to the fixes;
     `VerticalDatumError` where a grid is missing; `ImportError` without the extra; `OSError` where writing fails.
+
+    >>> import pathlib, tempfile
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.nadir())
+    >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=1600.0))
+    >>> fix = jaxgeo.locate(sensor, shot, (0, 0), jaxgeo.ConstantHeight(600.0))
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = pathlib.Path(folder.name) / "fixes.csv"
+    >>> jaxgeo.io.write_fixes(path, fix, crs="EPSG:32632", heights="EPSG:5773")
+    >>> names, row = (line.split(",") for line in path.read_text().splitlines())
+    >>> found = dict(zip(names, row))
+    >>> print(found["status"], found["crs"], found["map_x"][:9], found["map_z"][:6], found["vertical_datum"])
+    hit EPSG:32632+5773 651498.55 550.39 EGM96 height
+    >>> folder.cleanup()
     """
     require_x64()
     target = pathlib.Path(path)

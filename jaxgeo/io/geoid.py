@@ -27,6 +27,10 @@ def height_msl(position: Geodetic | Fix, datum: VerticalDatum = EGM96) -> np.nda
     """Height in m above a vertical datum (mean sea level, EGM96 by default) of a position or a fix, batches included.
 
     NaN stays NaN, so a fix without coordinates has no height. Raises as `undulation` does.
+
+    >>> place = jaxgeo.Geodetic.from_degrees(lat=36.3, lon=-84.2, height=300.0)
+    >>> print(f"{jaxgeo.io.height_msl(place):.2f} m above mean sea level")
+    331.06 m above mean sea level
     """
     if isinstance(position, Fix):
         position = position.position

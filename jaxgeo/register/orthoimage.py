@@ -29,6 +29,14 @@ class Orthoimage(eqx.Module):
         """From values (rows, cols) or (bands, rows, cols); by default known where all bands are finite.
 
         Raises `ValueError` for other shapes, and where nothing is known.
+
+        >>> from jaxgeo.register import Orthoimage
+        >>> from jaxgeo.terrain import TangentGrid
+        >>> middle = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
+        >>> grid = TangentGrid.centred(middle, spacing=(0.5, 0.5), shape=(4, 6))
+        >>> image = Orthoimage.of(np.arange(24.0).reshape(4, 6), grid)
+        >>> print(image.shape, round(image.ground_sampling, 3), image.coarser(2).shape)
+        (4, 6) 0.5 (2, 3)
         """
         values = np.asarray(values)
         values = values[None] if values.ndim == 2 else values

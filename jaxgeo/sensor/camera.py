@@ -101,6 +101,11 @@ class FrameCamera(AbstractCamera):
 
         `principal_point` is the foot of the optical axis as an offset (right, down) from the centre of the image.
         Raises `ValueError` for lengths that are not positive and finite, or a size that is not a whole number.
+
+        >>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.05, pixel_pitch=4e-6, width=6000, height=4000)
+        >>> across, down = camera.field_of_view()
+        >>> print(camera.focal_px, f"{np.rad2deg(across):.2f} x {np.rad2deg(down):.2f} deg")
+        [12500. 12500.] 26.99 x 18.18 deg
         """
         check_positive(focal_length, "focal_length", "m", "a 50 mm lens is focal_length=0.050")
         check_positive(pixel_pitch, "pixel_pitch", "m", "pixels of 5 um are pixel_pitch=5e-6")
@@ -132,6 +137,11 @@ class FrameCamera(AbstractCamera):
 
         `principal_px` is (column, row) with pixel centres at integers, by default the centre of the image,
         ((width - 1) / 2, (height - 1) / 2). Raises `ValueError` as `from_metric` does.
+
+        >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=1280, height=960)
+        >>> direction, status = camera.ray(np.array([1139.5, 479.5]))  # half a focal length right of the middle
+        >>> print(np.round(direction / direction[2], 12), jaxgeo.Status(int(status)).name)
+        [0.5 0.  1. ] hit
         """
         check_positive(focal_px, "focal_px", "pixels", "it is the focal length divided by the pixel pitch")
         _check_pair_or_number(focal_px, "focal_px")

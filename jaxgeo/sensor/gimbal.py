@@ -42,6 +42,14 @@ class Gimbal(eqx.Module):
     Base and head have axes (x forward, y right, z down) and coincide where all axis angles are zero.
     `limits` (axes, 2) bound the readings. `reference` says against what the angles are reported: "body" (through the
     mount's R_body_from_base), or "level", where the base is north-east-down at the sensor, as drones report.
+
+    >>> gimbal = jaxgeo.Gimbal.from_degrees(axes={"pan": "z", "tilt": "y"}, limits=[(-170.0, 170.0), (-90.0, 30.0)])
+    >>> readings = gimbal.readings_from_degrees(pan=90.0, tilt=-90.0)
+    >>> print(bool(gimbal.inside_limits(readings)))
+    True
+    >>> forward = gimbal.R_base_from_head(readings) @ np.array([1.0, 0.0, 0.0])
+    >>> print(round(float(forward[2]), 6))  # the head's forward axis looks down
+    1.0
     """
 
     axes: tuple[Axis, ...] = eqx.field(static=True)
@@ -131,6 +139,10 @@ class Gimbal(eqx.Module):
         """Readings in rad, in order, from one named number (or batch) in deg for each axis.
 
         Raises `ValueError` for a name that is missing, not an axis, or a value that is not finite.
+
+        >>> gimbal = jaxgeo.Gimbal.two_axis()
+        >>> print(gimbal.readings_from_degrees(outer=72.0, inner=0.0))
+        [1.25663706 0.        ]
         """
         if set(readings) != set(self.names):
             raise ValueError(f"This gimbal's readings are {', '.join(self.names) or 'none'}; got {sorted(readings)}.")

@@ -131,6 +131,11 @@ class Pose(eqx.Module):
 
         Raises `ValueError` for a heading outside [-360, 360], a pitch outside [-90, 90], a roll outside [-180, 180]
         deg, and as `Geodetic.from_degrees` does.
+
+        >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=1300.0, heading=90.0, pitch=5.0, roll=0.0)
+        >>> nose = pose.R_ned_from_body @ np.array([1.0, 0.0, 0.0])
+        >>> print(f"{nose[1]:.4f} east, {-nose[2]:.4f} up")
+        0.9962 east, 0.0872 up
         """
         position = Geodetic.from_degrees(lat=lat, lon=lon, height=height)
         check_range(heading, "heading", "deg", -360.0, 360.0)

@@ -134,6 +134,14 @@ class Sensor(eqx.Module):
         least (the roll of a drone's gimbal); by default axis angles of zero, or the nearest within the limits.
         Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; where the
         input is traced, the readings are NaN instead.
+
+        >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+        >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+        >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+        >>> shot = sensor.looking_at(pose, jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0))
+        >>> yaw, pitch, roll = np.rad2deg(shot.gimbal_readings)
+        >>> print(f"yaw {yaw:.2f} deg, pitch {pitch:.2f} deg")
+        yaw 34.38 deg, pitch -41.70 deg
         """
         from jaxgeo.sensor.pointing import readings_towards  # it needs this class
 

@@ -60,6 +60,15 @@ class Trajectory(eqx.Module):
         out), for a turn of more than 120 deg from one knot to the next (also by the rates that are given), for gimbal
         readings that jump by more than 180 deg (a yaw that passes from 180 to -180 is to be unwrapped, `numpy.unwrap`),
         for arrays of other lengths, and for numbers that are not finite. One number in `poses` holds for all knots.
+
+        >>> times = np.array([0.0, 1.0, 2.0])
+        >>> poses = jaxgeo.Pose.from_degrees(
+        ...     lat=47.0 + 5e-4 * times, lon=11.0, height=1300.0 + 2.0 * times, heading=np.array([359.0, 0.0, 1.0])
+        ... )
+        >>> flight = jaxgeo.Trajectory.from_knots(times, poses)
+        >>> between = flight.at(0.5).pose
+        >>> print(f"{np.rad2deg(between.heading) % 360:.3f} deg, {between.position.height:.2f} m")
+        359.500 deg, 1301.00 m
         """
         check_is(poses, Pose, "poses", "One Pose, whose fields hold an entry for each knot.")
         readings = np.zeros((*np.shape(times), 0)) if gimbal_readings is None else gimbal_readings

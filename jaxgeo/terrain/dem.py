@@ -67,6 +67,15 @@ class Dem(AbstractTerrain):
         `extent` is the true (rows, cols) if the array is padded at its end. Posts may be traced by JAX: gradients then
         reach them through the hits, never through the bounds.
         Raises `ValueError` for fewer than 2 x 2 posts, posts all void or infinite, or a ceiling that is not finite.
+
+        >>> from jaxgeo.terrain import TangentGrid
+        >>> middle = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
+        >>> grid = TangentGrid.centred(middle, spacing=(30.0, 30.0), shape=(3, 3))
+        >>> heights = np.full((3, 3), 600.0)
+        >>> heights[1, 1] = 660.0
+        >>> hill = jaxgeo.Dem.from_array(heights, grid)
+        >>> print(round(float(hill.height_at(middle)), 3))
+        660.0
         """
         require_x64()
         grid = as_float64(grid, "grid")

@@ -75,6 +75,22 @@ def accuracy(
     if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out; `draws` and
     `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a probability outside (0, 1) and where there
     is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and `assess`.
+
+    >>> from jaxgeo.uncertainty import sources
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> errors = jaxgeo.ErrorModel((
+    ...     sources.Position.from_ned(north=3.0, east=3.0, down=5.0),
+    ...     sources.GimbalAngles.from_degrees(yaw=1.0, pitch=0.5, roll=0.5),
+    ...     sources.TerrainHeight.from_metres(2.0),
+    ... ))
+    >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
+    ...
+    >>> found = jaxgeo.accuracy(*scene)
+    >>> print(f"CE90 {found.circular:.2f} m, LE90 {found.linear:.2f} m, by {found.trust.words}")
+    CE90 11.52 m, LE90 3.29 m, by linear propagation
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")

@@ -194,6 +194,25 @@ def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
     has a share; one of them may even help, where its errors cancel another's. With the slope of a footprint the plane
     is held where it is. Raises `ValueError` for a propagation without a fix, a batch of them or a probability outside
     (0, 1), `TypeError` for anything else or what is traced.
+
+    >>> from jaxgeo.uncertainty import sources
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> errors = jaxgeo.ErrorModel((
+    ...     sources.Position.from_ned(north=3.0, east=3.0, down=5.0),
+    ...     sources.GimbalAngles.from_degrees(yaw=1.0, pitch=0.5, roll=0.5),
+    ...     sources.TerrainHeight.from_metres(2.0),
+    ... ))
+    >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
+    ...
+    >>> shares = jaxgeo.uncertainty.budget(jaxgeo.propagate(*scene))
+    >>> for source in shares.sources:
+    ...     print(f"{source.label}: CE90 without it {source.without:.2f} m of {shares.circular_error:.2f} m")
+    position: CE90 without it 5.45 m of 11.52 m
+    gimbal angles: CE90 without it 10.67 m of 11.52 m
+    terrain height: CE90 without it 11.06 m of 11.52 m
     """
     linear = Linear.of(propagation, "An error budget")
     probability = check_probability(probability)

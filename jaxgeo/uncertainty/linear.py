@@ -83,6 +83,22 @@ def propagate(
     the error ellipse, with `Level()` level. Under `jit` and `vmap` like `locate`, and differentiable in the errors'
     sigmas and all else. Raises as `locate` does, and `TypeError` for what is no source, `ValueError` for a sigma that
     is negative or NaN, a covariance that is none, or a source that has no part in this look.
+
+    >>> from jaxgeo.uncertainty import sources
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> shot = jaxgeo.Shot(pose, sensor.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+    >>> errors = jaxgeo.ErrorModel((
+    ...     sources.Position.from_ned(north=3.0, east=3.0, down=5.0),
+    ...     sources.GimbalAngles.from_degrees(yaw=1.0, pitch=0.5, roll=0.5),
+    ...     sources.TerrainHeight.from_metres(2.0),
+    ... ))
+    >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
+    ...
+    >>> found = jaxgeo.propagate(*scene)
+    >>> print(f"CE90 {found.circular_error(0.9):.2f} m, LE90 {found.linear_error(0.9):.2f} m")
+    CE90 11.52 m, LE90 3.29 m
     """
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     return propagated(look, look.aim(search), checked_model(errors, look), slope)

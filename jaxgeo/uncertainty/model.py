@@ -24,6 +24,14 @@ class ErrorModel(eqx.Module):
 
     Its error vector e is theirs, one after the other. Everything that asks how sure a fix is pushes e through one map,
     `miss`.
+
+    >>> from jaxgeo.uncertainty import sources
+    >>> errors = jaxgeo.ErrorModel((
+    ...     sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.02),
+    ...     sources.Position.from_ned(north=1.5, east=1.5, down=3.0),
+    ... ))
+    >>> print(errors.size, errors.axes[0], errors.axes[-1])
+    6 attitude: heading position: down
     """
 
     sources: tuple[AbstractSource, ...] = eqx.field(converter=tuple)

@@ -64,6 +64,12 @@ class InTime(AbstractSharing):
     The four-parameter function of the Community Sensor Model (NGA.STND.0017): `duration` T in s, `alpha` the part that
     lasts, `beta` how flat it begins, `strength` A what different shots have in common at most. With alpha = beta = 0
     and A = 1 it is exp(-dt/T), a first-order Gauss-Markov process.
+
+    >>> from jaxgeo.uncertainty import InTime
+    >>> from jaxgeo.uncertainty.sharing import Occasion
+    >>> now, later = (Occasion(measurement=k, shot=k, flight=0, time=10.0 * k) for k in (0, 1))
+    >>> print(f"{InTime(60.0).correlation(now, later):.4f}")
+    0.8465
     """
 
     duration: ScalarField

@@ -46,6 +46,17 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
     the smrmsg of an SBET; `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known
     kind, and for an option that its reader does not take; `FileNotFoundError`; and as the readers.
+
+    >>> import os, tempfile
+    >>> from jaxgeo.demo import drone_image
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> image = drone_image(os.path.join(folder.name, "drone.jpg"), columns=64).path
+    >>> found = jaxgeo.io.read_acquisition(image, height_datum="EPSG:5773")
+    >>> print(found.form, found.facts["image size"], np.shape(found.shots.gimbal_readings))
+    DJI drone image 64 x 48 pixels (1, 3)
+    >>> print(found.assumed[-1])
+    No errors of the angles are taken from the files.
+    >>> folder.cleanup()
     """
     form = form_of(path)
     given = {name: value for name, value in how.items() if value is not None}

@@ -29,6 +29,12 @@ class BrownConrady(AbstractDistortion):
 
     With r2 = x2 + y2, radial = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6):
     x' = x radial + 2 p1 x y + p2 (r2 + 2 x2), y' = y radial + p1 (r2 + 2 y2) + 2 p2 x y.
+
+    >>> lens = jaxgeo.BrownConrady(k1=-0.1)
+    >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=1280, height=960, distortion=lens)
+    >>> uv, status = camera.project(np.array([0.5, 0.0, 1.0]))
+    >>> print(np.round(uv, 3))  # without the lens at column 1139.5
+    [1127.   479.5]
     """
 
     k1: ScalarField = 0.0

@@ -44,6 +44,12 @@ def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
     covariance of zero the radius is |bias|, and its derivative by the covariance, which is infinite, is given as zero.
     Raises `ValueError` for a probability outside (0, 1), a covariance that is none, infinities and NaN; traced, the
     radius is NaN then.
+
+    >>> print(f"{jaxgeo.circular_error(np.eye(2), 0.9):.4f}")
+    2.1460
+    >>> cov = np.diag([9.0, 1.0])  # 3 m and 1 m
+    >>> print(f"{jaxgeo.circular_error(cov, 0.9):.4f} m, 1 m off {jaxgeo.circular_error(cov, 0.9, [1.0, 0.0]):.4f} m")
+    5.0435 m, 1 m off 5.3046 m
     """
     return _radius(cov, probability, bias, 2)
 
@@ -53,6 +59,9 @@ def spherical_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
 
     `cov` (..., 3, 3) in m², `bias` (..., 3) in m. To about 1e-10 of the radius for biases up to ten times the largest
     standard deviation.
+
+    >>> print(f"{jaxgeo.spherical_error(np.eye(3), 0.9):.4f}")
+    2.5003
     """
     return _radius(cov, probability, bias, 3)
 
@@ -61,6 +70,9 @@ def linear_error(variance: Any, probability: Any, bias: Any = None) -> Numbers:
     """Half length in m of the interval about the nominal value that holds the true one: LE50, LE90, ...
 
     `variance` (...) in m², `bias` (...) in m; otherwise as `circular_error`.
+
+    >>> print(f"{jaxgeo.linear_error(4.0, 0.9):.4f}")
+    3.2897
     """
     return _radius(*_as_line(variance, probability, bias), 1)
 
