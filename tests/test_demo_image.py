@@ -10,7 +10,6 @@ from PIL import Image
 import jaxgeo
 from jaxgeo import demo, io
 from jaxgeo.demo.drone import tagged
-from jaxgeo.demo.made import located
 from jaxgeo.demo.scenery import LIGHT
 from jaxgeo.io.acquisitions.usual_errors import POSITION
 
@@ -27,7 +26,7 @@ def made(tmp_path_factory):
 def fixes(made):
     """Of every third pixel, (30, 40)."""
     uv = np.stack(np.meshgrid(np.arange(0.0, COLUMNS, 3), np.arange(0.0, ROWS, 3)), axis=-1)
-    found = located(made.sensor, made.shot, uv.reshape(-1, 2), io.example_dem())
+    found = made.fixes(uv.reshape(-1, 2))
     return jax.tree.map(lambda leaf: leaf.reshape(*uv.shape[:2], *leaf.shape[1:]), found)
 
 

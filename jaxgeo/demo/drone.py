@@ -13,6 +13,7 @@ import numpy as np
 from jaxgeo._checks import require_x64
 from jaxgeo.demo.made import located
 from jaxgeo.demo.scenery import painted
+from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
 from jaxgeo.io.acquisitions.usual_errors import LEVEL, LEVEL_ELSE, POSITION
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -39,6 +40,10 @@ class DroneImage(NamedTuple):
     path: str
     sensor: Sensor
     shot: Shot
+
+    def fixes(self, uv: Any) -> Fix:
+        """What pixels (n, 2), columns and rows, truly see of `jaxgeo.io.example_dem()`: fixes (n)."""
+        return located(self.sensor, self.shot, np.asarray(uv, float).reshape(-1, 2), example_dem())
 
 
 def drone_image(path: str | os.PathLike[str] = "drone.jpg", *, seed: int = 0, columns: int = COLUMNS) -> DroneImage:
