@@ -1,8 +1,8 @@
 """The command line.
 
-`jaxgeo inspect` for what a file tells; `jaxgeo locate` for pixels and tables of shots; `jaxgeo footprint`, `point`,
-`overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for images on a map, `register` for their
-pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
+`jaxgeo inspect` for what a file tells; `jaxgeo locate` for pixels and tables of shots, `report` for a page about them;
+`jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for images on
+a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
 
 All speak alike: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`), `-o`
 writes a file that appears when it is whole; exit codes are those of `_common.py`.
@@ -29,6 +29,7 @@ from jaxgeo.cli.plan import plan_command
 from jaxgeo.cli.point import point_command
 from jaxgeo.cli.rectify import rectify_command
 from jaxgeo.cli.register import register_command
+from jaxgeo.cli.report import report_command
 from jaxgeo.cli.study import studies
 
 EPILOG = """[bold]Exit codes[/bold]
@@ -75,6 +76,7 @@ def _add(name: str, command: Any) -> None:
 
 _add("inspect", inspect_command)
 _add("locate", locate_command)
+_add("report", report_command)
 _add("footprint", footprint_command)
 _add("point", point_command)
 _add("overlap", overlap_command)

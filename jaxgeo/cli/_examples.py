@@ -14,7 +14,11 @@ EXAMPLES = {
         "jaxgeo locate flight.klv --ground reported -o fixes.kml",
         f"jaxgeo locate {SCENE} --shots shots.csv -o fixes.csv",
     ),
-    "report": (f"jaxgeo report {SCENE} --pixel 1200,2400 -o report.html",),
+    "report": (
+        f"jaxgeo report {SCENE} --pixel 1200,2400 -o report.html",
+        "jaxgeo report DJI_0042.JPG --height-datum ellipsoid --dem dem.tif -o report.html",
+        "jaxgeo report flight.klv --ground reported --details 1 -o report.html",
+    ),
     "footprint": (
         f"jaxgeo footprint {SCENE}",
         f"jaxgeo footprint {SCENE} --shots shots.csv -o footprints.gpkg --crs EPSG:32616",

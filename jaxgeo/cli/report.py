@@ -1,0 +1,216 @@
+"""`jaxgeo report`: where pixels look and how sure that is, as one page to send and to open anywhere."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Annotated, Any
+
+import typer
+
+from jaxgeo._destination import check_no_input, check_place, destination, is_device
+from jaxgeo.cli._acquisitions import (
+    CameraName,
+    InteriorFile,
+    KeepDamaged,
+    SbetErrors,
+    SourceCrs,
+    SourceDatum,
+    Stream,
+    TakeoffHeight,
+    Upright,
+    VideoSize,
+    how_to_read,
+)
+from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._errors import (
+    AttitudeSigma,
+    DemCorrelation,
+    DemSigma,
+    FocalSigma,
+    GimbalSigma,
+    PositionSigma,
+    Sigmas,
+)
+from jaxgeo.cli._located import Located, located, where_from
+from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._question import (
+    Asked,
+    Exposures,
+    Ground,
+    GroundDatum,
+    GroundDem,
+    Pixels,
+    Question,
+    Refraction,
+    SceneOption,
+    Source,
+    TableOfShots,
+    read_question,
+)
+from jaxgeo.cli._results import AsJson, print_json
+from jaxgeo.cli._screen import print_counts, tell, working
+
+ENDINGS = (".html", ".htm")
+
+
+def report_command(
+    output: Annotated[
+        pathlib.Path,
+        typer.Option("--output", "-o", metavar="FILE", help="Page to write (.html).", rich_help_panel=WRITING),
+    ],
+    file: Source = None,
+    scene: SceneOption = None,
+    shots: TableOfShots = None,
+    pixel: Pixels = None,
+    exposure: Exposures = None,
+    dem: GroundDem = None,
+    vertical_datum: GroundDatum = None,
+    ground: Ground = None,
+    probability: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE", help="Of the truth to lie within the radii that are given.", rich_help_panel=SURE
+        ),
+    ] = 0.9,
+    position_sigma: PositionSigma = None,
+    attitude_sigma: AttitudeSigma = None,
+    gimbal_sigma: GimbalSigma = None,
+    focal_sigma: FocalSigma = None,
+    dem_sigma: DemSigma = None,
+    dem_correlation: DemCorrelation = None,
+    refraction: Refraction = False,
+    height_datum: SourceDatum = None,
+    takeoff_height: TakeoffHeight = None,
+    source_crs: SourceCrs = None,
+    camera: CameraName = None,
+    image_size: VideoSize = None,
+    upright: Upright = False,
+    keep_damaged: KeepDamaged = False,
+    stream: Stream = None,
+    errors: SbetErrors = None,
+    interior: InteriorFile = None,
+    title: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Title of the page; the scene's or the file's.", rich_help_panel=WRITING),
+    ] = None,
+    details: Annotated[
+        int,
+        typer.Option(
+            metavar="COUNT",
+            help="Fixes shown with section, budget and samples; of more, the usual, the least sure and the surest.",
+            rich_help_panel=WRITING,
+        ),
+    ] = 3,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """One page that needs no network: the map, the fixes and how sure they are, what errs, and what was assumed."""
+    with mistakes_told(debug):
+        _check_report(output, probability, details)
+        how = how_to_read(
+            height_datum,
+            takeoff_height,
+            source_crs,
+            camera,
+            image_size,
+            (upright, keep_damaged, stream),
+            errors,
+            interior,
+        )
+        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        pixels, exposures = pixel or [], exposure or []
+        asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
+        with destination("--output", output) as stream_of_page:
+            _report(asked, probability, (output, stream_of_page), (title, details), as_json)
+
+
+def _check_report(output: pathlib.Path, probability: float, details: int) -> None:
+    if not is_device(output):
+        check_place("--output", output)
+        if output.suffix.lower() not in ENDINGS:
+            raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .html.")
+    if not 0.0 < probability < 1.0:
+        raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
+    if details < 0:
+        raise UserError(f"--details {details}: it is a number of fixes, 0 or more.")
+
+
+def _report(
+    asked: Asked, probability: float, where: tuple[pathlib.Path, Any], drawn: tuple[str | None, int], as_json: bool
+) -> None:
+    from jaxgeo._checks import enable_x64
+
+    output, stream = where
+    title, most = drawn
+    with working("starting"):
+        from jaxgeo.report import Subject, Told, details_of, report_html
+    compile_quickly()
+    enable_x64()
+    question = read_question(asked, with_errors=_errs(asked))
+    check_no_input("--output", [output], question.reads)
+    for one in question.assumed:
+        tell(f"assumed: {one}")
+    found = located(question, probability)
+    subject = Subject(
+        question.sensor,
+        question.shots,
+        question.uv,
+        question.terrain,
+        question.errors,
+        found.fixes,
+        found.accuracy,
+        question.axes,
+        question.atmosphere,
+        probability,
+        question.carried,
+    )
+    with working("looking closer"):
+        details = details_of(subject, most=most)
+    told = Told(title or _title(asked), _inputs(asked, question), question.assumed)
+    with working("drawing"):
+        stream.write(report_html(subject, told=told, details=details))
+    rows = found.rows("report", question)
+    names = [row["status"] for row in rows]
+    print_counts({name: names.count(name) for name in names}, len(names))
+    if as_json:
+        content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
+        print_json("report", {"inputs": question.inputs, "assumed": question.assumed, **content})
+    _leave_without_a_fix(question, found)
+
+
+def _errs(asked: Asked) -> bool | None:
+    """Whether fixes of a table of shots are to be judged: where its scene or an option says how the world errs."""
+    from jaxgeo.io.scene import read_scene
+
+    if asked.shots is None or asked.scene is None:
+        return None
+    return asked.sigmas.are_given or read_scene(asked.scene).errors is not None
+
+
+def _title(asked: Asked) -> str:
+    """The title of the scene, or the name of what was read."""
+    from jaxgeo.io.scene import read_scene
+
+    if asked.file is not None and asked.file.suffix.lower() != ".toml":
+        return f"What {asked.file.name} sees, and how sure that is"
+    path = asked.file if asked.file is not None else asked.scene
+    assert path is not None
+    return read_scene(path).title or f"What the camera of {path.name} sees, and how sure that is"
+
+
+def _inputs(asked: Asked, question: Question) -> dict[str, Any]:
+    """What was typed, with pixels and exposures."""
+    named = {"pixel": " and ".join(asked.pixels), "exposure": ", ".join(asked.exposures)}
+    return question.inputs | {name: text for name, text in named.items() if text}
+
+
+def _leave_without_a_fix(question: Question, found: Located) -> None:
+    """Exit with 1 where no pixel at all has a fix."""
+    import numpy as np
+
+    if np.isfinite(np.asarray(found.fixes.slant_range)).any():
+        return
+    why = where_from(question)
+    tell("no pixel has a fix" + (f": {why}." if why else "."))
+    raise typer.Exit(1)

@@ -1,0 +1,181 @@
+"""The answers of a page in words: where a pixel looks, how sure that is, by which method and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxgeo.coverage.exposure import image_size
+from jaxgeo.io._mgrs import mgrs_of
+from jaxgeo.report import words
+from jaxgeo.report.details import FACET, FOOTPRINT, Detail
+from jaxgeo.report.subject import Subject
+from jaxgeo.status import Status
+from jaxgeo.uncertainty import NO_FIX, Comparison, Trust
+from jaxgeo.uncertainty.compare import FIGURES
+
+Row = Mapping[str, Any]
+VERDICTS = {
+    Trust.facet: "Linear propagation can be trusted here.",
+    Trust.footprint: "Linear propagation can be trusted over the slope of the ground about the fix, not that under it.",
+    Trust.samples: "Linear propagation cannot be trusted here: the figures are those of samples.",
+}
+MARKS = {"valid": ("✓", "valid"), "not valid": ("✗", "not valid"), "undecided": ("?", "undecided until more are drawn")}
+
+
+def answer_of(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
+    """Where one pixel looks and how sure that is; without a fix no coordinates, but why."""
+    index = detail.index
+    word, sentence = words.status(np.asarray(subject.fixes.status)[index])
+    found = bool(subject.has_place[index])
+    answer: dict[str, Any] = {"found": found, "is_fix": bool(subject.is_fix[index]), "status": row["status"]}
+    answer |= {"word": word, "sentence": sentence, "figures": [], "facts": []}
+    if not found:
+        return answer
+    lat, lon = row["fix_lat_deg"], row["fix_lon_deg"]
+    answer["lat"], answer["lon"] = words.coordinate(lat, "N", "S"), words.coordinate(lon, "E", "W")
+    answer["sexagesimal"] = f"{words.sexagesimal(lat, 'N', 'S')}, {words.sexagesimal(lon, 'E', 'W')}"
+    answer["mgrs"] = _mgrs(lat, lon)
+    answer["height"] = words.metres(row["fix_height_m"])
+    answer["msl"] = words.metres(row["fix_height_msl_m"])
+    answer["facts"] = [
+        ("slant range", words.length(row["slant_range_m"])),
+        ("incidence", f"{words.number(row['incidence_surface_deg'])}°"),
+        ("ground slope", f"{words.number(row['slope_deg'])}°"),
+    ]
+    return answer | _sure(subject, detail, row)
+
+
+def _sure(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
+    """How sure a fix is, by which method, why, and what samples say of that."""
+    if subject.accuracy is None or not subject.is_fix[detail.index]:
+        return {"verdict": "", "because": detail.unsure, "agreed": ""}
+    one, index = subject.accuracy, detail.index
+    percent = words.percent_name(subject.probability)
+    radii = (
+        ("CE", one.circular, "on the level plane"),
+        ("LE", one.linear, "in height"),
+        ("SE", one.spherical, "in space"),
+    )
+    figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
+    trust = Trust(int(np.asarray(one.trust)[index]))
+    agreed = "" if detail.comparison is None else _agreed(detail.comparison, trust, subject.probability)
+    said = {"figures": figures, "method": trust.words, "verdict": VERDICTS[trust], "because": row["accuracy_text"]}
+    return said | {"agreed": agreed}
+
+
+def _agreed(comparison: Comparison, trust: Trust, probability: float) -> str:
+    """What samples say of linear propagation, in a sentence or two."""
+    name = f"CE{words.percent_name(probability)}"
+    one = comparison.sampled.circular_error(probability)
+    linear = {key: float(p.circular_error(probability)) for key, p in comparison.propagations.items()}
+    count = words.count(comparison.sampled.count)
+    said = f"{count} samples give {name} {words.length(one.value)} ({words.length(one.low)} to {words.length(one.high)}"
+    said += " with 95 %)"
+    if trust is Trust.samples:
+        said += f"; linear propagation says {words.length(linear[FACET])} over the facet and "
+        said += f"{words.length(linear[FOOTPRINT])} over the footprint."
+    else:
+        radius = linear[FACET if trust is Trust.facet else FOOTPRINT]
+        inside = one.low <= radius <= one.high
+        off = f"{100.0 * abs(radius / one.value - 1.0):.1f} % {'more' if radius > one.value else 'less'}"
+        said += f": linear propagation's {words.length(radius)} is {'within that' if inside else off}."
+    if comparison.jumped > 0.0 or comparison.failed > 0.0:
+        jumped, failed = words.share(comparison.jumped), words.share(comparison.failed)
+        said += f" {jumped} of them jump to other ground, {failed} have no fix."
+    return said
+
+
+def _mgrs(lat: float, lon: float) -> str | None:
+    """The square metre of the Military Grid; None without the library, or where the grid does not reach."""
+    try:
+        (square,) = mgrs_of(np.array([lat]), np.array([lon]))
+    except ImportError:
+        return None
+    if square is None or len(square) < 13:
+        return square
+    return f"{square[:-12]} {square[-12:-10]} {square[-10:-5]} {square[-5:]}"
+
+
+def comparison_of(comparison: Comparison) -> dict[str, Any]:
+    """A table of methods: figures in m with a mark, the samples' own, their intervals, and the verdict."""
+    rows = [
+        {
+            "method": row.method,
+            "cells": [
+                {
+                    "text": words.radius(value),
+                    "mark": MARKS[told][0],
+                    "kind": told.replace(" ", "-"),
+                    "title": MARKS[told][1],
+                }
+                for value, told in zip(row.values, row.validity, strict=True)
+            ],
+        }
+        for row in comparison.rows
+    ]
+    quantiles = comparison.quantiles
+    return {
+        "headers": [name for name, _ in FIGURES],
+        "rows": rows,
+        "samples": [words.radius(q.value) for q in quantiles],
+        "intervals": [f"{words.radius(q.low)} to {words.radius(q.high)}" for q in quantiles],
+        "count": words.count(comparison.sampled.count),
+        "verdict": comparison.verdict,
+    }
+
+
+def summary_of(subject: Subject, rows: Sequence[Row]) -> dict[str, Any]:
+    """Many pixels at a glance: how many have a fix, what became of the others, how sure they are."""
+    names = [row["status"] for row in rows]
+    statuses = [
+        (name.replace("_", " "), words.count(names.count(name)), Status[name].message)
+        for name in sorted(set(names), key=lambda name: int(Status[name]))
+    ]
+    found = int(subject.is_fix.sum())
+    figures: list[tuple[str, str, str]] = []
+    if subject.accuracy is not None and found:
+        percent = words.percent_name(subject.probability)
+        for kind, values in (("CE", subject.accuracy.circular), ("LE", subject.accuracy.linear)):
+            radii = np.asarray(values, np.float64)[subject.is_fix]
+            low, middle, high = (
+                float(np.quantile(np.nan_to_num(radii, nan=np.inf), q, method="nearest")) for q in (0, 0.5, 1)
+            )
+            between = f"median; {words.length(low)} to {words.length(high)}"
+            figures.append((f"{kind}{percent}", words.length(middle), between))
+        trust = np.asarray(subject.accuracy.trust)
+        methods = [f"{words.count(int((trust == t).sum()))} by {t.words}" for t in Trust if (trust == t).any()]
+    else:
+        methods = []
+    return {
+        "count": words.count(len(subject)),
+        "found": words.count(found),
+        "is_all": found == len(subject),
+        "statuses": statuses,
+        "figures": figures,
+        "methods": methods,
+        "unsure": subject.accuracy is None or not (np.asarray(subject.accuracy.trust) != NO_FIX).any(),
+    }
+
+
+def camera_of(subject: Subject, index: int) -> list[tuple[str, str]]:
+    """Camera and pose of one pixel's exposure in words, in the units that people read."""
+    sensor, shot, _, _, _ = subject.look(index)
+    width, height = image_size(sensor)
+    pose = shot.pose
+    facts = [("image", f"{width} by {height} pixels")]
+    if hasattr(sensor.camera, "focal_px"):
+        focal = np.asarray(sensor.camera.focal_px, np.float64).reshape(-1)
+        facts.append(("focal length", f"{focal[0]:.2f} pixels"))
+    lat, lon = (float(np.rad2deg(float(x))) for x in (pose.position.lat, pose.position.lon))
+    facts.append(("position", f"{words.coordinate(lat, 'N', 'S')}, {words.coordinate(lon, 'E', 'W')}"))
+    facts.append(("height", f"{words.metres(float(pose.position.height))} m above the WGS 84 ellipsoid"))
+    angles = ((name, float(np.rad2deg(float(getattr(pose, name))))) for name in ("heading", "pitch", "roll"))
+    facts.append(("attitude", ", ".join(f"{name} {value:.3f}°" for name, value in angles)))
+    readings = np.rad2deg(np.asarray(shot.gimbal_readings, np.float64).reshape(-1))
+    if readings.size:
+        told = ", ".join(f"{name} {value:.3f}°" for name, value in zip(sensor.gimbal.names, readings, strict=True))
+        facts.append(("gimbal", told))
+    return facts

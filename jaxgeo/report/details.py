@@ -1,0 +1,178 @@
+"""What is shown of a few fixes beside their numbers: the section under the line of sight, errors by every method."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.coverage.exposure import image_size
+from jaxgeo.earth import WGS84
+from jaxgeo.earth.ray import Ray
+from jaxgeo.locate import locate
+from jaxgeo.plot.sightline import Section, section_under
+from jaxgeo.report.subject import Subject
+from jaxgeo.status import Status
+from jaxgeo.terrain import Dem
+from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Trust, budget, compare
+from jaxgeo.uncertainty.compare import FIGURES
+
+SAMPLES = 20_000  # as many as `accuracy` draws, and with the same key: the same ones
+ON_A_SIDE = 24  # places of an image's edge that are put on the ground
+LEVEL_SAMPLES = 512
+BEHIND = 1.06  # of the way to the fix
+FACET, FOOTPRINT = "linear, facet", "linear, footprint"
+
+
+class Detail(NamedTuple):
+    """What is shown of one pixel; what there is not is None, and `unsure` says why nothing tells how sure it is.
+
+    `chosen` says why this one is shown, if not all are. `outline` (m, 2) is the edge of its image on the ground,
+    longitude and latitude in deg, NaN where no ground is seen.
+    """
+
+    index: int
+    chosen: str
+    section: Section | None
+    outline: np.ndarray
+    comparison: Comparison | None = None
+    budget: Budget | None = None
+    unsure: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and words."""
+        told: dict[str, Any] = {"index": self.index}
+        told |= {"budget": None if self.budget is None else self.budget.to_dict()}
+        if self.comparison is None:
+            return told | {"comparison": None, "because": self.unsure}
+        one = self.comparison
+        names = [f"{name.lower()}_m" for name, _ in FIGURES]
+        methods = [
+            {"method": row.method, **dict(zip(names, row.values, strict=True)), "validity": list(row.validity)}
+            for row in one.rows
+        ]
+        sampled = {
+            name: {"value": q.value, "low": q.low, "high": q.high} for name, q in zip(names, one.quantiles, strict=True)
+        }
+        samples = {"count": one.sampled.count, "jumped": one.jumped, "failed": one.failed, **sampled}
+        return told | {"comparison": {"methods": methods, "samples": samples, "verdict": one.verdict}}
+
+
+def details_of(subject: Subject, *, most: int = 3) -> list[Detail]:
+    """Details of up to `most` pixels: of all, if there are no more, or of the usual, the best and the worst fix.
+
+    Raises `ValueError` for a negative `most`.
+    """
+    if most < 0:
+        raise ValueError(f"most must be a number of pixels, 0 or more; got {most!r}.")
+    outlines: dict[bytes, np.ndarray] = {}
+    return [_detail(subject, index, why, outlines) for index, why in chosen(subject, most)]
+
+
+def chosen(subject: Subject, most: int) -> list[tuple[int, str]]:
+    """(index, why) of the pixels that details are shown of."""
+    if len(subject) <= most:
+        return [(index, "") for index in range(len(subject))]
+    found = np.flatnonzero(subject.is_fix)
+    if not most:
+        return []
+    if not found.size:
+        return [(0, "the first")]
+    if subject.accuracy is None:
+        return [(int(index), "one of the first") for index in found[:most]]
+    radii = np.asarray(subject.accuracy.circular)[found]
+    order = found[np.argsort(np.nan_to_num(radii, nan=math.inf), kind="stable")]
+    picks = [(len(order) // 2, "the usual one"), (len(order) - 1, "the least sure"), (0, "the surest")]
+    places = [*picks, *((k, "one more") for k in np.linspace(0, len(order) - 1, most + 2).astype(int)[1:-1])]
+    unique = {int(order[place]): why for place, why in reversed(places)}
+    told = [(index, unique[index]) for index in dict.fromkeys(int(order[place]) for place, _ in places)]
+    return told[:most]
+
+
+def _detail(subject: Subject, index: int, why: str, outlines: dict[bytes, np.ndarray]) -> Detail:
+    sensor, shot, uv, terrain, errors = subject.look(index)
+    ray = Ray(*sensor.ray_ecef(shot, jnp.asarray(uv))[:2])
+    key = b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves((sensor, shot)))
+    if key not in outlines:
+        outlines[key] = _outline(sensor, shot, terrain, subject.atmosphere)
+    detail = Detail(index, why, _section(subject, index, ray, terrain), outlines[key])
+    if not subject.is_fix[index]:
+        return detail._replace(unsure=Status(int(np.asarray(subject.fixes.status)[index])).message)
+    if errors is None or subject.accuracy is None:
+        return detail._replace(unsure="Nothing says how the camera, its position and the ground err.")
+    model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
+    options: dict[str, Any] = {"key": jax.random.key(0), "count": SAMPLES, "atmosphere": subject.atmosphere}
+    told = compare(sensor, shot, uv, terrain, model, **options)
+    is_facet = int(np.asarray(subject.accuracy.trust)[index]) == Trust.facet
+    linear = told.propagations[FACET if is_facet else FOOTPRINT]
+    if not np.isfinite(np.asarray(linear.cov_enu)).all():
+        return detail._replace(comparison=told, unsure="The ground has no slope to propagate errors over.")
+    return detail._replace(comparison=told, budget=budget(linear, subject.probability))
+
+
+def _section(subject: Subject, index: int, ray: Ray, terrain: Any) -> Section | None:
+    """The section under a line of sight; None where there is none."""
+    if not all(np.isfinite(np.asarray(x)).all() for x in (ray.origin, ray.direction)):
+        return None
+    if isinstance(terrain, Dem):
+        try:
+            return section_under(ray, terrain, atmosphere=subject.atmosphere)
+        except ValueError:  # the line is plumb, or never over the terrain
+            return None
+    return _level_section(subject, index, ray.through(subject.atmosphere))
+
+
+def _level_section(subject: Subject, index: int, ray: Ray) -> Section | None:
+    """The section over level ground, up to a little behind the fix."""
+    fix = subject.fix(index)
+    if not math.isfinite(float(fix.slant_range)):
+        return None
+    along = np.linspace(0.0, BEHIND * float(fix.slant_range), LEVEL_SAMPLES)
+    feet, sight = (np.asarray(x) for x in _feet(ray, jnp.asarray(along)))
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(feet, axis=0), axis=1))])
+    if distance[-1] < 1e-3 * along[-1]:
+        return None
+    height = float(fix.position.height)
+    first = float(np.interp(float(fix.slant_range), along, distance))
+    slope = (sight[1] - sight[0]) / max(distance[1], 1e-9)
+    ground, void = np.full(len(along), height), np.zeros(len(along), bool)
+    status = Status(int(fix.status))
+    return Section(distance, sight, ground, sight[0] + slope * distance, void, np.array([[first, height]]), status)
+
+
+@eqx.filter_jit
+def _feet(ray: Ray, along: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """(foot on the ellipsoid in ECEF, height) in m at ranges along a ray."""
+
+    def one(distance: jax.Array) -> tuple[jax.Array, jax.Array]:
+        p_ecef = ray.at(distance)
+        normal, height = WGS84.normal_and_height(p_ecef)
+        return p_ecef - height * normal, height
+
+    return jax.vmap(one)(along)
+
+
+def _outline(sensor: Any, shot: Any, terrain: Any, atmosphere: Any) -> np.ndarray:
+    """(m, 2) longitude and latitude in deg of the ground along the edge of an image, closed; NaN where none is seen."""
+    width, height = image_size(sensor)
+    corners = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
+    steps = np.linspace(0.0, 1.0, ON_A_SIDE, endpoint=False)[:, None]
+    uv = np.concatenate([a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    lat, lon = (np.rad2deg(x) for x in _seen(sensor, shot, jnp.asarray(uv), terrain, atmosphere))
+    ring = np.stack([lon, lat], axis=-1)
+    return np.concatenate([ring, ring[:1]])
+
+
+@eqx.filter_jit
+def _seen(sensor: Any, shot: Any, uv: jax.Array, terrain: Any, atmosphere: Any) -> tuple[jax.Array, jax.Array]:
+    def one(pixel: jax.Array) -> tuple[jax.Array, jax.Array]:
+        fix = locate(sensor, shot, pixel, terrain, atmosphere=atmosphere)
+        known = fix.found & (fix.status != Status.hits_void)
+        lat, lon = jnp.asarray(fix.position.lat), jnp.asarray(fix.position.lon)
+        return jnp.where(known, lat, jnp.nan), jnp.where(known, lon, jnp.nan)
+
+    return jax.vmap(one)(uv)

@@ -1,0 +1,268 @@
+"""The page: everything in one text, with its style, its scripts and its pictures."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import json
+import os
+import pathlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jinja2
+import numpy as np
+from bokeh.document import Document
+from bokeh.embed.util import standalone_docs_json_and_render_items
+from bokeh.resources import Resources
+from markupsafe import Markup
+
+from jaxgeo._destination import destination
+from jaxgeo.io._fix_columns import figures_of, rows_of
+from jaxgeo.io.registration_report import versions
+from jaxgeo.plot.style import INK, JUMPED, ORANGE, PURPLE, SIGHT, SKY, VERMILLION
+from jaxgeo.report import words
+from jaxgeo.report.answers import answer_of, camera_of, comparison_of, summary_of
+from jaxgeo.report.budgets import budget_of
+from jaxgeo.report.charts import cloud_chart, section_chart
+from jaxgeo.report.details import Detail, details_of
+from jaxgeo.report.ground import Box, Heights, Relief, heights_of, metres_per_degree, relief_of
+from jaxgeo.report.map import map_of
+from jaxgeo.report.places import Places, ellipse_of, places_of
+from jaxgeo.report.subject import Subject
+from jaxgeo.report.table import table_of
+from jaxgeo.terrain import Dem
+
+CLOSE = 6.0  # times the larger semi-axis: half the side of the ground shown close to a fix
+LEAST_CLOSE = 60.0  # m, the same at least
+CLOSE_ACROSS = 600  # pixels of a picture of that ground
+LAYERS = (  # key, what it is called, how it looks: (kind of swatch, colour)
+    ("relief", "relief", ("area", "#c5b48f")),
+    ("outline", "edge of the image", ("line", INK)),
+    ("sight", "line of sight", ("line", SIGHT)),
+    ("camera", "camera", ("dot", SIGHT)),
+    ("samples", "samples", ("dot", SKY)),
+    ("ellipse", "error ellipse", ("ring", VERMILLION)),
+    ("fix", "fix", ("dot", VERMILLION)),
+)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a page says beside numbers: its title, what was asked and what had to be assumed, in plain words.
+
+    `made` is when; now if left out.
+    """
+
+    title: str = "Where pixels look, and how sure that is"
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    assumed: Sequence[str] = ()
+    made: datetime.datetime | None = None
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    subject: Subject,
+    *,
+    told: Told | None = None,
+    details: Sequence[Detail] | None = None,
+    most: int = 3,
+) -> None:
+    """A report as a file that appears when all of it is written; what it takes as for `report_html`.
+
+    Raises `ValueError` for a path that cannot be written to.
+    """
+    with destination("path", pathlib.Path(path)) as stream:
+        stream.write(report_html(subject, told=told, details=details, most=most))
+
+
+def report_html(
+    subject: Subject, *, told: Told | None = None, details: Sequence[Detail] | None = None, most: int = 3
+) -> str:
+    """One page of HTML about a subject, which asks the network for nothing.
+
+    `details` are what is shown of some pixels beside their numbers, by default `details_of(subject, most=most)`.
+    """
+    told = Told() if told is None else told
+    details = details_of(subject, most=most) if details is None else details
+    rows = rows_of(subject.fixes, figures_of("report", subject.fixes, subject.accuracy, None, None, None))
+    places = places_of(subject, details)
+    reliefs, heights = _ground(subject, details, places)
+    charts: dict[str, Any] = {"map": map_of(subject, details, rows, places, reliefs)}
+    shown = [_shown(subject, number, detail, rows, charts) for number, detail in enumerate(details)]
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            told=told,
+            made=_made(told),
+            version=versions().get("jaxgeo", "not installed"),
+            percent=words.percent_name(subject.probability),
+            summary=summary_of(subject, rows) if len(subject) > len(details) or not details else None,
+            shown=shown,
+            layers=[layer for layer in LAYERS if _is_there(charts["map"], layer[0])],
+            has_jumped=any(d.comparison is not None and d.comparison.jumped > 0.0 for d in details),
+            jumped_colour=JUMPED,
+            linear_colours=(INK, ORANGE),
+            track_colour=None if places.is_one_camera else PURPLE,
+            zooms=_zooms(subject, details, places),
+            has_ground=isinstance(subject.terrain, Dem),
+            has_heights=bool(heights),
+            table=table_of(subject, rows),
+            camera=camera_of(subject, details[0].index if details else 0),
+            inputs=_plain_inputs(told.inputs),
+            versions=versions() | {"bokeh": importlib.metadata.version("bokeh")},
+            numbers=_script_data(_for_script(charts, places, heights, subject, details)),
+            library=Markup(_library()),
+        )
+    )
+
+
+def _ground(subject: Subject, details: Sequence[Detail], places: Places) -> tuple[list[Relief], list[Heights]]:
+    """Pictures of the ground, all of it and close to the fixes that details are shown of; grids of their heights."""
+    dem = subject.terrain
+    if not isinstance(dem, Dem):
+        return [], []
+    box = places.box.squared().grown(0.12)
+    whole = relief_of(dem, box)
+    if whole is None:
+        return [], []
+    reliefs, heights = [whole], [heights_of(dem, box)]
+    for detail in details:
+        near = close_to(subject, detail)
+        if near is not None and near.sides[0] < 0.4 * box.sides[0]:
+            one = relief_of(dem, near, across=CLOSE_ACROSS, between=whole.between)
+            reliefs += [] if one is None else [one]
+            heights.append(heights_of(dem, near))
+    return reliefs, heights
+
+
+def close_to(subject: Subject, detail: Detail) -> Box | None:
+    """The ground about a fix, as far as its errors reach and a little beyond; None without a fix."""
+    if not subject.has_place[detail.index]:
+        return None
+    position = subject.fix(detail.index).position
+    lon, lat = np.rad2deg(float(position.lon)), np.rad2deg(float(position.lat))
+    ring = ellipse_of(subject, detail.index, detail)
+    half = max(LEAST_CLOSE, CLOSE * (0.0 if ring is None else ring.major))
+    east, north = metres_per_degree(lat)
+    return Box(lon - half / east, lat - half / north, lon + half / east, lat + half / north)
+
+
+def _shown(
+    subject: Subject, number: int, detail: Detail, rows: Sequence[Mapping[str, Any]], charts: dict[str, Any]
+) -> dict[str, Any]:
+    """What the page says of one pixel; its charts are put beside the others."""
+    is_dull = not isinstance(subject.terrain, Dem) and len(subject) > 1  # level ground is alike under every line
+    section = None if detail.section is None or is_dull else section_chart(detail.section, f"section-{number}")
+    cloud = cloud_chart(detail, f"cloud-{number}", subject.probability)
+    charts |= {f"section-{number}": section} if section is not None else {}
+    charts |= {f"cloud-{number}": cloud} if cloud is not None else {}
+    return {
+        "number": number,
+        "name": subject.name(detail.index),
+        "chosen": detail.chosen,
+        "answer": answer_of(subject, detail, rows[detail.index]),
+        "section": detail.section,
+        "has_section": section is not None,
+        "has_cloud": cloud is not None,
+        "budget": None if detail.budget is None else budget_of(detail.budget),
+        "comparison": None if detail.comparison is None else comparison_of(detail.comparison),
+        "unsure": detail.unsure,
+    }
+
+
+def _is_there(chart: Any, layer: str) -> bool:
+    return any(getattr(one, "name", None) == layer for one in chart.renderers)
+
+
+def _zooms(subject: Subject, details: Sequence[Detail], places: Places) -> list[dict[str, Any]]:
+    """Parts of the map to go to."""
+    zooms = [{"label": "All", "box": list(places.box)}]
+    outlines = [d.outline[np.isfinite(d.outline).all(axis=1)] for d in details]
+    ground = np.concatenate([*outlines, places.fix[np.isfinite(places.fix).all(axis=1)]])
+    if len(ground):
+        lon = places.box.centre[0] + np.remainder(ground[:, 0] - places.box.centre[0] + 180.0, 360.0) - 180.0
+        box = Box(float(lon.min()), float(ground[:, 1].min()), float(lon.max()), float(ground[:, 1].max()))
+        zooms.append({"label": "Ground seen", "box": list(box.grown(0.08, LEAST_CLOSE))})
+    for number, detail in enumerate(details):
+        near = close_to(subject, detail)
+        if near is not None:
+            inside = near.grown(-0.27)
+            name = "Fix" if len(details) == 1 else f"Fix {number + 1}"
+            zooms.append({"label": name, "box": list(inside)})
+    return zooms
+
+
+def _for_script(
+    charts: Mapping[str, Any],
+    places: Places,
+    heights: Sequence[Heights],
+    subject: Subject,
+    details: Sequence[Detail],
+) -> dict[str, Any]:
+    """What the page's script needs: the charts, where they go, which have equal axes, heights, and where fixes are."""
+    document = Document()
+    for chart in charts.values():
+        document.add_root(chart)
+    docs, _ = standalone_docs_json_and_render_items([document], suppress_callback_warning=True)
+    roots = {chart.id: f"chart-{name}" for name, chart in charts.items()}
+    docid = next(iter(docs))
+    east, north = metres_per_degree(places.box.centre[1])
+    equal = {name: 1.0 for name in charts if name.startswith("cloud")} | {"map": east / north}
+    position = subject.fixes.position
+    fixes = [
+        {
+            "name": f"fix {number + 1}" if len(details) > 1 else "the fix",
+            "lonlat": [float(np.rad2deg(np.asarray(x)[d.index])) for x in (position.lon, position.lat)],
+        }
+        for number, d in enumerate(details)
+        if subject.has_place[d.index]
+    ]
+    return {
+        "docs": docs,
+        "items": [{"docid": docid, "roots": roots, "root_ids": list(roots)}],
+        "equal": equal,
+        "metres": [east, north],
+        "zooms": _zooms(subject, details, places),
+        "heights": [one.to_dict() for one in heights],
+        "fixes": fixes,
+    }
+
+
+def _script_data(content: Any) -> Markup:
+    """JSON that may stand in a page: nothing in it ends the script."""
+    text = json.dumps(content, separators=(",", ":"), allow_nan=True)
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return Markup(text)
+
+
+def _library() -> str:
+    """The script that draws charts, without its greeting."""
+    (script, *_) = Resources(mode="inline", components=["bokeh"]).js_raw
+    return script.replace("</script", "<\\/script")
+
+
+def _environment() -> jinja2.Environment:
+    loader = jinja2.PackageLoader("jaxgeo.report", "templates")
+    return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+
+
+def _made(told: Told) -> str:
+    made = datetime.datetime.now(datetime.UTC) if told.made is None else told.made
+    return made.astimezone(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _plain_inputs(inputs: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Names and values in words."""
+    return [(str(name).replace("_", " "), _in_words(value)) for name, value in inputs.items()]
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(key).replace('_', ' ')} {_in_words(one)}" for key, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_in_words, value))
+    return "yes" if value is True else "no" if value is False else str(value)

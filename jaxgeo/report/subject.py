@@ -1,0 +1,110 @@
+"""What a report is of: pixels, each of its own exposure, what they see, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.earth import Atmosphere
+from jaxgeo.fix import Fix
+from jaxgeo.locate import locate
+from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.status import counts_as_fix
+from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.uncertainty import AccuracyOfEach, accuracy_of_each
+
+Axes = tuple[int | None, ...]
+ONE_SCENE: Axes = (None, None, 0, None, None)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """n pixels `uv` (n, 2), the exposures that they are of, and their `fixes` (n,).
+
+    `axes`, for (sensor, shots, uv, terrain, errors), has 0 where there is one for each pixel and None where one is for
+    all. `errors` are sources or an `ErrorModel`, None if it is not known how the world errs; `accuracy` is then None
+    too, as it is where no pixel has a fix. `labels` tell of each pixel what it is: a `name`, or columns of a table.
+    """
+
+    sensor: Sensor
+    shots: Shot
+    uv: Any
+    terrain: AbstractTerrain
+    errors: Any
+    fixes: Fix
+    accuracy: AccuracyOfEach | None
+    axes: Axes = ONE_SCENE
+    atmosphere: Atmosphere | None = None
+    probability: float = 0.9
+    labels: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+
+    @classmethod
+    def of(
+        cls,
+        sensor: Sensor,
+        shots: Shot,
+        uv: Any,
+        terrain: AbstractTerrain,
+        errors: Any = None,
+        *,
+        in_axes: Axes = ONE_SCENE,
+        probability: float = 0.9,
+        atmosphere: Atmosphere | None = None,
+        labels: Sequence[Mapping[str, Any]] = (),
+    ) -> Subject:
+        """What these pixels see, and how sure that is: by default pixels (n, 2), or one, of one shot.
+
+        `in_axes` as for `accuracy_of_each`. Raises as `locate` and `accuracy_of_each`, and `ValueError` for labels of
+        another number.
+        """
+        uv = np.atleast_2d(np.asarray(uv, np.float64))
+        if labels and len(labels) != len(uv):
+            raise ValueError(f"labels must be one for each of {len(uv)} pixels; got {len(labels)}.")
+        accuracy = None
+        if errors is None:
+            see = lambda *given: locate(*given, atmosphere=atmosphere)  # noqa: E731
+            fixes = jax.jit(jax.vmap(see, in_axes=in_axes[:4]))(sensor, shots, jnp.asarray(uv), terrain)
+        else:
+            options: dict[str, Any] = {"probability": probability, "atmosphere": atmosphere}
+            accuracy = accuracy_of_each(sensor, shots, uv, terrain, errors, in_axes=in_axes, **options)
+            fixes = accuracy.fix
+        fixes = jax.tree.map(np.asarray, fixes)
+        return cls(sensor, shots, uv, terrain, errors, fixes, accuracy, in_axes, atmosphere, probability, labels)
+
+    def __len__(self) -> int:
+        return len(np.asarray(self.fixes.status))
+
+    def look(self, index: int) -> tuple[Any, Any, Any, Any, Any]:
+        """(sensor, shot, pixel, terrain, errors) of one pixel."""
+        given = (self.sensor, self.shots, self.uv, self.terrain, self.errors)
+        own: Any = tuple(
+            jax.tree.map(lambda leaf: np.asarray(leaf)[index], one) if axis == 0 else one
+            for one, axis in zip(given, self.axes, strict=True)
+        )
+        return own
+
+    def fix(self, index: int) -> Fix:
+        """One of the fixes."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[index], self.fixes)
+
+    @property
+    def is_fix(self) -> np.ndarray:
+        """Which pixels (n,) have a fix whose ground is known to be the first that was met."""
+        return np.asarray(counts_as_fix(jnp.asarray(self.fixes.status)))
+
+    @property
+    def has_place(self) -> np.ndarray:
+        """Which pixels (n,) have coordinates at all."""
+        return np.isfinite(np.asarray(self.fixes.slant_range))
+
+    def name(self, index: int) -> str:
+        """What a pixel is called: its name, if it has one, and its column and row."""
+        u, v = np.asarray(self.uv)[index]
+        label = self.labels[index].get("name") if self.labels else None
+        pixel = f"pixel {u:g}, {v:g}"
+        return f"{label}, {pixel}" if label else pixel

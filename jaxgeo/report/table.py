@@ -1,0 +1,70 @@
+"""The table of all pixels: what is found, in columns that can be sorted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxgeo.report import words
+from jaxgeo.report.subject import Subject
+from jaxgeo.status import Status
+
+MOST = 2000  # rows of a page
+
+
+def table_of(subject: Subject, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Headers, and rows of (text, what sorts it); the first `MOST` of them, and how many there are."""
+    percent = words.percent_name(subject.probability)
+    has_names = any(label.get("name") for label in subject.labels)
+    has_times = any(label.get("time_s") is not None for label in subject.labels)
+    is_sure = subject.accuracy is not None
+    headers = [("name", "")] if has_names else []
+    headers += [("time, s", "")] if has_times else []
+    headers += [("column", ""), ("row", ""), ("latitude, deg", ""), ("longitude, deg", "")]
+    headers += [("height, m", "above the WGS 84 ellipsoid"), ("msl, m", "above mean sea level, EGM96")]
+    headers += [("range, m", "slant range"), ("incidence, deg", "at the surface")]
+    headers += [(f"CE{percent}, m", "radius on the level plane"), (f"LE{percent}, m", "in height")] if is_sure else []
+    headers += [("by", "method")] if is_sure else []
+    headers.append(("status", ""))
+    ce, le = (f"{kind}{percent.replace('.', '_')}_m" for kind in ("ce", "le"))
+    body = []
+    for index, row in enumerate(rows[:MOST]):
+        label = subject.labels[index] if subject.labels else {}
+        u, v = (float(x) for x in subject.uv[index])
+        cells = [_text(label.get("name"))] if has_names else []
+        cells += [_cell(_as_number(label.get("time_s")), 3)] if has_times else []
+        cells += [_pixel(u), _pixel(v)]
+        cells += [_cell(row["fix_lat_deg"], 7), _cell(row["fix_lon_deg"], 7)]
+        cells += [_cell(row["fix_height_m"], 2), _cell(row["fix_height_msl_m"], 2)]
+        cells += [_cell(row["slant_range_m"], 1), _cell(row["incidence_surface_deg"], 1)]
+        if is_sure:
+            cells += [_radius(row.get(ce)), _radius(row.get(le)), _text(row.get("accuracy_method"))]
+        status = Status[row["status"]]
+        cells.append({"text": status.name.replace("_", " "), "key": int(status), "title": status.message, "kind": ""})
+        kind = "" if status == Status.hit else "doubtful" if row["slant_range_m"] is not None else "none"
+        body.append({"cells": cells, "kind": kind})
+    return {"headers": headers, "rows": body, "count": len(rows), "left_out": max(len(rows) - MOST, 0)}
+
+
+def _text(value: Any) -> dict[str, Any]:
+    text = "" if value is None else str(value)
+    return {"text": text, "key": text, "title": "", "kind": "text"}
+
+
+def _as_number(value: Any) -> float | None:
+    try:
+        return None if value is None else float(value)
+    except ValueError:
+        return None
+
+
+def _cell(value: float | None, places: int) -> dict[str, Any]:
+    return {"text": words.number(value, places), "key": "" if value is None else value, "title": "", "kind": ""}
+
+
+def _pixel(value: float) -> dict[str, Any]:
+    return {"text": f"{value:g}", "key": value, "title": "", "kind": ""}
+
+
+def _radius(value: float | None) -> dict[str, Any]:
+    return {"text": words.radius(value), "key": "" if value is None else value, "title": "", "kind": ""}
