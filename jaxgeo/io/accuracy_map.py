@@ -10,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import rasterio
+import rasterio.shutil
 from rasterio.errors import RasterioError
 
 from jaxgeo._checks import check_is
@@ -20,6 +21,8 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Trust, accuracy_map
+
+COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}
 
 
 def write_accuracy_map(
@@ -32,6 +35,7 @@ def write_accuracy_map(
     crs: Any = None,
     bounds: Bounds | None = None,
     resolution: float | int | tuple[float | int, float | int] | None = None,
+    cog: bool = False,
     **how: Any,
 ) -> AccuracyMap:
     """The `accuracy_map` of a raster's cells, made and written to a GeoTIFF.
@@ -44,6 +48,7 @@ def write_accuracy_map(
     - `bounds`: (west, south, east, north) in the unit of that CRS; by default what the image sees of the ground, or
       from a `Pose` all of the terrain. East and south are moved outwards to whole cells.
     - `resolution`: the size of a cell, or (across, down), in the same unit; by default the spacing of the terrain.
+    - `cog`: whether to write a cloud-optimised GeoTIFF. Its overviews show the nearest cell, so that codes stay codes.
 
     Bands of 32-bit floats: circular error and linear error in m, NaN (the file's nodata) where there is none, infinite
     where too many samples fail; the verdict, a code of `Trust`, or -1 for no fix; and the `Status`. What the codes
@@ -55,7 +60,7 @@ def write_accuracy_map(
     check_is(sensor, Sensor, "sensor")
     raster = raster_of(f"{target}", sensor, shot, terrain, crs, bounds, resolution, how)
     found = accuracy_map(sensor, shot, terrain, errors, _cells(f"{target}", raster), **how)
-    _write(target, found, raster)
+    _write(target, found, raster, cog)
     return found
 
 
@@ -73,12 +78,13 @@ def _cells(name: str, raster: MapRaster) -> Geodetic:
     return Geodetic(lat=lat, lon=lon, height=jnp.zeros_like(lat))
 
 
-def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster) -> None:
+def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: bool) -> None:
     bands = np.stack([np.asarray(x, np.float32) for x in (found.circular, found.linear, found.trust, found.status)])
     rows, cols = raster.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 4, "height": rows, "width": cols, "nodata": np.nan}
     profile |= {"crs": raster.crs.to_wkt(), "transform": raster.transform, "compress": "deflate"}
     partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
+    optimised = partial.with_suffix(".cog.partial")
     percent = f"{100.0 * found.probability:g}"
     try:
         with rasterio.open(partial, "w", **profile) as sink:
@@ -86,11 +92,16 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster) -> None:
             sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
             sink.units = ("m", "m", "", "")
             sink.update_tags(**_tags(found))
-        partial.replace(target)
+        if cog:
+            rasterio.shutil.copy(partial, optimised, driver="COG", **COG)
+            optimised.replace(target)
+        else:
+            partial.replace(target)
     except (OSError, RasterioError) as error:
         raise OSError(f"{target}: the map cannot be written here: {error}") from error
     finally:
-        partial.unlink(missing_ok=True)
+        for left in (partial, optimised):
+            left.unlink(missing_ok=True)
 
 
 def _tags(found: AccuracyMap) -> dict[str, str]:

@@ -6,8 +6,9 @@ draws on these axes and returns them. Without `ax` it makes a figure of its own,
 window.
 
 - On a map, in degrees of longitude and latitude, drawings lie on each other: `map_axes`, `hillshade`, `hidden_ground`,
-  `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`, `scale_bar`,
-  `north_arrow`. What they draw has labels: `legend(ax)` tells them, `colour_bar(ax, "CE90, m")` the colours.
+  `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`, `method_map`,
+  `scale_bar`, `north_arrow`. What they draw has labels: `legend(ax)` tells them, `colour_bar(ax, "CE90, m")` the
+  colours.
 - Charts stand alone and have their legend, `legend=False` leaves it out: `budget_bars`, `error_cloud`, `sight_section`,
   `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`; `overlap_along`, `checkerboard`
   and `convention` need none by themselves.
@@ -22,7 +23,7 @@ except ImportError as error:
     raise ImportError("jaxgeo.plot draws with matplotlib: pip install 'jaxgeo[plot]'") from error
 
 from jaxgeo.plot import style
-from jaxgeo.plot.accuracy import accuracy_map
+from jaxgeo.plot.accuracy import accuracy_map, method_map
 from jaxgeo.plot.adjustment import residual_arrows, residual_histogram
 from jaxgeo.plot.budgets import budget_bars
 from jaxgeo.plot.cloud import error_cloud, ground_about
@@ -77,6 +78,7 @@ __all__ = [
     "legend",
     "lonlat_deg",
     "map_axes",
+    "method_map",
     "north_arrow",
     "overlap_along",
     "post_positions",

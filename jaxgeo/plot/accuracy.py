@@ -1,4 +1,4 @@
-"""Maps of accuracy: how large errors are by colour, and which method can be trusted by mark."""
+"""Maps of accuracy: how large errors are from place to place, and which method can be trusted where."""
 
 from __future__ import annotations
 
@@ -7,92 +7,87 @@ from typing import Any
 import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 
-from jaxgeo.earth import Geodetic
+from jaxgeo._checks import check_is
 from jaxgeo.plot.legends import COLOURED, keyed
 from jaxgeo.plot.maps import degrees, lonlat_deg
-from jaxgeo.plot.style import JUMPED, house_axes
-from jaxgeo.uncertainty import Trust
+from jaxgeo.plot.style import HIDDEN, METHODS, house_axes
+from jaxgeo.status import Status
+from jaxgeo.uncertainty import AccuracyMap, Trust
 
-MARKS = {Trust.facet: "o", Trust.footprint: "s", Trust.samples: "^"}
-EDGES = {Trust.facet: "none", Trust.footprint: "white", Trust.samples: JUMPED}
 COLOURS = "cividis"
+SEEN_THROUGH = 0.85  # of the colours: the relief below shines through
+MARK = 14.0  # points2, of places that lie on no lattice
 
 
 def accuracy_map(
-    error: Any,
-    trust: Any,
-    where: Any,
+    found: AccuracyMap,
     ax: Axes | None = None,
     *,
+    values: Any = None,
     limits: tuple[float, float] | None = None,
-    size: float = 16.0,
+    hidden: str = "hidden by terrain",
 ) -> Axes:
-    """A figure of accuracy in m at many places, by colour, and which method can be trusted there, by mark.
+    """Radii of error in m at the places of a map, by colour, on a logarithmic scale; hidden ground in its own colour.
 
-    `error` and `trust` (of `Trust`) have one shape; places without a positive `error` stay blank, an infinite one has
-    the last colour. `where` is a `Geodetic` of that shape, for a map, or (..., 2) in px across and up, for an image: a
-    lattice (rows, columns) of these is drawn as cells. `limits` are those of the colours in m, by default the 2nd and
-    98th percentile of what is finite; `size` is that of the marks in points2. `colour_bar(ax, "CE90, m")` tells the
-    colours. Raises `ValueError` for shapes that differ, codes that are no `Trust`, and errors of which none can be
-    drawn.
+    `values` are those to draw, of the shape of `found`, by default its `circular`; an infinite one has the last colour,
+    one that is not known none. `limits` are those of the colours in m, by default the 2nd and 98th percentile of what
+    is finite: `colour_bar(ax, "CE90, m")` tells them. Places that lie on a lattice are cells, others marks. Raises
+    `TypeError` for another record, `ValueError` for another shape and where there is nothing to draw.
     """
-    error, trust = np.asarray(error, float), np.asarray(trust)
-    on_map = isinstance(where, Geodetic)
-    x, y = lonlat_deg(where) if on_map else np.moveaxis(np.asarray(where, float), -1, 0)
-    for name, shape in (("trust", trust.shape), ("where", x.shape)):
-        if shape != error.shape:
-            raise ValueError(f"{name} must have the shape of error, {error.shape}; got {shape}.")
-    if not np.isin(trust, list(Trust)).all():
-        raise ValueError(f"trust must hold codes of Trust, {[int(one) for one in Trust]}; got {np.unique(trust)}.")
-    known = (error > 0.0) & np.isfinite(x) & np.isfinite(y)
-    finite = error[known & np.isfinite(error)]
+    check_is(found, AccuracyMap, "found", "Make one with jaxgeo.uncertainty.accuracy_map.")
+    error = np.asarray(found.circular if values is None else values, float)
+    if error.shape != np.shape(found.status):
+        raise ValueError(f"values must have the shape of found, {np.shape(found.status)}; got {error.shape}.")
+    finite = error[np.isfinite(error) & (error > 0.0)]
     if not finite.size:
         raise ValueError("no place has an error that is positive and finite: there is nothing to draw.")
     low, high = np.quantile(finite, [0.02, 0.98]) if limits is None else limits
-    error = np.minimum(error, high)
     norm = matplotlib.colors.LogNorm(low, max(high, 1.001 * low))
-    colours = ScalarMappable(norm, COLOURS)
-    as_cells = error.ndim == 2 and not on_map
+    error = np.where(error > 0.0, np.minimum(error, 1e9), np.nan)
     with house_axes(ax, tall=0.8) as ax:
-        if on_map:
-            degrees(ax, float(np.mean(y[np.isfinite(y)])))
-        else:
-            _image(ax)
-        if as_cells:
-            cells = np.where(known[..., None], colours.to_rgba(error), 0.0)
-            ax.pcolormesh(x, y, cells, shading="nearest", rasterized=True, zorder=1)
-        told = ax.scatter([], [], c=[], norm=norm, cmap=COLOURS, label="_colours")
-        told.set_gid(COLOURED)
-        for one in Trust:
-            _marks(one, x, y, error, known & (trust == one), colours, ax, as_cells, size)
+        _cells(found, ax, error, norm=norm, cmap=COLOURS, zorder=1.0).set_gid(COLOURED)
+        _hidden(found, ax, hidden)
     return ax
 
 
-def _image(ax: Axes) -> None:
-    """Names of the axes of an image, where they have none."""
-    ax.set(xlabel=ax.get_xlabel() or "across the image, px", ylabel=ax.get_ylabel() or "up the image, px")
+def method_map(found: AccuracyMap, ax: Axes | None = None, *, hidden: str = "hidden by terrain") -> Axes:
+    """Which is the cheapest method that can be trusted at the places of a map, and on what share of them with a fix.
+
+    Raises `TypeError` for another record, `ValueError` where there is no fix.
+    """
+    check_is(found, AccuracyMap, "found", "Make one with jaxgeo.uncertainty.accuracy_map.")
+    trust = np.asarray(found.trust)
+    count = np.count_nonzero(trust >= 0)
+    if not count:
+        raise ValueError("no place of this map has a fix: there is nothing to draw.")
+    with house_axes(ax, tall=0.8) as ax:
+        for one, colour in zip(Trust, METHODS, strict=True):
+            here = trust == one
+            _one_colour(found, ax, here, colour, f"{one.words}, {100.0 * np.count_nonzero(here) / count:.0f} %")
+        _hidden(found, ax, hidden)
+    return ax
 
 
-def _marks(
-    one: Trust,
-    x: np.ndarray,
-    y: np.ndarray,
-    error: np.ndarray,
-    here: np.ndarray,
-    colours: ScalarMappable,
-    ax: Axes,
-    as_cells: bool,
-    size: float,
-) -> None:
-    """The places at which one method is trusted; on cells, the cheapest method has no mark."""
-    share = f"{one.words}, {100.0 * np.count_nonzero(here) / max(np.count_nonzero(np.isfinite(error)), 1):.0f} %"
-    if as_cells and one is Trust.facet:
-        keyed(ax, f"no mark: {share}", linestyle="none")
-        return
-    edge = "black" if as_cells else EDGES[one]
-    style: dict[str, Any] = {"marker": MARKS[one], "linewidths": 0.7, "edgecolors": edge, "zorder": 3 + 0.1 * one}
-    ax.scatter(x[here], y[here], s=size, c="white" if as_cells else colours.to_rgba(error[here]), **style)
-    fill = "white" if as_cells else "0.5"
-    keyed(ax, share, linestyle="none", marker=MARKS[one], color=fill, markeredgecolor=edge)
+def _hidden(found: AccuracyMap, ax: Axes, label: str) -> None:
+    here = np.asarray(found.status) == Status.hidden_by_terrain
+    if here.any():
+        _one_colour(found, ax, here, HIDDEN, label)
+
+
+def _one_colour(found: AccuracyMap, ax: Axes, here: np.ndarray, colour: str, label: str) -> None:
+    if here.any():
+        only = matplotlib.colors.ListedColormap([colour])
+        _cells(found, ax, np.where(here, 1.0, np.nan), cmap=only, vmin=0.0, vmax=2.0, zorder=1.1)
+    keyed(ax, label, area=True, facecolor=colour, alpha=SEEN_THROUGH)
+
+
+def _cells(found: AccuracyMap, ax: Axes, values: np.ndarray, **look: Any) -> Any:
+    """Places of a lattice as cells, others as marks, where their values are known."""
+    lon, lat = lonlat_deg(found.position)
+    degrees(ax, float(np.nanmean(lat)))
+    style: dict[str, Any] = {"alpha": SEEN_THROUGH, "rasterized": True, "label": "_places", **look}
+    if values.ndim == 2 and min(values.shape) > 1 and np.isfinite(lon).all():
+        return ax.pcolormesh(lon, lat, values, shading="nearest", **style)
+    known = np.isfinite(values) & np.isfinite(lon)
+    return ax.scatter(lon[known], lat[known], c=values[known], s=MARK, linewidths=0.0, **style)

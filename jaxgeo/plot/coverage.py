@@ -16,7 +16,7 @@ from jaxgeo.coverage import Footprint, Overlap
 from jaxgeo.earth import Geodetic, TransverseMercator
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.maps import MOST_POSTS, degrees, lonlat_deg, post_positions, shaded_relief
-from jaxgeo.plot.style import INK, OUTLINES, SIGHT, halo, house_axes
+from jaxgeo.plot.style import INK, OUTLINES, SIGHT, halo, house_axes, percent
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
@@ -100,7 +100,7 @@ def overlap_along(
         ax.plot(from_near.T, shared.T, color=colour, zorder=3, **style)
         keyed(ax, label, color=colour, linewidth=1.8)
         if wished is not None:
-            ax.axhline(100.0 * wished, color=INK, linewidth=1.0, linestyle="--", label=f"wished {wished:.0%}")
+            ax.axhline(100.0 * wished, color=INK, linewidth=1.0, linestyle="--", label=f"wished, {percent(wished)}")
         if shared.min() < 0.0:
             low, high = ax.get_ylim()
             ax.axhspan(low, 0.0, color=GAP, zorder=0)

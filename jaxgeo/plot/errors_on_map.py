@@ -16,7 +16,7 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.maps import degrees, lonlat_deg
-from jaxgeo.plot.style import EDGE, JUMPED, SAMPLE, halo, house_axes, round_length
+from jaxgeo.plot.style import FIX, JUMPED, SAMPLE, halo, house_axes, round_length
 from jaxgeo.uncertainty import Accuracy, AccuracyOfEach, Comparison, Propagation, Sampled, Trust
 
 SEEN = 0.05  # of the map's width: ellipses that are enlarged have half of their longer axes above this
@@ -65,10 +65,10 @@ def ellipses_on_map(
         words = {f"{label}, {100.0 * share:g} %": (normal, "-"), f"circles of CE{100.0 * share:g}": (round_one, "--")}
         for text, (which, dashes) in words.items():
             lines = [np.stack([lon[k], lat[k]], axis=1) for k in np.flatnonzero(which)]
-            style: dict[str, Any] = {"linewidths": 1.1, "linestyles": dashes, "zorder": 4.5, "label": f"_{text}"}
+            style: dict[str, Any] = {"linewidths": 1.2, "linestyles": dashes, "zorder": 4.5, "label": f"_{text}"}
             if lines:
-                ax.add_collection(LineCollection(lines, colors=EDGE, path_effects=halo(2.4), **style), autolim=False)
-                keyed(ax, text + _enlarged(times), color=EDGE, linewidth=1.1, linestyle=dashes)
+                ax.add_collection(LineCollection(lines, colors=FIX, path_effects=halo(2.4), **style), autolim=False)
+                keyed(ax, text + _enlarged(times), color=FIX, linewidth=1.2, linestyle=dashes)
     return ax
 
 
@@ -194,7 +194,8 @@ def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None
 def _places(position: Geodetic, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Longitude and latitude in deg, (n, m), of offsets (n, m, 2) in m east and north of positions (n,)."""
     lat = np.asarray(position.lat)
-    M, N = (np.asarray(f(jnp.asarray(lat))) for f in (WGS84.meridian_radius, WGS84.prime_vertical_radius))
+    radii = (WGS84.meridian_radius, WGS84.prime_vertical_radius)
+    M, N = (np.asarray(jax.vmap(radius)(jnp.asarray(lat))) for radius in radii)
     height = np.asarray(position.height)
     lon0, lat0 = lonlat_deg(position)
     east, north = offsets[..., 0], offsets[..., 1]

@@ -14,6 +14,7 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import ScaledTranslation
 
 BESIDE = 5.0  # inches from which on a legend may stand beside square axes
@@ -65,8 +66,8 @@ def legend_of(ax: Axes, handles: Sequence[Any], *, title: str = "", beside: bool
 def colour_bar(ax: Axes, label: str, *, beside: Any = None, **given: Any) -> Colorbar:
     """A bar of the colours of `accuracy_map` on the axes; its `label` names the unit.
 
-    It takes its room from the axes, or from those named by `beside`. `given` go to `Figure.colorbar`. Raises
-    `ValueError` for axes without such colours.
+    It stands right of the axes, as high as they are, or takes its room from those named by `beside`. `given` go to
+    `Figure.colorbar`. Raises `ValueError` for axes without such colours.
     """
     found = [one for one in ax.get_children() if one.get_gid() == COLOURED]
     if not found:
@@ -74,7 +75,11 @@ def colour_bar(ax: Axes, label: str, *, beside: Any = None, **given: Any) -> Col
     figure, coloured = ax.get_figure(root=False), found[-1]
     assert figure is not None
     assert isinstance(coloured, ScalarMappable)
-    return figure.colorbar(coloured, ax=ax if beside is None else beside, label=label, **given)
+    place = {"cax": ax.inset_axes((1.03, 0.0, 0.045, 1.0))} if beside is None else {"ax": beside}
+    bar = figure.colorbar(coloured, label=label, **{**place, "ticks": LogLocator(subs=(1.0, 2.0, 5.0)), **given})
+    bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    bar.ax.minorticks_off()
+    return bar
 
 
 def keyed(ax: Axes, label: str, *, area: bool = False, **look: Any) -> Artist:

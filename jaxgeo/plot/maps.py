@@ -21,6 +21,8 @@ from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes,
 from jaxgeo.terrain import Dem
 
 MOST_POSTS = 1200  # along one side of a picture; larger terrain is thinned
+ALONE = 0.02  # deg, about what lies alone on a map
+STEPS = [1, 2, 5, 10]  # of ticks, times a power of ten
 TICK = 60.0  # points that a label of degrees takes of an axis
 # Valleys green, slopes tan, summits light: quiet, so that what is drawn on top is seen.
 RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
@@ -71,13 +73,15 @@ def degrees(ax: Axes, lat_deg: float) -> None:
     figure = ax.get_figure(root=True)
     assert figure is not None
     across = 72.0 * figure.get_figwidth() * ax.get_position().width
-    ax.xaxis.set_major_locator(MaxNLocator(int(np.clip(across / TICK, 2, 7))))
+    ax.xaxis.set_major_locator(MaxNLocator(int(np.clip(across / TICK, 2, 7)), steps=STEPS))
+    ax.yaxis.set_major_locator(MaxNLocator(7, steps=STEPS))
 
 
 def _named(axis: Any, value: float, signs: str) -> str:
-    """A label of degrees, with as many decimals as tell it from the next tick."""
-    low, high = sorted(axis.get_view_interval())
-    decimals = int(np.clip(math.ceil(1.0 - math.log10(max(high - low, 1e-9))), 0, 7))
+    """A label of degrees, with as many decimals as all ticks need."""
+    ticks = np.asarray(axis.get_majorticklocs(), float)
+    step = float(np.min(np.diff(ticks), initial=1.0))
+    decimals = next((n for n in range(8) if np.all(np.abs(np.round(ticks, n) - ticks) < 0.05 * step)), 8)
     turned = math.remainder(value, 360.0) if signs == "EW" else value
     return f"{abs(turned):.{decimals}f}° {signs[0] if turned >= 0 else signs[1]}"
 
@@ -206,6 +210,8 @@ def camera(position: Geodetic, heading: float, ax: Axes | None = None, *, label:
                 across, up = (east - west) / 2.0, (north - south) / 2.0
                 reach = max(abs(lon - centre[0]) / across, abs(lat - centre[1]) / up)
                 lon, lat = (c + (value - c) * 0.96 / reach for c, value in zip(centre, (lon, lat), strict=True))
+        else:
+            ax.set(xlim=(lon - ALONE, lon + ALONE), ylim=(lat - ALONE, lat + ALONE))
         ax.plot([lon], [lat], linestyle="none", marker=marker, label=label, **style)
         degrees(ax, lat)
     return ax

@@ -58,7 +58,7 @@ def shifts(
         dot: dict[str, Any] = {"linestyle": "none", "color": SAMPLED, "markersize": 4.0, "zorder": 3}
         handles = ax.plot(*candidates.T, ".", label=f"candidates of {count} blocks", **dot)
         if len(chosen):
-            ring: dict[str, Any] = {"markerfacecolor": "none", "markersize": 8.0, "markeredgewidth": 1.2, "zorder": 4}
+            ring: dict[str, Any] = {"markerfacecolor": "none", "markersize": 6.0, "markeredgewidth": 0.8, "zorder": 4}
             handles += ax.plot(*chosen.T, "o", color=FIX, linestyle="none", label=f"{len(chosen)} that agree", **ring)
         if ellipse is not None:
             handles += ax.plot(*ellipse, color=INK, linewidth=1.2, label="searched", zorder=2)

@@ -26,11 +26,12 @@ EARTH, SHADE = "#cdb896", "#eeeeee"
 FIX = VERMILLION  # where a line of sight first meets the ground, and what is wrong
 SIGHT = CAMERA = BLUE  # the camera and its lines of sight
 HIDDEN = PURPLE  # ground that nearer ground hides
-EDGE = INK  # edges of images, and error ellipses on a map
+EDGE = INK  # edges of images
 TERRAIN = EARTH  # ground in a section
 SAMPLE, SAMPLED = SKY, BLUE  # drawn errors, and what is told by them
 JUMPED = VERMILLION  # drawn errors on other ground
-LINEAR = (INK, ORANGE, GREEN)  # linear propagation: over the facet, over the footprint, any other
+LINEAR = (INK, ORANGE, PURPLE)  # linear propagation: over the facet, over the footprint, any other
+METHODS = ("#cfe6f6", GREEN, ORANGE)  # that can be trusted: over the facet, over the footprint, samples
 HORIZONTAL, VERTICAL = BLUE, ORANGE  # variances
 REGISTERED = ORANGE  # what a registration found
 OUTLINES = (INK, BLUE, ORANGE, PURPLE, GREEN, SKY)  # of images, in turn

@@ -210,6 +210,18 @@ def test_tie_points_are_points_with_reasons(tmp_path) -> None:
     assert found["features"][0]["geometry"]["coordinates"] == [-174.75, 44.2]
 
 
+@pytest.mark.parametrize("height, epsg", [(412.5, 4979), (None, 4326)])
+def test_geopandas_reads_tie_points_and_their_crs(tmp_path, height: float | None, epsg: int) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    write_tie_points(tmp_path / "ties.geojson", [dataclasses.replace(TIE, height_m=height)])
+    found = geopandas.read_file(tmp_path / "ties.geojson")
+    assert found.crs.to_epsg() == epsg
+    (place,) = found.geometry
+    assert (place.x, place.y) == pytest.approx((TIE.lon_deg - 360.0, TIE.lat_deg), abs=1e-9)
+    assert place.has_z == (height is not None)
+    assert found.loc[0, "column"] == pytest.approx(TIE.column, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     "name, rows, message",
     [

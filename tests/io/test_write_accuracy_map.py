@@ -69,6 +69,20 @@ def test_the_image_fills_the_map_that_was_made_for_it(tmp_path) -> None:
     assert found.shape == seen.shape
 
 
+def test_a_cloud_optimised_map_holds_the_same(tmp_path, written) -> None:
+    """Tiled, laid out as a COG and said to be one, with the same numbers, place, names and tags."""
+    place = {"crs": "EPSG:32632", "bounds": (651_500.0, 5_207_000.0, 652_600.0, 5_207_470.0), "resolution": 100.0}
+    write_accuracy_map(tmp_path / "a.tif", *SCENE, **place, probability=0.5, block=8, cog=True)
+    _, bands, profile, descriptions, units, tags = written
+    with rasterio.open(tmp_path / "a.tif") as data:
+        np.testing.assert_array_equal(data.read(), bands)
+        assert data.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert (data.crs.to_epsg(), data.transform) == (32632, profile["transform"])
+        assert (data.descriptions, data.units) == (descriptions, units)
+        assert {name: data.tags()[name] for name in tags} == tags
+    assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+
+
 def test_tags_say_what_codes_mean(written) -> None:
     tags = written[-1]
     assert tags["PROBABILITY"] == "0.5"
