@@ -139,6 +139,25 @@ def is_module(name: str) -> bool:
         return False
 
 
+def undocumented(reference: pathlib.Path) -> dict[str, set[str]]:
+    """Public functions and classes of each room that have no entry on its page."""
+    found = {}
+    for page in (DOCS / "api").glob("*.md"):
+        html = (reference / f"{page.stem}.html").read_text(encoding="utf-8")
+        there = {name.rpartition(".")[2] for name in re.findall(r'id="(jaxgeo[\w.]+)"', html)}
+        for room in re.findall(r"^::: ([\w.]+)", page.read_text(encoding="utf-8"), re.MULTILINE):
+            if is_module(room):
+                module = importlib.import_module(room)
+                told = [name for name in getattr(module, "__all__", ()) if is_documented(getattr(module, name))]
+                found[room] = set(told) - there
+    return found
+
+
+def is_documented(thing: Any) -> bool:
+    """Whether a public name is one of the things that the reference tells of: no constant, and no alias of types."""
+    return isinstance(thing, type | types.FunctionType)
+
+
 class Loaded(HTMLParser):
     """What a page of the site loads: (tag, address) of scripts, styles, fonts, pictures and frames."""
 
@@ -170,5 +189,7 @@ def test_site_is_built_and_loads_nothing_from_elsewhere(tmp_path: pathlib.Path) 
         far = [one for one in parser.found if re.match(r"(https?:)?//", one[1])]
         assert not far, (page.relative_to(site), far)
         assert 'class="arithmatex"' not in text, page
+    for room, missing in undocumented(site / "api").items():
+        assert not missing, room
     for style in site.rglob("*.css"):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", style.read_text(encoding="utf-8")), style

@@ -9,6 +9,8 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 
+BARE = re.compile(r"\\(mathbf|mathrm|boldsymbol|bar|hat)\s*(\\[A-Za-z]+|(?<=\s)[A-Za-z])(?![A-Za-z])")  # without braces
+UPPER_GREEK = re.compile("<mi>(?=&#x0*(39[1-9A-F]|3A[0-9]);</mi>)")
 FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\(|\\\[)(.*?)(?:\\\)|\\\])</\1>', re.DOTALL)
 
 
@@ -27,7 +29,9 @@ def on_page_content(content: str, *, page: Any, **_: Any) -> str:
 
 def mathml(latex: str, *, is_block: bool) -> str:
     """One formula as MathML. Raises `ValueError` for commands that are not known."""
+    latex = BARE.sub(r"\\\1{\2}", latex)  # the converter takes only what is in braces
     made = convert(latex, display="block" if is_block else "inline")
+    made = UPPER_GREEK.sub('<mi mathvariant="normal">', made)
     unknown = re.search(r"\\[A-Za-z]+", html.unescape(made))
     if unknown:
         raise ValueError(f"{unknown[0]} is not known")
