@@ -42,7 +42,7 @@ def a_map(figure: Figure) -> None:
     plot.camera(demo.centre, float(demo.shot.pose.heading), ax)
     ax.set(xlim=(-84.40, -84.085), ylim=(36.175, 36.345))
     plot.scale_bar(ax)
-    plot.north_arrow(ax)
+    plot.north_arrow(ax, anchor=(0.05, 0.88))
     plot.legend(ax)
 
 
@@ -142,8 +142,8 @@ def registration_page() -> Figure:
 
 
 FIGURES = {
-    "map": Drawing(a_map, 0.78, 1.1),
-    "errors_on_map": Drawing(errors_on_map, 0.75, 1.0),
+    "map": Drawing(a_map, 0.78, 1.0),
+    "errors_on_map": Drawing(errors_on_map, 0.75, 0.95),
     "error_cloud": Drawing(
         lambda figure: plot.error_cloud(records.demo().errors.comparison, figure.add_subplot(), dem=records.demo().dem),
         0.6,

@@ -37,7 +37,8 @@ def write_exposures(
     Columns: `exposure` (from 0), `time_s`, `lat_deg`, `lon_deg`, `height_m` (above the WGS 84 ellipsoid), `heading_deg`
     (0 to 360), `pitch_deg`, `roll_deg` (about the ellipsoid's normal), `gimbal_<name>_deg` for each of `readings`, the
     gimbal's names. With `overlaps` (n - 1 entries, each with the shot before) also `overlap_near`, `overlap_far`, as
-    shares, and `status`, empty in the first row. What is NaN is an empty cell. The file appears when all is written.
+    shares, and `status`, empty in the first row. `height_datum`, the last, says in each row what heights are above:
+    "ellipsoid", as `read_navigation` names it. What is NaN is an empty cell. The file appears when all is written.
     Raises `ValueError` for a path that cannot be written to, and for numbers of entries that do not fit.
     """
     target = pathlib.Path(path)
@@ -46,6 +47,7 @@ def write_exposures(
         raise ValueError(f"{target}: planned exposures are written as CSV; name a file that ends in .csv.")
     count = np.size(shots.time)
     columns = _columns(target, shots, readings, count) | _shared(target, overlaps, count)
+    columns["height_datum"] = ["ellipsoid"] * count
     rows = ({name: column[i] for name, column in columns.items()} for i in range(count))
     with destination("exposures", target) as stream:
         write_csv(rows, stream)

@@ -180,7 +180,7 @@ def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
     check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
     known, ok = np.isfinite(lon), np.ravel(np.asarray(fix.ok))
-    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 5.5, "color": FIX, "zorder": 5}
+    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": FIX, "zorder": 5}
     with house_axes(ax, tall=0.8) as ax:
         if (known & ~ok).any():
             others = f"{label}, with reserve" if ok.any() else label

@@ -37,7 +37,8 @@ def read(path: pathlib.Path) -> list[dict[str, str]]:
 def test_the_flight_comes_back(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "plan.csv"
     write_exposures(path, SHOTS, NAMES, overlaps=OVERLAPS)
-    back = read_navigation(path, NAMES, height_datum="ellipsoid")
+    (datum,) = {row["height_datum"] for row in read(path)}
+    back = read_navigation(path, NAMES, height_datum=datum)
     np.testing.assert_allclose(back.times, SHOTS.time, atol=1e-9, rtol=0)  # s
     np.testing.assert_allclose(back.gimbal_readings, SHOTS.gimbal_readings, atol=2e-10, rtol=0)  # rad
     np.testing.assert_allclose(back.poses.position.lat, POSITION.lat, atol=2e-12, rtol=0)
@@ -52,7 +53,7 @@ def test_columns_and_what_the_first_shares_with_nothing(tmp_path: pathlib.Path) 
     rows = read(path)
     assert ",".join(rows[0]) == (
         "exposure,time_s,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,gimbal_outer_deg,gimbal_inner_deg,"
-        "overlap_near,overlap_far,status"
+        "overlap_near,overlap_far,status,height_datum"
     )
     assert [row["exposure"] for row in rows] == list("01234")
     assert [row["overlap_near"] for row in rows] == ["", "0.600000", "0.610000", "", "-0.100000"]
@@ -67,7 +68,8 @@ def test_an_attitude_against_the_plumb_line_is_written_about_the_normal(tmp_path
     bent = Deflection(np.full(COUNT, 5e-5), np.full(COUNT, -3e-5))
     shots = eqx.tree_at(lambda s: s.pose.deflection, SHOTS, bent, is_leaf=lambda x: x is None)
     write_exposures(path, shots, NAMES)
-    back = read_navigation(path, NAMES, height_datum="ellipsoid")
+    (datum,) = {row["height_datum"] for row in read(path)}
+    back = read_navigation(path, NAMES, height_datum=datum)
     whole = jax.tree.map(lambda x: jnp.broadcast_to(x, (COUNT,)), shots.pose)
     expected, found = (jax.vmap(lambda pose: pose.R_ned_from_body)(pose) for pose in (whole, back.poses))
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -76,7 +78,7 @@ def test_an_attitude_against_the_plumb_line_is_written_about_the_normal(tmp_path
 def test_a_shot_outside_the_flight_has_empty_cells(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "plan.csv"
     write_exposures(path, jax.tree.map(lambda x: np.asarray(x) * np.nan, SHOTS), NAMES)
-    assert all(value == "" for name, value in read(path)[0].items() if name != "exposure")
+    assert all(value == "" for name, value in read(path)[0].items() if name not in ("exposure", "height_datum"))
 
 
 @pytest.mark.parametrize(
