@@ -53,7 +53,8 @@ def name_of(page: pathlib.Path) -> str:
 
 
 WITH_PYTHON = [page for page in PAGES if blocks_of(page)]
-RUN = [page for page in WITH_PYTHON if name_of(page) != "gallery.md"]  # its figures are made by docs/figures/make.py
+ELSEWHERE = ("gallery.md", "howto/registration.md")  # run by docs/figures/make.py, and by the notebook
+RUN = [page for page in WITH_PYTHON if name_of(page) not in ELSEWHERE]
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=name_of)
