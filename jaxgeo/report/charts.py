@@ -77,7 +77,7 @@ def _told_along(chart: Any, along: np.ndarray, sight: np.ndarray, ground: np.nda
     }
     glyph = chart.scatter("x", "y", size=6, fill_alpha=0.0, line_alpha=0.0, source=source)
     tip = [("distance", "@distance"), ("line of sight", "@sight"), ("ground", "@ground"), ("above ground", "@clear")]
-    chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, mode="vline", visible=False))
+    chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, mode="vline", limit=1, visible=False))
 
 
 def _hits(chart: Any, section: Section, scale: float) -> None:

@@ -19,6 +19,7 @@ from jaxgeo.terrain import Dem
 ACROSS = 1100  # pixels of a picture from west to east
 OF_HEIGHTS = 128  # places of the grid of heights from west to east
 QUALITY = 82
+FINEST, FEWEST = 1.5, 48  # pixels of a picture to a cell of the terrain, and from west to east
 PART = 1 << 17  # places at a time
 
 
@@ -87,8 +88,10 @@ def metres_per_degree(lat_deg: float) -> tuple[float, float]:
 def relief_of(dem: Dem, box: Box, *, across: int = ACROSS, between: tuple[float, float] | None = None) -> Relief | None:
     """The relief of a terrain in a box; None where none of it is known. Places beside the terrain are transparent."""
     wide, high = box.sides
-    rows, cols = max(round(across * high / wide), 2), across
-    finer = 2 if float(np.min(np.asarray(dem.grid.cell_size()))) < 0.7 * wide / cols else 1  # smooths what is too fine
+    cell = float(np.min(np.asarray(dem.grid.cell_size())))
+    cols = min(across, max(round(FINEST * wide / cell), FEWEST))  # finer, facets would look like steps
+    rows = max(round(cols * high / wide), 2)
+    finer = 2 if cell < 0.7 * wide / cols else 1  # smooths what is too fine
     heights = sampled(dem, _of_centres(box, rows * finer, cols * finer), rows * finer, cols * finer)
     heights = heights.reshape(rows, finer, cols, finer).mean(axis=(1, 3))
     if np.isfinite(heights).sum() < 4:

@@ -155,16 +155,9 @@ def _ellipses(chart: Any, subject: Subject, details: Sequence[Detail], places: P
         "axes": [f"{words.length(one.major)} by {words.length(one.minor)}" for _, one in told],
         "azimuth": [words.number(one.azimuth_deg, 0) + "°" if one.major > one.minor else "–" for _, one in told],
     }
-    glyph = chart.patches(
-        "xs",
-        "ys",
-        source=source,
-        line_color=VERMILLION,
-        line_width=2.0,
-        fill_color=VERMILLION,
-        fill_alpha=0.08,
-        name="ellipse",
-    )
+    style: dict[str, Any] = {"source": source, "name": "ellipse"}
+    chart.patches("xs", "ys", line_color=None, fill_color=VERMILLION, fill_alpha=0.08, **style)
+    glyph = chart.multi_line("xs", "ys", line_color=VERMILLION, line_width=2.0, **style)
     tip = [("", "@name"), ("", "@what"), ("semi-axes", "@axes"), ("azimuth of the longer", "@azimuth")]
     chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, name="tip of ellipses", visible=False))
 

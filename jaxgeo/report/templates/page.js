@@ -35,7 +35,10 @@
     };
     chart.properties.inner_width.change.connect(fit);
     chart.properties.inner_height.change.connect(fit);
+    const later = () => requestAnimationFrame(() => requestAnimationFrame(fit));  // when it is laid out anew
+    new ResizeObserver(later).observe(document.getElementById("chart-" + name));
     fit();
+    later();
   }
 
   // What lies under the pointer.
