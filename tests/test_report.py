@@ -209,7 +209,9 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     assert "CE90 " not in text.split("How to read this")[0]
 
 
-@pytest.mark.parametrize("errors", [None, ERRORS], ids=["fixes alone", "with errors"])
+@pytest.mark.parametrize(
+    "errors", [None, pytest.param(ERRORS, marks=pytest.mark.slow)], ids=["fixes alone", "with errors"]
+)
 def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
     """Across the date line, some of them of the sky."""
     sensor, shot = level_sensor()
@@ -225,6 +227,7 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
     assert page.count('<tr class="none">') == 40 - found
     assert ("median" in text) == (errors is not None)
     if errors is not None:
+        assert subject.accuracy is not None
         radii = np.asarray(subject.accuracy.circular)[subject.is_fix]
         order = np.flatnonzero(subject.is_fix)[np.argsort(radii)]
         picks = chosen(subject, 3)

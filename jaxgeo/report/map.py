@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import BoxZoomTool, HoverTool, PanTool, Range1d, ResetTool, ScaleBar, WheelZoomTool
+from bokeh.models import BoxZoomTool, ColumnDataSource, HoverTool, PanTool, Range1d, ResetTool, ScaleBar, WheelZoomTool
 from bokeh.models.annotations.dimensional import ImperialLength
 from bokeh.plotting import figure
 
@@ -155,7 +155,7 @@ def _ellipses(chart: Any, subject: Subject, details: Sequence[Detail], places: P
         "axes": [f"{words.length(one.major)} by {words.length(one.minor)}" for _, one in told],
         "azimuth": [words.number(one.azimuth_deg, 0) + "°" if one.major > one.minor else "–" for _, one in told],
     }
-    style: dict[str, Any] = {"source": source, "name": "ellipse"}
+    style: dict[str, Any] = {"source": ColumnDataSource(source), "name": "ellipse"}
     chart.patches("xs", "ys", line_color=None, fill_color=VERMILLION, fill_alpha=0.08, **style)
     glyph = chart.multi_line("xs", "ys", line_color=VERMILLION, line_width=2.0, **style)
     tip = [("", "@name"), ("", "@what"), ("semi-axes", "@axes"), ("azimuth of the longer", "@azimuth")]
