@@ -21,6 +21,18 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
+from jaxgeo.cli._asked import (
+    Asked,
+    Exposures,
+    Ground,
+    GroundDatum,
+    GroundDem,
+    Pixels,
+    Refraction,
+    SceneOption,
+    Source,
+    TableOfShots,
+)
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import (
@@ -34,20 +46,7 @@ from jaxgeo.cli._errors import (
 )
 from jaxgeo.cli._located import Located, located, where_from
 from jaxgeo.cli._options import SURE, WRITING
-from jaxgeo.cli._question import (
-    Asked,
-    Exposures,
-    Ground,
-    GroundDatum,
-    GroundDem,
-    Pixels,
-    Question,
-    Refraction,
-    SceneOption,
-    Source,
-    TableOfShots,
-    read_question,
-)
+from jaxgeo.cli._question import Question, read_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, tell, working
 

@@ -1,0 +1,118 @@
+"""What `jaxgeo locate` and `jaxgeo report` may be asked: options of what is seen, and what was typed of them."""
+
+from __future__ import annotations
+
+import pathlib
+from typing import Annotated, Any, NamedTuple
+
+import typer
+
+from jaxgeo.cli._common import UserError
+from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._options import SEEN
+
+Source = Annotated[
+    pathlib.Path | None,
+    typer.Argument(
+        metavar="FILE",
+        help="Drone image or folder, KLV, SBET, table, reconstruction, scene.",
+        show_default=False,
+    ),
+]
+SceneOption = Annotated[
+    pathlib.Path | None,
+    typer.Option(
+        "--scene",
+        metavar="FILE",
+        help="Scene file (TOML): camera, gimbal, mount and pose; for FILEs without a camera too.",
+        rich_help_panel=SEEN,
+    ),
+]
+GroundDem = Annotated[
+    list[pathlib.Path] | None,
+    typer.Option("--dem", metavar="FILE", help="Elevation model; repeat it for several tiles.", rich_help_panel=SEEN),
+]
+GroundDatum = Annotated[
+    str | None,
+    typer.Option(
+        "--vertical-datum",
+        metavar="DATUM",
+        help='What heights of the ground are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.',
+        rich_help_panel=SEEN,
+    ),
+]
+Ground = Annotated[
+    str | None,
+    typer.Option(
+        "--ground",
+        metavar="HEIGHT",
+        help="Level ground in place of --dem: its height in m, above the ellipsoid or --vertical-datum; or 'reported': "
+        "the height of the frame centre that telemetry reports.",
+        rich_help_panel=SEEN,
+    ),
+]
+Pixels = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--pixel",
+        metavar="PIXEL",
+        help="COLUMN,ROW of a pixel; repeat it for more; the middle of the image if left out.",
+        rich_help_panel=SEEN,
+    ),
+]
+Exposures = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--exposure",
+        metavar="NAME",
+        help="Which of the FILE's exposures, by name; repeat it; all if not.",
+        rich_help_panel=SEEN,
+    ),
+]
+TableOfShots = Annotated[
+    pathlib.Path | None,
+    typer.Option(
+        "--shots",
+        metavar="FILE",
+        help="With --scene: CSV with a shot and a pixel in each row.",
+        rich_help_panel=SEEN,
+    ),
+]
+Refraction = Annotated[
+    bool,
+    typer.Option(
+        "--refraction", help="Bend lines of sight by the US Standard Atmosphere of 1976.", rich_help_panel=SEEN
+    ),
+]
+
+
+class Asked(NamedTuple):
+    """What was typed."""
+
+    file: pathlib.Path | None
+    scene: pathlib.Path | None
+    shots: pathlib.Path | None
+    pixels: list[str]
+    exposures: list[str]
+    dem: list[pathlib.Path]
+    ground: str | None
+    vertical_datum: str | None
+    refraction: bool
+    how: dict[str, Any]
+    sigmas: Sigmas
+
+
+def check_asked(asked: Asked) -> None:
+    if asked.file is None and asked.scene is None:
+        raise UserError("give a FILE of a camera or an aircraft, as jaxgeo inspect reads it, or --scene SCENE.toml.")
+    if asked.shots is not None:
+        if asked.file is not None:
+            raise UserError(f"--shots {asked.shots}: it goes with --scene, and not with {asked.file}.")
+        if asked.pixels:
+            raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
+    if bool(asked.dem) == (asked.ground is not None):
+        raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+    if asked.exposures and (asked.file is None or asked.file.suffix.lower() == ".toml"):
+        raise UserError("--exposure goes with a FILE of exposures; a scene has one.")
+    if asked.sigmas.dem_correlation is not None and asked.ground is not None:
+        raise UserError("--dem-correlation: level ground errs alike everywhere; it goes with --dem.")
