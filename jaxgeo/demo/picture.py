@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo.demo.made import VIEW, Demo
+from jaxgeo.demo.made import VIEW, Demo, sampled
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
 from jaxgeo.terrain import Dem
@@ -66,7 +66,7 @@ def _draw_view(demo: Demo, ax: Any) -> None:
     relief = plot.shaded_relief(demo.dem)[..., :3]
     rowcol = np.asarray(_rowcol(demo.dem, jax.tree.map(jnp.ravel, demo.view.position))).reshape(*VIEW, 2)
     found = np.asarray(np.all(np.isfinite(rowcol), axis=-1))
-    image = np.where(found[..., None], _sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
+    image = np.where(found[..., None], sampled(relief, np.where(found[..., None], rowcol, 0.0)), 1.0)
     distance = np.asarray(demo.view.slant_range)
     haze = np.clip((distance - np.nanmin(distance)) / (np.nanmax(distance) - np.nanmin(distance)), 0.0, 1.0)
     image = image + (np.array([0.86, 0.91, 0.97]) - image) * 0.45 * np.nan_to_num(haze)[..., None]
@@ -77,18 +77,6 @@ def _draw_view(demo: Demo, ax: Any) -> None:
     ax.set_xlabel("row (against the flight), pixels")
     ax.set_ylabel("column (outwards), pixels")
     ax.set_title("What the camera sees, ray by ray")
-
-
-def _sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
-    """Colours between the posts, bilinear."""
-    first = np.clip(np.floor(rowcol).astype(int), 0, np.array(image.shape[:2]) - 2)
-    row, col = first[..., 0], first[..., 1]
-    r, c = np.moveaxis(np.clip(rowcol - first, 0.0, 1.0)[..., None], 2, 0)
-    near, far = (
-        image[row, col] * (1 - c) + image[row, col + 1] * c,
-        image[row + 1, col] * (1 - c) + image[row + 1, col + 1] * c,
-    )
-    return near * (1 - r) + far * r
 
 
 def _draw_section(demo: Demo, ax: Any) -> None:
