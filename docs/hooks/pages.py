@@ -11,6 +11,7 @@ import base64
 import json
 import pathlib
 import re
+from collections.abc import Sequence
 from typing import Any
 
 from mkdocs.structure.files import File, Files
@@ -89,13 +90,25 @@ def page_of(path: pathlib.Path) -> tuple[str, dict[str, bytes]]:
             parts.append(from_here(text))
         elif cell["cell_type"] == "code" and text.strip():
             parts.append(f"```python\n{text}\n```")
-        for place, output in enumerate(cell.get("outputs", ())):
+        for place, output in enumerate(merged(cell.get("outputs", ()))):
             shown, more = output_of(output, f"{path.stem}-{number}-{place}")
             parts.append(shown)
             pictures |= more
     title, *rest = parts
     parts = [title, f"*The notebook: `notebooks/{path.name}`.*", *rest]
     return "\n\n".join(part for part in parts if part), pictures
+
+
+def merged(outputs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What is printed in pieces, in one."""
+    found: list[dict[str, Any]] = []
+    for output in outputs:
+        last = found[-1] if found else {}
+        if output["output_type"] == "stream" and last.get("name") == output["name"]:
+            last["text"] = joined(last["text"]) + joined(output["text"])
+        else:
+            found.append(dict(output))
+    return found
 
 
 def from_here(text: str) -> str:
