@@ -72,7 +72,7 @@ def test_names_that_a_page_uses_are_there(page: pathlib.Path) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
             module = modules.get(node.value.id)
-            if type(module) is type(jaxgeo):
+            if isinstance(module, types.ModuleType):
                 assert hasattr(module, node.attr), f"{name_of(page)}: {module.__name__} has no {node.attr}"
 
 
@@ -128,7 +128,7 @@ def test_every_public_room_has_its_page() -> None:
     rooms = [importlib.import_module(name) for name in shown if is_module(name)]
     for name in jaxgeo.__all__:
         found = getattr(jaxgeo, name)
-        if type(found) is type(jaxgeo):
+        if isinstance(found, types.ModuleType):
             assert found.__name__ in shown, name
         else:
             told = any(getattr(room, name, None) is found and name in getattr(room, "__all__", ()) for room in rooms)
