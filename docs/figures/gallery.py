@@ -150,7 +150,7 @@ FIGURES = {
         1.5,
     ),
     "budget": Drawing(lambda figure: plot.budget_bars(records.demo().errors.budget, figure.add_subplot()), 0.55, 0.95),
-    "accuracy": Drawing(accuracy, 0.56, 2.2),
+    "accuracy": Drawing(accuracy, 0.47, 1.9),
     "sight_section": Drawing(sight_section, 0.42, 1.3),
     "coverage": Drawing(coverage, 0.42, 1.6),
     "residuals": Drawing(residuals, 0.8, 0.95),

@@ -25,7 +25,7 @@ from jaxgeo import plot  # noqa: E402
 from jaxgeo.plot.style import COLUMN, PAGE, style  # noqa: E402
 
 DPI = 130
-COLOURS, LARGE = 256, 140_000  # of a PNG's palette, and bytes from which on it has one
+COLOURS, LARGE = (256, 128, 64), 145_000  # of a PNG's palette, and bytes from which on it has one
 SIZES = {"": PAGE, "_column": COLUMN}
 
 
@@ -45,8 +45,9 @@ def save(figure: Figure, path: pathlib.Path) -> None:
     figure.savefig(path, dpi=DPI if figure.get_figwidth() <= PAGE else DPI * PAGE / figure.get_figwidth())
     picture = Image.open(path).convert("RGB")
     picture.save(path, optimize=True)
-    if path.stat().st_size > LARGE:
-        picture.quantize(COLOURS, kmeans=8, dither=Image.Dither.NONE).save(path, optimize=True)
+    for colours in COLOURS:
+        if path.stat().st_size > LARGE:
+            picture.quantize(colours, kmeans=8, dither=Image.Dither.NONE).save(path, optimize=True)
     print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
 
 

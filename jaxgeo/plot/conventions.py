@@ -117,7 +117,7 @@ def _pitch(axes: Axes) -> None:
     _arrow(axes, (0, 0), (0, -1.15), NED, "down", dashed=True, side="left")
     _arrow(axes, (0, 0), 1.35 * x, BODY, "x forward", side="above")
     _arrow(axes, (0, 0), 1.15 * z, BODY, "z down", side="right")
-    _turn(axes, (1, 0), x, 1.02, "pitch", label=(1.12, 0.27), ha="left")
+    _turn(axes, (1, 0), x, 1.02, "pitch", label=(1.16, 0.22), ha="left")
     _into_page(axes, (0, 0), BODY, "y right", out=True, offset=(-0.2, 0.28))
 
 
@@ -130,7 +130,7 @@ def _roll(axes: Axes) -> None:
     _arrow(axes, (0, 0), (0, -1.15), NED, "down", dashed=True, side="right")
     _arrow(axes, (0, 0), 1.3 * y, BODY, "y right", side="below")
     _arrow(axes, (0, 0), 1.15 * z, BODY, "z down", side="left")
-    _turn(axes, (1, 0), y, 1.02, "roll", label=(1.12, -0.27), ha="left")
+    _turn(axes, (1, 0), y, 1.02, "roll", label=(1.16, -0.22), ha="left")
     _into_page(axes, (0, 0), BODY, "x forward", offset=(0.14, 0.5))
 
 
