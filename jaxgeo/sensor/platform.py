@@ -141,8 +141,7 @@ class Pose(eqx.Module):
         check_range(heading, "heading", "deg", -360.0, 360.0)
         check_range(pitch, "pitch", "deg", -90.0, 90.0)
         check_range(roll, "roll", "deg", -180.0, 180.0)
-        given = (as_array(heading, "heading"), as_array(pitch, "pitch"), as_array(roll, "roll"))
-        angles = as_float64(given, "Pose.from_degrees(heading, pitch, roll)")
+        angles = as_float64((heading, pitch, roll), "Pose.from_degrees(heading, pitch, roll)")
         heading, pitch, roll = (jnp.deg2rad(angle) for angle in angles)
         return cls(position, heading, pitch, roll, deflection)
 

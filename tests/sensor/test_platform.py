@@ -131,12 +131,6 @@ def test_mount_and_boresight_say_what_is_wrong():
         boresight_from_degrees(roll=1000.0)
 
 
-def test_angles_may_be_lists_as_positions_may():
-    many = Pose.from_degrees(lat=[1.0, 2.0], lon=[3.0, 4.0], height=[5.0, 6.0], heading=[10.0, 20.0], pitch=[1.0, -1.0])
-    one = Pose.from_degrees(lat=2.0, lon=4.0, height=6.0, heading=20.0, pitch=-1.0)
-    assert (float(many.heading[1]), float(many.pitch[1])) == (float(one.heading), float(one.pitch))
-
-
 def test_records_may_carry_a_batch_axis():
     four = np.arange(4.0)
     poses = Pose.from_degrees(lat=four, lon=four, height=four, heading=four, pitch=0 * four, roll=0 * four)
