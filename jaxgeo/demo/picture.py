@@ -26,16 +26,17 @@ def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str 
 
     with mpl.rc_context(
         {"font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left"}
+        | {"legend.fontsize": 9.5, "grid.color": "0.85"}
     ):
         figure = Figure(figsize=(15.0, 14.0), layout="constrained")
         FigureCanvasAgg(figure)
-        parts: Any = figure.subfigures(2, 1, height_ratios=[8.6, 5.4])
+        parts: Any = figure.subfigures(2, 1, height_ratios=[8.8, 5.2])
         ground, errors = parts
         grid = ground.add_gridspec(2, 2, width_ratios=[1.05, 1.0], height_ratios=[1.0, 0.85])
         _draw_map(demo, ground.add_subplot(grid[:, 0]))
         _draw_view(demo, ground.add_subplot(grid[0, 1]))
         _draw_section(demo, ground.add_subplot(grid[1, 1]))
-        cloud, shares = errors.subplots(1, 2, width_ratios=[1.0, 0.8])
+        cloud, shares = errors.subfigures(1, 2, width_ratios=[1.4, 1.0])
         _draw_errors(demo, cloud)
         _draw_budget(demo, shares)
         figure.savefig(target, dpi=110, format=picture_format)
@@ -107,16 +108,23 @@ def _rowcol(dem: Dem, positions: Geodetic) -> jax.Array:
     return jax.vmap(dem.rowcol_at)(positions)
 
 
-def _draw_errors(demo: Demo, ax: Any) -> None:
+def _draw_errors(demo: Demo, part: Any) -> None:
     from jaxgeo import plot
 
     compared, trusted = demo.errors.comparison, demo.errors.accuracy
-    plot.error_cloud(compared, ax, dem=demo.dem)
-    ax.set_title(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}")
+    plot.error_cloud(compared, part.subplots(), dem=demo.dem)
+    _head(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}", part)
 
 
-def _draw_budget(demo: Demo, ax: Any) -> None:
+def _draw_budget(demo: Demo, part: Any) -> None:
     from jaxgeo import plot
 
+    ax = part.subplots()
+    ax.spines[["top", "right"]].set_visible(False)
     plot.budget_bars(demo.errors.budget, ax)
-    ax.set_title("Where its errors come from")
+    _head("Where its errors come from", part)
+
+
+def _head(words: str, part: Any) -> None:
+    """A title above all that a drawing has above its axes."""
+    part.suptitle(words, x=0.02, ha="left", fontsize=13, fontweight="bold")

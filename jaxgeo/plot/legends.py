@@ -93,12 +93,11 @@ def keyed(ax: Axes, label: str, *, area: bool = False, **look: Any) -> Artist:
 
 
 def _room(ax: Axes) -> float:
-    """Width of the place that the axes have in their figure, inches."""
-    figure = ax.get_figure(root=True)
-    assert figure is not None
+    """Width of the place that the axes have in their figure, or in its part that they are in, inches."""
+    figure: Any = ax.get_figure(root=False)
     spec = ax.get_subplotspec()
     share = ax.get_position().width if spec is None else spec.get_position(figure).width / GRID_SHARE
-    return float(figure.get_size_inches()[0]) * min(share, 1.0)
+    return float(figure.bbox.width / figure.dpi) * min(share, 1.0)
 
 
 def _points(size: Any) -> float:

@@ -11,7 +11,10 @@ import matplotlib.colors
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.markers import MarkerStyle
+from matplotlib.path import Path
 from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.transforms import Affine2D
 
 from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Geodetic
@@ -23,6 +26,7 @@ from jaxgeo.terrain import Dem
 MOST_POSTS = 1200  # along one side of a picture; larger terrain is thinned
 ALONE = 0.02  # deg, about what lies alone on a map
 STEPS = [1, 2, 5, 10]  # of ticks, times a power of ten
+ARROWHEAD = Path([(0.0, 1.0), (-0.62, -0.8), (0.0, -0.45), (0.62, -0.8), (0.0, 1.0)], closed=True)  # to the north
 TICK = 60.0  # points that a label of degrees takes of an axis
 # Valleys green, slopes tan, summits light: quiet, so that what is drawn on top is seen.
 RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
@@ -200,7 +204,7 @@ def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
 def camera(position: Geodetic, heading: float, ax: Axes | None = None, *, label: str = "camera") -> Axes:
     """Where the camera is, as an arrowhead along its heading in rad; where outside the axes, an arrow at their edge."""
     lon, lat = (float(x) for x in lonlat_deg(position))
-    marker = (3, 0, -math.degrees(heading))
+    marker = MarkerStyle(ARROWHEAD, transform=Affine2D().rotate(-heading))
     style: dict[str, Any] = {"color": CAMERA, "markersize": 13.0, "markeredgecolor": "white", "zorder": 6}
     with house_axes(ax, tall=0.8) as ax:
         if ax.has_data() or not ax.get_autoscale_on():
