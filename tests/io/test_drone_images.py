@@ -343,6 +343,7 @@ def test_positions_of_exif_are_those_that_gdal_reads(image, name: str, below: in
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 def test_exif_that_gdal_has_put_into_a_tiff(image, tmp_path: pathlib.Path) -> None:
+    pytest.importorskip("rasterio", minversion="1.4.4", reason="older ones lose XMP on the way")
     source = image(PARROT, exif=CAMERA | {0x9003: "2024:05:10 14:09:12"})
     target = tmp_path / "b.tif"
     with rasterio.open(source) as data:
