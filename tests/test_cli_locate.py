@@ -71,6 +71,7 @@ def test_an_image_is_located_as_by_the_library(image: pathlib.Path) -> None:
     assert "--dem-sigma" not in sentences, "it was given"
 
 
+@pytest.mark.slow
 def test_what_is_typed_takes_the_place_of_what_is_assumed(image: pathlib.Path) -> None:
     sigmas = ["--position-sigma", "0", "--gimbal-sigma", "0.5", "--dem-sigma", "0"]
     once, twice = (as_json(image, *GROUND, *sigmas[:3], size, *sigmas[4:]) for size in ("0.5", "1.0"))
@@ -192,6 +193,7 @@ def test_drone_images_of_a_real_flight(jaxgeo_test_data: pathlib.Path) -> None:
         assert 1.0 < row["ce90_m"] < 8.0
 
 
+@pytest.mark.slow
 def test_telemetry_of_a_real_flight(jaxgeo_test_data: pathlib.Path) -> None:
     told = as_json(jaxgeo_test_data / "telemetry_klv" / "Cheyenne.bin", "--ground", "reported")
     assert len(told["fixes"]) == 407
@@ -207,6 +209,7 @@ def test_telemetry_of_a_real_flight(jaxgeo_test_data: pathlib.Path) -> None:
     assert np.median(np.abs(ranges - found.reported.slant_range)) < 10.0
 
 
+@pytest.mark.slow
 def test_poses_alone_with_the_camera_of_a_scene(tmp_path: pathlib.Path) -> None:
     """An SBET has no camera: one of a scene takes the pictures, its gimbal held, errors by the scene."""
     record = np.zeros((3, 17))

@@ -262,6 +262,7 @@ def test_arrows_are_the_residuals_of_an_image(ax) -> None:
     assert f"a residual of {key:g} px (100 times)" in words(ax)
 
 
+@pytest.mark.slow
 def test_residuals_beyond_the_test_are_marked(ax) -> None:
     plot.residual_arrows(adjusted(), ax, checked=judged(wrong=(4, 9)))
     within, beyond = quivers(ax)

@@ -88,6 +88,7 @@ def page(folder: pathlib.Path, told: dict) -> str:
     return (folder / "page.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_locate(folder: pathlib.Path, told: dict, page: str) -> None:
     result = run("locate", folder / "<b>DJI & co.JPG", *GROUND, "--pixel", "10,20", "--pixel", "30,25", "--json")
     located = json.loads(result.stdout)
@@ -107,6 +108,7 @@ def test_numbers_are_those_of_locate(folder: pathlib.Path, told: dict, page: str
         assert sentence in text
 
 
+@pytest.mark.slow
 def test_budget_and_samples_are_told_as_json_and_on_the_page(told: dict, page: str) -> None:
     text = seen(page)
     for fix, detail in zip(told["fixes"], told["details"], strict=True):
@@ -127,6 +129,7 @@ def _level_variance(sigma: dict) -> float:
     return sigma["variance_m2"]["horizontal"]
 
 
+@pytest.mark.slow
 def test_nothing_is_asked_of_the_network(page: str) -> None:
     outside = re.sub(r"<script\b.*?</script>", "", page, flags=re.DOTALL)
     assert not FROM_THE_NETWORK.search(outside)
@@ -135,10 +138,12 @@ def test_nothing_is_asked_of_the_network(page: str) -> None:
     assert "sourceMappingURL" not in page
 
 
+@pytest.mark.slow
 def test_it_is_small(folder: pathlib.Path, page: str) -> None:
     assert 100_000 < (folder / "page.html").stat().st_size < MOST_BYTES
 
 
+@pytest.mark.slow
 def test_names_and_titles_are_text(page: str) -> None:
     assert "<b>DJI" not in page
     assert "<script>alert" not in page
@@ -146,6 +151,7 @@ def test_names_and_titles_are_text(page: str) -> None:
     assert "A <script>alert(1)</script> title" in seen(page)
 
 
+@pytest.mark.slow
 def test_what_was_asked_and_with_what_is_told(page: str) -> None:
     text = seen(page)
     for what in ("10,20 and 30,25", "ground 300", "height datum ellipsoid", "jax ", "numpy ", "bokeh "):

@@ -77,6 +77,7 @@ def test_two_steps_find_a_lever_arm_too() -> None:
     assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
 
 
+@pytest.mark.slow
 def test_one_step_and_two_agree() -> None:
     of = simulated().noisy(12)
     block = of.block(sensor=astray(of), control=of.control(0.02, tuple(of.points.name[::3])))

@@ -201,6 +201,7 @@ def test_a_ridge_makes_jumps_along_lines_of_sight():
     assert outline.hidden_length == pytest.approx(on_map.sum(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_going_through_every_cell_finds_the_same_jumps():
     outline = over_the_ridge()
     jumps = np.flatnonzero(outline.hidden)

@@ -99,6 +99,7 @@ def test_errors_of_an_oblique_image_before_and_after():
 ERROR = np.array([8.0, -12.0, 5.0, 5e-4, -8e-4, 6e-4])
 
 
+@pytest.mark.slow
 def test_exact_ties_give_back_the_look():
     result = update(SENSOR, SHOT, ties_at(ERROR), GROUND, navigation(), TieErrors(registration=0.001, terrain=0.001))
     assert result.ok
