@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import re
+import signal
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -224,6 +225,13 @@ REFUSED = [
     ("locate plain.JPG --ground 300", r"plain\.JPG: .*"),
     ("locate cut.klv --ground 300", r"cut\.klv: .*packet.*"),
     ("inspect noise.tif", r"noise\.tif: .*"),
+    ("inspect deep.json", r"deep\.json: lists in lists.*"),
+    ("inspect cut.sbet", r"cut\.sbet: .*136.*"),
+    (
+        f"locate {SCENE} --vertical-datum 5773.5",
+        r"dem\.tif: --vertical-datum 5773\.5 would be a constant undulation.*|--vertical-datum 5773\.5 would .*",
+    ),
+    ("inspect opk.csv --height-datum ellipsoid", r"opk\.csv.* say which with --source-crs\."),
     ("rectify noise.tif --scene scene.toml --dem dem.tif -o out.tif", r"noise\.tif: .*"),
     ("footprint --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),
     ("locate --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),
@@ -239,6 +247,7 @@ MADE_WRONG = {
     "empty.csv": b"",
     "header.csv": b"lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,gimbal_outer_deg,gimbal_inner_deg\n",
     "noise.tif": bytes(range(256)) * 4,
+    "deep.json": b"[" * 100_000,
 }
 
 
@@ -251,6 +260,11 @@ def make_wrong(line: str) -> None:
         whole = pathlib.Path("whole.klv")
         FILES["flight.klv"](whole)
         pathlib.Path("cut.klv").write_bytes(whole.read_bytes()[:40])
+        whole.unlink()
+    if "cut.sbet" in line:
+        whole = pathlib.Path("whole.sbet")
+        FILES["mission.sbet"](whole)
+        pathlib.Path("cut.sbet").write_bytes(whole.read_bytes()[:-40])
         whole.unlink()
     if "plain.JPG" in line:
         from PIL import Image
@@ -269,6 +283,17 @@ def test_a_mistake_is_one_line(folder, line: str, pattern: str) -> None:
     (told,) = result.stderr.splitlines()
     assert re.fullmatch(f"jaxgeo: (?:{pattern})", told), told
     assert {path.name: path.stat().st_mtime_ns for path in pathlib.Path().iterdir()} == before
+
+
+@pytest.mark.parametrize("output, crs", [("a.kml", "EPSG:32616"), ("a.gpkg", "EPSG:99999")])
+def test_a_map_that_the_output_cannot_have_is_told_before_the_work(folder, monkeypatch, output: str, crs: str) -> None:
+    line = f"locate DJI_0042.JPG --height-datum ellipsoid --ground 300 -o {output} --crs {crs}"
+    folder(line)
+    monkeypatch.setattr("jaxgeo.cli.locate.located", failing(AssertionError("it was computed")))
+    result = run(line)
+    assert result.exit_code == 2, result.output
+    assert result.stderr.splitlines()[-1].startswith(f"jaxgeo: {output}: ")
+    assert not pathlib.Path(output).exists()
 
 
 OVERWRITING = [
@@ -384,6 +409,20 @@ def test_what_goes_wrong_is_one_line(folder, monkeypatch, error, code: int, word
     assert ("Traceback" in result.stderr) == is_shown
     assert is_shown or len(lines) == 1
     assert {path.name for path in pathlib.Path().iterdir()} == before
+
+
+def test_an_interruption_that_a_callback_swallows_comes_again(monkeypatch) -> None:
+    from jaxgeo.cli import _heed_signals
+
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
+    told: list[object] = []
+    sys.unraisablehook = told.append
+    _heed_signals()
+    with pytest.raises(KeyboardInterrupt):
+        sys.unraisablehook(SimpleNamespace(exc_type=KeyboardInterrupt))
+    sys.unraisablehook(SimpleNamespace(exc_type=ValueError))
+    assert [one.exc_type for one in told] == [ValueError]
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:

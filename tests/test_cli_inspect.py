@@ -137,7 +137,35 @@ def test_exposures_become_a_table_of_shots(tmp_path: pathlib.Path) -> None:
     np.testing.assert_allclose(shots.pose.heading, found.shots.pose.heading, atol=1e-11)
     np.testing.assert_allclose(shots.gimbal_readings, found.shots.gimbal_readings, atol=1e-11)
     with open(output, newline="", encoding="utf-8") as file:
-        assert [row["name"] for row in csv.DictReader(file)] == ["0", "1"]
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == ["0", "1"]
+    middle = 0.5 * (found.sensor.camera.width - 1), 0.5 * (found.sensor.camera.height - 1)
+    assert {(float(row["u"]), float(row["v"])) for row in rows} == {middle}
+    assert {(row["gimbal_reference"], row["height_datum"]) for row in rows} == {("body", "ellipsoid")}
+
+
+@pytest.mark.parametrize(
+    "column, stated, words",
+    [
+        ("gimbal_reference", "level", "angles of the gimbal are against 'level'"),
+        ("height_datum", "ellipsoid", "heights"),
+    ],
+)
+@pytest.mark.parametrize("command", ["locate", "footprint"])
+def test_a_table_against_something_else_than_the_scene_is_refused(
+    tmp_path: pathlib.Path, command: str, column: str, stated: str, words: str
+) -> None:
+    """Readings against the level, taken against the body, would be kilometres off and look well."""
+    header = "lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg,gimbal_outer_deg,gimbal_inner_deg,u,v"
+    table = tmp_path / "shots.csv"
+    table.write_text(f"{header},{column}\n36.318,-84.105,5500,160,1,-0.5,72,0,1199.5,2399.5,{stated}\n")
+    dem = pathlib.Path(scene_file()).with_name("jacksboro.tif")
+    line = [command, "--scene", scene_file(), "--dem", dem, "--shots", table]
+    result = CliRunner().invoke(app, [str(one) for one in line])
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert f"by its column {column}" in result.stderr
+    assert result.stderr.count("\n") == 1
 
 
 def test_tags_are_kept(tmp_path: pathlib.Path) -> None:

@@ -197,6 +197,16 @@ def test_without_the_extra_the_line_says_what_to_install(folder: pathlib.Path, t
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathlib.Path) -> None:
+    image = tmp_path / "DJI_0042.JPG"
+    write_image(image, packet(DJI), make="DJI")
+    above = ["--height-datum", "ellipsoid", "--ground", "9000"]
+    result = run("report", image, *above, "-o", tmp_path / "page.html")
+    assert result.exit_code == 1, result.output
+    assert "no pixel has a fix" in result.stderr
+    assert "No fix" in seen((tmp_path / "page.html").read_text(encoding="utf-8"))
+
+
 def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> None:
     """It has its status in words; no place, and nothing about how sure it is."""
     sensor, shot = level_sensor()

@@ -11,6 +11,7 @@ writes a file that appears when it is whole; exit codes are those of `_common.py
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from typing import Annotated, Any
 
@@ -87,8 +88,25 @@ _add("demo", demo_command)
 app.add_typer(studies, name="study")
 
 
+def _heed_signals() -> None:
+    """A wish to stop ends a command in order, also where a callback of the compiler's would swallow it."""
+    usual = sys.unraisablehook
+
+    def heed(what: Any) -> None:
+        if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)  # again, where it is not swallowed
+        else:
+            usual(what)
+
+    sys.unraisablehook = heed
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+
+
 def main() -> None:
     """Entry point of the command `jaxgeo`."""
+    _heed_signals()
     try:
         app()
     except SystemExit as end:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import re
 from typing import Annotated, Any
 
 import typer
@@ -81,21 +80,6 @@ InteriorFile = Annotated[
         rich_help_panel=READING,
     ),
 ]
-
-
-# Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
-OTHER_NAMES = {"crs": "source-crs"}
-_OPTION = re.compile(r"\b(height_datum|takeoff_height|image_size|upright|crs|camera|errors|interior)=\s?")
-
-
-def as_typed(text: str) -> str:
-    """A sentence that names options of a reader, with those of the command line."""
-
-    def typed(found: re.Match[str]) -> str:
-        follows = text[found.end() : found.end() + 1]
-        return "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + ("" if follows in ":,;." else " ")
-
-    return _OPTION.sub(typed, text)
 
 
 def how_to_read(

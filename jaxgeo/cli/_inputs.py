@@ -9,13 +9,14 @@ from typing import Any
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._screen import working
+from jaxgeo.cli._words import words_as_typed
 
 
 def read_terrain(paths: list[pathlib.Path], vertical_datum: str | None) -> Any:
     """The elevation model of one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    with working("reading the elevation model"):
+    with working("reading the elevation model"), words_as_typed():
         return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
 
 
@@ -37,6 +38,19 @@ def keep_inputs(
     if output is not None:
         tiles = terrain_files(*ground) if ground[0] else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
+
+
+def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str | float) -> None:
+    """Raises `UserError` where a table of shots says otherwise than a scene what its angles or heights are against."""
+    from jaxgeo.io.tables import GIMBAL_REFERENCE
+
+    meant = {GIMBAL_REFERENCE: ("angles of the gimbal", gimbal.reference), "height_datum": ("heights", height_datum)}
+    for name, (what, ours) in meant.items():
+        for stated in {str(row.get(name) or "") for row in table.rows} - {"", str(ours)}:
+            raise UserError(
+                f"{path}: its {what} are against {stated!r}, by its column {name}, and the scene takes them against "
+                f"{str(ours)!r}; use a scene that agrees, or jaxgeo locate FILE on what the table was made of."
+            )
 
 
 def datum(text: str | None) -> str | float | None:
@@ -85,6 +99,7 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
     stated = height_datum_of(scene, path, table, asked)
     names = scene.sensor.gimbal.names
     found = read_shots(table, names, pixels=False)
+    check_stated(found, table, scene.sensor.gimbal, stated)
     try:
         return found.shots(names, stated), found.rows
     except ValueError as error:  # the datum is unknown, or its grid does not reach a shot

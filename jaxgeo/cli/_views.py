@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import pixel_pitch_of
-from jaxgeo.cli._inputs import height_datum_of, numbers_in, shot_of
+from jaxgeo.cli._inputs import check_stated, height_datum_of, numbers_in, shot_of
 from jaxgeo.cli._screen import working
+from jaxgeo.cli._words import as_typed, words_as_typed
 
 
 class Views(NamedTuple):
@@ -53,6 +54,7 @@ def views_of_scene(asked: Asked) -> Views:
     else:
         height_datum = height_datum_of(scene, path, asked.shots)
         table = read_shots(asked.shots, scene.sensor.gimbal.names)
+        check_stated(table, asked.shots, scene.sensor.gimbal, height_datum)
         try:
             shots, uv = table.as_records(scene.sensor.gimbal.names, height_datum)
         except ValueError as error:  # the datum's grid does not reach a shot
@@ -65,15 +67,11 @@ def views_of_file(asked: Asked) -> Views:
     import jax
     import numpy as np
 
-    from jaxgeo.cli._acquisitions import as_typed
-    from jaxgeo.io.acquisitions import UnstatedDatum, read_acquisition
+    from jaxgeo.io.acquisitions import read_acquisition
 
     assert asked.file is not None
-    try:
-        with working(f"reading {asked.file.name}"):
-            found = read_acquisition(asked.file, **asked.how)
-    except UnstatedDatum as error:
-        raise UserError(as_typed(str(error))) from error
+    with working(f"reading {asked.file.name}"), words_as_typed():
+        found = read_acquisition(asked.file, **asked.how)
     found, atmosphere, of_errors = _with_camera(found, asked)
     try:
         chosen = [found.index_of(name) for name in asked.exposures] or list(range(len(found)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pathlib
 from typing import Annotated, Any
@@ -21,7 +22,6 @@ from jaxgeo.cli._acquisitions import (
     TakeoffHeight,
     Upright,
     VideoSize,
-    as_typed,
     how_to_read,
 )
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
@@ -30,6 +30,7 @@ from jaxgeo.cli._poses import pose_columns
 from jaxgeo.cli._poses import rows_of as as_rows
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import number_table, working
+from jaxgeo.cli._words import as_typed, words_as_typed
 
 SHOWN = 5  # exposures on the screen
 
@@ -55,7 +56,7 @@ def inspect_command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write all exposures to a table (.csv), as jaxgeo locate --shots takes.",
+            help="Write all exposures to a table (.csv), with the middle of each image as its pixel.",
         ),
     ] = None,
     tags: Annotated[bool, typer.Option("--tags", help="With --json: all that the file says of each exposure.")] = False,
@@ -84,7 +85,7 @@ def inspect_command(
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
-            _write(output, rows)
+            _write(output, found, rows)
         if as_json:
             print_json("inspect", {"inputs": inputs, **_content(found, rows, unstated, tags)})
         else:
@@ -100,9 +101,14 @@ def _read(file: pathlib.Path, how: dict[str, Any]) -> tuple[Any, str | None]:
     from jaxgeo.io.acquisitions import UnstatedDatum, read_acquisition
 
     try:
-        return read_acquisition(file, **how), None
-    except UnstatedDatum as error:
-        return read_acquisition(file, **{**how, "height_datum": "ellipsoid"}), str(error)
+        with words_as_typed():
+            return read_acquisition(file, **how), None
+    except UserError as error:
+        if not isinstance(error.__cause__, UnstatedDatum):
+            raise
+        found = read_acquisition(file, **{**how, "height_datum": "ellipsoid"})
+        assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # nobody said so
+        return dataclasses.replace(found, assumed=assumed), str(error)
 
 
 def rows_of(found: Any) -> list[dict[str, Any]]:
@@ -128,9 +134,16 @@ def rows_of(found: Any) -> list[dict[str, Any]]:
     return as_rows(columns)
 
 
-def _write(output: pathlib.Path, rows: list[dict[str, Any]]) -> None:
-    from jaxgeo.io.tables import write_csv
+def _write(output: pathlib.Path, found: Any, rows: list[dict[str, Any]]) -> None:
+    """A table of shots, with what its columns do not say: what heights and the gimbal's angles are measured from."""
+    from jaxgeo.io.tables import GIMBAL_REFERENCE, write_csv
 
+    more: dict[str, Any] = {"height_datum": "ellipsoid"}
+    if found.sensor is not None:
+        camera = found.sensor.camera
+        more |= {"u": 0.5 * (camera.width - 1), "v": 0.5 * (camera.height - 1)}
+        more |= {GIMBAL_REFERENCE: found.sensor.gimbal.reference}
+    rows = [row | more for row in rows]
     with destination("--output", output) as stream:
         write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
 

@@ -216,6 +216,8 @@ def _locate(
         compile_quickly()
         enable_x64()
         question = _read(asked, accuracy, output)
+        if output is not None and is_file:
+            _check_file(output, drawn, question)
         found = located(question, probability)
         _finish(question, found, probability, output if is_file else None, drawn, as_json)
         return
@@ -233,6 +235,14 @@ def _locate(
         _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
     if found is not None:
         _leave_without_a_fix(question, found)
+
+
+def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], question: Question) -> None:
+    """Before the work, whether a file can be as it is wished."""
+    from jaxgeo.io.fix_files import check_fix_file
+
+    crs, heights, _ = drawn
+    check_fix_file(output, crs, heights, question.shots.pose.position)
 
 
 def _read(asked: Asked, accuracy: bool | None, output: pathlib.Path | None) -> Question:

@@ -121,7 +121,8 @@ def report_command(
         pixels, exposures = pixel or [], exposure or []
         asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
         with destination("--output", output) as stream_of_page:
-            _report(asked, probability, (output, stream_of_page), (title, details), as_json)
+            question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)
+        _leave_without_a_fix(question, found)
 
 
 def _check_report(output: pathlib.Path, probability: float, details: int) -> None:
@@ -137,7 +138,7 @@ def _check_report(output: pathlib.Path, probability: float, details: int) -> Non
 
 def _report(
     asked: Asked, probability: float, where: tuple[pathlib.Path, Any], drawn: tuple[str | None, int], as_json: bool
-) -> None:
+) -> tuple[Question, Located]:
     from jaxgeo._checks import enable_x64
 
     output, stream = where
@@ -175,7 +176,7 @@ def _report(
     if as_json:
         content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
         print_json("report", {"inputs": question.inputs, "assumed": question.assumed, **content})
-    _leave_without_a_fix(question, found)
+    return question, found
 
 
 def _errs(asked: Asked) -> bool | None:
@@ -205,7 +206,7 @@ def _inputs(asked: Asked, question: Question) -> dict[str, Any]:
 
 
 def _leave_without_a_fix(question: Question, found: Located) -> None:
-    """Exit with 1 where no pixel at all has a fix."""
+    """Exit with 1 where no pixel at all has a fix; the page, which says so, is written."""
     import numpy as np
 
     if np.isfinite(np.asarray(found.fixes.slant_range)).any():

@@ -14,6 +14,15 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
 from jaxgeo.terrain import Dem
 
+TYPE: dict[Any, Any] = {
+    "font.size": 11,
+    "axes.titlesize": 13,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "legend.fontsize": 9.5,
+    "grid.color": "0.85",
+}
+
 
 def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
     """Map, view, section, and how sure one of the fixes is, in one picture. Needs matplotlib.
@@ -24,10 +33,7 @@ def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(
-        {"font.size": 11, "axes.titlesize": 13, "axes.titleweight": "bold", "axes.titlelocation": "left"}
-        | {"legend.fontsize": 9.5, "grid.color": "0.85"}
-    ):
+    with mpl.rc_context(TYPE):
         figure = Figure(figsize=(15.0, 14.0), layout="constrained")
         FigureCanvasAgg(figure)
         parts: Any = figure.subfigures(2, 1, height_ratios=[8.8, 5.2])

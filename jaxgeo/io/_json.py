@@ -27,6 +27,8 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
         raise TableError(f"{path}: the {what} cannot be read: {error}.") from error
     except json.JSONDecodeError as error:
         raise TableError(f"{path}: not a JSON file, or cut off: {error}.") from error
+    except RecursionError:
+        raise TableError(f"{path}: lists in lists, deeper than any {what} has them.") from None
 
 
 def value_of(where: str, content: Any, key: str) -> Any:

@@ -20,6 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo._destination import destination
+from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._features import DECIMALS, Feature
@@ -132,6 +133,14 @@ def write_fixes(
         carried = frozenset(str(name) for row in attributes or () for name in row)
         told = _Told(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
         stream.write(write(told))
+
+
+def check_fix_file(path: str | os.PathLike[str], crs: Any, heights: Any, near: Geodetic) -> None:
+    """Raises as `write_fixes` would for this name, CRS and vertical datum, and fixes `near` a batch of points."""
+    target = pathlib.Path(path)
+    chart_of = _kml_crs if _writer(target) in (_kml, _kmz) else map_crs
+    lat, lon, _ = (np.asarray(x, np.float64) for x in near.to_degrees())
+    chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
 
 def _writer(target: pathlib.Path) -> Callable[[_Told], bytes]:

@@ -21,6 +21,8 @@ from jaxgeo.status import Status
 
 PIXEL_COLUMNS: dict[str, Limits] = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7, "pixels")}
 
+GIMBAL_REFERENCE = "gimbal_reference"  # column that says what readings are against: "body" or "level"
+
 # Column of a fix: decimals that are written. Ten of a degree are a hundredth of a millimetre.
 FIX_COLUMNS = {
     "fix_lat_deg": 10,

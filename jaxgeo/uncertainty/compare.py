@@ -71,7 +71,7 @@ class Comparison(eqx.Module):
         """One or two sentences."""
         digits = f"to {self.digits} significant digit{'s' if self.digits > 1 else ''}"
         unsure = [row.method for row in self.rows if not row.is_valid and "not valid" not in row.validity]
-        said = f"Valid {digits}: {'; '.join(self.valid) or 'none but sampling'}."
+        said = f"As sampling {digits} (JCGM 101): {'; '.join(self.valid) or 'none'}."
         if unsure:
             said += f" Undecided until more samples are drawn: {'; '.join(unsure)}."
         if self.jumped > 0.0 or self.failed > 0.0:
@@ -89,7 +89,7 @@ class Comparison(eqx.Module):
         lines.append(f"{f'{self.sampled.count} samples':28s}" + "".join(f"{q.value:12.4g}  " for q in self.quantiles))
         bounds = (f"{f'{q.low:.4g}..{q.high:.4g}':>12s}  " for q in self.quantiles)
         lines.append(f"{'their 95 % interval':28s}" + "".join(bounds))
-        return "\n".join([*lines, f"m; x: not valid, ?: undecided. {self.verdict}"])
+        return "\n".join([*lines, f"m; x: not as sampling to {self.digits} digits, ?: undecided. {self.verdict}"])
 
 
 def compare(

@@ -156,10 +156,16 @@ def _is_table(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
-    if path.stat().st_size % RECORD or len(head) < RECORD or _is_text(head):
+    """Whether it begins with a record of an SBET, or, where its size is of none, being cut off, with several."""
+    whole = len(head) // RECORD
+    if not whole or _is_text(head):
         return False
-    first = np.frombuffer(head, "<f8", len(FIELDS))
-    return bool(np.all(np.isfinite(first)) and abs(first[1]) <= np.pi / 2.0 and abs(first[2]) <= 2.0 * np.pi)
+    first = np.frombuffer(head, "<f8", whole * len(FIELDS)).reshape(whole, len(FIELDS))[:4]
+    apart = np.diff(first[:, 0])  # s
+    if path.stat().st_size % RECORD and not (apart.size and np.all((apart > 0.0) & (apart <= 10.0))):
+        return False
+    turns = np.abs(first[:, 1:3]) <= [np.pi / 2.0, 2.0 * np.pi]
+    return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
 TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream")
