@@ -106,6 +106,8 @@ def dress(chart: Any) -> None:
         axis.major_label_text_font_size = "12px"
         axis.formatter.use_scientific = False
         axis.ticker.desired_num_ticks = 5
+    for axis in chart.xaxis:
+        axis.ticker.desired_num_ticks = 3  # degrees with many decimals stand beside each other on a phone, too
     for grid in chart.grid:
         grid.grid_line_color = "#ffffff"
         grid.grid_line_alpha = 0.5
