@@ -12,6 +12,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -414,13 +415,13 @@ def test_what_goes_wrong_is_one_line(folder, monkeypatch, error, code: int, word
 def test_an_interruption_that_a_callback_swallows_comes_again(monkeypatch) -> None:
     from jaxgeo.cli import _heed_signals
 
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
     told: list[object] = []
-    sys.unraisablehook = told.append
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
     _heed_signals()
+    sys.unraisablehook(SimpleNamespace(exc_type=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        sys.unraisablehook(SimpleNamespace(exc_type=KeyboardInterrupt))
+        time.sleep(5.0)
     sys.unraisablehook(SimpleNamespace(exc_type=ValueError))
     assert [one.exc_type for one in told] == [ValueError]
 

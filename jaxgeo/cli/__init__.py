@@ -10,9 +10,11 @@ writes a file that appears when it is whole; exit codes are those of `_common.py
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
+import threading
 from typing import Annotated, Any
 
 import typer
@@ -32,6 +34,8 @@ from jaxgeo.cli.rectify import rectify_command
 from jaxgeo.cli.register import register_command
 from jaxgeo.cli.report import report_command
 from jaxgeo.cli.study import studies
+
+AGAIN = 0.02  # s after which a wish to stop is told once more
 
 EPILOG = """[bold]Exit codes[/bold]
     0  done
@@ -94,7 +98,7 @@ def _heed_signals() -> None:
 
     def heed(what: Any) -> None:
         if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)  # again, where it is not swallowed
+            threading.Timer(AGAIN, _thread.interrupt_main).start()  # where it is not swallowed
         else:
             usual(what)
 

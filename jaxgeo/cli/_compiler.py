@@ -10,6 +10,7 @@ import pathlib
 import platform
 import subprocess
 import sys
+import warnings
 
 from jaxgeo.cli._screen import working
 
@@ -78,6 +79,8 @@ def _keep_programs(folder: pathlib.Path) -> None:
         return
     with contextlib.suppress(OSError):
         _forget_oldest(folder)
+    # What cannot be read or kept is compiled.
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", EVEN_SHORT_ONES)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
