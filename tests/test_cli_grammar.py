@@ -97,11 +97,9 @@ LONG_LINES = [
     "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
     "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 --refraction "
     "-o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
-    f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json",
     "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
     "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 "
     "--refraction --title Title --details 1 -o out.html --json --debug",
-    f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --details 0 -o out.html",
     f"report {SCENE} --shots shots.csv --details 0 -o out.html",
     f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
@@ -119,6 +117,8 @@ LONG_LINES = [
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
 PARSED = [  # whose files are not made here, or whose work takes minutes
+    f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --details 0 -o out.html",
+    f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json",
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out",
     "inspect ext_param.geojson --interior int_param.yaml",
