@@ -7,10 +7,12 @@ import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import typer
 from rich.table import Table
 
+from jaxgeo.cli._common import NO_ANSWER
 from jaxgeo.cli._question import Question
-from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, working
+from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell, working
 
 CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
 FEW = 20  # fixes up to which samples are as many as for one
@@ -168,6 +170,17 @@ def _plain(value: Any, spec: str) -> Any:
     if value is None:
         return "" if not spec else None
     return float(value) if spec and isinstance(value, str) else value
+
+
+def leave_without_a_fix(question: Question, found: Located) -> None:
+    """Exit with 1 where no pixel at all has a fix; what was to be written says so, and is written before."""
+    import numpy as np
+
+    if np.isfinite(np.asarray(found.fixes.slant_range)).any():
+        return
+    why = where_from(question)
+    tell("no pixel has a fix" + (f": {why}." if why else "."))
+    raise typer.Exit(NO_ANSWER)
 
 
 def where_from(question: Question) -> str | None:

@@ -6,10 +6,12 @@ import math
 import pathlib
 from typing import Any, NamedTuple
 
+from jaxgeo._destination import check_no_input
 from jaxgeo.cli._asked import Asked, check_asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors
 from jaxgeo.cli._inputs import read_terrain, said_datum, terrain_files
+from jaxgeo.cli._screen import tell
 from jaxgeo.cli._views import Views, in_air, views_of_file, views_of_scene
 
 REPORTED = "reported"
@@ -50,6 +52,16 @@ class Question(NamedTuple):
 
     def _of(self, given: tuple[Any, ...]) -> Any:
         return zip(given, self.axes, strict=True)
+
+
+def told_question(asked: Asked, with_errors: bool | None, output: pathlib.Path | None) -> Question:
+    """The question, what was assumed told on stderr. An `output` that would replace what is read is refused."""
+    question = read_question(asked, with_errors=with_errors)
+    if output is not None:
+        check_no_input("--output", [output], question.reads)
+    for one in question.assumed:
+        tell(f"assumed: {one}")
+    return question
 
 
 def read_question(asked: Asked, *, with_errors: bool | None) -> Question:

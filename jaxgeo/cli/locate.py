@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo._destination import check_no_input, check_place, destination, is_device
+from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
@@ -47,11 +47,11 @@ from jaxgeo.cli._errors import (
     PositionSigma,
     Sigmas,
 )
-from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, located, where_from
+from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
 from jaxgeo.cli._options import SURE, WRITING
-from jaxgeo.cli._question import Question, read_question
+from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, tell
+from jaxgeo.cli._screen import print_counts
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 
@@ -215,7 +215,7 @@ def _locate(
     if is_file or as_json:
         compile_quickly()
         enable_x64()
-        question = _read(asked, accuracy, output)
+        question = told_question(asked, accuracy, output)
         if output is not None and is_file:
             _check_file(output, drawn, question)
         found = located(question, probability)
@@ -224,7 +224,7 @@ def _locate(
     with destination("--output", output) as stream:
         compile_quickly()
         enable_x64()
-        question = _read(asked, accuracy, output)
+        question = told_question(asked, accuracy, output)
         chosen = _format(output, output_format, asked.shots)
         if chosen is Format.table or question.errors is not None:
             found = located(question, probability)
@@ -234,7 +234,7 @@ def _locate(
             found, rows = None, _rows(question)
         _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
     if found is not None:
-        _leave_without_a_fix(question, found)
+        leave_without_a_fix(question, found)
 
 
 def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], question: Question) -> None:
@@ -243,15 +243,6 @@ def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], quest
 
     crs, heights, _ = drawn
     check_fix_file(output, crs, heights, question.shots.pose.position)
-
-
-def _read(asked: Asked, accuracy: bool | None, output: pathlib.Path | None) -> Question:
-    question = read_question(asked, with_errors=accuracy)
-    if output is not None:
-        check_no_input("--output", [output], question.reads)
-    for one in question.assumed:
-        tell(f"assumed: {one}")
-    return question
 
 
 def _finish(
@@ -283,7 +274,7 @@ def _finish(
     _count(rows)
     if as_json:
         print_json("locate", {"inputs": question.inputs, "assumed": question.assumed, "fixes": rows})
-    _leave_without_a_fix(question, found)
+    leave_without_a_fix(question, found)
 
 
 def _typed(question: Question) -> list[dict[str, Any]]:
@@ -333,14 +324,3 @@ def _write_rows(rows: Any, question: Question, probability: float | None, output
         console.print(fixes_table(rows, probability, console.width))
         if len(rows) == 1 and rows[0].get("accuracy_text"):
             console.print(rows[0]["accuracy_text"], markup=False, soft_wrap=True)
-
-
-def _leave_without_a_fix(question: Question, found: Located) -> None:
-    """Exit with 1 where no pixel at all has a fix."""
-    import numpy as np
-
-    if np.isfinite(np.asarray(found.fixes.slant_range)).any():
-        return
-    why = where_from(question)
-    tell("no pixel has a fix" + (f": {why}." if why else "."))
-    raise typer.Exit(1)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxgeo._destination import check_no_input, check_place, destination, is_device
+from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
@@ -44,11 +44,11 @@ from jaxgeo.cli._errors import (
     PositionSigma,
     Sigmas,
 )
-from jaxgeo.cli._located import Located, located, where_from
+from jaxgeo.cli._located import Located, leave_without_a_fix, located
 from jaxgeo.cli._options import SURE, WRITING
-from jaxgeo.cli._question import Question, read_question
+from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
-from jaxgeo.cli._screen import print_counts, tell, working
+from jaxgeo.cli._screen import print_counts, working
 
 ENDINGS = (".html", ".htm")
 
@@ -122,7 +122,7 @@ def report_command(
         asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)
-        _leave_without_a_fix(question, found)
+        leave_without_a_fix(question, found)
 
 
 def _check_report(output: pathlib.Path, probability: float, details: int) -> None:
@@ -147,10 +147,7 @@ def _report(
         from jaxgeo.report import Subject, Told, details_of, report_html
     compile_quickly()
     enable_x64()
-    question = read_question(asked, with_errors=_errs(asked))
-    check_no_input("--output", [output], question.reads)
-    for one in question.assumed:
-        tell(f"assumed: {one}")
+    question = told_question(asked, _errs(asked), output)
     found = located(question, probability)
     subject = Subject(
         question.sensor,
@@ -203,14 +200,3 @@ def _inputs(asked: Asked, question: Question) -> dict[str, Any]:
     """What was typed, with pixels and exposures."""
     named = {"pixel": " and ".join(asked.pixels), "exposure": ", ".join(asked.exposures)}
     return question.inputs | {name: text for name, text in named.items() if text}
-
-
-def _leave_without_a_fix(question: Question, found: Located) -> None:
-    """Exit with 1 where no pixel at all has a fix; the page, which says so, is written."""
-    import numpy as np
-
-    if np.isfinite(np.asarray(found.fixes.slant_range)).any():
-        return
-    why = where_from(question)
-    tell("no pixel has a fix" + (f": {why}." if why else "."))
-    raise typer.Exit(1)
