@@ -20,7 +20,8 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 # Compiling is most of the suite's time: what was compiled once, in any process, is not compiled again.
 jax.config.update("jax_compilation_cache_dir", str(PROJECT / ".cache" / "jax"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+os.environ.setdefault("JAXGEO_CACHE_DIR", str(PROJECT / ".cache" / "jaxgeo"))  # of commands in processes of their own
 # What has to be compiled is not optimised: that takes a quarter of the time, and it rounds differently, so that nothing
 # comes to hang on how one compiler does. With XLA_FLAGS in the environment, be it empty, tests run what users run.
 QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"

@@ -30,6 +30,7 @@ from jaxgeo.status import Status
 GROUP = typer.main.get_command(app)
 SCENE = "--scene scene.toml --dem dem.tif"
 SMALL = "image.tif --scene scene.toml --dem dem.tif"
+MOST_MEMORY = 12_000_000_000  # bytes of addresses, several times what is resident
 SIGMAS = "--position-sigma 20 --attitude-sigma 0.3"
 
 
@@ -116,9 +117,11 @@ LONG_LINES = [
     "--dem-sigma 1 --dem-correlation 300 --vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
-PARSED = [  # whose files are not made here, or whose work takes minutes
-    f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --details 0 -o out.html",
+IN_TURN = [  # in processes of their own, as from a shell; the second finds the programs of the first
     f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json",
+    f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --details 0 -o out.html --json",
+]
+PARSED = [  # whose files are not made here, or whose work takes minutes
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out",
     "inspect ext_param.geojson --interior int_param.yaml",
@@ -145,7 +148,7 @@ def parsed(line: str):
 
 def test_no_flag_is_without_a_line() -> None:
     used: dict[tuple[str, ...], set[str]] = {}
-    for line in [*LINES, *LONG_LINES, *PARSED]:
+    for line in [*LINES, *LONG_LINES, *IN_TURN, *PARSED]:
         name, context = parsed(line)
         given = {param for param in context.params if _is_given(context, param)}
         used.setdefault(name, set()).update(given)
@@ -192,6 +195,21 @@ def test_lines(folder, line: str) -> None:
 @pytest.mark.parametrize("line", LONG_LINES, ids=[line[:40] for line in LONG_LINES])
 def test_long_lines(folder, line: str) -> None:
     check_line(folder, line)
+
+
+@pytest.mark.slow
+def test_samples_of_a_field_of_heights_from_a_shell(folder, tmp_path: pathlib.Path) -> None:
+    """What XLA's older emitter needs over 17 GB to compile: the command's own choice of compiler takes 2."""
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    environment |= {"JAXGEO_CACHE_DIR": str(tmp_path / "programs")}
+    for line in IN_TURN:
+        folder(line)
+        command = f"ulimit -v {MOST_MEMORY // 1024} && exec {sys.executable} -m jaxgeo {line}"
+        done = subprocess.run(["sh", "-c", command], env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        told = as_one_object(SimpleNamespace(stdout=done.stdout), line.split()[0])
+        assert [fix["status"] for fix in told["fixes"]] == ["hit"]
+    assert (tmp_path / "out.html").stat().st_size > 1_000_000
 
 
 REFUSED = [
@@ -412,10 +430,12 @@ def test_what_goes_wrong_is_one_line(folder, monkeypatch, error, code: int, word
     assert {path.name for path in pathlib.Path().iterdir()} == before
 
 
-def test_an_interruption_that_a_callback_swallows_comes_again(monkeypatch) -> None:
+def test_an_interruption_that_a_callback_swallows_comes_again(monkeypatch, request) -> None:
     from jaxgeo.cli import _heed_signals
 
     told: list[object] = []
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where the tests run in the background
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr(sys, "unraisablehook", told.append)
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
     _heed_signals()

@@ -14,14 +14,16 @@ import warnings
 
 from jaxgeo.cli._screen import working
 
-QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+# XLA's older emitter, with --xla_cpu_use_fusion_emitters=false, would be quicker still; but samples of a field of heights
+# take it more memory than a machine has.
+QUICK_TO_COMPILE = "--xla_backend_optimization_level=0"
 FOLDER = "JAXGEO_CACHE_DIR"  # of the environment; empty: nothing is kept
 LARGEST = 500_000_000  # bytes of programs that are kept; the oldest go first
 EVEN_SHORT_ONES = 0.0  # s of compiling from which on a program is kept
 
 
 def compile_quickly() -> None:
-    """Have XLA compile in half the time what is computed only a few times, and keep it for the next command.
+    """Have XLA not optimise what is computed only a few times, and keep it for the next command.
 
     Before anything is computed. A version of XLA that does not know the flags would end the process, so another process
     tries them first, once for each version. An environment that says how JAX is to compile is left as it is.
