@@ -9,12 +9,14 @@ import re
 import tomllib
 
 import numpy as np
+import pytest
 
 
 def code_blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_readme_runs(project_root: pathlib.Path) -> None:
     (example,) = code_blocks((project_root / "README.md").read_text(), "python")
     assert len([line for line in example.splitlines() if line.strip()]) <= 15

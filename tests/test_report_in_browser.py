@@ -229,3 +229,27 @@ def test_a_window_that_changes_keeps_metres_alike(browser, page_file: pathlib.Pa
         page.wait_for_timeout(500)
         assert 0.9 < metres_of(ranges(page)) * size_ratio(page) < 1.1
         assert page.evaluate("document.documentElement.scrollWidth") <= 700
+
+
+@pytest.mark.slow
+def test_charts_are_whole_on_paper(browser, page_file: pathlib.Path) -> None:
+    boxes = """() => [...document.querySelectorAll(".chart")].flatMap(chart => {
+      const outer = chart.getBoundingClientRect(), inner = chart.firstElementChild.getBoundingClientRect();
+      const gaps = [inner.left - outer.left, outer.right - inner.right, outer.bottom - inner.bottom, outer.right];
+      return outer.width ? [gaps] : [];
+    })"""
+    with opened(browser, page_file, SIZES["desk"]) as page:
+        before = page.evaluate(boxes)
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        page.emulate_media(media="print")
+        page.set_viewport_size({"width": 688, "height": 1000})  # 182 mm
+        page.wait_for_timeout(300)
+        on_paper = np.array(page.evaluate(boxes))
+        assert len(on_paper) == len(before) > 2
+        assert np.all(on_paper[:, :3] > -1.0)  # pixels
+        assert np.all(on_paper[:, 3] <= 688.0)
+        page.set_viewport_size(dict(zip(("width", "height"), SIZES["desk"], strict=True)))
+        page.emulate_media(media="screen")
+        page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+        page.wait_for_timeout(300)
+        np.testing.assert_allclose(page.evaluate(boxes), before, atol=1.0)

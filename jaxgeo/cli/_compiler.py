@@ -14,8 +14,8 @@ import warnings
 
 from jaxgeo.cli._screen import working
 
-# XLA's older emitter, with --xla_cpu_use_fusion_emitters=false, would be quicker still; but samples of a field of heights
-# take it more memory than a machine has.
+# XLA's older emitter, with --xla_cpu_use_fusion_emitters=false, would be quicker still; but samples of a field of
+# heights take it more memory than a machine has.
 QUICK_TO_COMPILE = "--xla_backend_optimization_level=0"
 FOLDER = "JAXGEO_CACHE_DIR"  # of the environment; empty: nothing is kept
 LARGEST = 500_000_000  # bytes of programs that are kept; the oldest go first

@@ -107,6 +107,7 @@ def test_covariance_of_two_steps_is_that_of_many_draws() -> None:
     assert np.sqrt(np.mean(np.square(sigma0))) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_two_steps_refuse_what_cannot_be() -> None:
     of = simulated()
     block = of.block()

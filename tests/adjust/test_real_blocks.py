@@ -114,6 +114,7 @@ def strasbourg(jaxgeo_test_data: pathlib.Path) -> tuple[blocks.RealBlock, Adjust
     return real, found, gauss_newton(real, names, real.block.images, places)
 
 
+@pytest.mark.slow
 def test_strasbourg_is_what_a_dense_adjustment_finds(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:
@@ -130,6 +131,7 @@ def test_strasbourg_is_what_a_dense_adjustment_finds(
     np.testing.assert_allclose(found.points.place, oracle.points, rtol=0.0, atol=1e-5)  # m
 
 
+@pytest.mark.slow
 def test_strasbourgs_standard_deviations_are_those_of_a_dense_inverse(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:
@@ -141,6 +143,7 @@ def test_strasbourgs_standard_deviations_are_those_of_a_dense_inverse(
     np.testing.assert_allclose(found.points.sigma, of_points, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_strasbourgs_check_points_lie_where_they_were_measured(
     strasbourg: tuple[blocks.RealBlock, Adjustment, Oracle],
 ) -> None:

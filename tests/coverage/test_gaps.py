@@ -144,6 +144,7 @@ def test_derivatives_of_samples_equal_differences_with_the_same_numbers():
     assert tolerance < 0.5 * value  # a bound that could fail
 
 
+@pytest.mark.slow
 def test_compensation_does_what_it_says(flights):
     held = fly(STRIP, NOISE, key=KEY, flights=512, compensation=HELD)
     timed = fly(STRIP, NOISE, key=KEY, flights=512, compensation=TIMED)

@@ -77,6 +77,7 @@ def test_the_period_of_eq_29_in_steady_flight() -> None:
     np.testing.assert_allclose(found.overlaps.near, WISHED, rtol=0, atol=0.01)  # of the Earth's curvature
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("height", [None, 300.0], ids=["ground that is seen", "ground of a height"])
 def test_velocity_over_height_keeps_the_overlap_over_a_plain(height: float | None) -> None:
     """Under changes of speed and height by 5 %, within half a point of the wish."""

@@ -154,7 +154,6 @@ def _same() -> Orthoimage:
 
 UNALIKE = (Outcome.no_agreement, Outcome.few_agree)
 EVEN = (Outcome.no_texture, *UNALIKE)
-QUICK = ("no overlap", "even reference", "unknown")  # of which no block is compared
 CASES: dict[str, tuple[Callable[[], np.ndarray], Callable[[], Orthoimage], tuple[Outcome, ...]]] = {
     "another area": (_image, _another, UNALIKE),
     "no overlap": (_image, _elsewhere, (Outcome.no_overlap,)),
@@ -178,9 +177,8 @@ def _corner() -> np.ndarray:
     return (row > SIDE - 20) & (col < 20)
 
 
-@pytest.mark.parametrize(
-    "case", [case if case in QUICK else pytest.param(case, marks=pytest.mark.slow) for case in CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
 def test_what_cannot_be_registered_is_said_and_leaves_the_navigation_as_it_is(case: str) -> None:
     image, reference, outcomes = CASES[case]
     found, shot = registered(image(), reference(), seed=1)

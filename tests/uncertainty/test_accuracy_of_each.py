@@ -32,7 +32,8 @@ def dem():
     return small_dem(rough())
 
 
-@pytest.mark.parametrize("block", [128, pytest.param(2, marks=pytest.mark.slow)], ids=["at once", "in blocks"])
+@pytest.mark.slow
+@pytest.mark.parametrize("block", [128, 2], ids=["at once", "in blocks"])
 def test_each_is_as_sure_as_alone(dem, block: int) -> None:
     shots, uv = batch()
     found = accuracy_of_each(sensor(), shots, uv, dem, MODEL, count=400, block=block)

@@ -114,6 +114,21 @@
   }
   document.querySelectorAll("table.fixes").forEach(sortable);
 
+  // Charts are not laid out anew for paper: as they are on the screen, they are made as small as it.
+  const PAPER = 180 * 96 / 25.4;  // CSS pixels between the margins of A4, and within those of letter
+  function fitToPaper() {
+    for (const chart of document.querySelectorAll(".chart")) {
+      const width = chart.clientWidth, height = chart.clientHeight;
+      Object.assign(chart.style, { width: width + "px", height: height + "px", zoom: Math.min(1, PAPER / width) });
+    }
+  }
+  function fitToScreen() {
+    for (const chart of document.querySelectorAll(".chart"))
+      for (const name of ["height", "width", "zoom"]) chart.style.removeProperty(name);
+  }
+  window.addEventListener("beforeprint", fitToPaper);
+  window.addEventListener("afterprint", fitToScreen);
+
   Bokeh.embed.embed_items(data.docs, data.items).then(function () {
     for (const root of Bokeh.documents[0].roots()) named[root.name] = root;
     for (const name of Object.keys(data.equal)) if (named[name]) keepEqual(name, data.equal[name]);
