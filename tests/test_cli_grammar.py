@@ -22,7 +22,9 @@ from support.command_files import DEM, FILES, prepare
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
+from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import mistakes_told
+from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._results import plain
 from jaxgeo.cli._screen import bars_on_stderr, stderr, track, working
 from jaxgeo.status import Status
@@ -193,6 +195,16 @@ def test_lines(folder, line: str) -> None:
 @pytest.mark.parametrize("line", LONG_LINES, ids=[line[:40] for line in LONG_LINES])
 def test_long_lines(folder, line: str) -> None:
     check_line(folder, line)
+
+
+@pytest.mark.parametrize("table, is_field", [("terrain_correlation_m = 400\n", True), ("", False)])
+def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
+    asked = Asked(None, scene, None, [], [], [pathlib.Path("dem.tif")], None, None, False, {}, Sigmas())
+    assert asked.samples_of_field is is_field
+    assert asked._replace(file=scene, scene=None).samples_of_field is is_field
+    assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field
 
 
 @pytest.mark.slow

@@ -101,6 +101,13 @@ class Asked(NamedTuple):
     how: dict[str, Any]
     sigmas: Sigmas
 
+    @property
+    def samples_of_field(self) -> bool:
+        """Whether heights of the ground err alike over some distance: by an option, or by a table of the scene."""
+        scenes = [path for path in (self.scene, self.file) if path is not None and path.suffix.lower() == ".toml"]
+        told = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
+        return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in told)
+
 
 def check_asked(asked: Asked) -> None:
     if asked.file is None and asked.scene is None:

@@ -14,23 +14,24 @@ import warnings
 
 from jaxgeo.cli._screen import working
 
-# XLA's older emitter, with --xla_cpu_use_fusion_emitters=false, would be quicker still; but samples of a field of
-# heights take it more memory than a machine has.
-QUICK_TO_COMPILE = "--xla_backend_optimization_level=0"
+UNOPTIMISED = "--xla_backend_optimization_level=0"
+QUICK_TO_COMPILE = f"{UNOPTIMISED} --xla_cpu_use_fusion_emitters=false"  # XLA's older emitter
 FOLDER = "JAXGEO_CACHE_DIR"  # of the environment; empty: nothing is kept
 LARGEST = 500_000_000  # bytes of programs that are kept; the oldest go first
 EVEN_SHORT_ONES = 0.0  # s of compiling from which on a program is kept
 
 
-def compile_quickly() -> None:
-    """Have XLA not optimise what is computed only a few times, and keep it for the next command.
+def compile_quickly(samples_of_field: bool = False) -> None:
+    """Have XLA compile in half the time what is computed only a few times, and keep it for the next command.
 
-    Before anything is computed. A version of XLA that does not know the flags would end the process, so another process
-    tries them first, once for each version. An environment that says how JAX is to compile is left as it is.
+    Before anything is computed. Samples of a field of heights take XLA's older, quicker emitter more memory than a
+    machine has: they are compiled by the usual one. A version of XLA that does not know the flags would end the process,
+    so another process tries them first, once for each version. An environment that says how JAX is to compile is left
+    as it is.
     """
-    folder = cache_folder()
-    if "XLA_FLAGS" not in os.environ and _knows_flags(folder):
-        os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE
+    folder, flags = cache_folder(), UNOPTIMISED if samples_of_field else QUICK_TO_COMPILE
+    if "XLA_FLAGS" not in os.environ and _knows(flags, folder):
+        os.environ["XLA_FLAGS"] = flags
     if folder is not None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         _keep_programs(folder)
 
@@ -58,12 +59,12 @@ def _processor() -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:12]
 
 
-def _knows_flags(folder: pathlib.Path | None) -> bool:
+def _knows(flags: str, folder: pathlib.Path | None) -> bool:
     """Whether XLA knows the flags; tried once, where that can be noted."""
-    note = None if folder is None else folder / f"knows-{hashlib.sha256(QUICK_TO_COMPILE.encode()).hexdigest()[:8]}"
+    note = None if folder is None else folder / f"knows-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
     if note is not None and note.exists():
         return True
-    environment = {**os.environ, "XLA_FLAGS": QUICK_TO_COMPILE}
+    environment = {**os.environ, "XLA_FLAGS": flags}
     probe = [sys.executable, "-c", "import jax; jax.devices()"]
     with working("starting"):
         if subprocess.run(probe, env=environment, capture_output=True, check=False).returncode != 0:

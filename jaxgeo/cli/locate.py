@@ -213,7 +213,7 @@ def _locate(
 
     output, is_file, output_format = where
     if is_file or as_json:
-        compile_quickly()
+        compile_quickly(asked.samples_of_field)
         enable_x64()
         question = told_question(asked, accuracy, output)
         if output is not None and is_file:
@@ -222,7 +222,7 @@ def _locate(
         _finish(question, found, probability, output if is_file else None, drawn, as_json)
         return
     with destination("--output", output) as stream:
-        compile_quickly()
+        compile_quickly(asked.samples_of_field)
         enable_x64()
         question = told_question(asked, accuracy, output)
         chosen = _format(output, output_format, asked.shots)

@@ -145,7 +145,7 @@ def _report(
     title, most = drawn
     with working("starting"):
         from jaxgeo.report import Subject, Told, details_of, report_html
-    compile_quickly()
+    compile_quickly(asked.samples_of_field)
     enable_x64()
     question = told_question(asked, _errs(asked), output)
     found = located(question, probability)
