@@ -25,9 +25,9 @@ def compile_quickly(samples_of_field: bool = False) -> None:
     """Have XLA compile in half the time what is computed only a few times, and keep it for the next command.
 
     Before anything is computed. Samples of a field of heights take XLA's older, quicker emitter more memory than a
-    machine has: they are compiled by the usual one. A version of XLA that does not know the flags would end the process,
-    so another process tries them first, once for each version. An environment that says how JAX is to compile is left
-    as it is.
+    machine has: they are compiled by the usual one. A version of XLA that does not know the flags would end the
+    process, so another process tries them first, once for each version. An environment that says how JAX is to compile
+    is left as it is.
     """
     folder, flags = cache_folder(), UNOPTIMISED if samples_of_field else QUICK_TO_COMPILE
     if "XLA_FLAGS" not in os.environ and _knows(flags, folder):
