@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     SbetErrors,
@@ -44,6 +45,7 @@ def inspect_command(
     takeoff_height: TakeoffHeight = None,
     crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -77,7 +79,15 @@ def inspect_command(
             raise UserError("--tags goes with --json.")
         enable_x64()
         how = how_to_read(
-            height_datum, takeoff_height, crs, camera, image_size, (upright, keep_damaged, stream), errors, interior
+            height_datum,
+            takeoff_height,
+            crs,
+            camera,
+            image_size,
+            (upright, keep_damaged, stream),
+            errors,
+            interior,
+            gimbal,
         )
         with working("reading"):
             found, unstated = _read(file, how)

@@ -10,6 +10,7 @@ import typer
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     SbetErrors,
@@ -42,6 +43,7 @@ from jaxgeo.cli._errors import (
     FocalSigma,
     GimbalSigma,
     PositionSigma,
+    PrincipalSigma,
     Sigmas,
 )
 from jaxgeo.cli._located import Located, leave_without_a_fix, located
@@ -76,6 +78,7 @@ def report_command(
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
     focal_sigma: FocalSigma = None,
+    principal_sigma: PrincipalSigma = None,
     dem_sigma: DemSigma = None,
     dem_correlation: DemCorrelation = None,
     refraction: Refraction = False,
@@ -83,6 +86,7 @@ def report_command(
     takeoff_height: TakeoffHeight = None,
     source_crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -116,8 +120,11 @@ def report_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            gimbal,
         )
-        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        sigmas = Sigmas(
+            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
+        )
         pixels, exposures = pixel or [], exposure or []
         asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
         with destination("--output", output) as stream_of_page:
