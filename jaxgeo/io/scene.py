@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from pyproj.exceptions import CRSError
 
 from jaxgeo._checks import require_x64
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
@@ -38,7 +39,7 @@ class SceneError(ValueError):
     """A scene file that cannot be read; the message names the file and every key that is wrong."""
 
 
-class Scene(eqx.Module):
+class Scene(Record):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
     `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;

@@ -14,6 +14,7 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -60,7 +61,7 @@ class SobolIndex(NamedTuple):
     total_high: float
 
 
-class SobolIndices(eqx.Module):
+class SobolIndices(Record):
     """Sobol indices of a miss by groups of errors, for east, north, up and the horizontal plane.
 
     `estimate` is from the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is
