@@ -110,7 +110,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
 
     A horizontal CRS in feet whose heights' unit nobody states is refused, as is a file that contradicts itself.
     """
-    by_crs = vertical_unit(vertical_part(tile.crs))
+    by_crs = vertical_unit(vertical_part(tile.crs, unnamed=True))
     if height_unit is not None:
         return _unit(height_unit, "height_unit")
     if tile.unit:
