@@ -14,6 +14,8 @@ from jax._src import xla_bridge
 
 T = TypeVar("T")
 
+MOST_INDEXED = 2**31 - 1  # int32
+
 
 def enable_x64() -> None:
     """Turn on JAX's 64-bit floats, which every position on the Earth needs; call it once, first of all.
@@ -121,6 +123,15 @@ def as_array(value: Any, name: str) -> Any:
         return value
     parts = [as_float64(as_array(part, f"{name}[{k}]"), f"{name}[{k}]") for k, part in enumerate(value)]
     return jnp.stack(parts) if parts else jnp.zeros(0)
+
+
+def check_countable(count: int, what: str, remedy: str) -> None:
+    """Raise `ValueError` for more items than the 32-bit indices of compiled programs can tell apart.
+
+    A larger index would wrap around and look up another item in silence; 64-bit ones would slow down every search.
+    """
+    if count > MOST_INDEXED:
+        raise ValueError(f"{what} are too many: {count} to be indexed, of at most {MOST_INDEXED}. {remedy}")
 
 
 def check_is(value: Any, kind: type, name: str, hint: str = "") -> None:

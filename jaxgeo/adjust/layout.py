@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
@@ -123,6 +124,7 @@ def layout_of(
     place[order[taken[there]]] = np.flatnonzero(there)
     image_of = np.where(there, image[taken], 0)
     last = len(there) - 1
+    check_countable(last + 1, f"{len(image)} measurements in one block", "Adjust it in parts.")
     of_image, owner = _by_image(image_of, there, n)
     groups = [Group(*sizes, *_indices(slots, np.where(at < 0, last, at))) for *sizes, slots, at in given]
     layout = Layout(

@@ -185,9 +185,10 @@ def write_orientations(
 ) -> None:
     """Orientations as a CSV file that `read_orientations` reads: on the Earth, or with `crs` in that map.
 
-    Heights are written above `height_datum`. Digits end at 1e-4 m and 1e-8 deg; headings are written from 0 to 360.
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to and poses that are
-    not finite, `TableError` for a map that does not serve, `VerticalDatumError` for heights.
+    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part.
+    Digits end at 1e-4 m and 1e-8 deg; headings are written from 0 to 360. The file appears when all is written. Raises
+    `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for a map that does
+    not serve, `VerticalDatumError` for heights.
     """
     check_is(orientations, Orientations, "orientations")
     target, pose = pathlib.Path(path), orientations.pose
@@ -195,12 +196,12 @@ def write_orientations(
     if not np.all(finite):
         raise ValueError(f"{target}: the pose of image {orientations.names[np.argmin(finite)]} is not finite.")
     lat, lon, height = (np.asarray(x) for x in pose.position.to_degrees())
-    height = height_shift(height_datum).from_ellipsoid(lon, lat, height)
-    if crs is None:
+    horizontal, vertical = (None, None) if crs is None else metric_map(target, crs)
+    height = height_shift(height_datum, vertical).from_ellipsoid(lon, lat, height)
+    if horizontal is None:
         heading, pitch, roll = (np.rad2deg(x) for x in _heading_pitch_roll(pose))
         numbers = dict(zip(POSE_COLUMNS, [lat, lon, height, np.remainder(heading, 360.0), pitch, roll], strict=True))
     else:
-        horizontal, _ = metric_map(target, crs)
         grid = MapGrid.about_lonlat(target, horizontal, lon, lat)
         x, y = grid.from_lonlat(lon, lat)
         angles = _to_omega_phi_kappa(pose, grid.convergence(x, y))
@@ -271,8 +272,6 @@ def _of_grid(
     """Poses of photogrammetric angles in a map."""
     path = columns.table.path
     horizontal, vertical = metric_map(path, crs)
-    if vertical is not None:
-        height_shift(height_datum, vertical)  # refuses a datum that is not that of the map
     x, y, z = (numbers[name] for name in ("x_m", "y_m", "z_m"))
     grid = MapGrid.about(path, horizontal, x, y)
     lon, lat = grid.to_lonlat(x, y)
@@ -285,7 +284,7 @@ def _of_grid(
     if ground is not None:
         scale = grid.scale(lon, lat)
         z = (z + (scale - 1.0) * np.asarray(ground, np.float64)) / scale
-    height = ellipsoidal_heights(lon, lat, z, height_datum)
+    height = ellipsoidal_heights(lon, lat, z, height_datum, vertical)
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
     omega, phi, kappa = (np.deg2rad(numbers[name]) for name in ("omega_deg", "phi_deg", "kappa_deg"))
     return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence))

@@ -13,8 +13,8 @@ from jaxgeo.io.errors import DemError
 from jaxgeo.io.paths import Paths, are_all_named, expanded
 from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header, read_tile
 from jaxgeo.io.vertical import horizontal_part, vertical_part, vertical_unit
+from jaxgeo.terrain.pyramid import check_size
 
-MOST_POSTS = 2_000_000_000
 _UNITS = {
     "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0,
     "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
@@ -90,8 +90,10 @@ def read_window(
         with OpenFiles() as files:
             return read_window(mosaic, window, files)
     r0, c0, r1, c1 = window
-    if (r1 - r0) * (c1 - c0) > MOST_POSTS:
-        raise DemError(f"{mosaic.name}: {r1 - r0} x {c1 - c0} posts are too many at once; name a part with bounds=.")
+    try:
+        check_size((r1 - r0, c1 - c0))
+    except ValueError as error:
+        raise DemError(f"{mosaic.name}: {error}") from error
     values, void = np.zeros((r1 - r0, c1 - c0), mosaic.dtype), np.ones((r1 - r0, c1 - c0), bool)
     for tile, row, col in mosaic.under(window):
         top, left = max(row, r0), max(col, c0)
@@ -110,7 +112,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
 
     A horizontal CRS in feet whose heights' unit nobody states is refused, as is a file that contradicts itself.
     """
-    by_crs = vertical_unit(vertical_part(tile.crs))
+    by_crs = vertical_unit(vertical_part(tile.crs, unnamed=True))
     if height_unit is not None:
         return _unit(height_unit, "height_unit")
     if tile.unit:

@@ -208,15 +208,19 @@ def _radians(*angles_deg: float | None) -> list[float]:
     return [math.radians(angle) for angle in angles_deg if angle is not None]
 
 
-def ellipsoidal_heights(lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float) -> np.ndarray:
+def ellipsoidal_heights(
+    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float, stated: pyproj.CRS | None = None
+) -> np.ndarray:
     """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
 
-    NaN stays NaN. Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
-    `ValueError` where the datum's grid does not reach.
+    `stated` is the vertical CRS of the file that the heights are from, if it names one: the datum must agree with it,
+    and where its heights are depths, so are these. NaN stays NaN.
+    Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and `ValueError` where the
+    datum's grid does not reach.
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
-    shift = height_shift(datum)
+    shift = height_shift(datum, stated)
     result = np.full(height.shape, np.nan)
     if known.any():
         result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])

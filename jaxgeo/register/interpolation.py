@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Num
 
+from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 
@@ -100,6 +101,7 @@ class Pixels(Record):
     def of(cls, values: Num[ArrayLike, "bands rows cols"], known: Bool[ArrayLike, "rows cols"] | None) -> Pixels:
         """Band by band, as they are."""
         bands, rows, cols = np.shape(values)
+        check_countable(rows * cols, f"{rows} x {cols} pixels in one image", "Cut it into parts, or make it coarser.")
         words = tuple(jnp.asarray(band).reshape(-1) for band in values)  # pyright: ignore[reportGeneralTypeIssues]
         return cls(words, None if known is None else jnp.asarray(known).reshape(-1), bands, (rows, cols), 0)
 

@@ -22,6 +22,7 @@ Pairs: TypeAlias = tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
 Stage: TypeAlias = Callable[[Any], Any]
 
 
+MORE = "Draw them in several parts, each with a key of its own."  # than can be told apart
 OWN = 0x6A617867  # folded into a key, so that nobody else draws these numbers with it
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
