@@ -78,8 +78,8 @@ def read_dem(
     - `bounds`: (west, south, east, north) in deg of WGS 84; west > east crosses the date line. The window is padded by
       a post, and its arrays to one of a few sizes, so that another window does not recompile.
     - `band`: counted from 1. `nodata`: a further value that marks voids, or several in a list, where the file's own tag
-      is missing or wrong: as the file stores it, before scale, offset and unit. Without `bounds`, one that marks no post
-      is refused.
+      is missing or wrong: as the file stores it, before scale, offset and unit. One that marks no post of the whole
+      file is refused.
     - `height_unit`: "m", "ft", "us-ft", "dm" or "cm", where the file does not state it, or states it wrongly.
       `void_ceiling`: as in `Dem.from_array`.
     - `dtype` of the posts in memory, float64 by default.

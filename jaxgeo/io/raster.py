@@ -84,10 +84,10 @@ def open_mosaic(paths: Paths, band: int) -> Mosaic:
 def read_window(
     mosaic: Mosaic, window: tuple[int, int, int, int], files: OpenFiles | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values in the unit that files state, and voids, of (first row, first col, last row + 1, last col + 1) on the mosaic's grid.
+    """Values in the unit that files state, and voids, of a window of the mosaic's grid.
 
-    Where several tiles hold a post, the first that knows it is taken; what none holds is void. `files` are kept open
-    for the next window.
+    `window` is (first row, first col, last row + 1, last col + 1). Where several tiles hold a post, the first that
+    knows it is taken; what none holds is void. `files` are kept open for the next window.
     """
     if files is None:
         with OpenFiles() as files:

@@ -39,7 +39,7 @@ ROWS = 256  # at once
 
 def marks_of(name: str, nodata: Nodata) -> tuple[float, ...]:
     """The values that a caller gives for voids. Raises `DemError` for anything but numbers."""
-    given = () if nodata is None else nodata if isinstance(nodata, list | tuple) else (nodata,)
+    given: Any = () if nodata is None else nodata if isinstance(nodata, list | tuple) else (nodata,)
     wrong = [one for one in given if isinstance(one, bool | str) or not isinstance(one, float | int | np.number)]
     if wrong:
         raise DemError(f"{name}: nodata={nodata!r} is no stored value; give a number, or several in a list.")

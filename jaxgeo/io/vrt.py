@@ -150,9 +150,9 @@ def _source(path: str, element: ElementTree.Element, folder: str) -> VrtSource:
         raise DemError(f"{path}: it takes {band!r} of its source {file} for heights. {NAME_TILES}.")
     ratio, offset, nodata = (element.findtext(tag) for tag in ("ScaleRatio", "ScaleOffset", "NODATA"))
     scaling = None if ratio is None and offset is None else (float(ratio or 1.0), float(offset or 0.0))
-    rects = [_rect(element.find(tag)) for tag in ("SrcRect", "DstRect")]
+    taken, put = _rect(element.find("SrcRect")), _rect(element.find("DstRect"))
     uses_mask = element.findtext("UseMaskBand", "").lower() == "true" or element.tag == "NoDataFromMaskSource"
-    return VrtSource(file, int(band), *rects, scaling, None if nodata is None else float(nodata), uses_mask)
+    return VrtSource(file, int(band), taken, put, scaling, None if nodata is None else float(nodata), uses_mask)
 
 
 def _rect(element: ElementTree.Element | None) -> tuple[float, ...] | None:

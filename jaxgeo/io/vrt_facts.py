@@ -10,6 +10,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pyproj
 from pyproj.crs import CompoundCRS
 
@@ -40,6 +41,8 @@ def inherit(tile: Tile, vrt: VrtBand, headers: list[Tile]) -> Tile:
     Raises `DemError` where sources differ from each other or from the VRT, and where voids would become heights.
     """
     pairs = list(zip(vrt.sources, headers, strict=True))
+    for source, header in pairs:
+        _check_type(tile, source, header)
     verticals = {id(header.crs): vertical_part(header.crs) for header in headers}
     sources = [_facts(tile, source, header, verticals[id(header.crs)]) for source, header in pairs]
     own = _Facts(
@@ -53,6 +56,16 @@ def inherit(tile: Tile, vrt: VrtBand, headers: list[Tile]) -> Tile:
     return dataclasses.replace(
         tile, unit=unit, crs=crs, scale=scale, offset=offset, marks=marks, datum_field=datum_field
     )
+
+
+def _check_type(tile: Tile, source: VrtSource, header: Tile) -> None:
+    """Raises `DemError` where a VRT of whole numbers would round the heights of a source."""
+    is_rounded = tile.dtype.kind != "f" and not np.can_cast(header.dtype, tile.dtype, "safe")
+    is_rounded |= tile.dtype.kind != "f" and any(number % 1.0 for number in source.scaling or ())
+    if is_rounded:
+        raise DemError(
+            f"{tile.path}: it holds heights as {tile.dtype} and rounds those of its source {source.file}. {NAME_TILES}."
+        )
 
 
 def _facts(tile: Tile, source: VrtSource, header: Tile, vertical: pyproj.CRS | None) -> _Facts:
