@@ -23,7 +23,7 @@ from jaxgeo._checks import require_x64
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
+from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
@@ -84,10 +84,39 @@ def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
     return scene.sensor, scene.shot
 
 
-def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
-    """(what the file holds as written, the same checked); a byte order mark is skipped."""
+def read_camera(path: str | os.PathLike[str]) -> FrameCamera:
+    """The camera of a scene file, or of a file that has nothing but the table [camera].
+
+    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    64-bit floats off.
+    """
+    require_x64()
+    content = _read_toml(pathlib.Path(path))
+    if "camera" not in content:
+        raise SceneError(
+            f"{path}: [camera] is missing; it has width, height and focal_px, or focal_length_mm and more."
+        )
     try:
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return _camera(CameraFile.model_validate(content).camera)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
+    """(what the file holds as written, the same checked)."""
+    content = _read_toml(path)
+    try:
+        return content, SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+
+
+def _read_toml(path: pathlib.Path) -> dict[str, Any]:
+    """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such scene file.") from None
     except IsADirectoryError:
@@ -96,10 +125,6 @@ def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
-    try:
-        return content, SceneTable.model_validate(content)
-    except ValidationError as error:
-        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
 
 
 def _check_datum(table: str, datum: str | float, written: Any) -> None:
