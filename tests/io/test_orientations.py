@@ -207,7 +207,6 @@ REFUSED = {
     "crs too much": (EARTH, MAP, [r"no column x_m \(or x\)", "lat_deg is on the Earth: leave crs= out"]),
     "missing": (LAMBERT.replace("kappa_deg", "kapa"), MAP, [r"no column kappa_deg \(or kappa, k\); found image, x_m"]),
     "no image": (EARTH.replace("image", "photo"), {}, [r"no column image \(or filename, nom\)"]),
-    "semicolons": (EARTH.replace(",", ";"), {}, ["separated by ';' are not read"]),
     "twice": (LAMBERT.replace("\nc,", "\na,"), MAP, ["rows 2 and 4: image a is there twice"]),
     "nameless": (LAMBERT.replace("\nb,", "\n ,"), MAP, ["row 3, column image: the name is empty"]),
     "word": (LAMBERT.replace("179.9", "north"), MAP, ["row 3, column kappa_deg: 'north' is not a number"]),
