@@ -199,7 +199,9 @@ def test_wrong_options(arguments: list[str], words: list[str]) -> None:
     assert_refused(run("locate", "--scene", scene_file(), *arguments), *words)
 
 
-@pytest.mark.parametrize("option, words", [("--scene", "the scene file in it"), ("--shots", "the table of shots in it")])
+@pytest.mark.parametrize(
+    "option, words", [("--scene", "the scene file in it"), ("--shots", "the table of shots in it")]
+)
 def test_a_folder_is_no_input(tmp_path: pathlib.Path, option: str, words: str) -> None:
     files = {"--scene": scene_file(), "--shots": tmp_path / "shots.csv"} | {option: tmp_path}
     arguments = [part for pair in files.items() for part in pair]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -11,7 +12,11 @@ import numpy as np
 from jaxgeo.io._csv import CsvTable, Limits, read_csv
 from jaxgeo.io.errors import TableError
 
+OUR_UNITS = re.compile(r"\s*[\[(](?:deg|degrees?|°|m|met(?:er|re)s?)[\])]$")  # behind a name, in small letters
 Aliases = Mapping[str, tuple[str, ...]]  # our name of a column: what else it is called
+
+
+SHOWN = 2  # other names of a column in a message
 
 
 @dataclass(frozen=True)
@@ -39,26 +44,36 @@ class Columns:
         """Raises `TableError` unless all columns are there; `why` is a sentence for the message."""
         missing = [name for name in names if name not in self.called]
         if missing:
-            others = [f"{name} (or {', '.join(aliases[name])})" if aliases.get(name) else name for name in missing]
+            others = [
+                f"{name} (or {', '.join(aliases[name][:SHOWN])})" if aliases.get(name) else name for name in missing
+            ]
+            if any(cell.strip().lstrip("+-").replace(".", "", 1).isdigit() for cell in self.table.header):
+                why += " The first row holds numbers: write the names of the columns above it."
             raise TableError(
                 f"{self.table.path}: no column {', '.join(others)}; found {', '.join(self.table.header)}.{why}"
             )
 
 
-def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases) -> Columns:
+def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases, *, weak: Aliases | None = None) -> Columns:
     """A table with columns under several names, as `read_csv` tells its layout; names in quotes may hold white space.
 
-    Capitals do not matter in the header. Columns that `aliases` do not name are passed over. Raises as `read_csv`, and
-    `TableError` for two columns that mean the same.
+    Capitals do not matter in the header, nor does a unit of ours behind a name, "Yaw [deg]". Columns that `aliases` do
+    not name are passed over; those that `weak` names count where no other column means the same. Raises as `read_csv`,
+    and `TableError` for two columns that mean the same.
     """
     meant = {other.lower(): name for name, others in aliases.items() for other in (name, *others)}
-    table = read_csv(path, what, (), known=meant)
+    weakly = {other.lower(): name for name, others in (weak or {}).items() for other in others}
+    table = read_csv(path, what, (), known={*meant, *weakly})
     called: dict[str, str] = {}
     for written in table.header:
-        name = meant.get(written.lower())
+        name = meant.get(written.lower()) or meant.get(OUR_UNITS.sub("", written.lower()))
         if name in called:
             raise TableError(f"{path}: columns {called[name]} and {written} both mean {name}; leave one out.")
         if name is not None:
+            called[name] = written
+    for written in table.header:
+        name = weakly.get(written.lower())
+        if name is not None and name not in called:
             called[name] = written
     return Columns(table, called)
 
@@ -80,3 +95,11 @@ def refuse_doubles(table: CsvTable, keys: Iterable[object], what: str) -> None:
             shown = key if isinstance(key, tuple) else (key,)
             raise TableError(f"{table.path}, rows {seen[key]} and {line}: {what.format(*shown)}; keep one of them.")
         seen[key] = line
+
+
+def refuse_nowhere(table: CsvTable, column: str, lat: np.ndarray, lon: np.ndarray) -> None:
+    """Raises `TableError` for a row whose latitude and longitude are zero, as GPS without a position is written."""
+    nowhere = (lat == 0.0) & (lon == 0.0)
+    if np.any(nowhere):
+        reason = "latitude and longitude are zero, which is written where GPS has no position; take the row out."
+        raise table.wrong(int(np.argmax(nowhere)), column, reason)

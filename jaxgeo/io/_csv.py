@@ -54,7 +54,7 @@ class CsvTable:
         return [dict(zip(self.header, row, strict=True)) for row in self.cells]
 
     def numbers(self, name: str, limits: Limits, *, unknown_too: bool = False) -> np.ndarray:
-        """A column as floats; `unknown_too` lets what is not known pass, as NaN: `nan`, an empty cell, -9999 and others.
+        """A column as floats; `unknown_too` lets what is not known pass, as NaN: `nan`, an empty cell, -9999 and so on.
 
         Raises `TableError` for a cell that is no number, is unknown, or lies outside the limits.
         """

@@ -42,18 +42,32 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
     start, comments, declared = _preamble(lines)
     if start == len(lines):
         raise TableError(f"{path}: no rows; all that is there are comments.")
-    header_line, first, white = lines[start], start + 1, _quote(lines)
-    separator = declared or _separator(header_line, lines[first:], known, white)
-    header = _split(header_line, separator, white)
-    above = _header_above(header, comments, known, white)
-    if above is not None:
-        names, first = above, start
-        separator = declared or _fitting(lines[start], len(names), white) or separator
-        header = names
+    white = _quote(lines)
+    header, first, separator = _header(lines[start:], comments, declared, known, white)
+    first += start
     body = list(_without_comments(path, lines[first:], first, separator, len(header), white))
     found = list(_rows(path, body, first, separator, white))
     cells = [row for _, row in found]
     return Layout(header, [line for line, _ in found], with_points(cells, separator), comments, separator)
+
+
+def header_of(text: str, known: Collection[str] = ()) -> list[str]:
+    """The names of the columns, by the first lines of a table; empty where there is nothing but comments."""
+    lines = re.split(r"\r\n|\r|\n", text)
+    start, comments, declared = _preamble(lines)
+    return _header(lines[start:], comments, declared, known, _quote(lines))[0] if start < len(lines) else []
+
+
+def _header(
+    lines: list[str], comments: list[str], declared: str | None, known: Collection[str], quote: str
+) -> tuple[list[str], int, str]:
+    """(names of the columns, index of the first line of rows, separator of the rows) of lines below the comments."""
+    separator = declared or _separator(lines[0], lines[1:], known, quote)
+    header = _split(lines[0], separator, quote)
+    above = _header_above(header, comments, known, quote)
+    if above is None:
+        return header, 1, separator
+    return above, 0, declared or _fitting(lines[0], len(above), quote) or separator
 
 
 def _preamble(lines: list[str]) -> tuple[int, list[str], str | None]:
@@ -72,9 +86,7 @@ def _preamble(lines: list[str]) -> tuple[int, list[str], str | None]:
     return len(lines), comments, declared
 
 
-def _header_above(
-    first: list[str], comments: list[str], known: Collection[str], quote: str
-) -> list[str] | None:
+def _header_above(first: list[str], comments: list[str], known: Collection[str], quote: str) -> list[str] | None:
     """The names of the columns in the comments, where the first line below them is a row and not a header."""
     if not any(_is_number(cell) for cell in first) or _hits(first, known) > 1:
         return None
