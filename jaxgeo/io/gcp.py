@@ -16,7 +16,9 @@ from jaxgeo.adjust.records import ImagePoints, as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import refuse_doubles
 from jaxgeo.io._csv import CsvTable
+from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
+from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import PIXEL_COLUMNS
@@ -102,13 +104,8 @@ def read_gcp_list(
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """The lines that say something, with their numbers."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = [(i, line.strip()) for i, line in enumerate(file, start=1)]
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such file of ground control points.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: the file of ground control points cannot be read: {error}.") from error
+    text = read_text(path, "file of ground control points")
+    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
     lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
     if len(lines) < 2:
         raise TableError(f"{path}: expected a projection in the first line and measurements of points below it.")
@@ -123,7 +120,7 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
         if len(words) < len(COLUMNS):
             raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
         cells.append([*words[:6], words[6] if len(words) > 6 else ""])
-    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], cells)
+    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], with_points(cells, WHITE))
 
 
 def _projection(text: str) -> str:

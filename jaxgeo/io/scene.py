@@ -234,7 +234,7 @@ def _radians(*angles_deg: float | None) -> list[float]:
 
 
 def ellipsoidal_heights(
-    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float, stated: pyproj.CRS | None = None
+    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float | None, stated: pyproj.CRS | None = None
 ) -> np.ndarray:
     """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
 
