@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -49,6 +50,7 @@ def inspect_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     output: Annotated[
         pathlib.Path | None,
@@ -77,7 +79,15 @@ def inspect_command(
             raise UserError("--tags goes with --json.")
         enable_x64()
         how = how_to_read(
-            height_datum, takeoff_height, crs, camera, image_size, (upright, keep_damaged, stream), errors, interior
+            height_datum,
+            takeoff_height,
+            crs,
+            camera,
+            image_size,
+            (upright, keep_damaged, stream),
+            errors,
+            interior,
+            no_velocities,
         )
         with working("reading"):
             found, unstated = _read(file, how)

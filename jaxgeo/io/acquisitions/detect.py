@@ -44,8 +44,9 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
     images); `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of
     several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
-    the smrmsg of an SBET; `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known
-    kind, and for an option that its reader does not take; `FileNotFoundError`; and as the readers.
+    the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
+    `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
+    as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -181,5 +182,5 @@ FORMS = (
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),
     ORTHORITY_OR_TABLE,
-    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every")),
+    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every", "velocities")),
 )
