@@ -5,9 +5,9 @@ from __future__ import annotations
 import pathlib
 
 import numpy as np
-from tests.support.field import FieldFile
 
 from jaxgeo.io.acquisitions import read_sbet
+from tests.support.field import FieldFile
 
 
 def check_sbet(path: pathlib.Path) -> None:
