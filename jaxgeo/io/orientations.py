@@ -20,7 +20,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import Columns, read_columns, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io._map_grid import MapGrid, metric_map
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import poses_of
 from jaxgeo.io.vertical import height_shift
@@ -167,9 +167,7 @@ def read_orientations(
             pose = _of_grid(columns, numbers, crs, height_datum, linear_alteration_above)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except TableError:
-        raise
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None

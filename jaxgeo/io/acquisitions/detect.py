@@ -13,7 +13,7 @@ import numpy as np
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
-from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
@@ -124,7 +124,7 @@ def _is_image(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
-    return UAS_LOCAL_SET in head or is_transport_stream(head)
+    return UAS_LOCAL_SET in head or is_transport_stream(head) or bool(other_sets(head))
 
 
 def _is_text(head: bytes) -> bool:

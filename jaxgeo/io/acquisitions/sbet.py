@@ -17,7 +17,7 @@ from jaxgeo.io.acquisitions._applanix import FIELDS, LIMITS, clock_of, mapped, n
 from jaxgeo.io.acquisitions._smrmsg import errors_at
 from jaxgeo.io.acquisitions._wander import Velocities, velocity_of
 from jaxgeo.io.acquisitions.record import Acquisition
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot, Trajectory
 from jaxgeo.uncertainty.sources import Attitude, Position
@@ -224,7 +224,7 @@ def _heights(path: str, lat: np.ndarray, lon: np.ndarray, height: np.ndarray, da
         return ellipsoidal_heights(np.rad2deg(lon), np.rad2deg(lat), height, datum)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
 
 
