@@ -19,7 +19,7 @@ from jaxgeo.io._csv import CsvTable
 from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
 from jaxgeo.io._text import read_text
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import PIXEL_COLUMNS
 from jaxgeo.io.vertical import vertical_unit
@@ -175,6 +175,6 @@ def _positions(
         height = ellipsoidal_heights(lon, lat, z * (vertical_unit(vertical) or 1.0), height_datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a point
+    except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
     return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)

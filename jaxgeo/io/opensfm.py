@@ -18,7 +18,7 @@ from jaxgeo._checks import require_x64
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.io._json import number_of, read_json, shown, size_of, table_of, value_of, vectors_of
 from jaxgeo.io._map_grid import MapGrid, metric_map
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
@@ -246,7 +246,7 @@ def _heights(
         return ellipsoidal_heights(lon, lat, z, datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{where}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach
+    except OutsideDatum as error:
         raise TableError(f"{where}: {error}") from error
 
 

@@ -36,9 +36,10 @@ def write_orientations(
 ) -> None:
     """Orientations as a CSV file that `read_orientations` reads: on the Earth, or with `crs` in that map.
 
-    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part. Digits end at 1e-4 m and 1e-8 deg; headings are written from 0 to 360.
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to and poses that are
-    not finite, `TableError` for a map that does not serve, `VerticalDatumError` for heights.
+    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part. Digits end at
+    1e-4 m and 1e-8 deg; headings are written from 0 to 360. The file appears when all is written.
+    Raises `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for a map that
+    does not serve, `VerticalDatumError` for heights.
     """
     check_is(orientations, Orientations, "orientations")
     target, pose = pathlib.Path(path), orientations.pose

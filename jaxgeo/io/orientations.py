@@ -29,7 +29,7 @@ from jaxgeo.io._orientation_columns import (
     read_orientation_columns,
     stated_crs,
 )
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.vertical import is_unnamed
 from jaxgeo.sensor import Pose
@@ -81,8 +81,9 @@ class Orientations:
 
     def of(self, rows: Any) -> Orientations:
         """Some of the images, by index or flag."""
-        optional = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
-        return Orientations(self.names[rows], jax.tree.map(lambda x: x[rows], self.pose), *optional, self.assumed)
+        camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
+        pose = jax.tree.map(lambda x: x[rows], self.pose)
+        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed)
 
 
 def read_orientations(
@@ -139,9 +140,7 @@ def read_orientations(
         pose, told = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except TableError:
-        raise
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
