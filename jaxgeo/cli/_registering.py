@@ -17,8 +17,8 @@ from jaxgeo.cli._errors import (
     DEM_SIGMA,
     attitude_errors,
     checked_sigma,
-    interior_errors,
     gimbal_errors,
+    interior_errors,
     pixel_pitch_of,
     position_errors,
 )

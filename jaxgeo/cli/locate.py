@@ -16,6 +16,7 @@ from jaxgeo.cli._acquisitions import (
     GimbalAngles,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -108,6 +109,7 @@ def locate_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     output: Annotated[
         pathlib.Path | None,
@@ -160,6 +162,7 @@ def locate_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
             gimbal,
         )
         sigmas = Sigmas(

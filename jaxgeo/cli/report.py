@@ -13,6 +13,7 @@ from jaxgeo.cli._acquisitions import (
     GimbalAngles,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -92,6 +93,7 @@ def report_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     title: Annotated[
         str | None,
@@ -120,6 +122,7 @@ def report_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
             gimbal,
         )
         sigmas = Sigmas(

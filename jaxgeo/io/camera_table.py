@@ -1,4 +1,4 @@
-"""Table of drone cameras: focal length and pixel size by the maker and model in EXIF, from data sheets and calibrations.
+"""Table of drone cameras: focal length and pixel size by the maker and model in EXIF, from data sheets or calibrations.
 
 The table is `jaxgeo/data/cameras.toml`; each entry names its source. An entry with `zoom_mm` has no focal length of its
 own: that is the EXIF tag's.
@@ -99,7 +99,7 @@ def camera_models() -> tuple[CameraModel, ...]:
 
 
 def known_camera(make: str, model: str, width: int, height: int, focal_mm: float | None = None) -> KnownCamera | None:
-    """The camera that took an image by its EXIF tags and its full size in pixels; None where the table has none, or two.
+    """The camera of an image by its EXIF tags and its full size in pixels; None where the table has none, or two.
 
     >>> from jaxgeo.io.camera_table import known_camera
     >>> found = known_camera("DJI", "FC6310", 5472, 3648, 8.8)

@@ -42,7 +42,7 @@ def is_read(
     share: float = 0.0632,
     **options: Any,
 ) -> Callable[[pathlib.Path], None]:
-    """Reads with a position in deg and m, an orientation of the camera in deg, a focal length in pixels and its error."""
+    """Reads with a position in deg and m, an orientation in deg, a focal length in pixels and its error as a share."""
 
     def check(path: pathlib.Path) -> None:
         found = read(path, **options)

@@ -8,7 +8,7 @@ from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
 LAT: Limits = (-90.0, 90.0, "deg")
@@ -82,7 +82,7 @@ def heights_of(
         return ellipsoidal_heights(lon, lat, heights, height_datum), []
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{first.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{first.path}: {error}") from error
 
 
