@@ -99,8 +99,8 @@ LINES = [
 LONG_LINES = [
     f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --debug",
     "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
-    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px --dem-sigma 4 --refraction "
-    "-o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
+    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px "
+    "--dem-sigma 4 --refraction -o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
     "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
     "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
     "--principal-sigma 2px --dem-sigma 4 --title Title --details 1 -o out.html --json --debug",
@@ -116,8 +116,9 @@ LONG_LINES = [
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
-    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px --reference-sigma 5 "
-    "--registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 --vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
+    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
+    "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
+    "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
