@@ -129,7 +129,10 @@ def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShif
     try:
         return height_shift(asked, vertical_part(mosaic.first.crs), area)
     except VerticalDatumError as error:
-        raise VerticalDatumError(f"{mosaic.name}: {error}") from error
+        field = mosaic.first.datum_field
+        meant = "EGM96, which is EPSG:5773" if field == "E96" else "mean sea level, by a model that it does not name"
+        quoted = "" if field is None or asked is not None else f" The file's own field of it is {field!r}: {meant}."
+        raise VerticalDatumError(f"{mosaic.name}: {error}{quoted}") from error
 
 
 def _ellipsoidal(
