@@ -71,6 +71,10 @@ SbetErrors = Annotated[
     pathlib.Path | None,
     typer.Option("--errors", metavar="FILE", help="SBET: its file of errors (smrmsg).", rich_help_panel=READING),
 ]
+NoVelocities = Annotated[
+    bool,
+    typer.Option("--no-velocities", help="SBET: leave its velocities out.", rich_help_panel=READING),
+]
 InteriorFile = Annotated[
     pathlib.Path | None,
     typer.Option(
@@ -91,13 +95,14 @@ def how_to_read(
     telemetry: tuple[bool, bool, int | None],
     errors: pathlib.Path | None,
     interior: pathlib.Path | None,
+    no_velocities: bool = False,
 ) -> dict[str, Any]:
     """Options of `read_acquisition` from those of the command line; `telemetry` are (upright, keep damaged, stream).
 
     Raises `UserError`.
     """
     how: dict[str, Any] = {"takeoff_height": takeoff_height, "crs": crs, "camera": camera}
-    how |= {"errors": errors, "interior": interior}
+    how |= {"errors": errors, "interior": interior, "velocities": False if no_velocities else None}
     upright, keep_damaged, stream = telemetry
     how |= {"upright": upright or None, "keep_damaged": keep_damaged or None, "stream": stream}
     if height_datum is not None:

@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -110,6 +111,7 @@ def locate_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     output: Annotated[
         pathlib.Path | None,
@@ -162,6 +164,7 @@ def locate_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
         asked = Asked(

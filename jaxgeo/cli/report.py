@@ -12,6 +12,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -94,6 +95,7 @@ def report_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     title: Annotated[
         str | None,
@@ -122,6 +124,7 @@ def report_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
         pixels, exposures = pixel or [], exposure or []

@@ -66,11 +66,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
 
 def unit_of_crs(crs: pyproj.CRS) -> float | None:
     """m per unit of a CRS's vertical axis, that of a system named "unknown" included; None without such an axis."""
-    stated = vertical_unit(vertical_part(crs))
-    if stated is not None or not crs.is_compound:
-        return stated
-    parts = [part.source_crs if part.is_bound else part for part in crs.sub_crs_list]
-    return next((vertical_unit(part) for part in parts if part is not None and part.is_vertical), None)
+    return vertical_unit(vertical_part(crs, unnamed=True))
 
 
 def stated_unit(tile: Tile) -> float | str | None:

@@ -127,7 +127,7 @@ def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShif
         west, east = ((edge + 180.0) % 360.0 - 180.0 for edge in (lon[known].min(), lon[known].max()))
         area = (float(west), float(lat[known].min()), float(east), float(lat[known].max()))
     try:
-        return height_shift(asked, vertical_part(mosaic.first.crs), area)
+        return height_shift(asked, vertical_part(mosaic.first.crs, unnamed=True), area)
     except VerticalDatumError as error:
         field = mosaic.first.datum_field
         meant = "EGM96, which is EPSG:5773" if field == "E96" else "mean sea level, by a model that it does not name"
@@ -152,7 +152,7 @@ def _ellipsoidal(
         height = values[rows][row, col].astype(np.float64)
         if not shift.is_identity:
             lon, lat = mapping.lonlat(row + float(top), col.astype(np.float64))
-            height = _shifted(name, height, shift.to_ellipsoid(lon, lat, height), shift)
+            height = _shifted(name, shift.sign * height, shift.to_ellipsoid(lon, lat, height), shift)
         _check_heights(name, height, row + top, col, shift)
         heights[row + top, col] = height
         if dtype.kind != "f" and np.any(heights[row + top, col] != height):
@@ -161,7 +161,7 @@ def _ellipsoidal(
 
 
 def _shifted(name: str, height: np.ndarray, shifted: np.ndarray, shift: HeightShift) -> np.ndarray:
-    """The shifted heights, unless the shift is larger than any geoid's."""
+    """Heights above the ellipsoid, unless those above the datum are farther off than any geoid."""
     with np.errstate(invalid="ignore"):
         too_far = np.abs(shifted - height) > LARGEST_UNDULATION
     if too_far.any():

@@ -14,8 +14,7 @@ from jaxgeo.io.height_units import alike, stated_unit, unit_shown
 from jaxgeo.io.paths import Paths, are_all_named, expanded
 from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header, read_tile
 from jaxgeo.io.voids import check_untagged, marked
-
-MOST_POSTS = 2_000_000_000
+from jaxgeo.terrain.pyramid import check_size
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,8 +92,10 @@ def read_window(
         with OpenFiles() as files:
             return read_window(mosaic, window, files)
     r0, c0, r1, c1 = window
-    if (r1 - r0) * (c1 - c0) > MOST_POSTS:
-        raise DemError(f"{mosaic.name}: {r1 - r0} x {c1 - c0} posts are too many at once; name a part with bounds=.")
+    try:
+        check_size((r1 - r0, c1 - c0))
+    except ValueError as error:
+        raise DemError(f"{mosaic.name}: {error}") from error
     values, void = np.zeros((r1 - r0, c1 - c0), mosaic.dtype), np.ones((r1 - r0, c1 - c0), bool)
     for tile, row, col in mosaic.under(window):
         top, left = max(row, r0), max(col, c0)

@@ -10,10 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxgeo.io._dialect import header_of
+from jaxgeo.io._orientation_columns import ALIASES, KNOWN
+from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
-from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
@@ -44,8 +47,9 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
     images); `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of
     several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
-    the smrmsg of an SBET; `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known
-    kind, and for an option that its reader does not take; `FileNotFoundError`; and as the readers.
+    the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
+    `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
+    as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -123,7 +127,7 @@ def _is_image(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
-    return UAS_LOCAL_SET in head or is_transport_stream(head)
+    return UAS_LOCAL_SET in head or is_transport_stream(head) or bool(other_sets(head))
 
 
 def _is_text(head: bytes) -> bool:
@@ -145,14 +149,14 @@ def _is_reconstruction(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
-    """Whether the first line names columns of positions and angles."""
-    if not _is_text(head):
+    """Whether the header, which may be a comment, names columns of positions and angles."""
+    text = text_of(head, is_cut=True)
+    if text is None or not text.strip():
         return False
-    line = head.splitlines()[0].decode("latin-1").lower()
-    words = {word.strip(" '\"\ufeff\xef\xbb\xbf") for word in line.replace(";", ",").replace(",", " ").split()}
-    on_earth = {"lat_deg", "latitude"} & words
+    words = {name.strip(" '\"").lower() for name in header_of(text, KNOWN)}
+    meant = {name for name, others in ALIASES.items() if {name, *others} & words}
     on_map = {"omega", "omega_deg", "omega_gon", "omega_rad", "o"} & words
-    return bool(on_earth or on_map)
+    return "lat_deg" in meant or bool(on_map) or {"x_m", "y_m", "heading_deg"} <= meant or "f=n" in words
 
 
 def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
@@ -181,5 +185,5 @@ FORMS = (
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),
     ORTHORITY_OR_TABLE,
-    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every")),
+    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every", "velocities")),
 )
