@@ -81,8 +81,8 @@ def check_mapped_terrain(terrain: Any) -> None:
         )
     if isinstance(terrain, ConstantHeight) and (terrain.ellipsoid.a, terrain.ellipsoid.f) != (WGS84.a, WGS84.f):
         raise ValueError(
-            f"terrain must lie on WGS 84 here; got a ConstantHeight on an ellipsoid of a = {terrain.ellipsoid.a:.10g} m "
-            f"and f = {terrain.ellipsoid.f:.10g}. Leave its ellipsoid out."
+            "terrain must lie on WGS 84 here; got a ConstantHeight on an ellipsoid of "
+            f"a = {terrain.ellipsoid.a:.10g} m and f = {terrain.ellipsoid.f:.10g}. Leave its ellipsoid out."
         )
 
 
