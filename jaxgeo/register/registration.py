@@ -12,11 +12,10 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is, require_x64
-from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register.alike import alike
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
@@ -162,7 +161,7 @@ def register(
     if block < SIDES[0]:
         raise ValueError(f"block must be {SIDES[0]} cells or more: smaller ones tell nothing; got {block!r}.")
     sensor, motion, moment = observation(sensor, shot, time)
-    check_terrain(terrain, FIRST_HIT)
+    check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
     look = Look(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
