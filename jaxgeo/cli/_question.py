@@ -164,7 +164,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
 
 
 def _reads(asked: Asked) -> list[Any]:
-    named = [asked.file, asked.scene, asked.shots, asked.how.get("errors"), asked.how.get("interior")]
+    named = [asked.file, asked.scene, asked.shots]
+    named += [asked.how.get(name) for name in ("errors", "interior", "positions")]
     files: list[Any] = [one for one in named if one is not None]
     for folder in [one for one in files if pathlib.Path(one).is_dir()]:
         files += sorted(pathlib.Path(folder).iterdir())

@@ -10,7 +10,7 @@ from jaxgeo.cli._common import UserError
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
 OTHER_NAMES = {"crs": "source-crs"}
-_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|errors|interior"
+_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|positions|errors|interior"
 _OPTION = re.compile(rf"\b({_NAMES})=(\.\.\.)?\s?")
 
 

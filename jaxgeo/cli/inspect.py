@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -50,6 +51,7 @@ def inspect_command(
     stream: Stream = None,
     errors: SbetErrors = None,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -72,12 +74,20 @@ def inspect_command(
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
             check_place("--output", output)
-            keep_inputs("--output", output, [*_files_in(file), errors, interior])
+            keep_inputs("--output", output, [*_files_in(file), errors, interior, positions])
         if tags and not as_json:
             raise UserError("--tags goes with --json.")
         enable_x64()
         how = how_to_read(
-            height_datum, takeoff_height, crs, camera, image_size, (upright, keep_damaged, stream), errors, interior
+            height_datum,
+            takeoff_height,
+            crs,
+            camera,
+            image_size,
+            (upright, keep_damaged, stream),
+            errors,
+            interior,
+            positions=positions,
         )
         with working("reading"):
             found, unstated = _read(file, how)

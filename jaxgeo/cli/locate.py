@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -105,6 +106,7 @@ def locate_command(
     stream: Stream = None,
     errors: SbetErrors = None,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -156,6 +158,7 @@ def locate_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            positions=positions,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
         asked = Asked(

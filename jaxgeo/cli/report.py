@@ -12,6 +12,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -89,6 +90,7 @@ def report_command(
     stream: Stream = None,
     errors: SbetErrors = None,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     title: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Title of the page; the scene's or the file's.", rich_help_panel=WRITING),
@@ -116,6 +118,7 @@ def report_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            positions=positions,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
         pixels, exposures = pixel or [], exposure or []

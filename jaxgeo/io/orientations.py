@@ -176,10 +176,7 @@ def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
     is_geographic = _is_geographic(path, crs)
     why = ""
     if crs is None and in_map and not on_earth:
-        name = columns.called.get("x_m", columns.called.get("y_m", ""))
-        raise TableError(
-            f'{path}: {name} is of a map, and the file does not say which: pass crs=..., for example crs="EPSG:32616".'
-        )
+        raise TableError(which_map(columns))
     if crs is not None and on_earth and not in_map and not is_geographic:
         why = f" {columns.called.get('lat_deg', columns.called.get('lon_deg'))} is on the Earth: leave crs= out."
     if crs is None or (is_geographic and not in_map):
@@ -188,6 +185,24 @@ def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
         wanted = MAP_COLUMNS | angle_columns(columns, first="opk")
     columns.require(["image", *wanted], ALIASES, why)
     return wanted
+
+
+def which_map(columns: Columns) -> str:
+    """That nobody says in which map a table is, with an example that fits its numbers."""
+    called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
+    cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
+    what, example = "of a map", "EPSG:32616"
+    if len(cells) == 2 and _in_degrees(*cells):
+        what, example = "in deg", "EPSG:4326"
+    return (
+        f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS: pass crs=..., for "
+        f'example crs="{example}".'
+    )
+
+
+def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether coordinates look like longitudes and latitudes in deg."""
+    return bool(np.all(np.abs(x) <= 360.0) and np.all(np.abs(y) <= 90.0))
 
 
 def _sigma(columns: Columns) -> np.ndarray | None:
@@ -237,6 +252,13 @@ def positions_of(
     x, y, z = (numbers[name] for name in (("x_m", "y_m", "z_m") if in_map else ("lon_deg", "lat_deg", "height_m")))
     if horizontal.is_geographic:
         _check_degrees(columns, horizontal, x, y)
+    elif _in_degrees(x, y):
+        raise columns.table.wrong(
+            0,
+            columns.called["x_m"],
+            f"({x[0]:.10g}, {y[0]:.10g}) look like longitude and latitude in deg, but crs is {horizontal.name!r}; if "
+            f'they are, give crs="EPSG:4326".',
+        )
     grid = MapGrid.about(path, horizontal, x, y)
     lon, lat = grid.to_lonlat(x, y)
     convergence = np.where(np.isfinite(lat), 0.0, np.nan) if horizontal.is_geographic else grid.convergence(x, y)
