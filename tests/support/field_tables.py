@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jaxgeo.io import TableError, read_acquisition
 from support.drone_image_files import packet, write_image
@@ -37,6 +38,15 @@ def _angles(found: Any, row: int = 0) -> list[float]:
     return [float(np.rad2deg(np.asarray(one)[row])) for one in (pose.heading, pose.pitch, pose.roll)]
 
 
+def _R_from_image(found: Any, convergence: float = 0.0) -> np.ndarray:
+    """The first image's axes (right, up, out of the scene) in the axes of a map turned by `convergence` deg."""
+    heading, pitch, roll = _angles(found)
+    R_ned_from_body = Rotation.from_euler("ZYX", [heading - convergence, pitch, roll], degrees=True).as_matrix()
+    R_enu_from_ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    R_body_from_camera = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # Mount.nadir()
+    return R_enu_from_ned @ R_ned_from_body @ R_body_from_camera @ np.diag([1.0, -1.0, -1.0])
+
+
 def _earth(path: pathlib.Path) -> None:
     """A table on the Earth, whatever stands between its columns: 36.3 N, 84.2 W, 900 m; 30, 20, 0 deg."""
     found = read_acquisition(path, height_datum="ellipsoid")
@@ -54,16 +64,12 @@ def _in_map(found: Any) -> float:
 
 def _opk(path: pathlib.Path) -> None:
     """Omega 0.5, phi -1.2, kappa 89.3 deg in the map: R_map_from_image = Rx Ry Rz."""
-    with pytest.raises(TableError, match='pass crs=..., for example crs="EPSG:32616"'):
+    with pytest.raises(TableError, match='for example crs="EPSG:32616"'):
         read_acquisition(path, height_datum="ellipsoid")
     found = read_acquisition(path, height_datum="ellipsoid", crs=UTM)
     convergence = _in_map(found)
-    heading, pitch, roll = _angles(found)
-    # The image's top points by kappa to the left of grid north; of small tilts pitch and roll are first order.
-    assert heading == pytest.approx(-89.3 + convergence, abs=0.02)
-    kappa = np.deg2rad(89.3)
-    up = np.array([[np.cos(kappa), np.sin(kappa)], [-np.sin(kappa), np.cos(kappa)]]) @ [0.5, -1.2]
-    np.testing.assert_allclose([pitch, -roll], up, atol=0.01)
+    expected = Rotation.from_euler("XYZ", [0.5, -1.2, 89.3], degrees=True).as_matrix()
+    np.testing.assert_allclose(_R_from_image(found, convergence), expected, atol=2e-9)
     assert len(found) == 2
 
 
@@ -81,14 +87,13 @@ def _micmac(path: pathlib.Path) -> None:
         read_acquisition(path, height_datum="ellipsoid")
     found = read_acquisition(path, height_datum="ellipsoid", crs="EPSG:4326")
     np.testing.assert_allclose(_place(found), PLACE, atol=1e-9)
-    # Omega -60, phi 0: the camera looks 60 deg away from straight down, to the south.
-    heading, pitch, roll = np.deg2rad(_angles(found))
-    assert np.cos(pitch) * np.cos(roll) == pytest.approx(0.5, abs=1e-9)
+    expected = Rotation.from_euler("XYZ", [-60.0, 0.0, 30.0], degrees=True).as_matrix()
+    np.testing.assert_allclose(_R_from_image(found), expected, atol=1e-12)
     assert any("MicMac" in one for one in found.assumed)
 
 
 def _cameras_xml(path: pathlib.Path) -> None:
-    with pytest.raises(TableError, match="no transform to the Earth.*georeference the chunk in Metashape"):
+    with pytest.raises(TableError, match=r"no transform to the Earth.*georeference the chunk in Metashape"):
         read_acquisition(path)
 
 

@@ -122,7 +122,7 @@ def _of_sbet(path: pathlib.Path, **how: Any) -> Acquisition:
     return read_sbet(path, **how).acquisition()
 
 
-def _of_images(path: pathlib.Path, *, positions: Any = None, crs: Any = None, **how: Any) -> Acquisition:
+def _of_images(path: str | os.PathLike[str], *, positions: Any = None, crs: Any = None, **how: Any) -> Acquisition:
     """Drone images, perhaps with the positions of a table in place of their own: heights are then the table's."""
     if positions is None:
         if crs is not None:
@@ -138,7 +138,7 @@ def _of_images(path: pathlib.Path, *, positions: Any = None, crs: Any = None, **
     return with_table(read_drone_images(path, **how), table)
 
 
-def _of_positions(path: pathlib.Path, **how: Any) -> Acquisition:
+def _of_positions(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     raise TableError(
         f"{path}: these are positions of images, without angles or a camera; give the images, with this file as "
         f'positions="{path}".'
