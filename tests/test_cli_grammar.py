@@ -123,12 +123,12 @@ FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
     "inspect video.ts --stream 1",
-    "inspect mission.sbet --errors smrmsg.out",
+    "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --interior i",
+    "--stream 1 --errors e --no-velocities --interior i",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --interior i -o out.html",
+    "--stream 1 --errors e --no-velocities --interior i -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "demo -o picture.png --write-scene scene.toml --json --debug",
     "study li2020 -o out --json --debug",

@@ -250,3 +250,21 @@ def test_real_telemetry_in_one_command(jaxgeo_test_data: pathlib.Path, tmp_path:
     off = np.array([[float(row[name]) for name in ("range_off_m", "axis_off_azimuth_mrad")] for row in rows])
     assert np.max(np.abs(off[:, 0])) < 1.0  # m
     assert abs(np.median(off[:, 1])) < 1.5  # mrad
+
+
+def test_velocities_that_fit_in_no_frame_have_the_way_out_that_is_printed(tmp_path: pathlib.Path) -> None:
+    path = tmp_path / "flight.sbet"
+    records = np.array([CLIMB] * 3)
+    records[:, 0] += [0.0, 1.0, 2.0]
+    records[:, 1] += [0.0, 1e-6, 2e-6]  # rad: 6 m/s
+    records[:, 4] = -50.0
+    records.astype("<f8").tofile(path)
+    refused = run(path)
+    assert refused.exit_code == 2
+    words = " ".join(refused.output.split())
+    assert "velocities turned from the wander frame differ by" in words
+    assert "velocities=" not in words
+    assert "read it without velocities: --no-velocities;" in words
+    read = run(path, "--no-velocities")
+    assert read.exit_code == 0, read.output
+    assert "Velocities of the file are left out, as asked." in read.output

@@ -80,6 +80,10 @@ PositionsFile = Annotated[
         rich_help_panel=READING,
     ),
 ]
+NoVelocities = Annotated[
+    bool,
+    typer.Option("--no-velocities", help="SBET: leave its velocities out.", rich_help_panel=READING),
+]
 InteriorFile = Annotated[
     pathlib.Path | None,
     typer.Option(
@@ -100,6 +104,7 @@ def how_to_read(
     telemetry: tuple[bool, bool, int | None],
     errors: pathlib.Path | None,
     interior: pathlib.Path | None,
+    no_velocities: bool = False,
     *,
     positions: pathlib.Path | None = None,
 ) -> dict[str, Any]:
@@ -109,6 +114,7 @@ def how_to_read(
     """
     how: dict[str, Any] = {"takeoff_height": takeoff_height, "crs": crs, "camera": camera}
     how |= {"errors": errors, "interior": interior, "positions": positions}
+    how |= {"velocities": False if no_velocities else None}
     upright, keep_damaged, stream = telemetry
     how |= {"upright": upright or None, "keep_damaged": keep_damaged or None, "stream": stream}
     if height_datum is not None:

@@ -93,6 +93,7 @@ def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: 
 
 def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
     """(a batch of shots, their rows as written) of a table without pixels."""
+    from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
@@ -102,7 +103,7 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
     check_stated(found, table, scene.sensor.gimbal, stated)
     try:
         return found.shots(names, stated), found.rows
-    except ValueError as error:  # the datum is unknown, or its grid does not reach a shot
+    except (OutsideDatum, VerticalDatumError) as error:
         raise SceneError(f"{path}, with the heights of {table}: {error}") from error
 
 

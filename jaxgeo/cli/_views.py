@@ -35,6 +35,7 @@ def views_of_scene(asked: Asked) -> Views:
     import jax
     import numpy as np
 
+    from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
     from jaxgeo.io.scene import SceneError, read_scene
     from jaxgeo.io.tables import read_shots
 
@@ -57,7 +58,7 @@ def views_of_scene(asked: Asked) -> Views:
         check_stated(table, asked.shots, scene.sensor.gimbal, height_datum)
         try:
             shots, uv = table.as_records(scene.sensor.gimbal.names, height_datum)
-        except ValueError as error:  # the datum's grid does not reach a shot
+        except (OutsideDatum, VerticalDatumError) as error:
             raise SceneError(f"{path}, with the heights of {asked.shots}: {error}") from error
         carried = table.rows
     return Views(scene.sensor, shots, uv, sources, False, carried, scene.atmosphere, [], path, pixel_pitch_of(path), [])

@@ -10,7 +10,9 @@ from jaxgeo.cli._common import UserError
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
 OTHER_NAMES = {"crs": "source-crs"}
-_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|positions|errors|interior"
+_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|positions|errors|interior|stream"
+# Options of a reader with a value that is a flag of its own on the command line.
+FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _OPTION = re.compile(rf"\b({_NAMES})=(\.\.\.)?\s?")
 
 
@@ -21,6 +23,8 @@ def as_typed(text: str) -> str:
         follows = text[found.end() : found.end() + 1]
         return "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + ("" if follows in ":,;." else " ")
 
+    for said, flag in FLAGS.items():
+        text = text.replace(said, flag)
     return _OPTION.sub(typed, text)
 
 

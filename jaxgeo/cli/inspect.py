@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     PositionsFile,
     SbetErrors,
     SourceCrs,
@@ -50,6 +51,7 @@ def inspect_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     positions: PositionsFile = None,
     output: Annotated[
@@ -87,6 +89,7 @@ def inspect_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
             positions=positions,
         )
         with working("reading"):
@@ -213,7 +216,7 @@ def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
     for name, value in found.facts.items():
         console.print(f"  {name}: {value}", markup=False)
     console.print(_sensor_line(found), markup=False)
-    console.print(number_table(rows[:SHOWN], _columns(rows[0])))
+    console.print(number_table(rows[:SHOWN], _columns(rows)))
     if count > SHOWN:
         console.print(f"  ... and {count - SHOWN} more; --json and --output have them all", markup=False)
     if "range_off_m" in rows[0]:
@@ -230,8 +233,9 @@ def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
             console.print(f"  - {as_typed(one)}", markup=False)
 
 
-def _columns(row: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Headers and formats of what the screen shows of an exposure."""
+def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
+    """Headers and formats of what the screen shows of exposures."""
+    row, compared = rows[0], any(one.get("centre_lat_deg") is not None for one in rows)
     shown = {"name": ("name", ""), "lat_deg": ("lat, deg", ".7f"), "lon_deg": ("lon, deg", ".7f")}
     shown |= {"height_m": ("height, m", ".2f")}
     shown |= {f"{name}_deg": (name, ".2f") for name in ("heading", "pitch", "roll")}
@@ -242,7 +246,7 @@ def _columns(row: dict[str, Any]) -> dict[str, tuple[str, str]]:
         "axis_off_azimuth_mrad": "azimuth",
         "axis_off_elevation_mrad": "elevation, mrad",
     }
-    return shown | {name: (f"off: {title}", ".2f") for name, title in beside.items() if name in row}
+    return shown | {name: (f"off: {title}", ".2f") for name, title in beside.items() if name in row and compared}
 
 
 def _sensor_line(found: Any) -> str:
@@ -269,6 +273,8 @@ def _comparison(rows: list[dict[str, Any]]) -> str:
         low, mid, high = np.percentile(values, [5.0, 50.0, 95.0])
         return f"{mid:+.{places}f} ({low:+.{places}f} to {high:+.{places}f})"
 
+    if all(row["centre_lat_deg"] is None for row in rows):
+        return "the file reports no centre of its images to compare our lines of sight with"
     return (
         "against the centre of the image that the file reports, medians (5 to 95 %): its slant range less the distance "
         f"{middle('range_off_m', 2)} m; our line of sight {middle('axis_off_azimuth_mrad', 2)} mrad across, "

@@ -15,6 +15,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     PositionsFile,
     SbetErrors,
     SourceCrs,
@@ -105,6 +106,7 @@ def locate_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     positions: PositionsFile = None,
     output: Annotated[
@@ -158,6 +160,7 @@ def locate_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
             positions=positions,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)

@@ -12,6 +12,7 @@ from jaxgeo.cli._acquisitions import (
     CameraName,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
     PositionsFile,
     SbetErrors,
     SourceCrs,
@@ -89,6 +90,7 @@ def report_command(
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
     positions: PositionsFile = None,
     title: Annotated[
@@ -118,6 +120,7 @@ def report_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
             positions=positions,
         )
         sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)

@@ -11,6 +11,10 @@ class VerticalDatumError(DemError):
     """Heights whose vertical datum is unknown, contradictory, or not reachable with the grids that are here."""
 
 
+class OutsideDatum(ValueError):
+    """A position that a vertical datum's grid does not reach; the readers that meet it name the file."""
+
+
 class TableError(ValueError):
     """A table that cannot be read; the message names the file, the row and the column."""
 

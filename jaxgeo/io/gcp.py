@@ -19,10 +19,10 @@ from jaxgeo.io._csv import CsvTable
 from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
 from jaxgeo.io._text import read_text
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import PIXEL_COLUMNS
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.vertical import vertical_unit
 
 COLUMNS = ["geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name"]
 LIMITS = {
@@ -70,9 +70,10 @@ def read_gcp_list(
 
     Its first line is a projection: "EPSG:32651", a PROJ text "+proj=utm ...", "WGS84 UTM 51N", or "WGS84" (degrees).
     In each other line stand, with white space between, `geo_x geo_y geo_z im_x im_y image_name [gcp_name] [extra ...]`:
-    easting and northing (longitude and latitude in deg) in the units of the projection, height in m, column and row in
-    pixels. Without names, lines with the same coordinates are of one point, as there; such points are called
-    "unnamed-0", "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
+    easting and northing (longitude and latitude in deg) in the units of the projection, height in m (where the
+    projection has a vertical part, in its unit, and depth where it counts downwards), column and row in pixels.
+    Without names, lines with the same coordinates are of one point, as there; such points are called "unnamed-0",
+    "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
 
     - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m; as in scene files.
@@ -171,11 +172,9 @@ def _positions(
     if np.any(lost):
         raise TableError(f"{table.path}: {_shown(tuple(places[np.argmax(lost)]))} has no place in {crs.name!r}.")
     try:
-        if vertical is not None:
-            height_shift(height_datum, vertical)  # refuses a datum that is not that of the projection
-        height = ellipsoidal_heights(lon, lat, z, height_datum)
+        height = ellipsoidal_heights(lon, lat, z * (vertical_unit(vertical) or 1.0), height_datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a point
+    except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
     return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxgeo._checks import as_array, as_float64, require_x64
 from jaxgeo.io._columns import refuse_nowhere
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, gimbal_columns, read_csv
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.tables import poses_of, readings_of
 from jaxgeo.sensor import Pose, Trajectory
 from jaxgeo.sensor.camera import Numbers
@@ -132,7 +132,7 @@ def _poses(table: CsvTable, numbers: Mapping[str, np.ndarray], height_datum: str
         return poses_of(numbers, height_datum)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a record
+    except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
 
 

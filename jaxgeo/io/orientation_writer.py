@@ -36,9 +36,10 @@ def write_orientations(
 ) -> None:
     """Orientations as a CSV file that `read_orientations` reads: on the Earth, or with `crs` in that map.
 
-    Heights are written above `height_datum`. Digits end at 1e-4 m and 1e-8 deg; headings are written from 0 to 360.
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to and poses that are
-    not finite, `TableError` for a map that does not serve, `VerticalDatumError` for heights.
+    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part. Digits end at
+    1e-4 m and 1e-8 deg; headings are written from 0 to 360. The file appears when all is written.
+    Raises `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for a map that
+    does not serve, `VerticalDatumError` for heights.
     """
     check_is(orientations, Orientations, "orientations")
     target, pose = pathlib.Path(path), orientations.pose
@@ -46,12 +47,12 @@ def write_orientations(
     if not np.all(finite):
         raise ValueError(f"{target}: the pose of image {orientations.names[np.argmin(finite)]} is not finite.")
     lat, lon, height = (np.asarray(x) for x in pose.position.to_degrees())
-    height = height_shift(height_datum).from_ellipsoid(lon, lat, height)
-    if crs is None:
+    horizontal, vertical = (None, None) if crs is None else metric_map(target, crs)
+    height = height_shift(height_datum, vertical).from_ellipsoid(lon, lat, height)
+    if horizontal is None:
         heading, pitch, roll = (np.rad2deg(x) for x in _heading_pitch_roll(pose))
         numbers = dict(zip(POSE_COLUMNS, [lat, lon, height, np.remainder(heading, 360.0), pitch, roll], strict=True))
     else:
-        horizontal, _ = metric_map(target, crs)
         grid = MapGrid.about_lonlat(target, horizontal, lon, lat)
         x, y = grid.from_lonlat(lon, lat)
         angles = _to_omega_phi_kappa(pose, grid.convergence(x, y))

@@ -29,9 +29,9 @@ from jaxgeo.io._orientation_columns import (
     read_orientation_columns,
     stated_crs,
 )
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.vertical import is_unnamed
 from jaxgeo.sensor import Pose
 
 
@@ -81,8 +81,9 @@ class Orientations:
 
     def of(self, rows: Any) -> Orientations:
         """Some of the images, by index or flag."""
-        optional = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
-        return Orientations(self.names[rows], jax.tree.map(lambda x: x[rows], self.pose), *optional, self.assumed)
+        camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
+        pose = jax.tree.map(lambda x: x[rows], self.pose)
+        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed)
 
 
 def read_orientations(
@@ -139,9 +140,7 @@ def read_orientations(
         pose, told = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except TableError:
-        raise
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
@@ -162,7 +161,8 @@ def crs_of(columns: Columns, crs: Any) -> Any:
 
 def has_vertical(path: Any, crs: Any) -> bool:
     """Whether a CRS says what heights are measured from."""
-    return crs is not None and understood_crs(path, crs)[1] is not None
+    vertical = None if crs is None else understood_crs(path, crs)[1]
+    return vertical is not None and not is_unnamed(vertical)
 
 
 def _is_geographic(path: Any, crs: Any) -> bool:
@@ -246,8 +246,6 @@ def positions_of(
     horizontal, vertical = understood_crs(path, crs)
     if not horizontal.is_geographic:
         metric_map(path, crs)  # refuses other units
-    if vertical is not None:
-        height_shift(height_datum, vertical)  # refuses a datum that is not that of the map
     in_map = "x_m" in numbers
     x, y, z = (numbers[name] for name in (("x_m", "y_m", "z_m") if in_map else ("lon_deg", "lat_deg", "height_m")))
     if horizontal.is_geographic:
@@ -270,10 +268,7 @@ def positions_of(
     if ground is not None:
         scale = grid.scale(lon, lat)
         z = (z + (scale - 1.0) * np.asarray(ground, np.float64)) / scale
-    if height_datum is None and vertical is not None:
-        height = np.asarray(height_shift(None, vertical).to_ellipsoid(lon, lat, z))
-    else:
-        height = ellipsoidal_heights(lon, lat, z, height_datum)  # type: ignore[arg-type]
+    height = ellipsoidal_heights(lon, lat, z, height_datum, vertical)
     return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), convergence
 
 

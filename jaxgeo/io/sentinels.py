@@ -6,6 +6,7 @@ one tuple (`KLV = (Sentinel(...), ...)`) and its entry in `SENTINELS`; readers i
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -153,8 +154,54 @@ def _parts(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)
 
 
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+# Items of MISB ST 0601, by their names and units in `st0601`; a reserved code is NaN when it has been read.
+KLV = (
+    Sentinel("time", ("Precision Time Stamp (us)",), all_zero, "a clock that is not set writes zero"),
+    Sentinel("position", ("Sensor Latitude (deg)", "Sensor Longitude (deg)"), all_zero, _POSITION),
+    Sentinel("frame centre", ("Frame Center Latitude (deg)", "Frame Center Longitude (deg)"), all_zero, _POSITION),
+    *(
+        Sentinel(f"height of the {of}", (field,), lambda height: height == -900.0, "-900 m is the code zero")
+        for of, field in (
+            ("sensor", "Sensor True Altitude (m above mean sea level)"),
+            ("sensor", "Sensor Ellipsoid Height (m above the ellipsoid)"),
+            ("sensor", "Sensor Ellipsoid Height Extended (m above the ellipsoid)"),
+            ("frame centre", "Frame Center Elevation (m above mean sea level)"),
+            ("frame centre", "Frame Center Height Above Ellipsoid (m above the ellipsoid)"),
+        )
+    ),
+    *(
+        Sentinel(quantity, (field,), all_zero, "it is not measured")
+        for quantity, field in (
+            ("slant range", "Slant Range (m)"),
+            ("target width", "Target Width (m)"),
+            ("target width", "Target Width Extended (m)"),
+            ("field of view", "Sensor Horizontal Field of View (deg)"),
+            ("field of view", "Sensor Vertical Field of View (deg)"),
+        )
+    ),
+    *(
+        Sentinel(quantity, (field,), _is_nan, "the code that stands for an error or a value out of range")
+        for quantity, field in (
+            ("position", "Sensor Latitude (deg)"),
+            ("position", "Sensor Longitude (deg)"),
+            ("frame centre", "Frame Center Latitude (deg)"),
+            ("frame centre", "Frame Center Longitude (deg)"),
+            ("attitude", "Platform Pitch Angle (deg)"),
+            ("attitude", "Platform Roll Angle (deg)"),
+            ("attitude", "Platform Pitch Angle (Full) (deg)"),
+            ("attitude", "Platform Roll Angle (Full) (deg)"),
+            ("angles of the sensor", "Sensor Relative Elevation Angle (deg)"),
+        )
+    ),
+)
+
 SENTINELS: dict[str, tuple[Sentinel, ...]] = {
     "image": IMAGE,
+    "KLV": KLV,
     "subtitles": SUBTITLES,
     "AirData": AIRDATA,
     "marks": MARKS,

@@ -71,6 +71,35 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair(0.0, 0.01, "sigma north", "sigma east", "sigma up"),
         pair(0.0, 2312.0, "week", "time of week"),
     ],
+    "KLV": [
+        pair(0, 1, "Precision Time Stamp (us)"),
+        pair(0.0, 4.2e-8, "Sensor Latitude (deg)", "Sensor Longitude (deg)"),
+        pair(0.0, 4.2e-8, "Frame Center Latitude (deg)", "Frame Center Longitude (deg)"),
+        pair(-900.0, -899.7, "Sensor True Altitude (m above mean sea level)"),
+        pair(-900.0, -899.7, "Sensor Ellipsoid Height (m above the ellipsoid)"),
+        pair(-900.0, -899.7, "Sensor Ellipsoid Height Extended (m above the ellipsoid)"),
+        pair(-900.0, -899.7, "Frame Center Elevation (m above mean sea level)"),
+        pair(-900.0, -899.7, "Frame Center Height Above Ellipsoid (m above the ellipsoid)"),
+        pair(0.0, 1.2e-3, "Slant Range (m)"),
+        pair(0.0, 0.2, "Target Width (m)"),
+        pair(0.0, 0.2, "Target Width Extended (m)"),
+        pair(0.0, 3e-3, "Sensor Horizontal Field of View (deg)"),
+        pair(0.0, 3e-3, "Sensor Vertical Field of View (deg)"),
+        *(
+            pair(float("nan"), 0.0, f"{name} (deg)")
+            for name in (
+                "Sensor Latitude",
+                "Sensor Longitude",
+                "Frame Center Latitude",
+                "Frame Center Longitude",
+                "Platform Pitch Angle",
+                "Platform Roll Angle",
+                "Platform Pitch Angle (Full)",
+                "Platform Roll Angle (Full)",
+                "Sensor Relative Elevation Angle",
+            )
+        ),
+    ],
 }
 CASES = [
     pytest.param(row, *example, id=f"{row.quantity}: {', '.join(row.fields)} {next(iter(example[0].values()))}")

@@ -19,7 +19,7 @@ from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.dji_subtitles import CUE, read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
-from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.orthority import read_orthority
 from jaxgeo.io.acquisitions.positions import with_table
@@ -53,9 +53,10 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `positions` (drone images), a file for `with_positions`; `image_size`, `upright`,
     `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several (orientations, parameters,
-    reconstructions); `cameras` (orientations, subtitles, flight logs); `part` (reconstructions); `errors`, the smrmsg
-    of an SBET; `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and
-    for an option that its reader does not take; `FileNotFoundError`; and as the readers.
+    reconstructions); `cameras` (orientations, subtitles, flight logs); `part` (reconstructions); `errors`, the smrmsg,
+    and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
+    `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
+    as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -156,7 +157,7 @@ def _is_image(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_telemetry(path: pathlib.Path, head: bytes) -> bool:
-    return UAS_LOCAL_SET in head or is_transport_stream(head)
+    return UAS_LOCAL_SET in head or is_transport_stream(head) or bool(other_sets(head))
 
 
 def _is_text(head: bytes) -> bool:
@@ -244,5 +245,5 @@ FORMS = (
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),
     ORTHORITY_OR_TABLE,
-    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every")),
+    Form("SBET", _is_sbet, _of_sbet, ("height_datum", "errors", "between", "every", "velocities")),
 )

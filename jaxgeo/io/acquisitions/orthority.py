@@ -34,7 +34,7 @@ from jaxgeo.io.acquisitions.blocks import (
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
 from jaxgeo.io.orientations import poses_of_opk
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 
 # Coefficients of each type of camera that is read; those of `UNREAD` must be zero.
@@ -237,7 +237,7 @@ def _poses_in_map(
 ) -> Pose:
     """Poses of photogrammetric angles in a map."""
     horizontal, vertical = metric_map(path, crs)
-    if height_datum is None and vertical is None:
+    if height_datum is None and (vertical is None or is_unnamed(vertical)):
         raise UnstatedDatum(
             f"{path}: the map {horizontal.name!r} has no vertical part, so the file does not say what its heights are "
             f"measured from, and a guess may be off by 100 m. {CHOICES}"

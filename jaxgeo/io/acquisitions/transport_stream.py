@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any, NamedTuple
 
-from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.errors import TableError
 
 SYNC = 0x47  # first byte of each packet of a transport stream
@@ -63,7 +63,11 @@ def _chosen(path: str | os.PathLike[str], data: dict[int, bytes], stream: int | 
         return stream
     told = [index for index, content in data.items() if UAS_LOCAL_SET in content]
     if not told:
-        raise TableError(f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}.")
+        others = dict.fromkeys(words for content in data.values() for words in other_sets(content))
+        held = f"they hold {' and '.join(others)}" if others else "they hold none"
+        raise TableError(
+            f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}; {held}."
+        )
     if len(told) > 1:
         raise TableError(f"{path}: streams {_listed(told)} hold packets of MISB ST 0601; choose one with stream=.")
     return told[0]
