@@ -90,6 +90,7 @@ def test_every_flag_says_what_it_is_for(name: str) -> None:
 LINES = [
     "inspect DJI_0042.JPG --height-datum ellipsoid --json --tags --debug",
     "inspect DJI_0042.JPG --takeoff-height 800 -o exposures.csv",
+    "inspect DJI_0042.JPG --height-datum ellipsoid --camera focal=8.8mm,pitch=2.41um --gimbal 30,-90,0 --json",
     "inspect flight.klv --image-size 640,480 --upright --keep-damaged --json",
     "inspect opk.csv --source-crs EPSG:32616 --height-datum EPSG:5773 --json",
     "inspect reconstruction.json --camera one --height-datum -31 --json",
@@ -98,11 +99,11 @@ LINES = [
 LONG_LINES = [
     f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --debug",
     "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
-    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 --refraction "
+    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px --dem-sigma 4 --refraction "
     "-o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
     "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
-    "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 "
-    "--title Title --details 1 -o out.html --json --debug",
+    "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
+    "--principal-sigma 2px --dem-sigma 4 --title Title --details 1 -o out.html --json --debug",
     f"report {SCENE} --shots shots.csv --details 0 -o out.html",
     f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
@@ -115,8 +116,8 @@ LONG_LINES = [
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
-    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --reference-sigma 5 --registration-sigma 0.1 "
-    "--dem-sigma 1 --dem-correlation 300 --vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
+    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px --reference-sigma 5 "
+    "--registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 --vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
@@ -126,9 +127,9 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --no-velocities --interior i -o out.html",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "demo -o picture.png --write-scene scene.toml --json --debug",
     "study li2020 -o out --json --debug",

@@ -100,6 +100,8 @@ def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
 
 def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     """(sources of error, one entry for each pixel where exposures have their own; what was assumed of the ground)."""
+    import numpy as np
+
     from jaxgeo.io.acquisitions import for_each
     from jaxgeo.uncertainty import sources
 
@@ -108,8 +110,7 @@ def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     own = tuple(one for one in views.sources if not isinstance(one, of_ground))
     given = errors_given(own, asked.sigmas, views.sensor.gimbal, views.where, views.pixel_pitch)
     if views.is_each:
-        kept = {id(one) for one in own}
-        given = tuple(one if id(one) in kept else for_each(one, count) for one in given)
+        given = tuple(one if np.ndim(one.sigma) > 1 else for_each(one, count) for one in given)
     ground, of_heights = ground_errors(views.sources, asked.sigmas, level=asked.ground is not None)
     if views.is_each:
         stated = {id(one) for one in views.sources}
@@ -167,6 +168,8 @@ def _reads(asked: Asked) -> list[Any]:
     named = [asked.file, asked.scene, asked.shots]
     named += [asked.how.get(name) for name in ("errors", "interior", "positions")]
     files: list[Any] = [one for one in named if one is not None]
+    camera = asked.how.get("camera")
+    files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []
     for folder in [one for one in files if pathlib.Path(one).is_dir()]:
         files += sorted(pathlib.Path(folder).iterdir())
     return [*files, *(terrain_files(asked.dem, asked.vertical_datum) if asked.dem else [])]

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shlex
 from collections.abc import Iterator
 
 from jaxgeo.cli._common import UserError
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
-OTHER_NAMES = {"crs": "source-crs"}
-_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|positions|errors|interior|stream"
+OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal"}
+_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|gimbal_deg|positions|errors|interior|stream"
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
-_OPTION = re.compile(rf"\b({_NAMES})=(\.\.\.)?\s?")
+_VALUE = r'"[^"]*"|\([-+.,\d\s]*\)'  # a text, or numbers, as Python has them
+_OPTION = re.compile(rf"\b({_NAMES})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
 def as_typed(text: str) -> str:
     """A sentence that names options of a reader, with those of the command line."""
 
     def typed(found: re.Match[str]) -> str:
+        option = "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-"))
+        if found[2]:
+            value = found[2][1:-1]
+            return f"{option} {value.replace(' ', '') if found[2].startswith('(') else shlex.quote(value)}"
         follows = text[found.end() : found.end() + 1]
-        return "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-")) + ("" if follows in ":,;." else " ")
+        return option + ("" if follows in ":,;." else " ")
 
     for said, flag in FLAGS.items():
         text = text.replace(said, flag)

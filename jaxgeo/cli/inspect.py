@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     NoVelocities,
@@ -46,6 +47,7 @@ def inspect_command(
     takeoff_height: TakeoffHeight = None,
     crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -90,6 +92,7 @@ def inspect_command(
             errors,
             interior,
             no_velocities,
+            gimbal,
             positions=positions,
         )
         with working("reading"):

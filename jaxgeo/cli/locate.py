@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     NoVelocities,
@@ -47,6 +48,7 @@ from jaxgeo.cli._errors import (
     FocalSigma,
     GimbalSigma,
     PositionSigma,
+    PrincipalSigma,
     Sigmas,
 )
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
@@ -94,6 +96,7 @@ def locate_command(
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
     focal_sigma: FocalSigma = None,
+    principal_sigma: PrincipalSigma = None,
     dem_sigma: DemSigma = None,
     dem_correlation: DemCorrelation = None,
     refraction: Refraction = False,
@@ -101,6 +104,7 @@ def locate_command(
     takeoff_height: TakeoffHeight = None,
     source_crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -161,9 +165,12 @@ def locate_command(
             errors,
             interior,
             no_velocities,
+            gimbal,
             positions=positions,
         )
-        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        sigmas = Sigmas(
+            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
+        )
         asked = Asked(
             file,
             scene,

@@ -39,9 +39,11 @@ def register_command(
     ] = None,
     focal_sigma: Annotated[
         str | None,
-        typer.Option(
-            metavar="SIGMA", help="Also find focal length and principal point, which err by so much: 5px, 0.1mm."
-        ),
+        typer.Option(metavar="SIGMA", help="Also find the focal length, which errs by so much: 5px, 0.1mm."),
+    ] = None,
+    principal_sigma: Annotated[
+        str | None,
+        typer.Option(metavar="SIGMA", help="Also find the principal point: 5px, 0.1mm, or COLUMN,ROWpx."),
     ] = None,
     reference_sigma: Annotated[
         float | None,
@@ -91,6 +93,7 @@ def register_command(
             attitude_sigma,
             gimbal_sigma,
             focal_sigma,
+            principal_sigma,
             reference_sigma,
             registration_sigma,
             dem_sigma,

@@ -28,6 +28,7 @@ from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.given_camera import is_a_name, whole_camera
 from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes by which a file is told
@@ -51,12 +52,12 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     Metashape (XML), subtitles of DJI's videos, flight logs of AirData, a scene.
 
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
-    images, subtitles, flight logs); `positions` (drone images), a file for `with_positions`; `image_size`, `upright`,
-    `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several (orientations, parameters,
-    reconstructions); `cameras` (orientations, subtitles, flight logs); `part` (reconstructions); `errors`, the smrmsg,
-    and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
-    `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
-    as the readers.
+    images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
+    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several
+    (orientations, parameters, reconstructions), or a lens or file as for images (orientations, subtitles, flight logs);
+    `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
+    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
+    an option that its reader does not take; `FileNotFoundError`; and as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -77,6 +78,8 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
         if name not in form.takes:
             known = ", ".join(form.takes) or "none"
             raise TableError(f"{path}: this is a {form.name}, and {name} is no option of it; options are {known}.")
+    if "cameras" in form.takes and not is_a_name(given.get("camera", "")):
+        given["cameras"] = whole_camera(given.pop("camera"))
     return form.read(path, **given)
 
 
@@ -228,7 +231,7 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
 
 TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream")
 PLACED = ("height_datum", "crs", "camera")
-IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "positions", "crs")
+IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
 FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
