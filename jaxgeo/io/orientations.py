@@ -42,8 +42,9 @@ class Orientations:
     `pose` holds n entries: geodetic positions of the perspective centres and attitudes of the body, that has the
     camera in `Mount.nadir()` with `Gimbal.fixed()`. `camera` are names of cameras (n,), `sigma` (n, 6) standard
     deviations of north, east and down in m and of heading, pitch and roll in rad, `time` (n,) in s; each None if
-    unknown. `assumed` are sentences about what a reader took for granted. Raises `ValueError` for fields that do not
-    fit each other and for an image that is there twice.
+    unknown. `assumed` are sentences about what a reader took for granted; `of_camera` says that the angles are the
+    camera's own, and no aircraft's. Raises `ValueError` for fields that do not fit each other and for an image that is
+    there twice.
     """
 
     names: np.ndarray
@@ -52,6 +53,7 @@ class Orientations:
     sigma: np.ndarray | None = None
     time: np.ndarray | None = None
     assumed: tuple[str, ...] = ()
+    of_camera: bool = False
 
     def __post_init__(self) -> None:
         check_is(self.pose, Pose, "pose", "One Pose, whose fields hold an entry for each image.")
@@ -83,7 +85,7 @@ class Orientations:
         """Some of the images, by index or flag."""
         camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
         pose = jax.tree.map(lambda x: x[rows], self.pose)
-        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed)
+        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
 
 
 def read_orientations(
@@ -144,7 +146,8 @@ def read_orientations(
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
-    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)))
+    of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
+    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)), of_camera)
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
@@ -194,10 +197,8 @@ def which_map(columns: Columns) -> str:
     what, example = "of a map", "EPSG:32616"
     if len(cells) == 2 and _in_degrees(*cells):
         what, example = "in deg", "EPSG:4326"
-    return (
-        f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS: pass crs=..., for "
-        f'example crs="{example}".'
-    )
+    told = f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS; give it: "
+    return f'{told}crs="{example}".'
 
 
 def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:

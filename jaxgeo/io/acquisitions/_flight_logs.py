@@ -12,6 +12,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -96,6 +97,7 @@ def acquisition_of_records(
         facts={"records": f"{count} of {len(records)}", **facts},
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,
+        of_camera=True,
     )
 
 
@@ -178,8 +180,7 @@ def _heights(
         )  # fmt: skip
         raise UnstatedDatum(
             f"{path}: it is not said what its altitude is measured from (the first is {shown}), and a guess may be off "
-            f'by 100 m. Give height_datum=: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m, the '
-            f"path of a geoid grid{choice}."
+            f"by 100 m. {CHOICES.removesuffix('.')}{choice}."
         )
     try:
         return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []

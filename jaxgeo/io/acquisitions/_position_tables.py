@@ -15,13 +15,13 @@ from jaxgeo.io._csv import POSE_COLUMNS, CsvTable
 from jaxgeo.io._json import read_json, shown, value_of
 from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, read_orientation_columns
 from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
 from jaxgeo.io.gcp import projection_text
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
-CHOICES = 'Pass height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m, a geoid file.'
 MARK = re.compile(
     r"\s*(\d+)\s+([\d.]+)\s+\[(\d+)\]\s+(-?[\d.]+)\s*,N\s+(-?[\d.]+)\s*,E\s+(-?[\d.]+)\s*,V\s+"
     r"(-?[\d.]+)\s*,Lat\s+(-?[\d.]+)\s*,Lon\s+(-?[\d.]+)\s*,Ellh\s+"
