@@ -144,7 +144,7 @@ WRONG = [
     (["{image}", *GROUND, "--dem-correlation", "100"], ["--dem-correlation", "level ground"]),
     (["{image}", *GROUND, "--no-accuracy", "--gimbal-sigma", "1"], ["--no-accuracy", "leave one out"]),
     (["{image}", *GROUND, "--probability", "90"], ["--probability 90", "between 0 and 1"]),
-    (["{image}", *GROUND, "--scene", str(scene_file())], ["40 x 30 pixels, the camera given 1368 x 912", "shape"]),
+    (["{image}", *GROUND, "--scene", str(scene_file())], ["40 x 30 pixels, the camera given 2400 x 4800", "shape"]),
     (["{image}", *GROUND, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
     (["{image}", *GROUND, "--mgrs"], ["--crs, --heights and --mgrs go with --output"]),
     (["{image}", *GROUND, "--shots", "shots.csv"], ["--shots shots.csv", "--scene"]),

@@ -226,7 +226,7 @@ def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
         console.print(_comparison(rows), markup=False)
     told = _errors(found)
     words = [f"{name} {value:.4g}" for name, value in told.items()]
-    console.print("errors stated: " + ("; ".join(words) if words else "none"), markup=False)
+    console.print("errors: " + ("; ".join(words) if words else "none"), markup=False)
     if unstated is not None:
         console.print("heights are shown as the file has them; what they are measured from must be said:", markup=False)
         console.print(f"  {as_typed(unstated)}", markup=False)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxgeo.io import TableError
@@ -20,7 +21,8 @@ HERE = (36.3, -84.2, 900.0)
 
 
 def read(path: pathlib.Path, **options: Any) -> Any:
-    return read_drone_images(path, **({"height_datum": "ellipsoid"} | options))
+    given: dict[str, Any] = {"height_datum": "ellipsoid"} | options
+    return read_drone_images(path, **given)
 
 
 def turn(found: Any) -> np.ndarray:
@@ -62,12 +64,9 @@ def is_refused(*words: str, kind: type[Exception] = TableError, **ways_out: Any)
     """Is refused with words, in a line that names the file; and read with `ways_out`, if there are any."""
 
     def check(path: pathlib.Path) -> None:
-        try:
+        with pytest.raises(kind) as why:
             read(path)
-        except kind as error:
-            line = str(error)
-        else:
-            raise AssertionError(f"{path.name} is read")
+        line = str(why.value)
         assert path.name in line
         assert "\n" not in line
         for one in words:
@@ -123,12 +122,8 @@ def neighbours_keep_their_errors(path: pathlib.Path) -> None:
 
 
 def needs_a_datum(path: pathlib.Path) -> None:
-    try:
+    with pytest.raises(UnstatedDatum, match=r"GPSAltitude 30\.04, RelativeAltitude \+300\.00"):
         read(path, height_datum=None)
-    except UnstatedDatum as error:
-        assert "GPSAltitude 30.04, RelativeAltitude +300.00" in str(error)
-    else:
-        raise AssertionError("its height is taken for granted")
 
 
 BACK, SAME = (-150.0, -80.0, 180.0), (-150.0, -80.0, 0.0)
