@@ -137,6 +137,9 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
+    "inspect images --positions geo.txt",
+    "locate images --positions geo.txt",
+    "report images --positions geo.txt -o out.html",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
     "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "

@@ -18,6 +18,8 @@ from jaxgeo.demo import scene_file
 from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
+from tests.io.test_flight_logs import airdata, subtitles
+from tests.io.test_metashape_cameras import document, placed
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -67,6 +69,14 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "flight.sbet": (of_bytes(np.array(CLIMB, "<f8").tobytes()), "SBET", {}),
     "eo.csv": (of_text(TABLE), "table of orientations", {"height_datum": "ellipsoid"}),
     "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
+    "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
+    "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
+    "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
+    "micmac.txt": (
+        of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),
+        "table of orientations",
+        {"height_datum": "ellipsoid", "crs": "EPSG:4326"},
+    ),
     "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
 }
 OPTIONS = {"crs": "--source-crs"}
