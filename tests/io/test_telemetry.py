@@ -10,7 +10,6 @@ from __future__ import annotations
 import pathlib
 import sys
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import jax
@@ -21,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.klv_packets import KEY, TIME_US, cell, local_set, synchronous, usual, whole
+from support.transport_streams import muxed
 
 from jaxgeo.io import TableError, VerticalDatumError, undulation
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -479,28 +479,6 @@ def test_transport_streams_are_told_by_their_content() -> None:
     assert is_transport_stream((packet + bytes(16)) * 5)
     assert not is_transport_stream(MADE * 5)
     assert not is_transport_stream(packet)
-
-
-def muxed(path: pathlib.Path, *streams: list[bytes], video: bool = True) -> pathlib.Path:
-    """A transport stream of pieces of KLV, one list for each data stream, with a video of 64 x 48 pixels."""
-    av = pytest.importorskip("av")
-    with av.open(str(path), "w", format="mpegts") as container:
-        images = container.add_stream("mpeg2video", rate=25) if video else None
-        if images is not None:
-            images.width, images.height, images.pix_fmt = 64, 48, "yuv420p"
-        data = [container.add_data_stream("klv") for _ in streams]
-        for k in range(max(len(pieces) for pieces in streams)):
-            if images is not None:
-                frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")
-                frame.pts = k
-                container.mux(images.encode(frame))
-            for stream, pieces in zip(data, streams, strict=True):
-                piece = av.Packet(pieces[k])
-                piece.stream, piece.time_base, piece.pts, piece.dts = stream, Fraction(1, 25), k, k
-                container.mux(piece)
-        if images is not None:
-            container.mux(images.encode(None))
-    return path
 
 
 @pytest.mark.parametrize("kind", ["asynchronous", "synchronous", "in cells, not declared"])

@@ -40,7 +40,7 @@ def left_out(numbers: Numbers, values: Values, count: int) -> list[str]:
         found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
         hits = [found[tag][row] for tag in tags for row in found[tag] if which[row]]
         reasons = list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
-        if 5 in tags and any(64 in values[row] for row in rows):
+        if 5 in tags and any(64 in values[int(row)] for row in rows):
             reasons.append("the magnetic heading (tag 64) is there, but not the declination that makes it a true one")
         why = "".join(f"; {reason}" for reason in reasons[:3])
         notes.append(f"{which.sum()} of {count} packets were left out for want of {what}{why}.")
