@@ -129,6 +129,12 @@ def ascii_grid(folder: pathlib.Path) -> list[bytes]:
     return [(header + "\n".join(" ".join(f"{x:.1f}" for x in row) for row in HILLS) + "\n").encode()]
 
 
+def with_crs(path: pathlib.Path) -> Any:
+    """An ASCII grid, that knows no CRS, with a file of it beside."""
+    path.with_suffix(".prj").write_text(rasterio.CRS.from_epsg(4326).to_wkt())
+    return read_dem(path, vertical_datum="ellipsoid")
+
+
 def geoid_grid(path: pathlib.Path, driver: str) -> None:
     grid = np.linspace(40.0, 50.0, 21 * 21).reshape(21, 21).astype(np.float32)
     transform = rasterio.Affine(0.1, 0, 3.95, 0, -0.1, 46.05)
@@ -290,8 +296,7 @@ READERS: tuple[Reader, ...] = (
     ),
     Reader("DEM, VRT", ".vrt", vrt, lambda path: read_dem(path, vertical_datum="ellipsoid"), DEM, heights, text=True),
     Reader(
-        "DEM, ASCII grid", ".asc", ascii_grid,
-        lambda path: read_dem(path, vertical_datum="ellipsoid"), DEM, heights, text=True,
+        "DEM, ASCII grid", ".asc", ascii_grid, with_crs, DEM, heights, text=True,
     ),
     Reader("geoid grid, GTX", ".gtx", files(geoid_grid, {"driver": "GTX"}, ending=".gtx"), with_geoid, DEM, heights),
     Reader("geoid grid, GeoTIFF", ".tif", files(geoid_grid, {"driver": "GTiff"}, ending=".tif"), with_geoid, DEM, heights),
@@ -365,9 +370,7 @@ READERS: tuple[Reader, ...] = (
     Reader("BAL, compressed", ".bz2", contents(bz2.compress(BAL.encode())), read_bal, TABLE, whole),
     Reader(
         "any exposures", ".dat",
-        lambda folder: [KLV, trajectory().astype("<f8").tobytes(), ORIENTATIONS.encode(), OPK.encode(),
-                        json.dumps([RECONSTRUCTION]).encode(), json.dumps(EXTERIOR).encode(),
-                        *files(photo, {}, ending=".jpg")(folder)],
+        lambda folder: [KLV, trajectory().astype("<f8").tobytes(), ORIENTATIONS.encode(), *files(photo, {}, ending=".jpg")(folder)],
         lambda path: read_acquisition(path, height_datum="ellipsoid"), (*ACQUISITION,), sound,
     ),
 )  # fmt: skip
