@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
 GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
@@ -22,7 +24,7 @@ BATCH_BYTES = 8_000_000  # of the products of a batch of chunks
 MULTIPLY, GATHER, SCATTER, BEGIN = 0.04, 1.5, 8.0, 3000.0
 
 
-class Group(eqx.Module):
+class Group(Record):
     """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
 
     Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
@@ -46,7 +48,7 @@ class Group(eqx.Module):
         return self.chunks * self.size
 
 
-class Layout(eqx.Module):
+class Layout(Record):
     """Index arrays of a block. The last measurement is one without weight, to fill up with.
 
     `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`
@@ -122,6 +124,7 @@ def layout_of(
     place[order[taken[there]]] = np.flatnonzero(there)
     image_of = np.where(there, image[taken], 0)
     last = len(there) - 1
+    check_countable(last + 1, f"{len(image)} measurements in one block", "Adjust it in parts.")
     of_image, owner = _by_image(image_of, there, n)
     groups = [Group(*sizes, *_indices(slots, np.where(at < 0, last, at))) for *sizes, slots, at in given]
     layout = Layout(

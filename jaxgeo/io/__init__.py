@@ -20,7 +20,8 @@ from jaxgeo.io.images import read_image
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
-from jaxgeo.io.orientations import Orientations, read_orientations, write_orientations
+from jaxgeo.io.orientation_writer import write_orientations
+from jaxgeo.io.orientations import Orientations, read_orientations
 from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
 from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
 from jaxgeo.io.rectified import RectifiedFile, rectify_file

@@ -90,7 +90,7 @@ def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]
     horizontal = horizontal_part(whole)
     if not (horizontal.is_projected or horizontal.is_geographic):
         raise TableError(f"{where}: crs = {crs!r} ({whole.name}) is no map; expected a projected CRS.")
-    return horizontal, vertical_part(whole)
+    return horizontal, vertical_part(whole, unnamed=True)
 
 
 def metric_map(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
@@ -98,7 +98,8 @@ def metric_map(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
     horizontal, vertical = understood_crs(where, crs)
     if not horizontal.is_projected:
         raise TableError(f"{where}: crs = {crs!r} ({horizontal.name}) is no map; expected a projected CRS.")
-    units = {axis.unit_name for axis in horizontal.axis_info if axis.unit_conversion_factor != 1.0}
+    axes = [*horizontal.axis_info, *([] if vertical is None else vertical.axis_info[-1:])]
+    units = {axis.unit_name: None for axis in axes if axis.unit_conversion_factor != 1.0}
     if units:
         raise TableError(f"{where}: crs = {crs!r} is in {', '.join(units)}, but the columns are in metres.")
     return horizontal, vertical

@@ -91,8 +91,7 @@ def how_to_get(missing: list[tuple[str, str, str]]) -> str:
     choice = " (which of them depends on the place)" if len(files) > 1 else ""
     return (
         f"the grid file is missing: {shown}{choice}. {how} put the file into "
-        f"{get_user_data_dir()}, name its folder with pyproj.datadir.append_data_dir(folder), "
-        f"or give the path of a geoid grid as vertical_datum."
+        f"{get_user_data_dir()}, or name its folder with pyproj.datadir.append_data_dir(folder)."
     )
 
 

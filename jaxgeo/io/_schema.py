@@ -104,6 +104,14 @@ class CameraTable(_Table):
         return self
 
 
+class CameraFile(BaseModel):
+    """A file of which the table [camera] alone is used."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    camera: CameraTable
+
+
 class GimbalTable(_Table):
     """The kind of gimbal, and its readings; these may come from a table of shots instead."""
 

@@ -134,7 +134,8 @@ class Blocks:
         has_void = bool(void.any())
         known = values[~void] if has_void else values
         if known.size:
-            low, high = float(known.min()) * self.source.unit, float(known.max()) * self.source.unit
+            upwards = self.source.unit * self.source.shift.sign
+            low, high = sorted(float(end) * upwards for end in (known.min(), known.max()))
             lowest, highest = self._undulation(part)
             low, high = low + lowest, high + highest
             allowed = POSSIBLE_HEIGHTS if self.height_range is None else self.height_range

@@ -16,11 +16,13 @@ from jaxgeo.adjust.records import ImagePoints, as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import refuse_doubles
 from jaxgeo.io._csv import CsvTable
+from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
+from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import PIXEL_COLUMNS
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.vertical import vertical_unit
 
 COLUMNS = ["geo_x", "geo_y", "geo_z", "im_x", "im_y", "image_name"]
 LIMITS = {
@@ -68,9 +70,10 @@ def read_gcp_list(
 
     Its first line is a projection: "EPSG:32651", a PROJ text "+proj=utm ...", "WGS84 UTM 51N", or "WGS84" (degrees).
     In each other line stand, with white space between, `geo_x geo_y geo_z im_x im_y image_name [gcp_name] [extra ...]`:
-    easting and northing (longitude and latitude in deg) in the units of the projection, height in m, column and row in
-    pixels. Without names, lines with the same coordinates are of one point, as there; such points are called
-    "unnamed-0", "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
+    easting and northing (longitude and latitude in deg) in the units of the projection, height in m (where the
+    projection has a vertical part, in its unit, and depth where it counts downwards), column and row in pixels.
+    Without names, lines with the same coordinates are of one point, as there; such points are called "unnamed-0",
+    "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
 
     - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m; as in scene files.
@@ -101,13 +104,8 @@ def read_gcp_list(
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """The lines that say something, with their numbers."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = [(i, line.strip()) for i, line in enumerate(file, start=1)]
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such file of ground control points.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: the file of ground control points cannot be read: {error}.") from error
+    text = read_text(path, "file of ground control points")
+    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
     lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
     if len(lines) < 2:
         raise TableError(f"{path}: expected a projection in the first line and measurements of points below it.")
@@ -122,7 +120,7 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
         if len(words) < len(COLUMNS):
             raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
         cells.append([*words[:6], words[6] if len(words) > 6 else ""])
-    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], cells)
+    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], with_points(cells, WHITE))
 
 
 def _projection(text: str) -> str:
@@ -174,9 +172,7 @@ def _positions(
     if np.any(lost):
         raise TableError(f"{table.path}: {_shown(tuple(places[np.argmax(lost)]))} has no place in {crs.name!r}.")
     try:
-        if vertical is not None:
-            height_shift(height_datum, vertical)  # refuses a datum that is not that of the projection
-        height = ellipsoidal_heights(lon, lat, z, height_datum)
+        height = ellipsoidal_heights(lon, lat, z * (vertical_unit(vertical) or 1.0), height_datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:

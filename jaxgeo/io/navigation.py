@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, require_x64
+from jaxgeo.io._columns import refuse_nowhere
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, gimbal_columns, read_csv
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.tables import poses_of, readings_of
@@ -55,6 +56,7 @@ def read_navigation(
         _check_said_once(table, readings)
     wanted |= _velocity_columns(table)
     numbers = {name: table.numbers(name, limits) for name, limits in wanted.items()}
+    refuse_nowhere(table, "lat_deg", numbers["lat_deg"], numbers["lon_deg"])
     _check_times(table, numbers["time_s"])
     angles = _angles(table, numbers, readings, gimbal_readings)
     velocity = np.stack([numbers[name] for name in VELOCITY], axis=-1) if VELOCITY.keys() <= wanted.keys() else None

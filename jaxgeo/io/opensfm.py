@@ -188,15 +188,15 @@ def _placed(
     reference = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=np.float64(height))
     if crs is None or (isinstance(crs, str) and crs.lower() == TOPOCENTRIC):
         return reference, world
-    horizontal, _ = metric_map(where, crs)
+    horizontal, vertical = metric_map(where, crs)
     grid = MapGrid.about_lonlat(where, horizontal, np.array([lon]), np.array([lat]))
     origin = np.array([*(u[0] for u in grid.from_lonlat(np.array([lon]), np.array([lat]))), 0.0])
     centres, R_map_from_camera, points = world
     x, y, z = (centres + origin).T
-    position = _of_map(where, grid, x, y, z, height_datum)
+    position = _of_map(where, grid, x, y, z, height_datum, vertical)
     enu, R_enu_from_camera = _turned(reference, position, grid.convergence(x, y), R_map_from_camera)
     x, y, z = (points + origin).T
-    on_earth = _of_map(where, grid, x, y, z, height_datum)
+    on_earth = _of_map(where, grid, x, y, z, height_datum, vertical)
     arrays = enu, R_enu_from_camera, _from_earth(reference, on_earth)
     return reference, tuple(np.asarray(array) for array in arrays)
 
@@ -218,17 +218,32 @@ def _refuse_whole_metres(where: str, lat: float, lon: float) -> None:
 
 
 def _of_map(
-    where: str, grid: MapGrid, x: np.ndarray, y: np.ndarray, z: np.ndarray, height_datum: str | float
+    where: str,
+    grid: MapGrid,
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    height_datum: str | float,
+    vertical: pyproj.CRS | None,
 ) -> Geodetic:
     lon, lat = grid.to_lonlat(x, y)
     if not np.all(np.isfinite(lon) & np.isfinite(lat)):
         raise TableError(f"{where}: the map of crs= does not reach every shot and point.")
-    return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=_heights(where, lon, lat, z, height_datum))
+    return Geodetic(
+        lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=_heights(where, lon, lat, z, height_datum, vertical)
+    )
 
 
-def _heights(where: str, lon: np.ndarray, lat: np.ndarray, z: np.ndarray, datum: str | float) -> np.ndarray:
+def _heights(
+    where: str,
+    lon: np.ndarray,
+    lat: np.ndarray,
+    z: np.ndarray,
+    datum: str | float,
+    vertical: pyproj.CRS | None = None,
+) -> np.ndarray:
     try:
-        return ellipsoidal_heights(lon, lat, z, datum)
+        return ellipsoidal_heights(lon, lat, z, datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{where}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:

@@ -20,9 +20,10 @@ from pydantic import ValidationError
 from pyproj.exceptions import CRSError
 
 from jaxgeo._checks import require_x64
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
+from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
@@ -45,7 +46,7 @@ class SceneError(RefusedFile):
         self.args = ("\n".join([*map(one_line, lines[:MOST_LINES]), *more]),)
 
 
-class Scene(eqx.Module):
+class Scene(Record):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
     `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
@@ -90,10 +91,39 @@ def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
     return scene.sensor, scene.shot
 
 
-def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
-    """(what the file holds as written, the same checked); a byte order mark is skipped."""
+def read_camera(path: str | os.PathLike[str]) -> FrameCamera:
+    """The camera of a scene file, or of a file that has nothing but the table [camera].
+
+    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    64-bit floats off.
+    """
+    require_x64()
+    content = _read_toml(pathlib.Path(path))
+    if "camera" not in content:
+        raise SceneError(
+            f"{path}: [camera] is missing; it has width, height and focal_px, or focal_length_mm and more."
+        )
     try:
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return _camera(CameraFile.model_validate(content).camera)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
+    """(what the file holds as written, the same checked)."""
+    content = _read_toml(path)
+    try:
+        return content, SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+
+
+def _read_toml(path: pathlib.Path) -> dict[str, Any]:
+    """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such scene file.") from None
     except IsADirectoryError:
@@ -102,10 +132,6 @@ def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
-    try:
-        return content, SceneTable.model_validate(content)
-    except ValidationError as error:
-        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
 
 
 def _check_datum(table: str, datum: str | float, written: Any) -> None:
@@ -214,15 +240,19 @@ def _radians(*angles_deg: float | None) -> list[float]:
     return [math.radians(angle) for angle in angles_deg if angle is not None]
 
 
-def ellipsoidal_heights(lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float) -> np.ndarray:
+def ellipsoidal_heights(
+    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float | None, stated: pyproj.CRS | None = None
+) -> np.ndarray:
     """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
 
-    NaN stays NaN. Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
+    `stated` is the vertical CRS of the file that the heights are from, if it names one: the datum must agree with it,
+    and where its heights are depths, so are these. NaN stays NaN.
+    Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
     `OutsideDatum`, a `ValueError`, where the datum's grid does not reach.
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
-    shift = height_shift(datum)
+    shift = height_shift(datum, stated)
     result = np.full(height.shape, np.nan)
     if known.any():
         result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])

@@ -10,17 +10,19 @@ import numpy as np
 import pyproj
 from pyproj.crs import CompoundCRS
 from pyproj.enums import TransformDirection
-from pyproj.exceptions import CRSError, ProjError
+from pyproj.exceptions import CRSError
 from pyproj.transformer import Transformer
 
 from jaxgeo.io._proj import NoOperation, how_to_get, operation
 from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.geoid_grid import check_grids_of, grid_by_path, wrapped
 
 USUAL_CHOICES = (
     'the usual choices are "EPSG:5773" (EGM96: SRTM, ASTER GDEM), "EPSG:3855" (EGM2008: Copernicus DEM, TanDEM-X '
     'products), the code of a national height system, "ellipsoid" (heights above WGS 84), a constant undulation in m, '
     "or the path of a geoid grid"
 )
+FILE, CALLER = "stated by the file", "stated by the caller"
 LARGEST_UNDULATION = 200.0  # m; the geoid stays within -107 and +86 m of the ellipsoid, local datums a little beyond
 
 VerticalDatum = str | int | float | pathlib.Path | pyproj.CRS | None
@@ -28,9 +30,10 @@ VerticalDatum = str | int | float | pathlib.Path | pyproj.CRS | None
 
 @dataclasses.dataclass(frozen=True)
 class HeightShift:
-    """The way between heights above a vertical datum and heights above the WGS 84 ellipsoid, both in m.
+    """The way between heights of a vertical datum and heights above the WGS 84 ellipsoid, both in m.
 
-    Either a constant `undulation` or an operation of PROJ on (lon_deg, lat_deg, height).
+    Either a constant `undulation` or an operation of PROJ on (lon_deg, lat_deg, height). Heights of a depth system are
+    depths in m: they count downwards.
     """
 
     name: str
@@ -38,26 +41,37 @@ class HeightShift:
     transformer: Transformer | None = None
     unit: float = 1.0
     """m per unit of the heights that the operation takes: foot datums exist."""
+    is_depth: bool = False
+    """Whether heights count downwards, in the datum and for the operation."""
+    west: float = -180.0
+    """Where the longitudes in deg begin that the operation takes."""
+
+    @property
+    def sign(self) -> float:
+        """m upwards per m of the datum's heights: 1, or -1 for depths."""
+        return -1.0 if self.is_depth else 1.0
 
     @property
     def is_identity(self) -> bool:
         """Whether heights are ellipsoidal already."""
-        return self.transformer is None and self.undulation == 0.0
+        return self.transformer is None and self.undulation == 0.0 and not self.is_depth
 
     def to_ellipsoid(self, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Ellipsoidal heights in m of heights in m above the datum; NaN outside the grid that the datum needs."""
+        """Ellipsoidal heights in m of the datum's heights in m; NaN outside the grid that the datum needs."""
         return self._shifted(lon_deg, lat_deg, height, inverse=False)
 
     def from_ellipsoid(self, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Heights in m above the datum of ellipsoidal heights in m; NaN outside the grid that the datum needs."""
+        """The datum's heights in m of ellipsoidal heights in m; NaN outside the grid that the datum needs."""
         return self._shifted(lon_deg, lat_deg, height, inverse=True)
 
     def _shifted(self, lon: np.ndarray, lat: np.ndarray, height: np.ndarray, inverse: bool) -> np.ndarray:
         if self.transformer is None:
-            return height - self.undulation if inverse else height + self.undulation
+            if inverse:
+                return self.sign * (height - self.undulation)
+            return self.sign * height + self.undulation
         direction = TransformDirection.INVERSE if inverse else TransformDirection.FORWARD
         given = height if inverse else height / self.unit
-        shifted = self.transformer.transform((lon + 180.0) % 360.0 - 180.0, lat, given, direction=direction)[2]
+        shifted = self.transformer.transform(wrapped(lon, self.west), lat, given, direction=direction)[2]
         shifted = np.where(np.isfinite(shifted), shifted, np.nan)
         return shifted * self.unit if inverse else shifted
 
@@ -67,32 +81,46 @@ def height_shift(
 ) -> HeightShift:
     """The shift for the datum a caller asked for and the one a file states (a vertical or a 3D CRS), where it does.
 
+    One that is stated without a name says only in which direction heights count.
     Raises `VerticalDatumError` if neither says it, if they disagree, or if PROJ cannot do it with the grids at hand.
     """
-    if asked is None and stated is None:
+    named = None if stated is None or is_unnamed(stated) else stated
+    depths = is_depth(stated)
+    if asked is None and named is None:
         raise VerticalDatumError(
             f"the file does not say what its heights are measured from, and a guess may be off by 100 m. "
             f"Pass vertical_datum=...: {USUAL_CHOICES}."
         )
     if asked is None:
-        return _of_crs(stated, area, "stated by the file")  # pyright: ignore[reportArgumentType]
+        return _of_crs(named, area, FILE)  # pyright: ignore[reportArgumentType]
     meant = _understood(asked)
-    _check_agreement(meant, stated)
+    _check_agreement(meant, named)
+    if isinstance(meant, pyproj.CRS) and stated is not None and is_depth(meant) != depths:
+        counted = "depths, which count downwards" if depths else "heights, which count upwards"
+        raise VerticalDatumError(
+            f"the file says that it holds {counted}, and {meant.name!r} counts the other way. Give the datum that "
+            f"counts as the file does, a constant undulation in m, or the path of a geoid grid as vertical_datum=..."
+        )
+    of = f" of {stated.name!r}, whose heights are depths" if depths and stated is not None else ""
     if isinstance(meant, int | float):
-        return HeightShift(f"constant undulation {meant:g} m", undulation=meant)
+        return HeightShift(f"constant undulation {meant:g} m{of}", undulation=meant, is_depth=depths)
     if isinstance(meant, pathlib.Path):
-        return _of_grid(meant)
+        transformer, west = grid_by_path(meant, depths)
+        return HeightShift(f"geoid grid {meant.name}{of}", transformer=transformer, is_depth=depths, west=west)
     if isinstance(meant, str):
-        return HeightShift("WGS 84 ellipsoid, stated by the caller")
-    return _of_crs(meant, area, "stated by the caller")
+        return HeightShift(f"WGS 84 ellipsoid, {CALLER}" + (", depths below it" if depths else ""), is_depth=depths)
+    return _of_crs(meant, area, CALLER, is_alone=stated is None)
 
 
-def vertical_part(crs: pyproj.CRS) -> pyproj.CRS | None:
-    """The part of a CRS that says what heights are measured from: a vertical or a 3D CRS, or None."""
+def vertical_part(crs: pyproj.CRS, *, unnamed: bool = False) -> pyproj.CRS | None:
+    """The part of a CRS that says what heights are measured from: a vertical or a 3D CRS, or None.
+
+    With `unnamed`, a vertical CRS without a name too: it says in which unit and in which direction heights count.
+    """
     crs = _unbound(crs)
     if crs.is_compound:
         part = next((p for p in map(_unbound, crs.sub_crs_list) if p.is_vertical), None)
-        return None if part is None or part.name.strip().lower() in ("", "unknown", "unnamed") else part
+        return None if part is None or (is_unnamed(part) and not unnamed) else part
     if crs.is_vertical or len(crs.axis_info) == 3:
         return crs
     return None
@@ -109,9 +137,19 @@ def _unbound(crs: pyproj.CRS) -> pyproj.CRS:
     return crs.source_crs if crs.is_bound and crs.source_crs is not None else crs
 
 
+def is_unnamed(crs: pyproj.CRS) -> bool:
+    """Whether a vertical CRS says only how heights count, and not what they are measured from."""
+    return crs.name.strip().lower() in ("", "unknown", "unnamed")
+
+
 def vertical_unit(crs: pyproj.CRS | None) -> float | None:
     """m per unit of the heights of a vertical or 3D CRS; None without one."""
     return None if crs is None else float(crs.axis_info[-1].unit_conversion_factor)
+
+
+def is_depth(crs: pyproj.CRS | None) -> bool:
+    """Whether the heights of a vertical or 3D CRS count downwards."""
+    return crs is not None and crs.axis_info[-1].direction.lower() == "down"
 
 
 def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
@@ -171,6 +209,8 @@ def _check_agreement(asked: str | float | pathlib.Path | pyproj.CRS, stated: pyp
 
 
 def _same_datum(a: pyproj.CRS, b: pyproj.CRS) -> bool:
+    if is_depth(a) != is_depth(b):
+        return False
     if _is_ellipsoidal(a) or _is_ellipsoidal(b):
         return _is_ellipsoidal(a) and _is_ellipsoidal(b)
     codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
@@ -183,47 +223,52 @@ def _is_ellipsoidal(crs: pyproj.CRS) -> bool:
     return not crs.is_vertical or "ellipsoid" in crs.name.lower()
 
 
-def _of_crs(crs: pyproj.CRS, area: tuple[float, float, float, float] | None, by: str) -> HeightShift:
-    unit = vertical_unit(crs) or 1.0
-    if crs.is_vertical and _is_ellipsoidal(crs):
-        return HeightShift(f"WGS 84 ellipsoid, {by}")
+def _of_crs(
+    crs: pyproj.CRS, area: tuple[float, float, float, float] | None, by: str, is_alone: bool = False
+) -> HeightShift:
+    """The way from heights above a CRS; `is_alone` where nothing but the caller names it."""
+    unit, depths = vertical_unit(crs) or 1.0, is_depth(crs)
+    if _is_ellipsoidal(crs) and (crs.is_vertical or _is_wgs84(crs)):
+        return HeightShift(f"WGS 84 ellipsoid, {by}" + (", depths below it" if depths else ""), is_depth=depths)
     if crs.is_vertical:
         source: pyproj.CRS = CompoundCRS(f"WGS 84 + {crs.name}", components=["EPSG:4326", crs])
+    elif depths:
+        raise VerticalDatumError(
+            f"{crs.name!r} has ellipsoidal heights that count downwards, which are not read; change their sign, and "
+            f"name a CRS whose heights count upwards."
+        )
     else:
-        source = crs.geodetic_crs.to_3d()  # pyright: ignore[reportOptionalMemberAccess]
-        if source.to_epsg() == 4979:
-            return HeightShift(f"WGS 84 ellipsoid, {by}")
-        unit = 1.0
+        source, unit = crs.geodetic_crs.to_2d().to_3d(), 1.0  # pyright: ignore[reportOptionalMemberAccess]
     try:
         found = operation(source, "EPSG:4979", area)
     except NoOperation as error:
-        if error.missing:
-            raise VerticalDatumError(
-                f"heights above {crs.name!r} need a geoid grid, and {how_to_get(error.missing)}"
-            ) from error
-        raise VerticalDatumError(
-            f"PROJ knows no transformation from heights above {crs.name!r} to the WGS 84 ellipsoid (a ballpark one, "
-            f"which would be zero, is not taken). Pass a constant undulation in m or the path of a geoid grid."
-        ) from error
-    return HeightShift(f"{crs.name}, {by}: {found}", transformer=found.transformer, unit=unit)
+        raise _unreachable(crs, is_alone, error) from error
+    check_grids_of(found.transformer)
+    name = f"{crs.name}{' (depths)' if depths else ''}, {by}: {found}"
+    return HeightShift(name, transformer=found.transformer, unit=unit, is_depth=depths)
 
 
-def _of_grid(path: pathlib.Path) -> HeightShift:
-    """Bilinear undulations from a geoid grid that PROJ can read; its longitudes and latitudes taken as WGS 84's."""
-    if not path.is_file():
-        raise VerticalDatumError(f"vertical_datum: the geoid grid {path} does not exist.")
-    if any(character in str(path) for character in '",'):
-        raise VerticalDatumError(f"vertical_datum: PROJ cannot take a path with a comma or a quote in it: {path}")
-    pipeline = (
-        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
-        f'+step +proj=vgridshift +grids="{path.resolve()}" +multiplier=1 '
-        "+step +proj=unitconvert +xy_in=rad +xy_out=deg"
+def _is_wgs84(crs: pyproj.CRS) -> bool:
+    """Whether a 3D CRS is that of WGS 84."""
+    return crs.geodetic_crs.to_2d().to_3d().to_epsg() == 4979  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def _unreachable(crs: pyproj.CRS, is_alone: bool, error: NoOperation) -> VerticalDatumError:
+    """What to do about a datum that PROJ does not bring to the ellipsoid, and nothing that takes depths for heights."""
+    if is_alone and is_depth(crs):
+        other = (
+            "A constant undulation or a geoid grid alone would take these depths for heights: let the CRS of the file "
+            "name the depth system and give the undulation or the grid as vertical_datum=..., or turn the depths into "
+            "heights (change their sign)."
+        )
+    else:
+        other = "Pass a constant undulation in m or the path of a geoid grid as vertical_datum=..."
+        if is_alone and vertical_unit(crs) != 1.0:
+            other += f", and where the file does not state the unit ({crs.axis_info[-1].unit_name}), height_unit=..."
+    if error.missing:
+        how = how_to_get(error.missing)
+        return VerticalDatumError(f"heights above {crs.name!r} need a geoid grid, and {how} {other}")
+    return VerticalDatumError(
+        f"PROJ knows no transformation from heights above {crs.name!r} to the WGS 84 ellipsoid (a ballpark one, "
+        f"which would be zero, is not taken). {other}"
     )
-    try:
-        transformer = Transformer.from_pipeline(pipeline)
-    except ProjError as error:
-        raise VerticalDatumError(
-            f"vertical_datum: PROJ cannot read {path} as a geoid grid (it takes GeoTIFF and GTX files with the "
-            f"undulation in m in the first band)."
-        ) from error
-    return HeightShift(f"geoid grid {path.name}", transformer=transformer)

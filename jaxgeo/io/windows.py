@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.mapping import FileMap
+from jaxgeo.terrain.pyramid import check_size
 
 Bounds = tuple[float | int, float | int, float | int, float | int]
 
@@ -69,8 +70,17 @@ def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
     """The size of the arrays that hold a window: few sizes, since each is one that programs are compiled for.
 
     Windows of up to 1024 posts a side get a square of 256, 512 or 1024; a longer side is one of 1024, 1536, 2048,
-    3072, 4096, ... of its own.
+    3072, 4096, ... of its own. One that would then be too large for a terrain stays as it is.
     """
+    padded = _padded_shape(shape)
+    try:
+        check_size(padded)
+    except ValueError:
+        return shape
+    return padded
+
+
+def _padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
     longest = max(shape)
     if longest <= _LARGEST_SQUARE:
         side = _SMALLEST

@@ -15,6 +15,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Num
 
+from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 
 LEAST = 1e-9  # weight below which a pixel has no part in a value
@@ -22,7 +24,7 @@ ROWS_AT_ONCE = 512
 WORDS = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}  # by their bits
 
 
-class AbstractInterpolation(eqx.Module):
+class AbstractInterpolation(Record):
     """Weights of the pixels about a place, along rows and columns alike."""
 
     taps: ClassVar[tuple[int, ...]]
@@ -81,7 +83,7 @@ def precision_of(values: Num[Array, "..."]) -> Any:
     return jnp.float64 if values.dtype.itemsize > 2 and values.dtype != jnp.float32 else jnp.float32
 
 
-class Pixels(eqx.Module):
+class Pixels(Record):
     """The pixels of an image (bands, rows, cols), laid out so that those about a place are quick to take.
 
     Two to four bands of bytes can share a word: eight bits for each, or sixteen where they are means, with their 256th
@@ -99,6 +101,7 @@ class Pixels(eqx.Module):
     def of(cls, values: Num[ArrayLike, "bands rows cols"], known: Bool[ArrayLike, "rows cols"] | None) -> Pixels:
         """Band by band, as they are."""
         bands, rows, cols = np.shape(values)
+        check_countable(rows * cols, f"{rows} x {cols} pixels in one image", "Cut it into parts, or make it coarser.")
         words = tuple(jnp.asarray(band).reshape(-1) for band in values)  # pyright: ignore[reportGeneralTypeIssues]
         return cls(words, None if known is None else jnp.asarray(known).reshape(-1), bands, (rows, cols), 0)
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Int8
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
@@ -64,7 +65,7 @@ class Tile(NamedTuple):
     status: np.ndarray
 
 
-class Rectified(eqx.Module):
+class Rectified(Record):
     """A rectified image, and the `Status` (rows, cols) of each cell: `hit` where the image shows it, or why not."""
 
     orthoimage: Orthoimage

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is, require_x64
 from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
 from jaxgeo.locate import FIRST_HIT
@@ -42,7 +43,7 @@ MORE, ROUNDS = 1.02, 6  # residuals over what the errors given make of them, fro
 HUBER, CONSENSUS = Huber(), PoseConsensus()
 
 
-class Limits(eqx.Module):
+class Limits(Record):
     """What it takes to accept a registration.
 
     `false_alarms`: how often in so many images chance may make blocks agree. `least_blocks` and `least_share` of those
@@ -69,7 +70,7 @@ class Limits(eqx.Module):
 LIMITS = Limits()
 
 
-class Registration(eqx.Module):
+class Registration(Record):
     """What a registration found. Without an update, `outcome` says why, and nothing else is to be believed.
 
     `sensor`, `shot` and `terrain` are the updated ones if `accepted`, else those that were given. `update` has their
@@ -174,7 +175,7 @@ def register(
     return _registered(given, images, search, limits)
 
 
-class _Given(eqx.Module):
+class _Given(Record):
     """What the navigation says, and how it and the map err."""
 
     look: Look

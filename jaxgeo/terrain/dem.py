@@ -23,7 +23,7 @@ from jaxgeo.terrain.field import AbstractField, BoundedField, Bounds, SumField, 
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.patch import Patch
-from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, extremes, known_posts
+from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, check_size, extremes, known_posts
 from jaxgeo.terrain.search.base import AbstractSearch
 
 EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
@@ -66,7 +66,8 @@ class Dem(AbstractTerrain):
         rise: the highest known post unless you know better (a lake, a plain); rays below it over a void have no answer.
         `extent` is the true (rows, cols) if the array is padded at its end. Posts may be traced by JAX: gradients then
         reach them through the hits, never through the bounds.
-        Raises `ValueError` for fewer than 2 x 2 posts, posts all void or infinite, or a ceiling that is not finite.
+        Raises `ValueError` for fewer than 2 x 2 posts, more than some 40,000 x 40,000 (1.6e9), posts all void or
+        infinite, or a ceiling that is not finite.
 
         >>> from jaxgeo.terrain import TangentGrid
         >>> middle = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
@@ -295,6 +296,7 @@ def _check_kind(posts: Any, void: Any, extent: Any) -> None:
         raise ValueError(f"posts must be an array of at least 2 x 2 heights; got shape {posts.shape}.")
     if posts.dtype.kind not in "iuf":
         raise TypeError(f"posts must be heights in m, integers or floats; got dtype {posts.dtype}.")
+    check_size(posts.shape)
     if void is not None and (jnp.shape(void) != posts.shape or void.dtype != bool):
         raise ValueError(
             f"void must be a boolean array of the posts' shape {posts.shape}; "

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 from jaxtyping import Array, Int
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.earth.ray import Ray
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.search.base import AbstractSearch
 
 
-class Bracket(eqx.Module):
+class Bracket(Record):
     """Where along a ray the surface is crossed, found without gradients.
 
     It lies between the ranges `lower` and `upper` in m, as far as the search can tell at `near`; `cell` is the
@@ -31,7 +31,7 @@ class Bracket(eqx.Module):
     status: StatusField
 
 
-class AbstractTerrain(eqx.Module):
+class AbstractTerrain(Record):
     """A surface that rays can meet."""
 
     @abstractmethod

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt16
 
+from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, ScalarField
 from jaxgeo.terrain._memory import aligned_empty, handed_over
 
@@ -19,7 +21,7 @@ FINEST_STEP = 1e-7  # m, for level ground
 ROWS_AT_ONCE = 64  # so that building takes little memory beside the posts
 
 
-class Pyramid(eqx.Module):
+class Pyramid(Record):
     """Maxima over 2 x 2 neighbouring texels of 2^level x 2^level cells, all levels in one flat array.
 
     A box no wider than 2^level cells on either axis touches at most the texel of its lower corner and the next one
@@ -39,14 +41,34 @@ class Pyramid(eqx.Module):
 
     def bound(self, level: Index, row: Index, col: Index) -> Scalar:
         """Upper bound in m over the texel (row, col) and the next ones at `level` (clipped to the pyramid)."""
-        rows, cols = self.shape
-        offsets = np.cumsum([0] + [rows * cols for rows, cols in _level_shapes(self.shape)[:-1]]).astype(np.int32)
-        level = jnp.clip(level, 0, self.top)
-        last_row, last_col = jnp.right_shift(rows - 1, level), jnp.right_shift(cols - 1, level)
-        row, col = jnp.clip(row, 0, last_row), jnp.clip(col, 0, last_col)
-        texel = jnp.asarray(offsets)[level] + row * (last_col + 1) + col
+        texel = texel_of(self.shape, level, row, col)
         stored = jnp.asarray(self.bounds).at[texel].get(mode="promise_in_bounds")
         return self.base + self.step * stored.astype(jnp.float64)
+
+
+def texel_of(shape: tuple[int, int], level: Index, row: Index, col: Index) -> Index:
+    """Place in the flat array of the texel (row, col) at `level`, clipped to a pyramid over `shape` (rows, cols) cells.
+
+    In 32 bits, which `check_size` sees to: in 64 the search's inner loop would be slower.
+    """
+    rows, cols = shape
+    offsets = np.cumsum([0] + [rows * cols for rows, cols in _level_shapes(shape)[:-1]]).astype(np.int32)
+    level = jnp.clip(level, 0, len(offsets) - 1)
+    last_row, last_col = jnp.right_shift(rows - 1, level), jnp.right_shift(cols - 1, level)
+    row, col = jnp.clip(row, 0, last_row), jnp.clip(col, 0, last_col)
+    return jnp.asarray(offsets)[level] + row * (last_col + 1) + col
+
+
+def check_size(posts: tuple[int, int]) -> None:
+    """Raise `ValueError` for (rows, cols) of posts whose pyramid has more texels than 32 bits count."""
+    rows, cols = posts
+    texels = sum(rows * cols for rows, cols in _level_shapes((rows - 1, cols - 1)))
+    check_countable(
+        max(texels, rows * cols),
+        f"{rows} x {cols} posts in one terrain (with the bounds above them)",
+        "Cut out a part (bounds=, gdal_translate -projwin), or open the files with jaxgeo.io.open_dem, which reads "
+        "only what lines of sight need.",
+    )
 
 
 def known_posts(unknown: Any, rows: Any, cols: Any, xp: Any) -> tuple[Any, Any]:

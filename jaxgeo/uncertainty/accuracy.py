@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 from jax.typing import ArrayLike
 
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
@@ -25,7 +25,7 @@ SAMPLES = 20_000
 RANDOM = Random()
 
 
-class Accuracy(eqx.Module):
+class Accuracy(Record):
     """How sure a fix is: radii in m about it that hold the truth with a `probability`, and who says so.
 
     `circular` on the level plane, `linear` in height, `spherical` in space; infinite if too many of the errors drawn

@@ -12,6 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64
+from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -33,7 +34,7 @@ RANDOM = Random()
 NAMES = ("sensor", "shot", "uv", "terrain", "errors")
 
 
-class AccuracyOfEach(eqx.Module):
+class AccuracyOfEach(Record):
     """How sure n fixes are: radii in m about each that hold the truth with a `probability`; all arrays have length n.
 
     `circular`, `linear`, `spherical` as in `Accuracy`, by the method that `trust` names (codes of `Trust`): infinite

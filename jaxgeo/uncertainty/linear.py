@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -28,7 +29,7 @@ FACET = Facet()
 _circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
 
 
-class Propagation(eqx.Module):
+class Propagation(Record):
     """How sure a fix is, by linear propagation.
 
     `jacobian` (3, axes) in m of east, north, up at the fix for one rad, m, px, s, K or Pa of each axis of the error

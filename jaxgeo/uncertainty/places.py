@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxgeo._checks import check_is
+from jaxgeo._checks import check_countable, check_is
 from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
@@ -20,7 +20,7 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
-from jaxgeo.uncertainty.draws import AbstractDraws
+from jaxgeo.uncertainty.draws import MORE, AbstractDraws
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
@@ -89,6 +89,7 @@ def requested(
     for value, name, least in ((count, "count", 0), (chunk, "chunk", 1), (block, "block", 1)):
         if not isinstance(value, Integral) or value < least:
             raise ValueError(f"{name} must be a whole number, {least} or more; got {value!r}.")
+    check_countable(int(count), f"{count} samples", MORE)
     check_is(draws, AbstractDraws, "draws")
     key = jax.random.key(0) if key is None else key
     return Request(level, int(count), key, draws, int(chunk), search, int(block))

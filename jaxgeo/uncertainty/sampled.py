@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
@@ -19,7 +20,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.bundle import PART
 from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, one_ahead, planned
-from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.intervals import (
     Interval,
     quantile_interval,
@@ -50,7 +51,7 @@ class Quantile(NamedTuple):
     share: float
 
 
-class Sampled(eqx.Module):
+class Sampled(Record):
     """How sure a fix is, by samples.
 
     `count` samples of which `found` have a fix, the others counted in `statuses`; `mean_enu` in m and `cov_enu` in m2
@@ -159,6 +160,7 @@ class Sampling(NamedTuple):
         for value, name in ((self.count, "count"), (self.chunk, "chunk")):
             if not isinstance(value, int | np.integer) or value < 1:
                 raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
+        check_countable(int(self.count), f"{self.count} samples", MORE)
         if not isinstance(self.key, jax.Array):
             raise TypeError(f"key must be one of jax.random.key(seed); got {self.key!r}.")
         devices = self.devices

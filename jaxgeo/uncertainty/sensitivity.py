@@ -14,6 +14,8 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -21,7 +23,7 @@ from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.budget import source_names
 from jaxgeo.uncertainty.bundle import in_parts, misses
-from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
+from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
@@ -60,7 +62,7 @@ class SobolIndex(NamedTuple):
     total_high: float
 
 
-class SobolIndices(eqx.Module):
+class SobolIndices(Record):
     """Sobol indices of a miss by groups of errors, for east, north, up and the horizontal plane.
 
     `estimate` is from the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is
@@ -305,6 +307,7 @@ def _check_request(count: Any, draws: Any, confidence: Any, resamples: Any, chun
     for name, (value, low) in least.items():
         if not isinstance(value, int | np.integer) or value < low:
             raise ValueError(f"{name} must be a whole number of at least {low}; got {value!r}.")
+    check_countable(int(count), f"{count} samples", MORE)
     if not isinstance(draws, AbstractDraws):
         raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
     if isinstance(draws, Sobol) and count % draws.scrambles:

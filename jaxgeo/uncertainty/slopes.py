@@ -5,11 +5,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.uncertainty.look import Aim
@@ -52,7 +52,7 @@ class Spread(NamedTuple):
         return self.ray - along[:, None] * (surface.normal @ self.ray - self.height)[None, :]
 
 
-class AbstractSlope(eqx.Module):
+class AbstractSlope(Record):
     """A choice of the plane on which a line of sight that errs is taken to come down."""
 
     @abstractmethod

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty.linear import FACET, Propagation, swept_over
@@ -26,6 +27,7 @@ FEW = 0.01  # of chance: more lines of sight that jump or fail show in a figure 
 GRAZING = 0.01  # sine of the angle between ray and surface
 
 
+@portable
 class Signs(NamedTuple):
     """What can be known of a fix's error without samples: figures at 90 % in m, and how the ground lies about it.
 
@@ -48,6 +50,7 @@ class Signs(NamedTuple):
     known: Scalar
 
 
+@portable
 class Surveyed(NamedTuple):
     """The signs of a fix, and what they were read from: linear propagation over its facet and its footprint, and the
     profile of the ground, where it has one."""

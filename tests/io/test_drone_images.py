@@ -202,7 +202,7 @@ def test_what_a_file_of_dji_tells(image) -> None:
     position = np.array([pose.position.lat, pose.position.lon, pose.position.height])[:, 0]
     np.testing.assert_allclose(position, [np.deg2rad(LAT), np.deg2rad(LON), 1538.962 + 48.25], atol=1e-12)
     np.testing.assert_allclose(np.rad2deg([pose.heading, pose.pitch, pose.roll])[:, 0], [92.8, -4.0, 2.3], atol=1e-12)
-    (source,) = found.sources
+    source, _ = found.sources
     np.testing.assert_allclose(source.sigma, [[0.0093, 0.0097, 0.0238]], atol=1e-15)  # m north, east, down
     assert (found.form, len(found), found.names.tolist()) == ("DJI drone image", 1, ["a.jpg"])
     assert found.tags[0]["drone-dji:Unheard"] == "of"
@@ -286,7 +286,8 @@ def test_a_camera_given(image) -> None:
     assert sensor is not None
     np.testing.assert_array_equal(sensor.camera.focal_px, [33.0, 33.0])  # type: ignore[attr-defined]
     assert found.facts["focal length"] == "33 pixels (as given)"
-    with pytest.raises(TableError, match=r"a.jpg: the image has 40 x 30 pixels, the camera given 41 x 30; scale"):
+    assert [type(one).__name__ for one in found.sources] == ["Position"]  # a lens that is given does not err
+    with pytest.raises(TableError, match=r"a.jpg: the image has 40 x 30 pixels, the camera given 41 x 30, which is an"):
         read(image(), camera=FrameCamera.from_pixels(focal_px=33.0, width=41, height=30))
 
 
@@ -302,7 +303,7 @@ def test_heights_are_not_guessed(image) -> None:
     np.testing.assert_allclose(found.shots.pose.position.height, [1586.6], atol=1e-9)
     told = "Heights are drone-dji:RelativeAltitude above a take-off at 1560 m"
     assert any(told in line for line in found.assumed)
-    assert found.sources == ()  # RTK's are not those of a barometer
+    assert [one.label for one in found.sources] == ["interior orientation"]  # RTK's are not those of a barometer
     with pytest.raises(TableError, match=r"height_datum= and takeoff_height= both say"):
         read(path, takeoff_height=1560.0)
     with pytest.raises(VerticalDatumError, match=r"a.jpg: height_datum='EPSG:0' is unknown"):
@@ -336,7 +337,7 @@ def test_positions_of_exif_are_those_that_gdal_reads(image, name: str, below: in
     for ours, axis, sign in ((lat, "Latitude", -1.0), (lon, "Longitude", -1.0)):
         parts = [float(part.strip("( )")) for part in theirs[f"EXIF_GPS{axis}"].split(") (")]
         np.testing.assert_allclose(sign * np.dot(parts, [1.0, 1 / 60, 1 / 3600]), ours, atol=2e-8)  # of six digits
-    (source,) = found.sources
+    source, _ = found.sources
     xy, z = 845389 / 2097152, 5117051 / 8388608
     np.testing.assert_allclose(source.sigma, [[xy, xy, z]], atol=1e-15)  # m
 
@@ -407,8 +408,10 @@ def test_several_images_and_a_folder(image, tmp_path: pathlib.Path) -> None:
     twice = read([paths[0], image(far, "c/b.jpg")])
     assert twice.names.tolist() == [str(tmp_path / "b.jpg"), str(tmp_path / "c/b.jpg")]
     partly = read([image({**DJI, "drone-dji:RtkStdLat": "0"}, "a.jpg"), paths[0]])
-    assert (partly.sources, partly.facts["position errors"]) == ((), "not said")
-    assert any("How well the positions are known is not said" in line for line in partly.assumed)
+    np.testing.assert_allclose(partly.sources[0].sigma, [[3.0, 3.0, 5.0], [0.0093, 0.0097, 0.04]])
+    assert any("1 of 2 images do not say how well their positions are known" in line for line in partly.assumed)
+    none = read(image({**DJI, "drone-dji:RtkFlag": "0"}, "a.jpg"))
+    assert (len(none.sources), none.facts["position errors"]) == (1, "not said")
 
 
 def test_what_a_rangefinder_hit_is_reported(image) -> None:
@@ -461,7 +464,7 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     "no fix": (
         DJI | {"drone-dji:GpsLatitude": "0.0", "drone-dji:GpsLongtitude": "0.0"},
         {},
-        "latitude and longitude are zero",
+        r"its position is unknown: drone-dji:GpsLatitude 0.0, drone-dji:GpsLongtitude 0.0 \(a receiver without a fix",
     ),
     "no hemisphere": (
         GPS_OFF,
@@ -482,7 +485,7 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     "no focal length": (
         PIX4D,
         {"exif": {}},
-        r"nothing says what the focal length is in pixels.* camera=.*width=40, height=30",
+        r"nothing says what the focal length is in pixels.*Maker Model of 40 x 30 pixels is not in the table.* camera=",
     ),
     "fisheye": (PARROT | {"Camera:ModelType": "fisheye"}, {}, "Camera:ModelType: fisheye lenses are not read"),
     "another size, dewarped": (

@@ -10,6 +10,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxgeo.io._dialect import header_of
+from jaxgeo.io._orientation_columns import ALIASES, KNOWN
+from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
@@ -146,14 +149,14 @@ def _is_reconstruction(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
-    """Whether the first line names columns of positions and angles."""
-    if not _is_text(head):
+    """Whether the header, which may be a comment, names columns of positions and angles."""
+    text = text_of(head, is_cut=True)
+    if text is None or not text.strip():
         return False
-    line = head.splitlines()[0].decode("latin-1").lower()
-    words = {word.strip(" '\"\ufeff\xef\xbb\xbf") for word in line.replace(";", ",").replace(",", " ").split()}
-    on_earth = {"lat_deg", "latitude"} & words
+    words = {name.strip(" '\"").lower() for name in header_of(text, KNOWN)}
+    meant = {name for name, others in ALIASES.items() if {name, *others} & words}
     on_map = {"omega", "omega_deg", "omega_gon", "omega_rad", "o"} & words
-    return bool(on_earth or on_map)
+    return "lat_deg" in meant or bool(on_map) or {"x_m", "y_m", "heading_deg"} <= meant or "f=n" in words
 
 
 def _is_sbet(path: pathlib.Path, head: bytes) -> bool:

@@ -15,8 +15,11 @@ import pyproj
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io._dialect import header_of
 from jaxgeo.io._json import number_of, read_json, shown, value_of
 from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
+from jaxgeo.io._orientation_columns import KNOWN
+from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import (
     CHOICES,
     NO_ERRORS,
@@ -31,7 +34,7 @@ from jaxgeo.io.acquisitions.blocks import (
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
 from jaxgeo.io.orientations import poses_of_opk
-from jaxgeo.io.vertical import height_shift
+from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 
 # Coefficients of each type of camera that is read; those of `UNREAD` must be zero.
@@ -204,11 +207,10 @@ def _of_csv(
 def _words(path: pathlib.Path) -> set[str]:
     """The names of the columns, in small letters; none where the file cannot be read, which reading it then tells."""
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            line = next((line for line in file if line.strip()), "")
-    except (OSError, UnicodeDecodeError):
+        text = read_text(path, "exterior parameter file")
+    except (OSError, ValueError):
         return set()
-    return {word.strip(" '\"\n").lower() for word in line.replace(",", " ").replace("\t", " ").split()}
+    return {word.strip(" '\"").lower() for word in header_of(text, KNOWN)}
 
 
 def _taken_by(path: Any, cameras: Mapping[str, FrameCamera], names: list[str], given: list[Any]) -> np.ndarray:
@@ -235,7 +237,7 @@ def _poses_in_map(
 ) -> Pose:
     """Poses of photogrammetric angles in a map."""
     horizontal, vertical = metric_map(path, crs)
-    if height_datum is None and vertical is None:
+    if height_datum is None and (vertical is None or is_unnamed(vertical)):
         raise UnstatedDatum(
             f"{path}: the map {horizontal.name!r} has no vertical part, so the file does not say what its heights are "
             f"measured from, and a guess may be off by 100 m. {CHOICES}"

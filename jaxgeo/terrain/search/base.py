@@ -5,10 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._numerics import dot, safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
@@ -22,7 +22,7 @@ FLOOR_MARGIN = 1.0  # m below the lowest ground, so that it ends clearly below
 BEYOND = 200_000.0  # m behind the lowest point of a bent ray that does not sink to the floor when straight
 
 
-class AbstractSearch(eqx.Module):
+class AbstractSearch(Record):
     """A way to find where a ray crosses the surface of a DEM. It gets frozen inputs and returns a frozen bracket."""
 
     @abstractmethod
@@ -30,7 +30,7 @@ class AbstractSearch(eqx.Module):
         """The crossing of `ray` (ECEF) and `dem` that this search finds, with its cell and status."""
 
 
-class Reach(eqx.Module):
+class Reach(Record):
     """The part of a ray in which it can meet the ground.
 
     From `start` (where it sinks below the ceiling, or its origin) to `end` (where it is below the lowest ground, or has

@@ -1,0 +1,170 @@
+"""Geoid grids in files: PROJ's bilinear look-up of a grid, held against the grid's own posts before it is used."""
+
+from __future__ import annotations
+
+import functools
+import pathlib
+import re
+import warnings
+from typing import Any
+
+import numpy as np
+import rasterio
+from pyproj.exceptions import ProjError
+from pyproj.transformer import Transformer
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from jaxgeo.io._proj import DATA
+from jaxgeo.io.errors import VerticalDatumError
+
+WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
+EDGE = 1e-9  # deg; a place on the western edge is inside
+_HEIGHT_BANDS = ("geoid_undulation", "vertical_offset", "hydroid_height", "ellipsoidal_height_offset")
+_SHARES = np.array([0.02, 0.14, 0.26, 0.38, 0.49, 0.51, 0.62, 0.74, 0.86, 0.98])  # of rows and columns: all quadrants
+
+Posts = tuple[np.ndarray, np.ndarray, np.ndarray]  # longitude and latitude in deg, undulation in m
+
+
+def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
+    """Undulations of a geoid grid, added to heights (or taken from depths), and the longitude in deg that it starts at.
+
+    The transformer takes longitudes from there on, up to a turn more, and latitudes in deg, as WGS 84's. Raises
+    `VerticalDatumError` for a file that PROJ cannot read, or one whose own posts it does not give back.
+    """
+    if not path.is_file():
+        raise VerticalDatumError(f"vertical_datum: the geoid grid {path} does not exist.")
+    if any(character in str(path) for character in '",'):
+        raise VerticalDatumError(f"vertical_datum: PROJ cannot take a path with a comma or a quote in it: {path}")
+    try:
+        transformer = _look_up(path, "+over", "+step +proj=axisswap +order=1,2,-3 " if depths else "")
+    except ProjError as error:
+        raise VerticalDatumError(
+            f"vertical_datum: PROJ cannot read {path} as a geoid grid (it takes GeoTIFF and GTX files with the "
+            f"undulation in m in the first band)."
+        ) from error
+    west = _first_longitude(path)
+    found = _largest_difference(path, _stamp(path), "+over", west)
+    if found is not None:
+        raise VerticalDatumError(
+            f"vertical_datum: PROJ reads the geoid grid {path} wrongly: {found}. Convert it to a GeoTIFF in deg, with "
+            f"longitudes from -180 to 180, or use another grid."
+        )
+    return transformer, west
+
+
+def check_grids_of(transformer: Transformer) -> None:
+    """Raises `VerticalDatumError` for an operation of PROJ with a geoid grid whose own posts PROJ does not give back.
+
+    Such are global grids from 0 to 360 deg in which the first meridian stands again at the end: PROJ 9 reads them one
+    column off at west longitudes.
+    """
+    for path in _grids_of(transformer):
+        found = _largest_difference(path, _stamp(path), "", -180.0)
+        if found is not None:
+            raise VerticalDatumError(
+                f"PROJ reads its geoid grid {path} wrongly: {found}. Replace it by the one that `pyproj sync` gets, or "
+                f"take it out of PROJ's folder."
+            )
+
+
+def _grids_of(transformer: Transformer) -> list[pathlib.Path]:
+    """The files of vertical grids that an operation takes and that are not the package's own."""
+    names = {
+        name.strip().lstrip("@")
+        for listed in re.findall(r"proj=vgridshift\b[^+]*?\bgrids=(\S+)", transformer.definition.replace("+", ""))
+        for name in listed.split(",")
+    }
+    known = (pathlib.Path(grid.full_name) for one in transformer.operations or () for grid in one.grids)
+    return [path for path in dict.fromkeys(known) if path.name in names and path.is_file() and path.parent != DATA]
+
+
+def _look_up(path: pathlib.Path, over: str, last: str = "") -> Transformer:
+    """The sum of a height and the grid's value there, from and to deg; `last` is a step that comes before it."""
+    return Transformer.from_pipeline(
+        f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {last}"
+        f'+step +proj=vgridshift +grids="{path.resolve()}" +multiplier=1 {over} '
+        f"+step +proj=unitconvert +xy_in=rad +xy_out=deg {over}"
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) -> str | None:
+    """Where PROJ is farthest from the grid's own posts, in words; None if it gives them back."""
+    del stamp  # part of the key only: another time or size is another file
+    lon, lat, own = _posts(path)
+    shown = _look_up(path, over).transform(wrapped(lon, west), lat, np.zeros(own.shape))[2]
+    if not np.isfinite(shown).any():
+        return "it finds none of the grid's own posts"
+    off = np.where(np.isfinite(shown), np.abs(shown - own), 0.0)
+    k = int(np.argmax(off))
+    if off[k] <= WITHIN:
+        return None
+    ns, ew = "NS"[int(lat[k] < 0.0)], "EW"[int(lon[k] < 0.0)]
+    return f"at its post {abs(lat[k]):g} {ns} {abs(lon[k]):g} {ew} it gives {shown[k]:.3f} m, the file {own[k]:.3f} m"
+
+
+def _posts(path: pathlib.Path) -> Posts:
+    """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
+    with rasterio.Env(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with rasterio.open(path) as data:
+                parts = data.subdatasets or [str(path)]
+            found = [_posts_of(part) for part in parts]
+        except RasterioError as error:
+            raise VerticalDatumError(
+                f"vertical_datum: the posts of the geoid grid {path} cannot be read to check it: {error}"
+            ) from error
+    lon, lat, own = (np.concatenate(one) for one in zip(*(posts for posts, _ in found), strict=True))
+    within = np.stack([_is_within(lon, lat, box) for _, box in found])
+    lon, lat, own = (one[within.sum(axis=0) <= 1] for one in (lon, lat, own))  # elsewhere PROJ takes the finer part
+    if not own.size:
+        raise VerticalDatumError(f"vertical_datum: the geoid grid {path} has no value at any of the posts looked at.")
+    return lon, lat, own
+
+
+def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
+    """Known posts of one raster, longitudes in [-180, 180), and its (west, south, east, north) in deg."""
+    with rasterio.open(name) as data:
+        bands = [text in _HEIGHT_BANDS for text in data.descriptions]
+        band = bands.index(True) + 1 if any(bands) else 1
+        rows, cols = (np.unique(np.round(_SHARES * (n - 1)).astype(int)) for n in data.shape)
+        cols = np.union1d(cols, [0, data.width - 1])
+        whole_rows = [Window(0, int(row), data.width, 1) for row in rows]  # pyright: ignore[reportCallIssue]
+        stored = np.array([data.read(band, window=row)[0, cols] for row in whole_rows])
+        mask = np.array([data.read_masks(band, window=row)[0, cols] for row in whole_rows]) == 0
+        values = stored.astype(np.float64) * data.scales[band - 1] + data.offsets[band - 1]
+        a, b, c, d, e, f = data.transform[:6]
+        box = data.bounds
+    row, col = np.meshgrid(rows, cols, indexing="ij")
+    lon, lat = (c + a * (col + 0.5) + b * (row + 0.5)), (f + d * (col + 0.5) + e * (row + 0.5))
+    known = ~mask & np.isfinite(values)
+    return (wrapped(lon[known], -180.0), lat[known], values[known]), (box.left, box.bottom, box.right, box.top)
+
+
+def _first_longitude(path: pathlib.Path) -> float:
+    """Of the grid's first column, deg; -180 where no header says it, which the check of its posts then refuses."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        try:
+            with rasterio.open(path) as data:
+                step = abs(data.transform.a)
+                return min(data.bounds.left, data.bounds.right) + step / 2.0
+        except RasterioError:
+            return -180.0
+
+
+def _is_within(lon: np.ndarray, lat: np.ndarray, box: tuple[float, float, float, float]) -> np.ndarray:
+    west, south, east, north = box
+    return (np.mod(lon - west, 360.0) <= east - west) & (lat >= south) & (lat <= north)
+
+
+def wrapped(lon_deg: np.ndarray, west: float) -> np.ndarray:
+    """Longitudes in deg from `west` on, up to a turn more."""
+    return np.mod(lon_deg - (west - EDGE), 360.0) + (west - EDGE)
+
+
+def _stamp(path: pathlib.Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_mtime_ns, found.st_size
