@@ -6,6 +6,7 @@ import hashlib
 import os
 import pathlib
 import zipfile
+import zlib
 
 import numpy as np
 
@@ -17,6 +18,17 @@ from jaxgeo.io.windows import Window
 BLOCK = 256  # cells on a side
 MOST_AT_ONCE = 16  # blocks read in one go: a million posts
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
+# What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class Blocks:
@@ -102,7 +114,7 @@ class Blocks:
                     return
                 for name in ("low", "high", "has_void", "is_read"):
                     getattr(self, name)[...] = held[name]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise DemError(
                 f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
             ) from error

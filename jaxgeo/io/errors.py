@@ -20,9 +20,9 @@ class RefusedFile(ValueError):
 def one_line(message: object) -> str:
     """A message in one line of printable characters, the middle of a long one left out."""
     words = _BREAK.sub(" ", str(message).strip())
-    if len(words) > LONGEST:
-        words = f"{words[: 2 * LONGEST // 3]} [...] {words[-LONGEST // 3 :]}"
-    return words if words.isprintable() else "".join(c if _is_shown(c) else ascii(c)[1:-1] for c in words)
+    if not words.isprintable():
+        words = "".join(c if _is_shown(c) else ascii(c)[1:-1] for c in words)
+    return words if len(words) <= LONGEST else f"{words[: 2 * LONGEST // 3]} [...] {words[-LONGEST // 3 :]}"
 
 
 def _is_shown(character: str) -> bool:

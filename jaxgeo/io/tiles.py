@@ -14,10 +14,11 @@ import pyproj
 import rasterio
 from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
@@ -110,16 +111,11 @@ def stamp_of(path: str) -> tuple[int, int] | None:
 def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
     """Values as stored, without scale and offset, and voids, of a window of one file. Raises `DemError` if damaged."""
     data = files[tile.path]
-    try:
+    with refused_as(DemError, tile.path, f"rows {window.row_off} to {window.row_off + window.height}"):
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
         if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
             unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
-    except RasterioIOError as error:
-        raise DemError(
-            f"{tile.path}: rows {window.row_off} to {window.row_off + window.height} cannot be read; the file is "
-            f"damaged or cut short: {error.__cause__ or error}"
-        ) from error
     for mark in tile.marks:
         unknown |= values == mark
     if values.dtype.kind == "f":
@@ -136,14 +132,14 @@ def _opened(path: str) -> rasterio.DatasetReader:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
         try:
             return rasterio.open(path)
-        except RasterioError as error:
+        except GDAL_ERRORS as error:
             raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
 
 
 @functools.lru_cache(maxsize=65_536)
 def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
     del stamp  # part of the key only: another time or size is another file
-    with _opened(path) as data:
+    with _opened(path) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
             raise DemError(f"{path}: there is no band {band}; the file has {data.count}.")
         _check_holds_heights(path, data, band)
@@ -199,7 +195,7 @@ def _centred(corner: Affine) -> Affine:
 def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
     try:
         crs = _crs_of(data.crs.to_wkt())
-    except (CRSError, RasterioError) as error:
+    except (CRSError, *GDAL_ERRORS) as error:
         raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
     flat = horizontal_part(crs)
     if not (flat.is_geographic or flat.is_projected):

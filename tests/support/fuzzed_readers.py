@@ -172,7 +172,7 @@ def picture(path: pathlib.Path, driver: str = "GTiff", **options: Any) -> None:
     values = np.random.default_rng(1).integers(0, 255, (3, 12, 16)).astype(np.uint8)
     profile = {"driver": driver, "dtype": "uint8", "count": 3, "height": 12, "width": 16, **options}
     if driver == "GTiff":
-        profile |= {"crs": "EPSG:32631", "transform": rasterio.Affine(1, 0, 5e5, 0, -1, 5e6)}
+        profile |= {"crs": "EPSG:4326", "transform": rasterio.Affine(1e-5, 0, 5.0, 0, -1e-5, 45.0)}
     with rasterio.open(path, "w", **profile) as sink:
         sink.write(values)
 
@@ -324,9 +324,10 @@ READERS: tuple[Reader, ...] = (
     Reader("KLV", ".klv", contents(KLV), read_acquisition, ACQUISITION, sound),
     Reader(
         "KLV, damaged packets kept", ".klv", contents(KLV),
-        lambda path: read_acquisition(path, keep_damaged=True), ACQUISITION, sound,
+        lambda path: read_acquisition(path, keep_damaged=True, height_datum="ellipsoid"), ACQUISITION, sound,
     ),
-    Reader("transport stream", ".ts", files(transport_stream, ending=".ts"), read_acquisition, ACQUISITION, sound),
+    Reader("transport stream", ".ts", files(transport_stream, ending=".ts"),
+        lambda path: read_acquisition(path, height_datum="ellipsoid"), ACQUISITION, sound),
     Reader(
         "SBET", ".sbet", contents(trajectory().astype("<f8").tobytes()),
         lambda path: read_sbet(path).acquisition(), TABLE, sound,

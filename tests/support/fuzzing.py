@@ -90,7 +90,7 @@ def _outcome(reader: Reader, path: pathlib.Path, found: Found) -> str:
         message = str(error)
         if "\n" in message.strip() and not reader.several_lines:
             return f"several lines: {type(error).__name__}: {message[:300]!r}"
-        if not message.strip() or len(message) > LONGEST_LINE + len(str(path)):
+        if not message.strip() or max(map(len, message.split("\n"))) > LONGEST_LINE:
             return f"{len(message)} characters: {type(error).__name__}: {message[:200]!r}"
         return ""
     except TooSlow:

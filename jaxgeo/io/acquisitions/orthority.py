@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -159,7 +160,7 @@ def _of_geojson(
         raise TableError(f"{path}: features must be a list of images; got {shown(features)}.")
     tags = [value_of(f"{path}, features[{k}]", feature, "properties") for k, feature in enumerate(features)]
     names = [str(value_of(f"{path}, features[{k}]", one, "filename")) for k, one in enumerate(tags)]
-    twice = [name for name in names if names.count(name) > 1] if len(set(names)) < len(names) else []
+    twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise TableError(f"{path}: image {twice[0]} is there twice.")
     taken_by = _taken_by(path, cameras, names, [one.get("camera") for one in tags])
@@ -302,9 +303,9 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
 def _refuse_doubles(path: Any, node: Any) -> None:
     """Raises `TableError` for a key that stands twice in one table of a YAML file."""
     pairs = node.value if node is not None and node.id == "mapping" else []
-    seen = [key.value for key, _ in pairs if isinstance(key.value, str)]
-    for name in seen:
-        if seen.count(name) > 1:
-            raise TableError(f"{path}: {name!r} stands twice in one table.")
+    seen = Counter(key.value for key, _ in pairs if isinstance(key.value, str))
+    twice = [name for name, count in seen.items() if count > 1]
+    if twice:
+        raise TableError(f"{path}: {twice[0]!r} stands twice in one table.")
     for _, value in pairs:
         _refuse_doubles(path, value)
