@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import os
 import pathlib
-import warnings
 
 import numpy as np
 import pyproj
@@ -18,6 +17,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOEr
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import checked_sources
@@ -121,8 +121,7 @@ def _opened(path: str) -> rasterio.DatasetReader:
     is_plain = "://" not in path and not path.startswith("/vsi") and ":" not in path[2:]
     if is_plain and not pathlib.Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
         try:
             return rasterio.open(path)
         except RasterioError as error:

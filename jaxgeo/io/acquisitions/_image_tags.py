@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import math
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 from jaxgeo.io._csv import Limits
+from jaxgeo.io._quietly import heard, quietly
 from jaxgeo.io.errors import ImageError, TableError
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -97,16 +97,16 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
         raise FileNotFoundError(f"{name}: there is no such image.")
     cut = "the file is damaged or cut short"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # so Pillow tells of directories that end before their time
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # no pixel is decoded
-            with Image.open(name) as image:
-                _check_kind(name, image)
-                values = _exif(image)
-                packet = _packet(image)
-                if not _is_whole(image):
-                    raise ImageError(f"{name}: {cut}: its pixels end before their time.")
-                width, height = image.size
+        no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
+        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name) as image:
+            _check_kind(name, image)
+            values = _exif(image)
+            packet = _packet(image)
+            if not _is_whole(image):
+                raise ImageError(f"{name}: {cut}: its pixels end before their time.")
+            width, height = image.size
+        if told:  # so Pillow tells of directories that end before their time
+            raise ImageError(f"{name}: {cut}: {told[0]}")
     except (ImageError, TableError):
         raise
     except UnidentifiedImageError as error:
