@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import pathlib
 import re
-import warnings
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxgeo.io._proj import DATA
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import VerticalDatumError
 
 WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
@@ -107,8 +107,7 @@ def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) 
 
 def _posts(path: pathlib.Path) -> Posts:
     """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
-    with rasterio.Env(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(), quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(path) as data:
                 parts = data.subdatasets or [str(path)]
@@ -148,8 +147,7 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
 
 def _first_longitude(path: pathlib.Path) -> float:
     """Of the grid's first column, deg; -180 where no header says it, which the check of its posts then refuses."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(path) as data:
                 step = abs(data.transform.a)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 import os
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import ImageError
 from jaxgeo.sensor.camera import AbstractCamera
 
@@ -68,8 +68,7 @@ def opened(name: str) -> rasterio.DatasetReader:
         raise FileNotFoundError(f"{name}: no such file.")
     if is_plain and os.path.isdir(name):
         raise ImageError(f"{name}: this is a folder; give the image in it.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):
         try:
             return rasterio.open(name)
         except GDAL_ERRORS as error:

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import os
 import pathlib
-import warnings
 
 import numpy as np
 import pyproj
@@ -19,6 +18,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
@@ -128,8 +128,7 @@ def _opened(path: str) -> rasterio.DatasetReader:
     """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
     if is_local(path) and not pathlib.Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
         try:
             return rasterio.open(path)
         except GDAL_ERRORS as error:
