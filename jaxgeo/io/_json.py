@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from collections import Counter
 from collections.abc import Mapping
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from jaxgeo.io.errors import TableError
+
+LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
@@ -101,4 +102,4 @@ def _single(path: str | os.PathLike[str], pairs: list[tuple[str, Any]]) -> dict[
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST

@@ -130,7 +130,7 @@ def _read_toml(path: pathlib.Path) -> dict[str, Any]:
         raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
     except OSError as error:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # tomllib's own, of UTF-8, of numbers too long, of lists too deep
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 

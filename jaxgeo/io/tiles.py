@@ -25,6 +25,7 @@ from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
 from jaxgeo.io.vrt_facts import inherit
 
 MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
+MOST_PER_TURN = 2**31  # columns in 360 degrees; a spacing of less than 2 cm in longitude goes round nowhere
 MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
 _NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
 
@@ -69,7 +70,7 @@ class Tile:
             return None
         turn = 2.0 * np.pi / self.map_unit
         cols = abs(turn / self.affine.a)
-        return round(cols) if abs(cols - round(cols)) < MISALIGNED else None
+        return round(cols) if cols < MOST_PER_TURN and abs(cols - round(cols)) < MISALIGNED else None
 
 
 class OpenFiles:

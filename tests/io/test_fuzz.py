@@ -6,8 +6,10 @@ each reader how many were refused and how many gave an answer.
 
 from __future__ import annotations
 
+import ast
 import pathlib
 import sys
+from typing import Any
 
 import pytest
 
@@ -38,3 +40,71 @@ def test_a_few_mutants_are_refused_in_a_line_or_read(reader: Reader, tmp_path: p
 @rows
 def test_many_mutants_are_refused_in_a_line_or_read(reader: Reader, tmp_path: pathlib.Path) -> None:
     check(reader, tmp_path, range(FEW, FEW + MANY))
+
+
+TESTS = pathlib.Path(__file__).parent
+
+
+@pytest.mark.parametrize("tests", sorted({reader.tests for reader in READERS}))
+def test_each_format_was_held_against_what_others_wrote_or_published(tests: str) -> None:
+    """Said in the first words of the file of its tests: no format is tested against our own writer alone."""
+    words = ast.get_docstring(ast.parse((TESTS / f"test_{tests}.py").read_text(encoding="utf-8"))) or ""
+    _, _, against = " ".join(words.split()).partition("Held against: ")
+    assert len(against.split()) > 4, words
+
+
+class Bug(ValueError):
+    """A mistake of our own, within a reader."""
+
+
+# Functions of our own within readers: an error in them is none of the file, and is never told as one.
+INNER = {
+    "DEM, GeoTIFF": ("jaxgeo.io.tiles._centred", "jaxgeo.io.heights._ellipsoidal"),
+    "DEM, VRT": ("jaxgeo.io.vrt._rect",),
+    "geoid grid, GTX": ("jaxgeo.io.geoid_grid._is_within",),
+    "image": ("jaxgeo.io.images._known", "jaxgeo.io.images._colours"),
+    "orthoimage": ("jaxgeo.io.orthoimages._raster_of_file",),
+    "drone image, JPEG": (
+        "jaxgeo.io.acquisitions._image_tags._plain",
+        "jaxgeo.io.acquisitions._image_tags._check_kind",
+        "jaxgeo.io.acquisitions._image_tags._leaves",
+    ),
+    "KLV": (
+        "jaxgeo.io.acquisitions.telemetry.decode",
+        "jaxgeo.io.acquisitions.telemetry._heights",
+        "jaxgeo.io.acquisitions.telemetry._sensor",
+    ),
+    "transport stream": ("jaxgeo.io.acquisitions.transport_stream._chosen",),
+    "SBET": ("jaxgeo.io.acquisitions.sbet.wrapped", "jaxgeo.io.acquisitions._wander._displacement"),
+    "smrmsg": ("jaxgeo.io.acquisitions._smrmsg.clock_of",),
+    "orientations": ("jaxgeo.io.orientations._poses", "jaxgeo.io.orientations.ellipsoidal_heights"),
+    "orientations in a map": ("jaxgeo.io.orientations.poses_of_opk",),
+    "reconstruction of OpenSfM": ("jaxgeo.io.opensfm._camera", "jaxgeo.io.opensfm.ellipsoidal_heights"),
+    "exposures of Orthority": ("jaxgeo.io.acquisitions.orthority._poses_in_map",),
+    "navigation": ("jaxgeo.io.navigation.poses_of",),
+    "ground control": ("jaxgeo.io.gcp.ellipsoidal_heights",),
+    "image points": ("jaxgeo.io.image_points.refuse_doubles",),
+    "BAL": ("jaxgeo.io.bal._indices",),
+}
+CASES = [(name, place) for name, places in INNER.items() for place in places]
+
+
+@pytest.mark.parametrize("name, place", CASES)
+def test_an_error_of_our_own_is_never_told_as_one_of_the_file(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, name: str, place: str
+) -> None:
+    reader = next(reader for reader in READERS if reader.name == name)
+    path = tmp_path / f"sound{reader.ending}"
+    path.write_bytes(reader.seeds(tmp_path)[0])
+    reader.read(path)  # what it keeps beside, made while all is well
+    path.touch()
+    called = []
+
+    def fails(*_: Any, **__: Any) -> Any:
+        called.append(place)
+        raise Bug("a mistake of our own")
+
+    monkeypatch.setattr(place, fails)
+    with pytest.raises(Bug, match="a mistake of our own"):
+        reader.read(path)
+    assert called

@@ -1,4 +1,8 @@
-"""Geoid grids by their path: read as their own posts say, from wherever their longitudes start, or refused."""
+"""Geoid grids by their path: read as their own posts say, from wherever their longitudes start, or refused.
+
+Held against: RAF20 as IGN publishes it, EGM96 of PROJ's own data, and PROJ's look-up at the posts of grids that GDAL
+writes as GTX and GeoTIFF.
+"""
 
 from __future__ import annotations
 

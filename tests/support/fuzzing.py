@@ -28,6 +28,7 @@ class Reader:
     - `seeds` makes, in an empty folder, the contents of sound files; `beside` are files that stay as they are, by name.
     - `read` takes the path of a mutant; `refusals` are the errors that it may raise.
     - `check` of an answer raises `AssertionError` where it cannot be right (not finite, out of range).
+    - `tests`: the file of its tests, whose first words say what the format was held against.
     - `text`: whether words, lines and nesting are changed too. `ending` of the name of the file.
     """
 
@@ -36,6 +37,7 @@ class Reader:
     seeds: Callable[[pathlib.Path], Sequence[bytes]]
     read: Callable[[pathlib.Path], Any]
     refusals: tuple[type[Exception], ...]
+    tests: str = dataclasses.field(kw_only=True)
     check: Callable[[Any], None] = lambda answer: None
     text: bool = False
     several_lines: bool = False
