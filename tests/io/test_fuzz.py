@@ -72,7 +72,7 @@ INNER = {
     "KLV": (
         "jaxgeo.io.acquisitions.telemetry.decode",
         "jaxgeo.io.acquisitions.telemetry._heights",
-        "jaxgeo.io.acquisitions.telemetry._sensor",
+        "jaxgeo.io.acquisitions.telemetry.sensor_of",
     ),
     "transport stream": ("jaxgeo.io.acquisitions.transport_stream._chosen",),
     "SBET": ("jaxgeo.io.acquisitions.sbet.wrapped", "jaxgeo.io.acquisitions._wander._displacement"),

@@ -27,7 +27,7 @@ from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.acquisitions.reported import compare_reported
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
-from jaxgeo.sensor import Sensor
+from jaxgeo.sensor import FrameCamera, Sensor
 
 ABOVE_ELLIPSOID = (5, 6, 7, 13, 14, 16, 17, 18, 19, 20, 21, 23, 24, 75, 78)
 MADE = local_set(usual(*ABOVE_ELLIPSOID))
@@ -214,6 +214,30 @@ def test_a_field_of_view_from_target_width_and_slant_range(file: File) -> None:
     for unknown in ({21: bytes(4)}, {22: bytes(2)}):  # no range, no width
         with pytest.raises(TableError, match=r"for want of field of view \(tags 16, 17, or target width 22 or 96"):
             read_telemetry(file(told | unknown))
+
+
+def test_a_camera_that_is_given_stands_for_the_field_of_view(file: File) -> None:
+    """As it is advised where the packets tell none; and in its place where they do."""
+    path = file(without(16, 17, 21))
+    with pytest.raises(
+        TableError, match=r'for want of field of view.* Give the camera: camera="focal=8\.8mm,pitch=2\.41um"'
+    ):
+        read_telemetry(path)
+    for words, size, focal in (
+        ("focal=25mm,pitch=5um", (1920, 1080), 5000.0),
+        ("focal=25mm,sensor=10mm", None, 3200.0),  # of 1280 pixels
+        ("focal=900px,size=640x480", None, 900.0),
+    ):
+        found = read_telemetry(path, camera=words, image_size=size)
+        assert found.sensor is not None
+        camera: Any = found.sensor.camera
+        np.testing.assert_allclose(camera.focal_px, focal, rtol=1e-12)
+        assert (camera.width, camera.height) == (size or ((640, 480) if "size" in words else (1280, 720)))
+        assert any("camera is the one given" in one for one in found.assumed)
+    whole_field = read_telemetry(file(MADE), camera=FrameCamera.from_pixels(focal_px=700.0, width=1280, height=720))
+    np.testing.assert_allclose(whole_field.sensor.camera.focal_px, 700.0)  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+    with pytest.raises(TableError, match=r"telemetry names no cameras, so camera='day' is none of it\. Give camera="):
+        read_telemetry(path, camera="day")
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,7 @@ READERS: tuple[Reader, ...] = (
         "orthoimage",
         ".tif",
         files(picture, {}, {"compress": "jpeg"}, ending=".tif"),
-        lambda path: read_orthoimage(path),
+        read_orthoimage,
         (ImageError, DemError),
         tests="orthoimages",
     ),

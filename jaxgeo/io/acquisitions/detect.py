@@ -45,8 +45,8 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, a scene.
 
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
-    images); `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of
-    several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
+    images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and `camera`, the name of one
+    of several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
     the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
     `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
     as the readers.
@@ -172,7 +172,7 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
     return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
-TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream")
+TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
 PLACED = ("height_datum", "crs", "camera")
 DRONE_IMAGES = Form("drone image", _is_image, read_drone_images, ("height_datum", "takeoff_height", "camera"))
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))

@@ -46,6 +46,7 @@ TYPES = {
 }
 UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # of opencv: thin prism and tilted sensor
 FORM = "parameter file of Orthority"
+DEEPEST = 20  # lists and tables within each other
 LARGEST_ANGLE = 2.0 * np.pi
 
 
@@ -283,13 +284,16 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
     try:
         text = pathlib.Path(path).read_text(encoding="utf-8-sig")
+        depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise TableError(f"{path}: lists in lists, deeper than any parameter file has them.")
             if isinstance(event, yaml.AliasEvent):
                 raise TableError(
                     f"{path}, line {event.start_mark.line + 1}: references (*) are not read; write it out."
                 )
-        _refuse_doubles(path, yaml.compose(text, Loader=yaml.SafeLoader))
-        return yaml.safe_load(text)
+        written, content = yaml.compose(text, Loader=yaml.SafeLoader), yaml.safe_load(text)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such interior parameter file.") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -298,6 +302,8 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         if isinstance(error, TableError):
             raise
         raise TableError(f"{path}: not a YAML file: {' '.join(str(error).split())}.") from error
+    _refuse_doubles(path, written)
+    return content
 
 
 def _refuse_doubles(path: Any, node: Any) -> None:
