@@ -45,11 +45,11 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, a scene.
 
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
-    images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and `camera`, the name of one
-    of several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions); `errors`,
-    the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of Orthority. Raises
-    `TableError` for a file of no known kind, and for an option that its reader does not take; `FileNotFoundError`; and
-    as the readers.
+    images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and `camera`, the name of
+    one of several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions);
+    `errors`, the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of
+    Orthority. Raises `TableError` for a file of no known kind, and for an option that its reader does not take;
+    `FileNotFoundError`; and as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
