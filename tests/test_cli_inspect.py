@@ -107,7 +107,7 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
     assert (told["sensor"] is None) == (found.sensor is None)
     shown = run(path, *typed(how))
     assert shown.exit_code == 0
-    for word in (found.form, *(str(name) for name in found.names), "errors stated", "assumed"):
+    for word in (found.form, *(str(name) for name in found.names), "errors: ", "assumed"):
         assert word in shown.output or (word == "assumed" and not found.assumed)
 
 
@@ -178,6 +178,9 @@ def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
         "position: north, m": 0.0093,
         "position: east, m": 0.0097,
         "position: down, m": 0.0238,
+        "interior orientation: focal length, px": pytest.approx(0.0224 * 36.6667, rel=2e-3),
+        "interior orientation: principal column, px": pytest.approx(0.2),
+        "interior orientation: principal row, px": pytest.approx(0.2),
     }
 
 

@@ -39,7 +39,22 @@ SourceCrs = Annotated[
 ]
 CameraName = Annotated[
     str | None,
-    typer.Option("--camera", metavar="NAME", help="Which of the file's cameras, by name.", rich_help_panel=READING),
+    typer.Option(
+        "--camera",
+        metavar="CAMERA",
+        help="The camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), or the NAME of one "
+        "of the file's cameras, of drone images one of the table of cameras.",
+        rich_help_panel=READING,
+    ),
+]
+GimbalAngles = Annotated[
+    str | None,
+    typer.Option(
+        "--gimbal",
+        metavar="ANGLES",
+        help="Drone images: YAW,PITCH,ROLL of the camera, deg from true north and the horizon; in place of tags.",
+        rich_help_panel=READING,
+    ),
 ]
 VideoSize = Annotated[
     str | None,
@@ -96,6 +111,7 @@ def how_to_read(
     errors: pathlib.Path | None,
     interior: pathlib.Path | None,
     no_velocities: bool = False,
+    gimbal: str | None = None,
 ) -> dict[str, Any]:
     """Options of `read_acquisition` from those of the command line; `telemetry` are (upright, keep damaged, stream).
 
@@ -107,6 +123,8 @@ def how_to_read(
     how |= {"upright": upright or None, "keep_damaged": keep_damaged or None, "stream": stream}
     if height_datum is not None:
         how["height_datum"] = said_datum(height_datum)
+    if gimbal is not None:
+        how["gimbal_deg"] = numbers_in("--gimbal", gimbal, (3,), "YAW,PITCH,ROLL, three angles in deg")
     if image_size is not None:
         size = numbers_in("--image-size", image_size, (2,), "WIDTH,HEIGHT, two whole numbers")
         if any(one != int(one) or one < 1 for one in size):

@@ -122,6 +122,8 @@ def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
 
 def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     """(sources of error, one entry for each pixel where exposures have their own; what was assumed of the ground)."""
+    import numpy as np
+
     from jaxgeo.io.acquisitions import for_each
     from jaxgeo.uncertainty import sources
 
@@ -130,8 +132,7 @@ def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     own = tuple(one for one in views.sources if not isinstance(one, of_ground))
     given = errors_given(own, asked.sigmas, views.sensor.gimbal, views.where, views.pixel_pitch)
     if views.is_each:
-        kept = {id(one) for one in own}
-        given = tuple(one if id(one) in kept else for_each(one, count) for one in given)
+        given = tuple(one if np.ndim(one.sigma) > 1 else for_each(one, count) for one in given)
     ground, of_heights = ground_errors(views.sources, asked.sigmas, level=asked.ground is not None)
     if views.is_each:
         stated = {id(one) for one in views.sources}
@@ -153,7 +154,7 @@ def _terrain(asked: Asked, views: Views) -> tuple[Any, bool]:
     from jaxgeo.terrain import ConstantHeight
 
     if asked.ground is None:
-        return read_terrain(asked.dem, asked.vertical_datum), False
+        return read_terrain(asked.dem, asked.vertical_datum, asked.reading), False
     if asked.ground == REPORTED:
         heights = views.centre_heights
         if heights is None or not np.isfinite(heights).any():
@@ -177,7 +178,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
     """What was typed, in plain words."""
     paths = {"file": asked.file, "scene": asked.scene, "shots": asked.shots}
     found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
-    found |= {"dem": [str(path) for path in asked.dem]} if asked.dem else {"ground": asked.ground}
+    found |= {"dem": list(asked.dem)} if asked.dem else {"ground": asked.ground}
+    found |= {f"dem_{name}": value for name, value in asked.reading._asdict().items() if value is not None}
     if asked.vertical_datum is not None:
         found["vertical_datum"] = asked.vertical_datum
     found |= {name: str(value) if isinstance(value, pathlib.Path) else value for name, value in asked.how.items()}
@@ -188,6 +190,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
 def _reads(asked: Asked) -> list[Any]:
     named = [asked.file, asked.scene, asked.shots, asked.how.get("errors"), asked.how.get("interior")]
     files: list[Any] = [one for one in named if one is not None]
+    camera = asked.how.get("camera")
+    files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []
     for folder in [one for one in files if pathlib.Path(one).is_dir()]:
         files += sorted(pathlib.Path(folder).iterdir())
     return [*files, *(terrain_files(asked.dem, asked.vertical_datum) if asked.dem else [])]

@@ -69,11 +69,14 @@ def views_of_file(asked: Asked) -> Views:
     import numpy as np
 
     from jaxgeo.io.acquisitions import read_acquisition
+    from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, form_of
 
     assert asked.file is not None
+    by_scene = asked.scene is not None and form_of(asked.file) is DRONE_IMAGES
+    how = _camera_of_scene(asked) if by_scene else asked.how
     with working(f"reading {asked.file.name}"), words_as_typed():
-        found = read_acquisition(asked.file, **asked.how)
-    found, atmosphere, of_errors = _with_camera(found, asked)
+        found = read_acquisition(asked.file, **how)
+    found, atmosphere, of_errors = (_with_lens_of_scene if by_scene else _with_camera)(found, asked)
     try:
         chosen = [found.index_of(name) for name in asked.exposures] or list(range(len(found)))
     except KeyError as error:
@@ -89,11 +92,61 @@ def views_of_file(asked: Asked) -> Views:
     for lane, (u, v) in zip(lanes, pixels, strict=True):
         time = {"time_s": float(times[lane]) if math.isfinite(times[lane]) else None} if has_times else {}
         carried.append({"name": str(found.names[lane]), **time, "u": float(u), "v": float(v)})
-    assumed = [as_typed(one) for one in found.assumed]
+    assumed, of_reader = _apart([as_typed(one) for one in found.assumed], asked)
     sensors, shots, sources = taken
     return Views(
-        sensors, shots, pixels, sources, True, carried, atmosphere, assumed, asked.file, None, of_errors, reported
+        sensors,
+        shots,
+        pixels,
+        sources,
+        True,
+        carried,
+        atmosphere,
+        assumed,
+        asked.file,
+        None,
+        [*of_reader, *of_errors],
+        reported,
     )
+
+
+# How a reader's sentences on errors that it gives go on, and the options that replace these.
+ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
+
+
+def _apart(assumed: list[str], asked: Asked) -> tuple[list[str], list[str]]:
+    """(what was assumed, those of the errors with the option that replaces them, less those that are replaced)."""
+    others, of_errors = [], []
+    for one in assumed:
+        option = next((name for words, name in ERRORS_TOLD.items() if words in one), None)
+        if option is None:
+            others.append(one)
+        elif getattr(asked.sigmas, option) is None:
+            of_errors.append(f"{one} (--{option}-sigma)")
+    return others, of_errors
+
+
+def _camera_of_scene(asked: Asked) -> dict[str, Any]:
+    """How to read drone images with the camera of a scene. Raises `UserError`."""
+    if "camera" in asked.how:
+        raise UserError(f"--scene {asked.scene} and --camera {asked.how['camera']}: both are a camera; leave one out.")
+    return {**asked.how, "camera": asked.scene}
+
+
+def _with_lens_of_scene(found: Any, asked: Asked) -> tuple[Any, Any, list[str]]:
+    """Drone images read with the camera of a scene, as `_with_camera`: with its errors of the lens, and its air."""
+    import dataclasses
+
+    from jaxgeo.io.acquisitions import for_each
+    from jaxgeo.io.scene import read_scene
+    from jaxgeo.uncertainty import sources
+
+    assert asked.scene is not None
+    scene = read_scene(asked.scene)
+    stated = () if scene.errors is None else scene.errors.sources
+    lens = tuple(one for one in stated if isinstance(one, sources.InteriorOrientation | sources.Distortion))
+    found = dataclasses.replace(found, sources=(*found.sources, *for_each(lens, len(found))))
+    return _with_errors(found, (), asked, scene.atmosphere)
 
 
 def _with_camera(found: Any, asked: Asked) -> tuple[Any, Any, list[str]]:

@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     NoVelocities,
@@ -45,6 +46,7 @@ def inspect_command(
     takeoff_height: TakeoffHeight = None,
     crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -88,6 +90,7 @@ def inspect_command(
             errors,
             interior,
             no_velocities,
+            gimbal,
         )
         with working("reading"):
             found, unstated = _read(file, how)
@@ -220,7 +223,7 @@ def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
         console.print(_comparison(rows), markup=False)
     told = _errors(found)
     words = [f"{name} {value:.4g}" for name, value in told.items()]
-    console.print("errors stated: " + ("; ".join(words) if words else "none"), markup=False)
+    console.print("errors: " + ("; ".join(words) if words else "none"), markup=False)
     if unstated is not None:
         console.print("heights are shown as the file has them; what they are measured from must be said:", markup=False)
         console.print(f"  {as_typed(unstated)}", markup=False)

@@ -13,6 +13,7 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     NoVelocities,
@@ -46,10 +47,12 @@ from jaxgeo.cli._errors import (
     FocalSigma,
     GimbalSigma,
     PositionSigma,
+    PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
@@ -74,6 +77,11 @@ def locate_command(
     dem: GroundDem = None,
     vertical_datum: GroundDatum = None,
     ground: Ground = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -93,6 +101,7 @@ def locate_command(
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
     focal_sigma: FocalSigma = None,
+    principal_sigma: PrincipalSigma = None,
     dem_sigma: DemSigma = None,
     dem_correlation: DemCorrelation = None,
     refraction: Refraction = False,
@@ -100,6 +109,7 @@ def locate_command(
     takeoff_height: TakeoffHeight = None,
     source_crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -159,8 +169,11 @@ def locate_command(
             errors,
             interior,
             no_velocities,
+            gimbal,
         )
-        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        sigmas = Sigmas(
+            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
+        )
         asked = Asked(
             file,
             scene,
@@ -173,6 +186,7 @@ def locate_command(
             refraction,
             how,
             sigmas,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84),
         )
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")

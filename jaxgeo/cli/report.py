@@ -10,6 +10,7 @@ import typer
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
     NoVelocities,
@@ -43,10 +44,12 @@ from jaxgeo.cli._errors import (
     FocalSigma,
     GimbalSigma,
     PositionSigma,
+    PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, working
@@ -67,6 +70,11 @@ def report_command(
     dem: GroundDem = None,
     vertical_datum: GroundDatum = None,
     ground: Ground = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     probability: Annotated[
         float,
         typer.Option(
@@ -77,6 +85,7 @@ def report_command(
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
     focal_sigma: FocalSigma = None,
+    principal_sigma: PrincipalSigma = None,
     dem_sigma: DemSigma = None,
     dem_correlation: DemCorrelation = None,
     refraction: Refraction = False,
@@ -84,6 +93,7 @@ def report_command(
     takeoff_height: TakeoffHeight = None,
     source_crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
@@ -119,10 +129,15 @@ def report_command(
             errors,
             interior,
             no_velocities,
+            gimbal,
         )
-        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        sigmas = Sigmas(
+            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
+        )
         pixels, exposures = pixel or [], exposure or []
-        asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
+        seen = (file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        asked = Asked(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)
         leave_without_a_fix(question, found)

@@ -70,12 +70,17 @@ class CameraModel(BaseModel):
         return self.focal_mm if same else None
 
     def pitch_for(self, width: int, height: int) -> float | None:
-        """Pixel size in um of an image, or of what a whole image made to that width would have; None if it has none."""
-        exact = [pitch for w, h, pitch in self.modes if (w, h) == (width, height)]
-        alike = [pitch * w / width for w, h, pitch in self.modes if abs(w * height / (h * width) - 1.0) <= SAME_SHAPE]
-        smaller = width <= max(w for w, _, _ in self.modes)
-        found = exact or (alike if smaller else [])
-        return found[0] if found and max(found) - min(found) <= SAME_SHAPE * found[0] else None
+        """Pixel size in um of an image; of a copy made smaller, that of its larger pixels. None if it has no such mode.
+
+        Copies are taken to be of the whole detector, and are known by its shape: those of cropped modes could as well
+        be another crop.
+        """
+        exact = next((pitch for w, h, pitch in self.modes if (w, h) == (width, height)), None)
+        if exact is not None:
+            return exact
+        whole, high = self.sizes[0]
+        is_smaller_copy = width < whole and abs(whole * height / (high * width) - 1.0) <= SAME_SHAPE
+        return self.pitch_um * whole / width if is_smaller_copy else None
 
 
 class KnownCamera(NamedTuple):

@@ -110,6 +110,19 @@ def frame_camera(lens: Lens, width: int, height: int, full_width: int | None = N
     return FrameCamera.from_pixels(focal_px=focal, width=width, height=height)
 
 
+def whole_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera:
+    """A camera with its image size, for files that do not tell that. Raises `TableError` where a lens has none."""
+    given = given_camera(camera)
+    if isinstance(given, FrameCamera):
+        return given
+    if isinstance(given, str) or given.size is None:
+        raise TableError(
+            f"camera={camera!r}: the size of the images is missing; say it too, as in "
+            f'camera="focal=8.8mm,pitch=2.41um,size=5472x3648".'
+        )
+    return frame_camera(given, *given.size)
+
+
 def resized(camera: FrameCamera, width: int, height: int) -> FrameCamera | None:
     """A camera for copies of its images at another size; None where these have another shape."""
     across, down = width / camera.width, height / camera.height

@@ -53,7 +53,7 @@ def sensor_of_images(
     told |= dict.fromkeys(line for one in found for line in one.assumed)
     made = _camera(found, tags[0].width, tags[0].height)
     source = jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(interior_sigma(found, tags[0].width)))
-    told |= {_errors_told(found, source): None}
+    told |= dict.fromkeys(_errors_told(found, source))
     gimbal, mount = for_each((gimbal, mount), len(tags))
     ways = " or ".join(dict.fromkeys(one.how for one in found))
     return Sensor(made, gimbal, mount), (source,), _focal_shown(made.focal_px, ways)
@@ -103,15 +103,15 @@ def _camera(found: list[Calibration], width: int, height: int) -> FrameCamera:
     return FrameCamera(focal, principal, distortion, width, height)
 
 
-def _errors_told(found: list[Calibration], source: InteriorOrientation) -> str:
-    """How the lens errs, as a sentence."""
-    shares = sorted({round(100.0 * one.focal_sigma, 1) for one in found})
-    share = f"{shares[0]:g}" if len(shares) == 1 else f"{shares[0]:g} to {shares[-1]:g}"
+def _errors_told(found: list[Calibration], source: InteriorOrientation) -> list[str]:
+    """How lenses err, as sentences."""
+    shares = np.array([100.0 * one.focal_sigma for one in found])
     sigma = np.asarray(source.sigma)
-    return (
-        f"Focal lengths err by {share} % ({span_shown(sigma[:, 0], '.3g')} pixels), principal points by "
-        f"{span_shown(sigma[:, 1], '.3g')} pixels: usual for how they are known."
-    )
+    focal, point = span_shown(sigma[:, 0], ".3g"), span_shown(sigma[:, 1], ".3g")
+    return [
+        f"Focal lengths err by {span_shown(shares, '.2g')} %, {focal} pixels, as is usual for how they are known.",
+        f"Principal points err by {point} pixels, as is usual for how they are known.",
+    ]
 
 
 def _focal_shown(focal: Any, how: str) -> str:

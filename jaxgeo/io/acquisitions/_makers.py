@@ -129,7 +129,7 @@ def _by_hand(tags: ImageTags) -> str:
     """The way out for an image without angles, with the heading of the aircraft if that is told."""
     heading = next((tags.number(one.aircraft[0], YAW) for one in MAKERS if one.aircraft), None) or 0.0
     return (
-        f"Or give yaw, pitch and roll of the camera in deg; for one that looked straight down with its top towards "
+        f"Or give yaw, pitch and roll of the camera in deg; of one that looked straight down, its top towards "
         f"{heading:g} deg: gimbal_deg=({heading:g}, -90, 0)."
     )
 
@@ -157,7 +157,7 @@ def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
         return [tags.number(name, limits) for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)]
     except TableError as error:
         hint = maker.hint if maker.angles[1] in str(error) else ""
-        raise TableError(f"{error}{hint}") from error
+        raise TableError(f"{error}{hint} {_by_hand(tags)}") from error
 
 
 def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:

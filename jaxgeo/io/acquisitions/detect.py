@@ -23,6 +23,7 @@ from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.given_camera import is_a_name, whole_camera
 from jaxgeo.io.scene import read_scene
 
 HEAD = 65_536  # bytes by which a file is told
@@ -44,12 +45,12 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """The exposures of a file, whatever it is: a drone's image or a folder of them, KLV telemetry (raw or in an MPEG
     transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, a scene.
 
-    `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
-    images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and `camera`, the name of
-    one of several (orientations, parameters, reconstructions); `cameras` (orientations); `part` (reconstructions);
-    `errors`, the smrmsg, and `velocities`, whether they are read (SBET); `interior`, the interior parameters of
-    Orthority. Raises `TableError` for a file of no known kind, and for an option that its reader does not take;
-    `FileNotFoundError`; and as the readers.
+    `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height`, `camera`,
+    `gimbal_deg` (drone images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and
+    `camera`, the name of one of several (orientations, parameters, reconstructions), or a lens or file as for images
+    (orientations); `cameras` (orientations); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
+    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
+    an option that its reader does not take; `FileNotFoundError`; and as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -70,6 +71,8 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
         if name not in form.takes:
             known = ", ".join(form.takes) or "none"
             raise TableError(f"{path}: this is a {form.name}, and {name} is no option of it; options are {known}.")
+    if "cameras" in form.takes and not is_a_name(given.get("camera", "")):
+        given["cameras"] = whole_camera(given.pop("camera"))
     return form.read(path, **given)
 
 
@@ -174,7 +177,8 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
 
 TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
 PLACED = ("height_datum", "crs", "camera")
-DRONE_IMAGES = Form("drone image", _is_image, read_drone_images, ("height_datum", "takeoff_height", "camera"))
+IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg")
+DRONE_IMAGES = Form("drone image", _is_image, read_drone_images, IMAGES_TAKE)
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
