@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pathlib
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 import rasterio
+from rasterio.errors import NotGeoreferencedWarning
 
 from jaxgeo.io import (
     DemError,
@@ -37,7 +39,7 @@ def contents(*made: bytes) -> Seeds:
     return lambda folder: made
 
 
-def files(make: Callable[[pathlib.Path], Any], *options: dict[str, Any], ending: str = "") -> Seeds:
+def files(make: Callable[..., Any], *options: dict[str, Any], ending: str = "") -> Seeds:
     """Files that a function writes to a path, once with each set of options."""
 
     def seeds(folder: pathlib.Path) -> list[bytes]:
@@ -162,8 +164,10 @@ def picture(path: pathlib.Path, driver: str = "GTiff", **options: Any) -> None:
     profile = {"driver": driver, "dtype": "uint8", "count": 3, "height": 12, "width": 16, **options}
     if driver == "GTiff":
         profile |= {"crs": "EPSG:4326", "transform": rasterio.Affine(1e-5, 0, 5.0, 0, -1e-5, 45.0)}
-    with rasterio.open(path, "w", **profile) as sink:
-        sink.write(values)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # of PNG and JPEG
+        with rasterio.open(path, "w", **profile) as sink:
+            sink.write(values)
 
 
 DJI = {

@@ -48,9 +48,9 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height`, `camera`,
     `gimbal_deg` (drone images); `image_size`, `upright`, `keep_damaged`, `stream`, `camera` (telemetry); `crs` and
     `camera`, the name of one of several (orientations, parameters, reconstructions), or a lens or file as for images
-    (orientations); `cameras` (orientations); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
-    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
-    an option that its reader does not take; `FileNotFoundError`; and as the readers.
+    (orientations); `cameras` (orientations); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether
+    they are read (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known
+    kind, and for an option that its reader does not take; `FileNotFoundError`; and as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
