@@ -277,9 +277,9 @@ def test_velocities_that_fit_in_no_frame_have_the_way_out_that_is_printed(tmp_pa
 WITHOUT_FIELDS = {tag: raw for tag, raw in usual().items() if tag not in (16, 17, 21)}
 WAYS_OUT = {  # a file of telemetry that is refused, and what is printed as the way out
     "wrong checksum": (local_set(usual())[:-1] + b"\x00", "--keep-damaged"),
-    "no field of view": (local_set(WITHOUT_FIELDS), '--camera "focal=8.8mm,pitch=2.41um"'),
-    "no field of view, by the sensor": (local_set(WITHOUT_FIELDS), '--camera "focal=8.8mm,sensor=13.2mm"'),
-    "no field of view, in pixels": (local_set(WITHOUT_FIELDS), '--camera "focal=3666px"'),
+    "no field of view": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,pitch=2.41um"),
+    "no field of view, by the sensor": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,sensor=13.2mm"),
+    "no field of view, in pixels": (local_set(WITHOUT_FIELDS), "--camera focal=3666px"),
 }
 
 
