@@ -188,7 +188,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
 
 
 def _reads(asked: Asked) -> list[Any]:
-    named = [asked.file, asked.scene, asked.shots, asked.how.get("errors"), asked.how.get("interior")]
+    named = [asked.file, asked.scene, asked.shots]
+    named += [asked.how.get(name) for name in ("errors", "interior", "positions")]
     files: list[Any] = [one for one in named if one is not None]
     camera = asked.how.get("camera")
     files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []

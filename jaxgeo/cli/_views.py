@@ -158,10 +158,30 @@ def _with_camera(found: Any, asked: Asked) -> tuple[Any, Any, list[str]]:
             raise UserError(f"--scene {asked.scene}: {found.path} has a camera of its own; leave the scene out.")
         return _with_errors(found, (), asked, None)
     if asked.scene is None:
-        raise UserError(f"{found.path}: there is no camera in a {found.form}; give --scene SCENE.toml, which has one.")
+        raise UserError(_without_a_camera(found, asked))
     scene = read_scene(asked.scene)
     stated = () if scene.errors is None else scene.errors.sources
+    if found.of_camera:
+        stated = tuple(one for one in stated if not isinstance(one, _of_gimbal_and_mount()))
     return _with_errors(_seen_by(found, scene, asked.scene), stated, asked, scene.atmosphere)
+
+
+def _of_gimbal_and_mount() -> tuple[type, ...]:
+    """Errors that have no part where the angles are the camera's own."""
+    from jaxgeo.uncertainty import sources
+
+    of_gimbal = (sources.GimbalAngles, sources.GimbalMounting)
+    return (*of_gimbal, sources.Boresight, sources.CameraMounting, sources.LeverArm)
+
+
+def _without_a_camera(found: Any, asked: Asked) -> str:
+    """That a file has no camera, and which options give one."""
+    from jaxgeo.io.acquisitions.detect import form_of
+
+    assert asked.file is not None
+    lens = ", or --camera focal=8.8mm,pitch=2.41um,size=5472x3648, the camera's own numbers"
+    ways = lens if "cameras" in form_of(asked.file).takes else ""
+    return f"{found.path}: there is no camera in a {found.form}; give --scene SCENE.toml, which has one{ways}."
 
 
 def _seen_by(found: Any, scene: Any, path: pathlib.Path) -> Any:
@@ -171,13 +191,17 @@ def _seen_by(found: Any, scene: Any, path: pathlib.Path) -> Any:
     import numpy as np
 
     from jaxgeo.io.acquisitions import for_each
-    from jaxgeo.sensor import Shot
+    from jaxgeo.sensor import Gimbal, Mount, Sensor, Shot
 
+    count = len(found)
+    if found.of_camera:
+        sensor = Sensor(scene.sensor.camera, Gimbal.fixed(), Mount.nadir())
+        own = f"Of {path} the camera is taken, without gimbal and mount: the angles in the file are the camera's own."
+        return dataclasses.replace(found, sensor=for_each(sensor, count), assumed=(*found.assumed, own))
     readings = np.zeros(0) if scene.shot is None else np.asarray(scene.shot.gimbal_readings)
     names = scene.sensor.gimbal.names
     if len(readings) != len(names):
         raise UserError(f"{path}: [pose] and readings in [gimbal] are missing; {found.path} does not have them.")
-    count = len(found)
     shots = Shot(found.shots.pose, np.broadcast_to(readings, (count, len(names))), found.shots.time)
     held = (f"The gimbal is held at the readings in {path}.",) if names else ()
     return dataclasses.replace(
@@ -198,7 +222,7 @@ def _with_errors(found: Any, stated: tuple[Any, ...], asked: Asked, air: Any) ->
     own = {type(one) for one in found.sources}
     beside = tuple(one for one in stated if type(one) not in own)
     found = dataclasses.replace(found, sources=(*found.sources, *for_each(beside, len(found))))
-    if stated:
+    if stated and not found.of_camera:
         return found, air, []
     usual = [(one, told) for one, told in usual_errors_of(found) if typed.get(type(one)) is None]
     added = for_each(tuple(one for one, _ in usual), len(found))

@@ -11,7 +11,8 @@ from jaxgeo.cli._common import UserError
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
 OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal"}
-_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|gimbal_deg|errors|interior|stream"
+_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|gimbal_deg|positions|errors|interior"
+_NAMES += "|stream"
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _VALUE = r'"[^"]*"|\([-+.,\d\s]*\)'  # a text, or numbers, as Python has them

@@ -17,6 +17,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -54,6 +55,7 @@ def inspect_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -76,7 +78,7 @@ def inspect_command(
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
             check_place("--output", output)
-            keep_inputs("--output", output, [*_files_in(file), errors, interior])
+            keep_inputs("--output", output, [*_files_in(file), errors, interior, positions])
         if tags and not as_json:
             raise UserError("--tags goes with --json.")
         enable_x64()
@@ -91,6 +93,7 @@ def inspect_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
         with working("reading"):
             found, unstated = _read(file, how)

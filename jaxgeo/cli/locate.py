@@ -17,6 +17,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -117,6 +118,7 @@ def locate_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -170,6 +172,7 @@ def locate_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma

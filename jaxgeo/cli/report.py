@@ -14,6 +14,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -101,6 +102,7 @@ def report_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     title: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Title of the page; the scene's or the file's.", rich_help_panel=WRITING),
@@ -130,6 +132,7 @@ def report_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from jaxgeo.io.accuracy_map import write_accuracy_map
-from jaxgeo.io.acquisitions import Acquisition, UnstatedDatum, read_acquisition, with_usual_errors
+from jaxgeo.io.acquisitions import (
+    Acquisition,
+    UnstatedDatum,
+    read_acquisition,
+    with_positions,
+    with_usual_errors,
+)
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
@@ -68,6 +74,7 @@ __all__ = [
     "rectify_file",
     "samples_dataset",
     "undulation",
+    "with_positions",
     "with_usual_errors",
     "write_accuracy_map",
     "write_bal",
