@@ -53,6 +53,15 @@ def test_each_format_was_held_against_what_others_wrote_or_published(tests: str)
     assert len(against.split()) > 4, words
 
 
+def test_no_reader_catches_everything() -> None:
+    """What a decoder raises is caught by its name: `except Exception` would tell a mistake of our own as damage."""
+    for path in (TESTS.parents[1] / "jaxgeo" / "io").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ExceptHandler):
+                caught = ast.unparse(node.type) if node.type else "everything"
+                assert caught not in ("everything", "Exception", "BaseException"), f"{path}:{node.lineno}"
+
+
 class Bug(ValueError):
     """A mistake of our own, within a reader."""
 
@@ -80,6 +89,9 @@ INNER = {
     "orientations": ("jaxgeo.io.orientations._poses", "jaxgeo.io.orientations.ellipsoidal_heights"),
     "orientations in a map": ("jaxgeo.io.orientations.poses_of_opk",),
     "reconstruction of OpenSfM": ("jaxgeo.io.opensfm._camera", "jaxgeo.io.opensfm.ellipsoidal_heights"),
+    "cameras of Metashape": ("jaxgeo.io.acquisitions.metashape._camera",),
+    "subtitles of DJI": ("jaxgeo.io.acquisitions._flight_logs.ellipsoidal_heights",),
+    "positions of images": ("jaxgeo.io.acquisitions._position_tables.form_of_positions",),
     "exposures of Orthority": ("jaxgeo.io.acquisitions.orthority._poses_in_map",),
     "navigation": ("jaxgeo.io.navigation.poses_of",),
     "ground control": ("jaxgeo.io.gcp.ellipsoidal_heights",),

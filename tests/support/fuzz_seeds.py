@@ -79,6 +79,13 @@ def on_earth(pose: Any) -> None:
     assert np.all(np.abs(pose.position.lat) <= np.pi / 2.0)
 
 
+def positions(table: Any) -> None:
+    lat, lon, height = (np.asarray(x) for x in table.position.to_degrees())
+    finite(lat, lon, *([height] if table.has_heights else []))
+    assert len(table.numbers if table.names is None else table.names) == len(lat) > 0
+    assert np.all(np.abs(lat) <= 90.0)
+
+
 def heights(dem: Any) -> None:
     finite(dem.posts)
     assert np.all(np.abs(np.asarray(dem.posts)) < 13_000.0)
@@ -222,16 +229,6 @@ ORIENTATIONS = (
 )
 OPK = "'filename' 'x' 'y' 'z' 'omega' 'phi' 'kappa'\n'a' 292710.2 2731048.8 186.4 28.8 0.9 1.8\n"
 OPK_GON = "image,x,y,z,omega[gon],phi[gon],kappa[gon]\na,292710.2,2731048.8,186.4,1.0,2.0,3.0\n"
-PROGRAMS = (  # as Pix4D, Metashape (twice), RealityCapture and MicMac export them
-    "imageName X Y Z Omega Phi Kappa\na.JPG 751000.12 4020000.34 900.5 30.0 20.0 0.0\n",
-    "# Cameras (1)\n# PhotoID, X, Y, Z, Omega, Phi, Kappa, r11, r12, r13, r21, r22, r23, r31, r32, r33\n"
-    "a\t751000.12\t4020000.34\t900.5\t30\t20\t0\t1\t0\t0\t0\t1\t0\t0\t0\t1\n",
-    '#CoordinateSystem: PROJCS["WGS 84 / UTM zone 16N"]\n#Label,X/East,Y/North,Z/Altitude,Yaw,Pitch,Roll\n'
-    "a.JPG,751000.12,4020000.34,900.5,30,20,0\n",
-    "#name,x,y,alt,heading,pitch,roll\na.jpg,751000.12,4020000.34,900.5,30,20,0\n",
-    "#F=N X Y Z W P K\na.JPG 751000.12 4020000.34 900.5 30 20 0\n",
-)
-GERMAN = "Bild;x;y;z;omega;phi;kappa\na;292710,2;2731048,8;186,4;28,8;0,9;1,8\n".replace("Bild", "image")
 CAMERA = {"projection_type": "brown", "width": 800, "height": 600, "focal_x": 0.9, "focal_y": 0.9, "c_x": 0.0,
           "c_y": 0.0, "k1": -0.1, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}  # fmt: skip
 SHOT = {"rotation": [2.9, 0.4, -0.2], "translation": [0.0, 5.0, 100.0], "camera": "one", "capture_time": 1.7e9}

@@ -27,8 +27,10 @@ from jaxgeo.io import (
     read_orthoimage,
 )
 from jaxgeo.io.acquisitions import read_orthority_cameras, read_sbet
+from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.io.scene import SceneError, read_camera, read_scene
 from jaxgeo.io.tables import read_shots
+from tests.support.fuzz_programs import AIRDATA, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
 from tests.support.fuzz_seeds import (
     ACQUISITION,
     BAL,
@@ -37,7 +39,6 @@ from tests.support.fuzz_seeds import (
     EXTERIOR,
     FLIGHT,
     GCP,
-    GERMAN,
     IMAGE,
     IMAGE_POINTS,
     INTERIOR,
@@ -45,7 +46,6 @@ from tests.support.fuzz_seeds import (
     OPK,
     OPK_GON,
     ORIENTATIONS,
-    PROGRAMS,
     RASTERS,
     RECONSTRUCTION,
     SHOTS,
@@ -64,6 +64,7 @@ from tests.support.fuzz_seeds import (
     on_earth,
     photo,
     picture,
+    positions,
     raster,
     sound,
     texts,
@@ -228,6 +229,46 @@ READERS: tuple[Reader, ...] = (
         on_earth,
         text=True,
         tests="program_tables",
+    ),
+    Reader(
+        "cameras of Metashape",
+        ".xml",
+        texts(METASHAPE),
+        read_acquisition,
+        ACQUISITION,
+        sound,
+        text=True,
+        tests="metashape_cameras",
+    ),
+    Reader(
+        "subtitles of DJI",
+        ".SRT",
+        texts(SUBTITLES),
+        lambda path: read_acquisition(path, height_datum="EPSG:5773"),
+        ACQUISITION,
+        sound,
+        text=True,
+        tests="flight_logs",
+    ),
+    Reader(
+        "flight log of AirData",
+        ".csv",
+        texts(AIRDATA),
+        lambda path: read_acquisition(path, height_datum="ellipsoid"),
+        ACQUISITION,
+        sound,
+        text=True,
+        tests="flight_logs",
+    ),
+    Reader(
+        "positions of images",
+        ".txt",
+        texts(*POSITIONS),
+        lambda path: read_positions(path, height_datum="ellipsoid", crs=None),
+        TABLE,
+        positions,
+        text=True,
+        tests="positions",
     ),
     Reader(
         "reconstruction of OpenSfM",
