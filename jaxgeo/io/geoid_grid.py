@@ -16,6 +16,7 @@ from rasterio.windows import Window
 
 from jaxgeo.io._proj import DATA
 from jaxgeo.io._quietly import quietly
+from jaxgeo.io._tiff import layout_mistake
 from jaxgeo.io.errors import VerticalDatumError
 
 WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
@@ -37,6 +38,9 @@ def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
         raise VerticalDatumError(f"vertical_datum: the geoid grid {path} does not exist.")
     if any(character in str(path) for character in '",'):
         raise VerticalDatumError(f"vertical_datum: PROJ cannot take a path with a comma or a quote in it: {path}")
+    mistake = layout_mistake(path)
+    if mistake:
+        raise VerticalDatumError(f"vertical_datum: the geoid grid {path} is damaged: {mistake}.")
     try:
         transformer = _look_up(path, "+over", "+step +proj=axisswap +order=1,2,-3 " if depths else "")
     except ProjError as error:
