@@ -166,6 +166,35 @@ def without(*tags: int) -> dict[int, bytes]:
     return {tag: raw for tag, raw in usual(*ABOVE_ELLIPSOID).items() if tag not in tags}
 
 
+class Pairs(dict):
+    """Items that may stand twice, for `local_set`: (tag, value) pairs in their order."""
+
+    def __init__(self, *pairs: tuple[int, bytes]) -> None:
+        self.pairs = pairs
+
+    def items(self) -> Any:
+        return self.pairs
+
+
+def test_only_what_is_used_can_refuse(file: File) -> None:
+    """Repeated, unknown and misshapen items that are not needed change nothing; of one that is, the last counts."""
+    usual_items = tuple(without().items())
+    strange = [
+        (3, b"one"),
+        (3, b"two"),
+        (8, b"too long"),
+        (200, bytes(300)),
+        (48, b"\xff\x80"),
+        (102, b"\x00"),
+        (2**21, b""),
+    ]
+    plain, odd = (read_telemetry(file(local_set(Pairs(*pairs)))) for pairs in (usual_items, (*strange, *usual_items)))
+    jax.tree.map(np.testing.assert_array_equal, (plain.sensor, plain.shots), (odd.sensor, odd.shots))
+    assert odd.facts["Mission ID"] == "two"
+    twice = read_telemetry(file(local_set(Pairs(*usual_items, (5, usual(5, tag_5=77.0)[5])))))
+    np.testing.assert_allclose(degrees(twice.shots.pose.heading), 77.0, atol=3e-3)
+
+
 def at(seconds: float, packet: dict[int, bytes]) -> dict[int, bytes]:
     """A packet, some seconds after the first."""
     return packet | {2: (TIME_US + round(1e6 * seconds)).to_bytes(8, "big")}
