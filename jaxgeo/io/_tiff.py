@@ -1,6 +1,7 @@
 """The tags of a TIFF file by which its pixels are found, checked before PROJ reads it: PROJ divides by them.
 
-PROJ's reader of grids does not look whether they are there and above zero; where they are not, the process ends.
+PROJ's reader of grids does not look whether they are there and above zero; where they are not, the process may end. A
+TIFF file of one strip need not say how many rows it has: such a grid is refused, since GDAL writes none.
 """
 
 from __future__ import annotations
@@ -46,8 +47,7 @@ def _layout_mistake(content: mmap.mmap) -> str:
 def _mistake(tags: dict[int, int | None]) -> str:
     if TILES not in tags and STRIPS not in tags:
         return "it has neither strips nor tiles"
-    of_blocks = (TILE_WIDTH, TILE_HEIGHT) if TILES in tags else (ROWS_PER_STRIP,) if ROWS_PER_STRIP in tags else ()
-    needed = (WIDTH, HEIGHT, *of_blocks)
+    needed = (WIDTH, HEIGHT, *((TILE_WIDTH, TILE_HEIGHT) if TILES in tags else (ROWS_PER_STRIP,)))
     wrong = next((NAMES[tag] for tag in needed if not tags.get(tag)), "")
     return f"its tag {wrong} is no number above zero" if wrong else ""
 
