@@ -31,6 +31,7 @@ PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pil
 XML_PACKET, GDAL_METADATA, DNG_VERSION = 700, 42112, 50706
 GDAL_EXIF = "GDAL_METADATA"  # the name of that tag among the entries
 FORMATS = ("JPEG", "MPO", "TIFF")
+TRIED = ("JPEG", "TIFF", "PNG", "GIF", "BMP", "PPM")  # the last four are named when they are refused; MPO is a JPEG
 HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+(\s+0x[0-9a-fA-F]+)*")
 # What Pillow raises over damaged directories: it indexes, converts and seeks as they say.
 PILLOW_ERRORS = (
@@ -129,7 +130,7 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     cut = "the file is damaged or cut short"
     try:
         no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
-        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name) as image:
+        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name, formats=TRIED) as image:
             raw = _raw(image)
     except UnidentifiedImageError as error:
         raise ImageError(f"{name}: not an image, or {cut}; expected JPEG or TIFF.") from error

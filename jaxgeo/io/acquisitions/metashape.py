@@ -12,6 +12,7 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -133,6 +134,13 @@ def _check_on_earth(path: Any, centres: np.ndarray) -> None:
         raise TableError(
             f"{path}: there is no transform to the Earth, so its cameras have no place there (the first is "
             f"{radius[0]:.6g} m from its centre); georeference the chunk in Metashape and export again."
+        )
+    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
+    low, high, _ = POSE_COLUMNS["height_m"]
+    wrong = (height < low) | (height > high)
+    if np.any(wrong):
+        raise TableError(
+            f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
         )
 
 
