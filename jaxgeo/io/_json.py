@@ -85,7 +85,7 @@ def _vector(where: str, name: str, entry: Any, key: str, largest: float) -> list
         raise TableError(f"{where}, {name}: {key} must be three finite numbers; got {shown(value)}.")
     if max(map(abs, value)) > largest:
         raise TableError(f"{where}, {name}: {key} is {shown(value)}, beyond {largest:g}; the file is damaged.")
-    return value
+    return [float(number) for number in value]
 
 
 def _integer(digits: str) -> int | float:
