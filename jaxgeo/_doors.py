@@ -18,7 +18,8 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
-from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor import FrameCamera, Sensor, Shot, Trajectory
+from jaxgeo.sensor.scanning import AbstractScanningCamera
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, ConstantHeight, Dem, FirstHit
 
@@ -123,6 +124,19 @@ def check_ray(ray: Ray) -> None:
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise ValueError(
             f"ray.direction must be a unit vector in ECEF; got one of length {length:.9g}. Divide it by its length."
+        )
+
+
+def check_on_image(sensor: Sensor, pixel: Pixel) -> None:
+    """Raise `ValueError` for a known pixel outside the image, with its size; nothing is compiled for that."""
+    camera, known = sensor.camera, concrete(pixel)
+    if known is None or not isinstance(camera, FrameCamera | AbstractScanningCamera):
+        return
+    size = np.array([camera.width, camera.height])
+    if np.all(np.isfinite(known)) and not np.all((known >= -0.5) & (known <= size - 0.5)):
+        raise ValueError(
+            f"outside_image: the pixel uv = ({known[0]:g}, {known[1]:g}) lies outside the image of {size[0]} columns x "
+            f"{size[1]} rows; uv is (column, row), with pixel centres at integers from 0."
         )
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._typing import Flag, Flags, Indices, StatusCode
+from jaxgeo._typing import Flag, Flags, Indices, Numbers, StatusCode
 
 
 class Status(enum.IntEnum):
@@ -89,6 +89,14 @@ def first_failure(*statuses: StatusCode) -> StatusCode:
 def status_where(condition: Flag, status: Status, otherwise: StatusCode) -> StatusCode:
     """`status` where `condition` holds, `otherwise` elsewhere."""
     return jnp.where(condition, status.code, otherwise)
+
+
+def seen_beside(status: Indices, given: Numbers) -> Indices:
+    """`hit` in place of `outside_image` where that comes with its pixel or direction `given`, the last axis of finite
+    numbers; any other status as it is. So a measured pixel may lie beside the image, but not where a lens has no ray.
+    """
+    is_beside = (status == Status.outside_image) & jnp.all(jnp.isfinite(given), axis=-1)
+    return jnp.where(is_beside, Status.hit.code, status)
 
 
 def counts_as_fix(code: Indices) -> Flags:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import pathlib
+import shlex
 from collections.abc import Callable
 
 import numpy as np
@@ -281,3 +282,25 @@ def test_velocities_that_fit_in_no_frame_have_the_way_out_that_is_printed(tmp_pa
     read = run(path, "--no-velocities")
     assert read.exit_code == 0, read.output
     assert "Velocities of the file are left out, as asked." in read.output
+
+
+WITHOUT_FIELDS = {tag: raw for tag, raw in usual().items() if tag not in (16, 17, 21)}
+WAYS_OUT = {  # a file of telemetry that is refused, and what is printed as the way out
+    "wrong checksum": (local_set(usual())[:-1] + b"\x00", "--keep-damaged"),
+    "no field of view": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,pitch=2.41um"),
+    "no field of view, by the sensor": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,sensor=13.2mm"),
+    "no field of view, in pixels": (local_set(WITHOUT_FIELDS), "--camera focal=3666px"),
+}
+
+
+@pytest.mark.parametrize("case", WAYS_OUT)
+def test_the_way_out_of_refused_telemetry_works_as_it_is_printed(tmp_path: pathlib.Path, case: str) -> None:
+    content, printed = WAYS_OUT[case]
+    path = tmp_path / "flight.klv"
+    path.write_bytes(content)
+    refused = run(path)
+    assert refused.exit_code == 2
+    assert printed in " ".join(refused.output.split())
+    read = run(path, *shlex.split(printed))
+    assert read.exit_code == 0, read.output
+    assert "1 exposure" in read.output

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from jaxgeo.cli._common import NO_ANSWER
-from jaxgeo.cli._question import Question
+from jaxgeo.cli._question import Question, on_image
 from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell, working
 
 CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
@@ -51,6 +51,9 @@ def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
     import numpy as np
 
     total = len(question.uv)
+    if _are_outside(question):  # which needs no program
+        yield 0, _outside(total)
+        return
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
     program = _program(question.axes[0], question.axes[3], size == 1)
     with progress_bar() as progress:
@@ -61,6 +64,30 @@ def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
             fixes = program(sensor, shots, uv, terrain, question.atmosphere)
             yield start, _part(fixes, np.arange(min(size, total - start)))
             progress.update(task, completed=min(start + size, total))
+
+
+def _are_outside(question: Question) -> bool:
+    """Whether no pixel lies on its image, and nothing else is wrong with any."""
+    import jax
+    import numpy as np
+
+    given = jax.tree.leaves((question.sensor, question.shots, question.uv, question.atmosphere))
+    is_sound = all(np.isfinite(np.asarray(leaf)).all() for leaf in given)
+    return is_sound and not on_image(question.sensor.camera, question.uv).any()
+
+
+def _outside(count: int) -> Any:
+    """Fixes of so many pixels outside the image."""
+    import numpy as np
+
+    from jaxgeo.earth import Geodetic
+    from jaxgeo.fix import Fix
+    from jaxgeo.status import Status
+
+    unknown = np.full(count, np.nan)
+    position = Geodetic(lat=unknown, lon=unknown, height=unknown)
+    ecef, status = np.full((count, 3), np.nan), np.full(count, Status.outside_image, np.int8)
+    return Fix(position, ecef, unknown, unknown, unknown, unknown, status)
 
 
 @functools.cache

@@ -61,7 +61,29 @@ def told_question(asked: Asked, with_errors: bool | None, output: pathlib.Path |
         check_no_input("--output", [output], question.reads)
     for one in question.assumed:
         tell(f"assumed: {one}")
+    _tell_of_pixels_outside(asked.pixels, question)
     return question
+
+
+def _tell_of_pixels_outside(texts: list[str], question: Question) -> None:
+    """On stderr, before anything is computed, which of the pixels typed are not on the image; they keep their rows."""
+    import numpy as np
+
+    camera = question.sensor.camera
+    for text, inside in zip(texts, on_image(camera, question.uv[: len(texts)]), strict=True):
+        if not inside and np.isfinite(question.uv[: len(texts)]).all():
+            tell(
+                f"--pixel {text}: outside the image of {camera.width} x {camera.height} pixels; columns go from 0 to "
+                f"{camera.width - 1}, rows from 0 to {camera.height - 1}."
+            )
+
+
+def on_image(camera: Any, uv: Any) -> Any:
+    """Which of the pixels (n, 2) lie on the image of a camera, the outer edges of its pixels included."""
+    import numpy as np
+
+    uv = np.asarray(uv, np.float64)
+    return np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
 
 
 def read_question(asked: Asked, *, with_errors: bool | None) -> Question:

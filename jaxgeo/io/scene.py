@@ -24,7 +24,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
-from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
 from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
@@ -32,11 +32,18 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
+MOST_LINES = 20  # mistakes of a file that are told
 _Numbers = np.ndarray | list[float]
 
 
-class SceneError(ValueError):
-    """A scene file that cannot be read; the message names the file and every key that is wrong."""
+class SceneError(RefusedFile):
+    """A scene file that cannot be read; the message names the file and every key that is wrong, a line for each."""
+
+    def __init__(self, message: str = "") -> None:
+        lines = str(message).split("\n")
+        more = [f"... and {len(lines) - MOST_LINES} more mistakes."] if len(lines) > MOST_LINES else []
+        super().__init__("")
+        self.args = ("\n".join([*map(one_line, lines[:MOST_LINES]), *more]),)
 
 
 class Scene(Record):
@@ -123,7 +130,7 @@ def _read_toml(path: pathlib.Path) -> dict[str, Any]:
         raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
     except OSError as error:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # tomllib's own, of UTF-8, of numbers too long, of lists too deep
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 

@@ -1,6 +1,6 @@
 """Cameras of Metashape in XML: transforms to the Earth, calibrations, and what is not read.
 
-Held against Agisoft's published rules: a camera's transform takes (right, down, forward) into the chunk, chunk and
+Held against: Agisoft's published rules: a camera's transform takes (right, down, forward) into the chunk, chunk and
 component take that to geocentric coordinates; the lens formula of the manual's appendix ("Frame cameras"), here in
 NumPy (`pixel_by_the_manual`), with cx and cy from the middle and pixels counted from the corner.
 """

@@ -1,4 +1,8 @@
-"""Reading elevation files: real ones and made-up ones, on every kind of map, whole, in windows and in tiles."""
+"""Reading elevation files: real ones and made-up ones, on every kind of map, whole, in windows and in tiles.
+
+Held against: nine public elevation models as their publishers wrote them (SRTM `.hgt`, lidar, ASTER, national grids),
+whose posts rasterio and pyproj put and read apart from the reader (`lonlat_by_pyproj`).
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """VRTs: what their sources state is kept or compared, and one that resamples or computes is refused.
 
-Held against files that GDAL itself writes (`rasterio.shutil.copy`, `WarpedVRT`, `vrt://`), and against VRTs laid out as
+Held against: files that GDAL itself writes (`rasterio.shutil.copy`, `WarpedVRT`, `vrt://`), and VRTs laid out as
 `gdalbuildvrt` writes them, which drops units and vertical CRS.
 """
 

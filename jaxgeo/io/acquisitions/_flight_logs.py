@@ -14,7 +14,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import Sentinel, sentinel_of
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -186,5 +186,5 @@ def _heights(
         return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a record
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error

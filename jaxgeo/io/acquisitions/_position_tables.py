@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +18,15 @@ from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, 
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.gcp import projection_text
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
+_NUMBER = r"\s*(-?\d{1,12}(?:\.\d*)?)\s*"
 MARK = re.compile(
-    r"\s*(\d+)\s+([\d.]+)\s+\[(\d+)\]\s+(-?[\d.]+)\s*,N\s+(-?[\d.]+)\s*,E\s+(-?[\d.]+)\s*,V\s+"
-    r"(-?[\d.]+)\s*,Lat\s+(-?[\d.]+)\s*,Lon\s+(-?[\d.]+)\s*,Ellh\s+"
-    r"(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s+(\d+)\s*,Q\s*"
+    rf"\s*(\d{{1,9}})\s{_NUMBER}\s\[(\d{{1,6}})\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s{_NUMBER},Lon\s"
+    rf"{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s(\d{{1,6}})\s*,Q\s*"
 )
 MARK_FIELDS = ("week", "time of week", "Lat", "Lon", "Ellh", "sigma north", "sigma east", "sigma up", "Q")
 GPS_EPOCH = 315_964_800.0  # s since 1970
@@ -78,9 +79,7 @@ def read_positions(path: str | os.PathLike[str], *, height_datum: str | float | 
         return readers[form](path, height_datum, crs)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except TableError:
-        raise
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
 
 
@@ -104,8 +103,9 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         rows.append(values)
     if not rows:
         raise TableError(f"{path}: no mark has a position (Q 0, or latitude and longitude zero).")
-    if len(set(numbers)) < len(numbers):
-        raise TableError(f"{path}: photo {max(numbers, key=numbers.count)} is there twice.")
+    twice = [photo for photo, count in Counter(numbers).items() if count > 1]
+    if twice:
+        raise TableError(f"{path}: photo {twice[0]} is there twice.")
     lat, lon, height = (np.array([row[name] for row in rows]) for name in ("Lat", "Lon", "Ellh"))
     _check_place(path, lat, lon, height)
     no_sigma = any(sentinel_of(MARKS, "position errors", row) for row in rows)

@@ -54,7 +54,7 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
     `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several
-    (orientations, parameters, reconstructions), or a lens or file as for images (orientations, subtitles, flight logs);
+    (orientations, parameters, reconstructions), or a lens or file as for images (telemetry, orientations, logs);
     `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
     (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
     an option that its reader does not take; `FileNotFoundError`; and as the readers.
@@ -229,7 +229,7 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
     return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
-TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream")
+TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
 PLACED = ("height_datum", "crs", "camera")
 IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
 DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)

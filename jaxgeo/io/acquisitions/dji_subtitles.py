@@ -27,6 +27,7 @@ NAMES = {
     "pitch": "gb_pitch",
     "roll": "gb_roll",
 }
+MOST_FRAMES = 1e9
 ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
 
 
@@ -95,7 +96,8 @@ def _record(index: int, block: str) -> LogRecord:
     numbers = {ours: _number(values.get(theirs)) for ours, theirs in NAMES.items()}
     numbers["altitude"] = _number(values.get("abs_alt", values.get("altitude")))
     stamp = TIME.search(text)
-    name = str(int(values.get("framecnt", index + 1)))  # type: ignore[arg-type]
+    frame = _number(values.get("framecnt"))
+    name = str(index + 1 if frame is None or frame > MOST_FRAMES else int(frame))
     return LogRecord(name, f"subtitle {index + 1}", values, numbers, _seconds(stamp))
 
 

@@ -12,6 +12,7 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -19,6 +20,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
 
+MOST_PIXELS = 10_000_000  # of the side of an image, and of a focal length
 FORM = "camera file of Metashape"
 UNREAD = ("b2", "k4", "p3", "p4")  # of its calibrations: skew and higher terms of the lens
 IDENTITY = (np.eye(3), np.zeros(3), 1.0)
@@ -133,6 +135,13 @@ def _check_on_earth(path: Any, centres: np.ndarray) -> None:
             f"{path}: there is no transform to the Earth, so its cameras have no place there (the first is "
             f"{radius[0]:.6g} m from its centre); georeference the chunk in Metashape and export again."
         )
+    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
+    low, high, _ = POSE_COLUMNS["height_m"]
+    wrong = (height < low) | (height > high)
+    if np.any(wrong):
+        raise TableError(
+            f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
+        )
 
 
 def _transform(path: Any, camera: ET.Element) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +172,9 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
     try:
         width, height = (int((size.attrib if size is not None else {})[key]) for key in ("width", "height"))
     except (KeyError, ValueError):
-        raise TableError(f"{where}: there is no resolution of whole numbers, width and height.") from None
+        width = height = 0
+    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
+        raise TableError(f"{where}: there is no resolution of whole numbers above zero, width and height.")
     written = [one for one in calibration if one.text and one.text.strip()]
     terms = {one.tag.lower(): float(_numbers(f"{where}, {one.tag}", one, 1)[0]) for one in written}
     turned = [key for key in UNREAD if terms.get(key, 0.0) != 0.0]
@@ -171,13 +182,16 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
         raise TableError(f"{where}: {turned[0]} is not zero; it is not read. Optimise the cameras without it.")
     if "f" not in terms:
         raise TableError(f"{where}: there is no focal length f in its calibration, as of versions from 1.3 on.")
+    focal = terms["f"] + terms.get("b1", 0.0), terms["f"]
+    if not 0.0 < min(focal) <= max(focal) < MOST_PIXELS:
+        raise TableError(f"{where}: its focal length f is {terms['f']:g} pixels, with b1 {focal[0]:g}; it is none.")
     lens = BrownConrady(
         k1=terms.get("k1", 0.0), k2=terms.get("k2", 0.0), k3=terms.get("k3", 0.0),
         p1=terms.get("p2", 0.0), p2=terms.get("p1", 0.0),
     )  # fmt: skip
     is_perfect = not any(terms.get(key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2"))
     return FrameCamera.from_pixels(
-        focal_px=(terms["f"] + terms.get("b1", 0.0), terms["f"]),
+        focal_px=focal,
         width=width,
         height=height,
         principal_px=((width - 1.0) / 2.0 + terms.get("cx", 0.0), (height - 1.0) / 2.0 + terms.get("cy", 0.0)),
