@@ -84,7 +84,7 @@ class Sigmas(NamedTuple):
 
 
 def errors_given(
-    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path, pixel_pitch: float | None
+    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> tuple[Any, ...]:
     """Sources that are stated, with those typed in their place; what was typed as zero does not err.
 
@@ -152,7 +152,7 @@ def attitude_errors(text: str, *, zero: bool = False) -> Any:
     return Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll) if heading or pitch or roll else None
 
 
-def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = False) -> Any:
+def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path | str, *, zero: bool = False) -> Any:
     """Errors of a gimbal's readings; None for zero, where that is allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import GimbalAngles
 
@@ -165,7 +165,7 @@ def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = F
     return GimbalAngles.from_degrees(**axes) if any(values) else None
 
 
-def focal_errors(text: str, where: pathlib.Path, pixel_pitch: float | None, *, zero: bool = False) -> Any:
+def focal_errors(text: str, where: pathlib.Path | str, pixel_pitch: float | None, *, zero: bool = False) -> Any:
     """Errors of focal length, principal column and row; None for zero, where that is allowed. Raises `UserError`.
 
     `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said.

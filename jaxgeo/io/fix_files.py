@@ -75,6 +75,7 @@ def write_fixes(
     attributes: Sequence[Mapping[str, Any]] | None = None,
     ellipses: bool = True,
     mgrs: bool = False,
+    reasons: Sequence[str | None] | None = None,
 ) -> None:
     """Fixes and how sure they are, written to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
 
@@ -98,6 +99,8 @@ def write_fixes(
       "circle" where only a radius is known; none for one without area. They lie in the horizontal CRS, in a layer
       `ellipses` (.gpkg), a second column of geometries (.parquet), features or placemarks of their own.
     - `mgrs`: also the square metre in the Military Grid Reference System (with the extra `gis`, as .parquet).
+    - `reasons`: for each fix None, or the sentence that stands in the column `status_text` in place of that of its
+      status: why there is none, such as that its file could not be read.
 
     The file appears when all is written. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, is no map or does not reach, heights that cannot be named, and what does not belong to the fixes;
@@ -127,7 +130,7 @@ def write_fixes(
         lat, lon, height = (np.asarray(x, np.float64) for x in fixes.position.to_degrees())
         chart = chart_of(f"{target}", crs, heights, _extent(lon, lat))
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
-        rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs)
+        rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
         places = chart.points(f"{target}", lon, lat, height)
         outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
         carried = frozenset(str(name) for row in attributes or () for name in row)
@@ -182,9 +185,11 @@ def _kml_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
 
 
 def _rows(
-    name: str, fixes: Fix, figures: Figures | None, attributes: Any, chart: MapCRS, mgrs: bool
+    name: str, fixes: Fix, figures: Figures | None, attributes: Any, chart: MapCRS, mgrs: bool, reasons: Any
 ) -> list[dict[str, Any]]:
-    own = rows_of(fixes, figures)
+    if reasons is not None and len(reasons) != len(fixes.status):
+        raise ValueError(f"{name}: reasons must be one, or None, for each of {len(fixes.status)} fixes.")
+    own = rows_of(fixes, figures, reasons)
     extra = checked_attributes(name, attributes, len(own), {*own[0], *TAKEN})
     squares: list[dict[str, Any]] = [{} for _ in own]
     if mgrs:
