@@ -12,8 +12,8 @@ import zipfile
 from xml.etree import ElementTree
 
 import numpy as np
-import pyogrio
 import pytest
+from pyogrio import raw
 from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
 from typer.testing import CliRunner
@@ -144,7 +144,7 @@ def rows_of_geojson(path: pathlib.Path) -> list[dict]:
 
 
 def rows_of_geopackage(path: pathlib.Path) -> list[dict]:
-    meta, _, shapes, fields = pyogrio.raw.read(path, layer="fixes")
+    meta, _, shapes, fields = raw.read(path, layer="fixes")
     rows = zip(*fields, shapes, strict=True)
     return [dict(zip([*meta["fields"], "has_place"], [*row[:-1], row[-1] is not None], strict=True)) for row in rows]
 

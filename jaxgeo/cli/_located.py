@@ -41,7 +41,7 @@ class Located(NamedTuple):
             return Located(_part(self.fixes, rows), None)
         one = self.accuracy
         fixes, arrays = _part((self.fixes, _arrays(one)), rows)
-        return Located(fixes, type(one)(fixes, one.probability, *arrays, one.count))
+        return Located(fixes, _with(one, fixes, arrays))
 
 
 def located(question: Question, probability: float) -> Located:
@@ -68,7 +68,12 @@ def located(question: Question, probability: float) -> Located:
     where = [batch.rows for batch, one in zip(question.batches, sure, strict=True) if one is not None]
     blank = jax.tree.map(lambda leaf: _blank(leaf, count, -1), arrays[0])
     own = _spread(arrays, np.concatenate(where), blank)
-    return Located(fixes, type(known[0])(fixes, known[0].probability, *own, known[0].count))
+    return Located(fixes, _with(known[0], fixes, own))
+
+
+def _with(one: Any, fixes: Any, arrays: tuple[Any, ...]) -> Any:
+    """An `AccuracyOfEach` with other fixes and arrays."""
+    return type(one)(fixes, one.probability, *arrays, one.count)
 
 
 def _arrays(one: Any) -> tuple[Any, ...]:
@@ -174,14 +179,14 @@ def _part(tree: Any, index: Any) -> Any:
 def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, is_long: bool) -> Any:
     """How sure the fixes are, an `AccuracyOfEach`, without figures for those that are none; None where all are."""
     import jax
-    import jax.numpy as jnp
     import numpy as np
 
-    from jaxgeo.status import counts_as_fix
+    from jaxgeo.status import Status, counts_as_fix
     from jaxgeo.uncertainty import accuracy_of_each
     from jaxgeo.uncertainty.accuracy_of_each import SAMPLES
 
-    index = np.flatnonzero(np.asarray(counts_as_fix(jnp.asarray(fixes.status))))
+    counts = {int(one) for one in Status if counts_as_fix(one.code)}
+    index = np.flatnonzero(np.isin(fixes.status, list(counts)))
     if not index.size:
         return None
     sensor, shots, uv, terrain = _taken(batch, index)
@@ -202,7 +207,7 @@ def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, 
         )
     arrays = _arrays(found)
     blank = jax.tree.map(lambda leaf: _blank(leaf, len(batch.uv), -1), arrays)
-    return type(found)(fixes, found.probability, *_spread([arrays], index, blank), found.count)
+    return _with(found, fixes, _spread([arrays], index, blank))
 
 
 def fixes_table(rows: list[dict[str, Any]], probability: float | None, width: int) -> Table:

@@ -30,7 +30,7 @@ from jaxgeo.io._kml import Placemark, kml, kmz
 from jaxgeo.io._layers import Layer, geopackage
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
-from jaxgeo.io.geoid import EGM96
+from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
@@ -127,7 +127,7 @@ def write_fixes(
     fixes = _batch(target, fixes)
     with destination("fixes", target, binary=True) as stream:
         chart_of = _kml_crs if write in (_kml, _kmz) else map_crs
-        lat, lon, height = (np.asarray(x, np.float64) for x in fixes.position.to_degrees())
+        lat, lon, height = degrees_of(fixes.position)
         chart = chart_of(f"{target}", crs, heights, _extent(lon, lat))
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
         rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
@@ -142,7 +142,7 @@ def check_fix_file(path: str | os.PathLike[str], crs: Any, heights: Any, near: G
     """Raises as `write_fixes` would for this name, CRS and vertical datum, and fixes `near` a batch of points."""
     target = pathlib.Path(path)
     chart_of = _kml_crs if _writer(target) in (_kml, _kmz) else map_crs
-    lat, lon, _ = (np.asarray(x, np.float64) for x in near.to_degrees())
+    lat, lon, _ = degrees_of(near)
     chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
 
@@ -193,7 +193,7 @@ def _rows(
     extra = checked_attributes(name, attributes, len(own), {*own[0], *TAKEN})
     squares: list[dict[str, Any]] = [{} for _ in own]
     if mgrs:
-        lat, lon, _ = (np.asarray(x) for x in fixes.position.to_degrees())
+        lat, lon, _ = degrees_of(fixes.position)
         squares = [{"mgrs": square} for square in mgrs_of(lat, lon)]
     datum = {"vertical_datum": chart.vertical_datum}
     return [
@@ -211,7 +211,7 @@ def _outlines(
     axes, azimuth, centre = figures.axes.copy(), figures.azimuth.copy(), figures.bias_enu[:, :2].copy()
     alone = np.isnan(axes[:, 0]) & np.isfinite(figures.circular)
     axes[alone], azimuth[alone], centre[alone] = figures.circular[alone, None], 0.0, 0.0
-    lat, lon, _ = (np.asarray(x) for x in fixes.position.to_degrees())
+    lat, lon, _ = degrees_of(fixes.position)
     lonlat = np.stack([lon, lat], axis=-1)
     polygons = ellipse_polygons(name, chart, lonlat, np.asarray(fixes.ecef), axes, azimuth, centre)
     return polygons, ["circle" if one else "ellipse" for one in alone]
