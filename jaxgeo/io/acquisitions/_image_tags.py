@@ -28,6 +28,7 @@ EXIF_PARTS = {0x8769: "TAGS", 0x8825: "GPSTAGS"}  # directories of EXIF, and Pil
 PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pillow has names of its own for them
 XML_PACKET, GDAL_METADATA, DNG_VERSION = 700, 42112, 50706
 LONGEST_TEXT = 2000  # characters of a tag that are kept
+BLOCK = 65_536  # bytes of a file that are looked through at a time
 
 
 @dataclass(frozen=True)
@@ -167,10 +168,22 @@ def _check_kind(name: str, image: Any) -> None:
 def _is_whole(image: Any) -> bool:
     """Whether a file reaches as far as its pixels."""
     if image.format != "TIFF":
-        return b"\xff\xd9" in image.fp.read()  # the end of an image, which cannot be within what is coded
+        return _ends_in(image.fp, b"\xff\xd9")  # the end of an image, which cannot be within what is coded
     size = os.fstat(image.fp.fileno()).st_size
     pairs = [(image.tag_v2.get(at, ()), image.tag_v2.get(count, ())) for at, count in ((273, 279), (324, 325))]
     return all(at + count <= size for ats, counts in pairs for at, count in zip(ats, counts, strict=True))
+
+
+def _ends_in(file: Any, mark: bytes) -> bool:
+    """Whether a mark stands somewhere after the place where a file is read; looked for from its end, where it is."""
+    start, end = file.tell(), file.seek(0, os.SEEK_END)
+    while end > start:
+        first = max(start, end - BLOCK)
+        file.seek(first)
+        if mark in file.read(end - first + len(mark) - 1):  # a mark may lie across two blocks
+            return True
+        end = first
+    return False
 
 
 def _exif(image: Any) -> dict[str, Any]:
