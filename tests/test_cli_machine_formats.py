@@ -13,6 +13,7 @@ from collections.abc import Callable
 import pytest
 from support.drone_image_files import packet, write_image
 from test_cli_folders import DJI, GROUND
+from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
@@ -85,3 +86,13 @@ def test_rows_on_a_terminal_are_whole(tmp_path: pathlib.Path, monkeypatch, form:
     text = on_a_terminal(monkeypatch, ["locate", *arguments, *options])
     assert "2 pixels:" in text
     is_whole(text, 2)
+
+
+def test_a_dash_is_the_screen(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_image(tmp_path / "a.jpg", packet(DJI), make="DJI")
+    result = CliRunner().invoke(app, ["locate", "a.jpg", *GROUND, "--no-accuracy", "-o", "-", "--format", "csv"])
+    assert result.exit_code == 0, result.stderr
+    (row,) = csv.DictReader(io.StringIO(result.stdout))
+    assert row["name"] == "a.jpg"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.jpg"]
