@@ -41,7 +41,7 @@ def height_msl(position: Geodetic | Fix, datum: VerticalDatum = EGM96) -> np.nda
 def degrees_of(position: Geodetic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(lat, lon, height) in deg, deg, m, by NumPy: nothing is compiled for a batch of another length."""
     lat, lon, height = (np.asarray(part, np.float64) for part in (position.lat, position.lon, position.height))
-    return np.rad2deg(lat), np.rad2deg(lon), height
+    return np.asarray(np.rad2deg(lat)), np.asarray(np.rad2deg(lon)), height
 
 
 def _apply(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, datum: VerticalDatum, inverse: bool) -> np.ndarray:
