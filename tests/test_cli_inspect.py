@@ -184,9 +184,9 @@ def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
     "content, words",
     [
         (b"", ["empty"]),
-        (b"\x00\x01\x02" * 50, ["none of what is read", "drone image", "SBET"]),
-        (b"just words\nand more\n", ["none of what is read"]),
-        (b"[1, 2", ["none of what is read"]),
+        (b"\x00\x01\x02" * 50, ["unrecognised file type", "drone image", "SBET"]),
+        (b"just words\nand more\n", ["unrecognised file type"]),
+        (b"[1, 2", ["unrecognised file type"]),
         (PACKETS[:40], ["packet"]),
     ],
 )

@@ -108,7 +108,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
         if form.is_one(place, head):
             return form
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
-    raise TableError(f"{path}: by its content it is none of what is read: {kinds}.")
+    raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
 
 def _of_scene(path: pathlib.Path) -> Acquisition:
