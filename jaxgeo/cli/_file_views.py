@@ -101,14 +101,13 @@ def _chosen(found: Any, names: list[str], count: int) -> list[int]:
     """Places of the exposures with names, all without. Raises `UserError`."""
     if not names:
         return list(range(count))
-    known: dict[str, int] = {one.name: one.place for one in found.unread} | {
-        one.path: one.place for one in found.unread
-    }
+    known: dict[str, int] = {}
     for part, places in zip(found.parts, found.places, strict=True):
         known |= {str(name): int(place) for name, place in zip(part.names, places, strict=True)}
+    some = ", ".join(list(known)[:5]) + (" and others" if len(known) > 5 else "")
+    known |= {called: one.place for one in found.unread for called in (one.path, one.name) if called not in known}
     for name in names:
         if name not in known:
-            some = ", ".join(list(known)[:5]) + (", ..." if len(known) > 5 else "")
             raise UserError(f"--exposure {name}: no exposure has this name; there are {some}.")
     return [known[name] for name in names]
 
