@@ -127,7 +127,7 @@ def test_heights_whose_datum_nobody_says_are_shown_with_that(tmp_path: pathlib.P
     result = run(path)
     assert result.exit_code == 0
     words = " ".join(result.output.split())
-    for word in ("153.90", "must be said", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
+    for word in ("153.90", "Vertical datum unknown", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
         assert word in words
     assert "height_datum=" not in words
     refused = run(path, "--output", tmp_path / "shots.csv")
@@ -198,9 +198,9 @@ def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
     "content, words",
     [
         (b"", ["empty"]),
-        (b"\x00\x01\x02" * 50, ["none of what is read", "drone image", "SBET"]),
-        (b"just words\nand more\n", ["none of what is read"]),
-        (b"[1, 2", ["none of what is read"]),
+        (b"\x00\x01\x02" * 50, ["unrecognised file type", "drone image", "SBET"]),
+        (b"just words\nand more\n", ["unrecognised file type"]),
+        (b"[1, 2", ["unrecognised file type"]),
         (PACKETS[:40], ["packet"]),
     ],
 )
@@ -217,10 +217,18 @@ def test_other_files_are_refused_in_a_line(tmp_path: pathlib.Path, content: byte
 @pytest.mark.parametrize(
     "name, options, words",
     [
-        ("photo.jpg", ["--image-size", "10,20"], ["image_size", "no option", "drone image"]),
+        (
+            "photo.jpg",
+            ["--image-size", "10,20"],
+            ["(drone image) takes no --image-size", "it takes --height-datum, --takeoff"],
+        ),
         ("video.bin", ["--image-size", "10"], ["--image-size '10'", "WIDTH,HEIGHT"]),
         ("video.bin", ["--image-size", "10,2.5"], ["--image-size", "whole numbers"]),
-        ("video.bin", ["--takeoff-height", "10"], ["takeoff_height", "options are"]),
+        (
+            "video.bin",
+            ["--takeoff-height", "10"],
+            ["takes no --takeoff-height", "it takes --height-datum, --image-size"],
+        ),
         ("video.bin", ["--output", "shots.xlsx"], ["--output shots.xlsx", ".csv"]),
         ("video.bin", ["--tags"], ["--tags goes with --json"]),
         ("eo.csv", ["--height-datum", "sea"], ["sea"]),

@@ -5,8 +5,10 @@ from __future__ import annotations
 from jaxgeo.io.accuracy_map import write_accuracy_map
 from jaxgeo.io.acquisitions import (
     Acquisition,
+    AcquisitionSet,
     UnstatedDatum,
     read_acquisition,
+    read_acquisitions,
     with_positions,
     with_usual_errors,
 )
@@ -36,6 +38,7 @@ from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
     "Acquisition",
+    "AcquisitionSet",
     "BalProblem",
     "DemError",
     "DemFiles",
@@ -59,6 +62,7 @@ __all__ = [
     "locate_files",
     "open_dem",
     "read_acquisition",
+    "read_acquisitions",
     "read_bal",
     "read_dem",
     "read_dem_and_report",

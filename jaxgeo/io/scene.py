@@ -5,10 +5,12 @@ The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import pathlib
+import threading
 import tomllib
 from typing import Any
 
@@ -27,7 +29,7 @@ from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, Mo
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
-from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
+from jaxgeo.io.vertical import LARGEST_UNDULATION, HeightShift, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
@@ -252,7 +254,7 @@ def ellipsoidal_heights(
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
-    shift = height_shift(datum, stated)
+    shift = height_shift(datum, stated) if stated is not None or datum is None else _shift(datum)
     result = np.full(height.shape, np.nan)
     if known.any():
         result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])
@@ -262,6 +264,18 @@ def ellipsoidal_heights(
             f"height_datum = {datum!r} is not defined at {lat[lost][0]:.6f} deg, {lon[lost][0]:.6f} deg (lat, lon)."
         )
     return result
+
+
+def _shift(datum: str | float) -> HeightShift:
+    """The shift of a datum; of one that is no file it is found once, which takes PROJ longer than many points."""
+    if isinstance(datum, str) and not os.path.exists(datum):
+        return _shift_of(datum, threading.get_ident())  # a transformer belongs to its thread
+    return height_shift(datum)
+
+
+@functools.lru_cache(maxsize=8)
+def _shift_of(datum: str, thread: int) -> HeightShift:
+    return height_shift(datum)
 
 
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:

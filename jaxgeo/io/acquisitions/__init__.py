@@ -13,20 +13,24 @@ from jaxgeo.io.acquisitions.positions import with_positions
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
 from jaxgeo.io.acquisitions.reported import Comparison, compare_reported
 from jaxgeo.io.acquisitions.sbet import SbetRecords, read_sbet
+from jaxgeo.io.acquisitions.several import AcquisitionSet, Unread, read_acquisitions
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.usual_errors import with_usual_errors
 
 __all__ = [
     "Acquisition",
+    "AcquisitionSet",
     "Comparison",
     "Reported",
     "SbetRecords",
+    "Unread",
     "UnstatedDatum",
     "acquisition_of_opensfm",
     "acquisition_of_orientations",
     "compare_reported",
     "for_each",
     "read_acquisition",
+    "read_acquisitions",
     "read_airdata",
     "read_dji_subtitles",
     "read_drone_images",

@@ -40,6 +40,7 @@ PILLOW_ERRORS = (
 )  # fmt: skip
 LONGEST_TEXT = 2000  # characters of a tag that are kept
 NOT_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow; some makers write them
+BLOCK = 65_536  # bytes of a file that are looked through at a time
 
 
 @dataclass(frozen=True)
@@ -173,10 +174,22 @@ def _check_kind(name: str, raw: _Raw) -> None:
 def _is_whole(image: Any) -> bool:
     """Whether a file reaches as far as its pixels."""
     if image.format != "TIFF":
-        return b"\xff\xd9" in image.fp.read()  # the end of an image, which cannot be within what is coded
+        return _ends_in(image.fp, b"\xff\xd9")  # the end of an image, which cannot be within what is coded
     size = os.fstat(image.fp.fileno()).st_size
     pairs = [(image.tag_v2.get(at, ()), image.tag_v2.get(count, ())) for at, count in ((273, 279), (324, 325))]
     return all(at + count <= size for ats, counts in pairs for at, count in zip(ats, counts, strict=True))
+
+
+def _ends_in(file: Any, mark: bytes) -> bool:
+    """Whether a mark stands somewhere after the place where a file is read; looked for from its end, where it is."""
+    start, end = file.tell(), file.seek(0, os.SEEK_END)
+    while end > start:
+        first = max(start, end - BLOCK)
+        file.seek(first)
+        if mark in file.read(end - first + len(mark) - 1):  # a mark may lie across two blocks
+            return True
+        end = first
+    return False
 
 
 def _entries(image: Any) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -35,6 +35,16 @@ HEAD = 65_536  # bytes by which a file is told
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
+
+
+class WrongOption(TableError):
+    """An option that the reader of a `kind` of file does not take; `takes` are those that it does."""
+
+    def __init__(self, path: str, kind: str, name: str, takes: tuple[str, ...]) -> None:
+        super().__init__(
+            f"{path}: this is a {kind}, and {name} is no option of it; options are {', '.join(takes) or 'none'}."
+        )
+        self.path, self.kind, self.name, self.takes = path, kind, name, takes
 
 
 class Form(NamedTuple):
@@ -72,15 +82,27 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """
     form = form_of(path)
     given = {name: value for name, value in how.items() if value is not None}
+    return reader_of(form, given)(path, **checked_options(path, form, given))
+
+
+def reader_of(form: Form, given: Mapping[str, Any]) -> Callable[..., Acquisition]:
+    """The reader of a kind of file; parameters of Orthority look like a table but for the option `interior`."""
+    if form is ORTHORITY_OR_TABLE:
+        return (ORTHORITY if "interior" in given else ORIENTATIONS).read
+    return form.read
+
+
+def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options, all of which the reader takes. Raises `WrongOption`."""
     if form is ORTHORITY_OR_TABLE:
         form = ORTHORITY if "interior" in given else ORIENTATIONS
     for name in given:
         if name not in form.takes:
-            known = ", ".join(form.takes) or "none"
-            raise TableError(f"{path}: this is a {form.name}, and {name} is no option of it; options are {known}.")
+            raise WrongOption(os.fspath(path), form.name, name, form.takes)
     if "cameras" in form.takes and not is_a_name(given.get("camera", "")):
-        given["cameras"] = whole_camera(given.pop("camera"))
-    return form.read(path, **given)
+        others = {name: value for name, value in given.items() if name != "camera"}
+        return others | {"cameras": whole_camera(given["camera"])}
+    return given
 
 
 def form_of(path: str | os.PathLike[str]) -> Form:
@@ -101,7 +123,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
         if form.is_one(place, head):
             return form
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
-    raise TableError(f"{path}: by its content it is none of what is read: {kinds}.")
+    raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
 
 def _of_scene(path: pathlib.Path) -> Acquisition:
