@@ -14,7 +14,7 @@ OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal"}
 _NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|gimbal_deg|errors|interior|stream"
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
-_VALUE = r'"[^"]*"|\([-+.,\d\s]*\)'  # a text, or numbers, as Python has them
+_VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a text, or several in parentheses, as Python has them
 _OPTION = re.compile(rf"\b({_NAMES})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
@@ -24,8 +24,9 @@ def as_typed(text: str) -> str:
     def typed(found: re.Match[str]) -> str:
         option = "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-"))
         if found[2]:
-            value = found[2][1:-1]
-            return f"{option} {value.replace(' ', '') if found[2].startswith('(') else shlex.quote(value)}"
+            inside = found[2][1:-1]
+            value = inside.replace(" ", "").replace('"', "") if found[2].startswith("(") else shlex.quote(inside)
+            return f"{option} {value}"
         follows = text[found.end() : found.end() + 1]
         return option + ("" if follows in ":,;." else " ")
 
