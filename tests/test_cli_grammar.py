@@ -121,8 +121,18 @@ LONG_LINES = [
     "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
+READING = "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84"
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
+    f"locate {SCENE} {READING}",
+    f"report {SCENE} {READING} -o out.html",
+    f"footprint {SCENE} {READING}",
+    f"point {SCENE} --target 36.27,-84.268 {READING}",
+    f"overlap {SCENE} --shots shots.csv {READING}",
+    f"plan {SCENE} --navigation flight.csv --overlap 0.9 {READING} -o out.csv",
+    f"rectify {SMALL} {READING} -o out.tif",
+    f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
+    f"study gu2017 --image a --reference b --dem c --scene d {READING}",
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
@@ -203,7 +213,7 @@ def test_long_lines(folder, line: str) -> None:
 def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
-    asked = Asked(None, scene, None, [], [], [pathlib.Path("dem.tif")], None, None, False, {}, Sigmas())
+    asked = Asked(None, scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
     assert asked.samples_of_field is is_field
     assert asked._replace(file=scene, scene=None).samples_of_field is is_field
     assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field

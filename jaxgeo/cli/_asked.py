@@ -9,6 +9,7 @@ import typer
 
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._options import SEEN
 
 Source = Annotated[
@@ -29,8 +30,13 @@ SceneOption = Annotated[
     ),
 ]
 GroundDem = Annotated[
-    list[pathlib.Path] | None,
-    typer.Option("--dem", metavar="FILE", help="Elevation model; repeat it for several tiles.", rich_help_panel=SEEN),
+    list[str] | None,
+    typer.Option(
+        "--dem",
+        metavar="FILE",
+        help="Elevation model, a file or a URL; repeat it for several tiles.",
+        rich_help_panel=SEEN,
+    ),
 ]
 GroundDatum = Annotated[
     str | None,
@@ -94,12 +100,13 @@ class Asked(NamedTuple):
     shots: pathlib.Path | None
     pixels: list[str]
     exposures: list[str]
-    dem: list[pathlib.Path]
+    dem: list[str]
     ground: str | None
     vertical_datum: str | None
     refraction: bool
     how: dict[str, Any]
     sigmas: Sigmas
+    reading: DemReading = DemReading()
 
     @property
     def samples_of_field(self) -> bool:
@@ -119,6 +126,8 @@ def check_asked(asked: Asked) -> None:
             raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
     if bool(asked.dem) == (asked.ground is not None):
         raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+    if not asked.dem:
+        asked.reading.check_goes_with_dem()
     if asked.exposures and (asked.file is None or asked.file.suffix.lower() == ".toml"):
         raise UserError("--exposure goes with a FILE of exposures; a scene has one.")
     if asked.sigmas.dem_correlation is not None and asked.ground is not None:

@@ -132,7 +132,7 @@ def _terrain(asked: Asked, views: Views) -> tuple[Any, bool]:
     from jaxgeo.terrain import ConstantHeight
 
     if asked.ground is None:
-        return read_terrain(asked.dem, asked.vertical_datum), False
+        return read_terrain(asked.dem, asked.vertical_datum, asked.reading), False
     if asked.ground == REPORTED:
         heights = views.centre_heights
         if heights is None or not np.isfinite(heights).any():
@@ -156,7 +156,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
     """What was typed, in plain words."""
     paths = {"file": asked.file, "scene": asked.scene, "shots": asked.shots}
     found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
-    found |= {"dem": [str(path) for path in asked.dem]} if asked.dem else {"ground": asked.ground}
+    found |= {"dem": list(asked.dem)} if asked.dem else {"ground": asked.ground}
+    found |= {f"dem_{name}": value for name, value in asked.reading._asdict().items() if value is not None}
     if asked.vertical_datum is not None:
         found["vertical_datum"] = asked.vertical_datum
     found |= {name: str(value) if isinstance(value, pathlib.Path) else value for name, value in asked.how.items()}

@@ -35,6 +35,45 @@ def as_typed(text: str) -> str:
     return _OPTION.sub(typed, text)
 
 
+_OF_DEM = {
+    "nodata": "nodata",
+    "height_unit": "height-unit",
+    "band": "dem-band",
+    "bounds": "dem-bounds",
+    "vertical_datum": "vertical-datum",
+}
+_DEM_LIST = re.compile(r"\bnodata=\[([^\]]*)\]")
+_DEM_OPTION = re.compile(rf"\b({'|'.join(_OF_DEM)})=(\.\.\.)?\s?")
+_DEM_WORDS = (
+    ("assume_wgs84=True", "--assume-wgs84"),
+    (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
+    ("as vertical_datum", "with --vertical-datum"),
+    ("Leave vertical_datum out", "Leave --vertical-datum out"),
+)
+
+
+def dem_as_typed(text: str) -> str:
+    """A sentence that names options of `read_dem`, with those of the command line."""
+
+    def typed(found: re.Match[str]) -> str:
+        follows = text[found.end() : found.end() + 1]
+        return f"--{_OF_DEM[found[1]]}" + ("" if follows in ",:;." or not follows else " ")
+
+    text = _DEM_LIST.sub(lambda found: " ".join(f"--nodata {one.strip()}" for one in found[1].split(",")), text)
+    for word, option in _DEM_WORDS:
+        text = text.replace(word, option)
+    return _DEM_OPTION.sub(typed, text)
+
+
+@contextlib.contextmanager
+def dem_words_as_typed() -> Iterator[None]:
+    """What refuses an elevation model, with the options of the command line in place of Python's."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        raise UserError(dem_as_typed(str(error))) from error
+
+
 @contextlib.contextmanager
 def words_as_typed() -> Iterator[None]:
     """Readers' mistakes with the options of the command line in place of Python's."""

@@ -50,8 +50,9 @@ from jaxgeo.cli._errors import (
     PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
@@ -76,6 +77,11 @@ def locate_command(
     dem: GroundDem = None,
     vertical_datum: GroundDatum = None,
     ground: Ground = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -180,6 +186,7 @@ def locate_command(
             refraction,
             how,
             sigmas,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84),
         )
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")

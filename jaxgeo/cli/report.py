@@ -47,8 +47,9 @@ from jaxgeo.cli._errors import (
     PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, working
@@ -69,6 +70,11 @@ def report_command(
     dem: GroundDem = None,
     vertical_datum: GroundDatum = None,
     ground: Ground = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     probability: Annotated[
         float,
         typer.Option(
@@ -129,7 +135,9 @@ def report_command(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
         )
         pixels, exposures = pixel or [], exposure or []
-        asked = Asked(file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction, how, sigmas)
+        seen = (file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        asked = Asked(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)
         leave_without_a_fix(question, found)

@@ -112,7 +112,7 @@ class Blocks:
         """Says which files, of which time and size, and how they were understood."""
         source = self.source
         files = [(t.path, t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources]) for t in source.mosaic.tiles]
-        rest = (source.mosaic.offsets, source.shift.name, source.unit, repr(source.nodata), self.size)
+        rest = (source.mosaic.corners.tolist(), source.shift.name, source.unit, repr(source.nodata), self.size)
         return hashlib.sha256(repr((files, rest)).encode()).hexdigest()
 
     def _index(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from jaxgeo.io.errors import DemError, VerticalDatumError
 from jaxgeo.io.height_units import CHOICES, metres_per_unit
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.paths import Paths
-from jaxgeo.io.raster import Mosaic, open_mosaic, read_window
+from jaxgeo.io.raster import Mosaic
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import (
     LARGEST_UNDULATION,
@@ -23,6 +23,7 @@ from jaxgeo.io.vertical import (
 )
 from jaxgeo.io.voids import Nodata, marks_of
 from jaxgeo.io.windows import Bounds, Window, window_of_bounds
+from jaxgeo.io.zones import Zones, open_tiles
 
 CHUNK = 1_000_000  # posts transformed at once
 POSSIBLE_HEIGHTS = (-11_200.0, 9_100.0)  # m; from below the deepest trench to above the highest peak
@@ -36,7 +37,7 @@ class Source:
     part.
     """
 
-    mosaic: Mosaic
+    mosaic: Mosaic | Zones
     window: Window
     mapping: FileMap
     shift: HeightShift
@@ -57,7 +58,7 @@ class Source:
     def stored(self, part: Window, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What the files hold at a part of this source, in their unit, and which posts are void."""
         place = part.moved(self.window.row, self.window.col)
-        return read_window(self.mosaic, dataclasses.astuple(place), files)
+        return self.mosaic.read(dataclasses.astuple(place), files)
 
     def heights(self, part: Window, dtype: np.dtype, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Heights above the ellipsoid in m of a part of this source, zero over voids, and the voids."""
@@ -82,12 +83,12 @@ def open_source(
     bounds: Bounds | None = None,
 ) -> Source:
     """The headers of files, the map and the vertical datum of the part within `bounds`; no post is read."""
-    mosaic = open_mosaic(paths, band)
+    mosaic = open_tiles(paths, band)
     mapping, window = _part(mosaic, bounds, assume_wgs84)
     shift = _shift(mosaic, mapping, vertical_datum)
     unit = metres_per_unit(mosaic.first, height_unit, shift.unit if shift.transformer is not None else None)
     marks = marks_of(mosaic.name, nodata)
-    return Source(dataclasses.replace(mosaic, unit=unit, nodata=marks), window, mapping, shift, unit, marks)
+    return Source(mosaic.read_as(unit, marks), window, mapping, shift, unit, marks)
 
 
 def check_nodata_used(source: Source, known: tuple[float, float] | None) -> None:
@@ -106,7 +107,7 @@ def check_nodata_used(source: Source, known: tuple[float, float] | None) -> None
     )
 
 
-def _part(mosaic: Mosaic, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
+def _part(mosaic: Mosaic | Zones, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
     """The map and the window, counted from the first tile's first post, of what is to be read."""
     first, name, whole = mosaic.first, mosaic.name, Window(*mosaic.bounds())
     mapping = file_map(name, horizontal_part(first.crs), first.affine[:6], first.shape, assume_wgs84=assume_wgs84)
@@ -118,7 +119,7 @@ def _part(mosaic: Mosaic, bounds: Bounds | None, assume_wgs84: bool) -> tuple[Fi
     return mapping.window(part.row, part.col, part.shape), part.moved(whole.row, whole.col)
 
 
-def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShift:
+def _shift(mosaic: Mosaic | Zones, mapping: FileMap, asked: VerticalDatum) -> HeightShift:
     rows, cols = (np.linspace(0.0, n - 1.0, 5) for n in mapping.shape)
     lon, lat = mapping.lonlat(*(u.ravel() for u in np.meshgrid(rows, cols)))
     known = np.isfinite(lon) & np.isfinite(lat)
@@ -129,7 +130,10 @@ def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShif
     try:
         return height_shift(asked, vertical_part(mosaic.first.crs, unnamed=True), area)
     except VerticalDatumError as error:
-        raise VerticalDatumError(f"{mosaic.name}: {error}") from error
+        field = mosaic.first.datum_field
+        meant = "EGM96, which is EPSG:5773" if field == "E96" else "mean sea level, by a model that it does not name"
+        quoted = "" if field is None or asked is not None else f" The file's own field of it is {field!r}: {meant}."
+        raise VerticalDatumError(f"{mosaic.name}: {error}{quoted}") from error
 
 
 def _ellipsoidal(

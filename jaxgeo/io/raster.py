@@ -11,8 +11,7 @@ from rasterio.windows import Window
 
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.height_units import alike, stated_unit, unit_shown
-from jaxgeo.io.paths import Paths, are_all_named, expanded
-from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header, read_tile
+from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_tile
 from jaxgeo.io.voids import check_untagged, marked
 from jaxgeo.terrain.pyramid import check_size
 
@@ -59,6 +58,14 @@ class Mosaic:
         r0, c0, r1, c1 = self.corners.T
         return int(r0.min()), int(c0.min()), int(r1.max()), int(c1.max())
 
+    def read_as(self, unit: float, nodata: tuple[float, ...]) -> Mosaic:
+        """The same, with m per unit of height and further values for voids."""
+        return dataclasses.replace(self, unit=unit, nodata=nodata, marks_found=set())
+
+    def read(self, window: tuple[int, int, int, int], files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """As `read_window`."""
+        return read_window(self, window, files)
+
     def under(self, window: tuple[int, int, int, int]) -> Iterator[tuple[Tile, int, int]]:
         """The tiles that reach into a window, in their order, with the row and column of their first post there."""
         r0, c0, r1, c1 = window
@@ -69,15 +76,6 @@ class Mosaic:
         for index in np.flatnonzero(near.any(axis=0)):
             for which in np.flatnonzero(near[:, index]):
                 yield self.tiles[index], int(top[index]), int(left[index]) + shifts[which]
-
-
-def open_mosaic(paths: Paths, band: int) -> Mosaic:
-    """Headers of one file or of several tiles on one grid. Raises `FileNotFoundError` or `DemError`."""
-    tiles = tuple(read_header(name, band) for name in expanded(paths))
-    mosaic = Mosaic(tiles, tuple(_offset(tiles[0], tile) for tile in tiles))
-    if not are_all_named(paths):
-        _check_no_two_are_alike(mosaic)
-    return mosaic
 
 
 def read_window(
@@ -123,7 +121,7 @@ def _read_part(mosaic: Mosaic, tile: Tile, inner: Window, files: OpenFiles) -> t
     return part, unknown
 
 
-def _check_no_two_are_alike(mosaic: Mosaic) -> None:
+def check_no_two_are_alike(mosaic: Mosaic) -> None:
     """Refuse two files over the same posts where nobody named them: one may hold something else than heights."""
     seen: dict[tuple[int, ...], Tile] = {}
     for tile, corners in zip(mosaic.tiles, map(tuple, mosaic.corners), strict=True):
@@ -135,7 +133,7 @@ def _check_no_two_are_alike(mosaic: Mosaic) -> None:
         seen[corners] = tile
 
 
-def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
+def offset_on(first: Tile, tile: Tile) -> tuple[int, int]:
     """(row, col) of a tile's first post on the grid of the first tile. Raises `DemError` if it is not on that grid."""
     if tile is first:
         return 0, 0

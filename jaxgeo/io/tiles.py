@@ -145,7 +145,8 @@ def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
     del stamp  # part of the key only: another time or size is another file
     with _opened(path) as data:
         if not 1 <= band <= data.count:
-            raise DemError(f"{path}: there is no band {band}; the file has {data.count}.")
+            known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
+            raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
         _check_holds_heights(path, data, band)
         _check_georeferenced(path, data)
         if data.crs is None:

@@ -32,6 +32,7 @@ ROUGH = 3.0
 PIT = 500.0  # m, and `STEEP` times the spacing of posts: what lies so far below all around it is no ground
 STEEP = 3.0
 FARTHEST = 11_400.0  # m; no height is farther from zero, measured up or down, with room for the geoid's undulation
+LEAST_AROUND = 3  # known neighbours of a post that may be called a pit
 MOST_NAMED = 20
 EARTH = 6.4e6  # m
 ROWS = 256  # at once
@@ -91,8 +92,14 @@ def _as_stored(mark: float | int, dtype: np.dtype) -> Stored:
 
 
 def _extremes(values: np.ndarray, known: np.ndarray) -> tuple[Stored, Stored]:
-    kind = np.finfo(values.dtype) if values.dtype.kind == "f" else np.iinfo(values.dtype)
-    return values.min(where=known, initial=kind.max), values.max(where=known, initial=kind.min)
+    """The lowest and the highest known value, of which there is one."""
+    found = []
+    for top in range(0, len(values), ROWS):  # in parts, since a copy is many times as quick as `where=`
+        part, here = values[top : top + ROWS], known[top : top + ROWS]
+        part = part if here.all() else part[here]
+        if part.size:
+            found += [part.min(), part.max()]
+    return min(found), max(found)
 
 
 def _usual_marks(values: np.ndarray, known: np.ndarray, metres: float) -> list[Stored]:
@@ -147,31 +154,44 @@ def _check_possible(tile: Tile, values: np.ndarray, known: np.ndarray, first: tu
 def _single_pits(values: np.ndarray, known: np.ndarray, depth: float) -> np.ndarray:
     """Posts at least `depth` stored units below, or above, each known post around them, of which there are three."""
     pits = np.zeros(values.shape, bool)
-    rows, cols = values.shape
-    for top in range(0, rows, ROWS):
+    for top in range(0, len(values), ROWS):
         part = np.s_[top : top + ROWS]
-        ground = np.where(known[part], values[part].astype(np.float64), np.nan)
-        padded = np.pad(ground, ((0, 0), (1, 1)), constant_values=np.nan)
-        before, after = ground - padded[:, :-2], ground - padded[:, 2:]
-        for sign in (-1.0, 1.0):
-            alone = ~(sign * before < depth) & ~(sign * after < depth) & known[part]
-            alone &= ~(np.isnan(before) & np.isnan(after))
-            for row, col in np.argwhere(alone):
-                around = np.s_[max(row + top - 1, 0) : row + top + 2, max(col - 1, 0) : min(col + 2, cols)]
-                near = values[around][known[around]].astype(np.float64)
-                far = sign * (float(values[row + top, col]) - near) >= depth
-                pits[row + top, col] = near.size >= 4 and far.sum() == near.size - 1
+        steps = np.diff(values[part].astype(np.float64), axis=1)
+        far = (np.abs(steps) >= depth) & known[part, 1:] & known[part, :-1]
+        if far.any():
+            for row, col in _alone(steps, far).tolist():
+                pits[top + row, col] = _is_pit(values, known, top + row, col, depth)
     return pits
+
+
+def _alone(steps: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """(row, col) of posts that are far from their neighbours in the row, on the same side of both; (n, 2)."""
+    none = np.zeros((len(far), 1), bool)
+    before, after = np.hstack([none, far]), np.hstack([far, none])
+    sides = np.hstack([none, steps > 0.0]), np.hstack([steps < 0.0, none])
+    edge = np.zeros_like(before)
+    edge[:, [0, -1]] = True
+    return np.argwhere((before & after & (sides[0] == sides[1])) | ((before | after) & edge))
+
+
+def _is_pit(values: np.ndarray, known: np.ndarray, row: int, col: int, depth: float) -> bool:
+    around = np.s_[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+    off = values[around][known[around]].astype(np.float64) - float(values[row, col])
+    count = int((off != 0.0).sum())
+    alone = count == off.size - 1 and count >= LEAST_AROUND
+    return alone and (bool((off[off != 0.0] >= depth).all()) or bool((off[off != 0.0] <= -depth).all()))
 
 
 def _patch(values: np.ndarray, known: np.ndarray, depth: float, *, lowest: bool) -> np.ndarray:
     """The posts that all hold the lowest (highest) value, where that is far from all others and no edge is touched."""
     low, high = _extremes(values, known)
     end = low if lowest else high
+    none = np.zeros(values.shape, bool)
+    if float(high) - float(low) < depth:
+        return none
     here = known & (values == end)
     others = known & ~here
-    none = np.zeros(values.shape, bool)
-    if not others.any() or here[[0, -1]].any() or here[:, [0, -1]].any():
+    if here[[0, -1]].any() or here[:, [0, -1]].any():
         return none
     low, high = _extremes(values, others)
     return here if abs(float(end) - float(low if lowest else high)) >= depth else none

@@ -43,7 +43,7 @@ def inherit(tile: Tile, vrt: VrtBand, headers: list[Tile]) -> Tile:
     pairs = list(zip(vrt.sources, headers, strict=True))
     for source, header in pairs:
         _check_type(tile, source, header)
-    verticals = {id(header.crs): vertical_part(header.crs) for header in headers}
+    verticals = {id(header.crs): vertical_part(header.crs, unnamed=True) for header in headers}
     sources = [_facts(tile, source, header, verticals[id(header.crs)]) for source, header in pairs]
     own = _Facts(
         tile.path, stated_unit(tile), unit_of_crs(tile.crs), vertical_part(tile.crs), (tile.scale, tile.offset)
