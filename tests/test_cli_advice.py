@@ -48,7 +48,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str], str, list[str]
         {},
         DATUMS,
         "how the camera was turned is unknown",
-        ["--gimbal 121.3,-90,0"],
+        ["--gimbal aircraft,-90,0"],
     ),
     "no angles": (
         {name: value for name, value in DJI.items() if name not in ANGLES},
@@ -127,6 +127,7 @@ def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
         ('give camera="focal=8.8mm,pitch=2.41um" (so)', "give --camera focal=8.8mm,pitch=2.41um (so)"),
         ('camera="Phantom 4 Pro".', "--camera 'Phantom 4 Pro'."),
         ("gimbal_deg=(121.3, -90, 0).", "--gimbal 121.3,-90,0."),
+        ('gimbal_deg=("aircraft", -90, 0).', "--gimbal aircraft,-90,0."),
         ("Give height_datum=: x", "Give --height-datum: x"),
         ("as takeoff_height=.", "as --takeoff-height."),
         ("leave size= of camera= out", "leave size= of --camera out"),

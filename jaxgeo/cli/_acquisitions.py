@@ -52,7 +52,8 @@ GimbalAngles = Annotated[
     typer.Option(
         "--gimbal",
         metavar="ANGLES",
-        help="Drone images: YAW,PITCH,ROLL of the camera, deg from true north and the horizon; in place of tags.",
+        help="Drone images: YAW,PITCH,ROLL of the camera, deg from true north and the horizon, in place of tags; "
+        "aircraft,PITCH,ROLL takes yaw from the heading of the aircraft.",
         rich_help_panel=READING,
     ),
 ]
@@ -136,7 +137,12 @@ def how_to_read(
     if height_datum is not None:
         how["height_datum"] = said_datum(height_datum)
     if gimbal is not None:
-        how["gimbal_deg"] = numbers_in("--gimbal", gimbal, (3,), "YAW,PITCH,ROLL, three angles in deg")
+        form = "YAW,PITCH,ROLL, three angles in deg, or aircraft,PITCH,ROLL"
+        by_aircraft = gimbal.strip().startswith("aircraft,")
+        angles: list[Any] = numbers_in(
+            "--gimbal", gimbal.replace("aircraft,", "0,", 1) if by_aircraft else gimbal, (3,), form
+        )
+        how["gimbal_deg"] = ["aircraft", *angles[1:]] if by_aircraft else angles
     if image_size is not None:
         size = numbers_in("--image-size", image_size, (2,), "WIDTH,HEIGHT, two whole numbers")
         if any(one != int(one) or one < 1 for one in size):

@@ -38,11 +38,11 @@ class Sigmas(NamedTuple):
     attitude: str
     gimbal: str | None
     focal: str | None
-    principal: str | None
     reference: float | None
     registration: float
     dem: float | None
     dem_correlation: float | None
+    principal: str | None = None
 
 
 class Errors(NamedTuple):

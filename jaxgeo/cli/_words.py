@@ -20,7 +20,7 @@ READING = (
 )  # fmt: skip
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
-_VALUE = r'"[^"]*"|\([-+.,\d\s]*\)'  # a text, or numbers, as Python has them
+_VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a text, or several in parentheses, as Python has them
 _OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
@@ -35,8 +35,9 @@ def as_typed(text: str) -> str:
     def replaced(found: re.Match[str]) -> str:
         option = typed(found[1])
         if found[2]:
-            value = found[2][1:-1]
-            return f"{option} {value.replace(' ', '') if found[2].startswith('(') else shlex.quote(value)}"
+            inside = found[2][1:-1]
+            value = inside.replace(" ", "").replace('"', "") if found[2].startswith("(") else shlex.quote(inside)
+            return f"{option} {value}"
         follows = text[found.end() : found.end() + 1]
         return option + ("" if follows in ":,;." else " ")
 

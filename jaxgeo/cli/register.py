@@ -107,11 +107,11 @@ def register_command(
             attitude_sigma,
             gimbal_sigma,
             focal_sigma,
-            principal_sigma,
             reference_sigma,
             registration_sigma,
             dem_sigma,
             dem_correlation,
+            principal_sigma,
         )
         ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
         work, errors, pixels = _read(image, reference, ground, scene, sigmas, pixel or [], (band, reference_band))

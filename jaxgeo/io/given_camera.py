@@ -49,8 +49,9 @@ def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | 
     Raises `TableError` for a lens that is none, `SceneError` for a file, `FileNotFoundError`.
 
     >>> from jaxgeo.io.given_camera import given_camera
-    >>> given_camera("focal=8.8mm,pitch=2.41um").focal_at(width=5472, full_width=5472)
-    3651.4522821576765
+    >>> lens = given_camera("focal=8.8mm,pitch=2.41um")
+    >>> print(round(lens.focal_at(width=5472, full_width=5472), 3))
+    3651.452
     """
     if isinstance(camera, FrameCamera):
         return camera

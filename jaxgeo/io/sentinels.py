@@ -107,6 +107,12 @@ IMAGE = (
         for test, reason in ((all_zero, "EXIF writes zero where it is unknown or unused"), (is_undefined, _RATIONAL))
     ),
     Sentinel("calibration", ("drone-dji:CalibratedFocalLength",), all_zero, "the camera was not calibrated"),
+    Sentinel(
+        "optical centre",
+        ("drone-dji:CalibratedOpticalCenterX", "drone-dji:CalibratedOpticalCenterY"),
+        all_zero,
+        "the camera was not calibrated",
+    ),
     Sentinel("time", ("EXIF:DateTimeOriginal",), _no_time, "EXIF writes blanks or zeros where the time is unknown"),
     Sentinel("rangefinder", ("drone-dji:LRFTargetDistance",), all_zero, "the laser hit nothing"),
     *(

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from scipy.spatial.transform import Rotation
 
 from jaxgeo import WGS84, FrameCamera, Sensor, Shot, intersect
@@ -478,8 +479,6 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     ),
     "no altitude": (PARROT, {"gps": {key: PLACE[key] for key in (1, 2, 3, 4)}}, "there is no EXIF:GPSAltitude"),
     "sigma": (DJI | {"drone-dji:RtkStdHgt": "-1"}, {}, "drone-dji:RtkStdHgt: -1 is outside"),
-    "time": (DJI, {"exif": CAMERA | {0x9003: "yesterday"}}, "EXIF:DateTimeOriginal: 'yesterday' is no date and time"),
-    "zone": (DJI, {"exif": CAMERA | CLOCK | {0x9011: "CEST"}}, "EXIF:OffsetTimeOriginal: 'CEST' is no time zone"),
     "turned": (DJI, {"first": {ORIENTATION: 6}}, r"flagged to be turned for display \(Orientation 6\)"),
     "zoom": (DJI, {"exif": CAMERA | {0xA404: 2.5}}, "EXIF:DigitalZoomRatio: the image is magnified 2.5 times"),
     "cut image": (
@@ -525,6 +524,152 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
         r"Camera:Pitch: -35.5 is outside \[0, 180\] deg. Autel means",
     ),
 }
+
+
+MAVIC = {"model": "FC220", "exif": {0x920A: 4.73, 0xA002: 4000, 0xA003: 3000}}
+BARE = less(DJI, *(name for name in DJI if "Calibrated" in name))
+ZEROS = dict.fromkeys(("drone-dji:CalibratedOpticalCenterX", "drone-dji:CalibratedOpticalCenterY"), "0.000000")
+# Strange tags that no line of sight depends on, and what is told of them, if anything.
+UNUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
+    "a time": (
+        DJI,
+        {"exif": CAMERA | {0x9003: "yesterday"}},
+        "Not used: EXIF:DateTimeOriginal: 'yesterday' is no date and time.",
+    ),
+    "a time zone": (
+        DJI,
+        {"exif": CAMERA | CLOCK | {0x9011: "CEST"}},
+        "Not used: EXIF:OffsetTimeOriginal: 'CEST' is no",
+    ),
+    "no time": (DJI, {"exif": CAMERA | {0x9003: "0000:00:00 00:00:00"}}, "Not used: EXIF:DateTimeOriginal 0000:00:00"),
+    "an attitude": (DJI | {"drone-dji:FlightPitchDegree": "up"}, {}, "The attitude of the aircraft is not said"),
+    "a rangefinder": (DJI | {"drone-dji:LRFTargetDistance": "far", "drone-dji:LRFTargetLat": "999"}, {}, ""),
+    "another maker's angle": (DJI | {"Camera:Yaw": "north"}, {}, ""),
+    "a pixel density": (DJI, {"exif": CAMERA | {0xA20E: -1.0, 0xA210: 3}}, ""),
+    "a 35 mm equivalent of 0": (DJI, {"exif": CAMERA | {0xA405: 0}}, "Not used: EXIF:FocalLengthIn35mmFilm 0"),
+    "a calibration of 0": (
+        DJI | ZEROS | {"drone-dji:CalibratedFocalLength": "0.000000"},
+        {},
+        "Not used: drone-dji:CalibratedFocalLength 0.000000 (the camera was not calibrated).",
+    ),
+    "an altitude of 0 beside another": (
+        DJI | {"drone-dji:AbsoluteAltitude": "+0.00"},
+        {},
+        "Not used: drone-dji:AbsoluteAltitude +0.00 (a receiver without a height writes zero).",
+    ),
+    "a repeated tag": (
+        packet(DJI).replace(
+            "</rdf:RDF>",
+            f'<rdf:Description xmlns:d="{SPACES["drone-dji"]}" d:SelfData="a"/><rdf:Description '
+            f'xmlns:d="{SPACES["drone-dji"]}" d:SelfData="b"/></rdf:RDF>',
+        ),
+        {},
+        "",
+    ),
+    "a control character": (packet(DJI | {"drone-dji:SelfData": "\x07\x00\x1f"}), {}, ""),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_only_what_is_used_can_refuse(image, case: str) -> None:
+    tags, options, told = UNUSED[case]
+    found = read(image(tags, **options))
+    assert any(line.startswith(told) for line in found.assumed)
+    np.testing.assert_allclose(np.rad2deg(found.shots.gimbal_readings), [[-97.4, -35.5, 2.5]], atol=1e-12)
+    height = 1538.962 if "altitude of 0" not in case else PLACE_DEG[2]
+    np.testing.assert_allclose(found.shots.pose.position.height, [height], atol=1e-9)
+    focal: Any = found.sensor.camera.focal_px  # type: ignore[union-attr]
+    by_film = case == "a calibration of 0"
+    np.testing.assert_allclose(focal[0, 0], 24.0 * 50.0 / 43.26661 if by_film else 36.6667, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["byte", "undefined", "in the directory of EXIF"])
+def test_xmp_of_a_tiff_of_every_type(tmp_path: pathlib.Path, kind: str) -> None:
+    """As the maker of the file chose it: BYTE by the specification, UNDEFINED by MicaSense and the Phantom 4."""
+    xmp, picture, path = packet(DJI).encode(), Image.new("L", SIZE), tmp_path / "a.tif"
+    if kind.startswith("in"):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[700] = xmp
+        exif[0x8769] = exif.get_ifd(0x8769)
+        picture.save(path, exif=exif)
+    else:
+        directory = ImageFileDirectory_v2()
+        directory.tagtype[700] = {"byte": 1, "undefined": 7}[kind]
+        directory[700] = xmp
+        picture.save(path, tiffinfo=directory)
+        with Image.open(path) as written:
+            assert written.tag_v2.tagtype[700] == directory.tagtype[700]  # type: ignore[attr-defined]
+    assert read_tags(path).values["drone-dji:GimbalPitchDegree"] == "-35.50"
+
+
+def test_the_table_of_cameras_beats_the_film_and_is_beaten_by_a_calibration(image) -> None:
+    def focal(tags: dict[str, Any], **options: Any) -> tuple[float, str]:
+        found = read(image(tags, make="DJI", **options), camera=options.pop("camera", None))
+        assert found.sensor is not None
+        return float(found.sensor.camera.focal_px[0, 0]), found.facts["focal length"]  # type: ignore[attr-defined]
+
+    by_film = MAVIC | {"exif": {**MAVIC["exif"], 0xA405: 26}}  # type: ignore[dict-item]
+    assert focal(BARE, **by_film) == (pytest.approx(47.3 / 1.58), "29.9367 pixels (table of cameras: Mavic Pro)")
+    assert focal(DJI, **by_film)[0] == pytest.approx(36.6667)
+    assert focal(DJI | DEWARP, **by_film)[0] == pytest.approx(36.5702)
+    other = by_film | {"exif": {**MAVIC["exif"], 0x920A: 9.0, 0xA405: 26}}  # type: ignore[dict-item]
+    assert "EXIF:FocalLengthIn35mmFilm" in focal(BARE, **other)[1]  # another lens than the table's
+
+
+def test_a_camera_by_text_name_and_file(image, tmp_path: pathlib.Path) -> None:
+    path, small = image(BARE, make="", model="", exif=CAMERA), image(BARE, name="b.jpg", exif={})
+    file = tmp_path / "camera.toml"
+    file.write_text("[camera]\nwidth = 4000\nheight = 3000\nfocal_px = 3000.0\nprincipal_px = [2009.5, 1499.5]\n")
+    for given, focal in [
+        ("focal=4.73mm,pitch=1.58um", 47.3 / 1.58),
+        ("focal=8.8mm,sensor=13.2mm", 40 * 8.8 / 13.2),
+        ("focal=30px", 30.0),
+        (str(file), 30.0),
+        (file, 30.0),
+    ]:
+        found = read(path, camera=given)
+        camera: Any = found.sensor.camera  # type: ignore[union-attr]
+        np.testing.assert_allclose(camera.focal_px, [[focal, focal]], rtol=1e-12)
+        assert [one.label for one in found.sources] == ["position"]
+        assert any(line.startswith("The camera is taken as it is given") for line in found.assumed)
+    np.testing.assert_allclose(camera.principal_px, [[19.6, 14.5]])  # by edges, (2009.5 + 0.5) / 100 - 0.5
+    named = read(image(BARE, name="c.jpg", exif=less_exif(CAMERA, 0x920A)), camera="Mavic Pro")
+    assert named.facts["focal length"].endswith("(table of cameras: Mavic Pro)")
+    assert [one.label for one in named.sources] == ["position", "interior orientation"]
+    np.testing.assert_allclose(
+        read(small, camera="focal=4.73mm,pitch=1.58um").sensor.camera.focal_px[0, 0], 4730 / 1.58
+    )
+
+
+def less_exif(tags: dict[int, Any], *keys: int) -> dict[int, Any]:
+    return {key: value for key, value in tags.items() if key not in keys}
+
+
+def test_angles_given_by_the_caller(image) -> None:
+    """In place of those of the file, against the horizon whatever its maker's sense; yaw perhaps that of each."""
+    zeros = turned(0.0, 0.0, 0.0)
+    there = [image(zeros, "a.jpg"), image(zeros | {"drone-dji:FlightYawDegree": "10.00"}, "b.jpg")]
+    found = read(there, gimbal_deg=("aircraft", -90.0, 0.0))
+    np.testing.assert_allclose(np.rad2deg(found.shots.gimbal_readings), [[92.8, -90.0, 0.0], [10.0, -90.0, 0.0]])
+    assert (
+        "The camera's angles are as given: yaw the heading of the aircraft, pitch -90 deg, roll 0 deg." in found.assumed
+    )
+    for tags, options in ((PIX4D, {}), (PARROT, {"make": "Parrot"}), ("", {})):
+        given = read(image(tags, "c.jpg", **options), gimbal_deg=(30.0, -60.0, 0.0))
+        np.testing.assert_allclose(np.rad2deg(given.shots.gimbal_readings), [[30.0, -60.0, 0.0]])
+        R = orientation(image(tags, "c.jpg", **options), gimbal_deg=(30.0, -60.0, 0.0))
+        np.testing.assert_allclose(R[2, 2], np.sin(np.deg2rad(60.0)), atol=1e-12)  # down
+    assert given.form == "image with a position in EXIF"
+    with pytest.raises(TableError, match=r"yaw is asked for as the heading.*gimbal_deg=\(0, -90, 0\)"):
+        read(image("", "c.jpg"), gimbal_deg=("aircraft", -90.0, 0.0))
+    for wrong, words in [
+        ((1.0, 2.0), r"gimbal_deg=\(1, 2\): expected three angles"),
+        ((0.0, -200.0, 0.0), r"pitch -200 is outside \[-180, 180\]"),
+        ((0.0, "aircraft", 0.0), "pitch is 'aircraft'"),
+        ((float("nan"), 0.0, 0.0), "yaw nan is outside"),
+    ]:
+        with pytest.raises(TableError, match=words):
+            read(there, gimbal_deg=wrong)
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -46,6 +46,7 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair(0.0, 1.0, "EXIF:DigitalZoomRatio"),
         pair("0/0", 1.0, "EXIF:DigitalZoomRatio"),
         pair("0.000000", "3666.67", "drone-dji:CalibratedFocalLength"),
+        pair("0.0", "2010.0", "drone-dji:CalibratedOpticalCenterX", "drone-dji:CalibratedOpticalCenterY"),
         pair("0000:00:00 00:00:00", "2024:05:10 00:00:00", "EXIF:DateTimeOriginal"),
         pair("0.0", "61.2", "drone-dji:LRFTargetDistance"),
         pair("0", "0.0093", "drone-dji:RtkStdLat"),

@@ -160,11 +160,14 @@ CHECKS: dict[str, tuple[str, Callable[[pathlib.Path], None]]] = {
         "CalibratedFocalLength in pixels",
         is_read(turned=NADIR, focal=2795.0, by="CalibratedFocalLength)", share=0.0224),
     ),
-    "allzero.jpg": ("angles all zero", is_refused(ZEROS, r"gimbal_deg=\(0, -90, 0\)", gimbal_deg=(0.0, -90.0, 0.0))),
+    "allzero.jpg": (
+        "angles all zero",
+        is_refused(ZEROS, r'gimbal_deg=\("aircraft", -90', gimbal_deg=(0.0, -90.0, 0.0)),
+    ),
     "mini2z.jpg": (
         "angles all zero",
         both(
-            is_refused(ZEROS, r"gimbal_deg=\(121.3, -90, 0\)"),
+            is_refused(ZEROS, r'121.3 deg: gimbal_deg=\("aircraft", -90, 0\)', gimbal_deg=("aircraft", -90, 0)),
             is_read(turned=GIMBAL, focal=4.49 / 1.59e-3 / 10.0, by="Mini 2", share=0.0, gimbal_deg=GIMBAL),
         ),
     ),

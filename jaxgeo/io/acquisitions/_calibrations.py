@@ -21,7 +21,10 @@ FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
 MILLIMETRES: Limits = (1e-3, 1e5, "mm")
 PIXELS: Limits = (1.0, 1e7, "pixels")
-UNDISTORTED = "The lens is taken to be free of distortion: nothing is said of it."
+UNDISTORTED = (
+    "The lens is taken to be free of distortion, since nothing is said of it: what it bends at the corners counts as "
+    "an error of the focal length."
+)
 # Standard deviations of the focal length as shares of it: of a calibration of this very camera, of a design value, of
 # lengths in mm rounded by EXIF, and of what a lens that is said nothing of may bend at the corners, which acts there as
 # a wrong focal length does. By the rule of 35 mm film: against calibrations of 15 models it was wrong by -10 to +2 %,
@@ -197,6 +200,8 @@ def calibration_by_table(known: KnownCamera, width: int, height: int) -> Calibra
 
 
 def _dji_centre(tags: ImageTags) -> tuple[float, float] | None:
+    if tags.unknown("optical centre"):
+        return None
     x, y = (tags.number(f"drone-dji:CalibratedOpticalCenter{axis}", PIXELS) for axis in "XY")
     return None if x is None or y is None else (x - 0.5, y - 0.5)  # DJI's middle of an image is half its width
 
@@ -217,16 +222,20 @@ def _skydio(tags: ImageTags, width: int, height: int) -> Calibration | None:
     if len(radial) != 3:
         raise tags.wrong("drone-skydio:DewarpData", f"{len(radial)} numbers; expected 3: k1, k2, k3.")
     k1, k2, k3 = radial
-    told = "Skydio's DewarpData are taken as the radial k1, k2, k3 of OpenCV's formula."
-    return replace(found, coefficients=(k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0), assumed=(told,))
+    told = (
+        "Skydio's DewarpData are taken as the radial k1, k2, k3 of OpenCV's formula; if that is wrong, what it bends "
+        "at the corners counts as an error of the focal length."
+    )
+    bent = (k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0)
+    return replace(found, coefficients=bent, assumed=(told,), focal_sigma=math.hypot(found.focal_sigma, BENT))
 
 
 def _pix4d(tags: ImageTags, width: int, height: int) -> Calibration | None:
     """Lengths in mm, which need the pitch of EXIF; the distortion R1, R2, R3, T1, T2 is of the same formula."""
-    focal = tags.number("Camera:PerspectiveFocalLength", MILLIMETRES)
-    density = _density(tags)
     if tags.text("Camera:ModelType").lower() == "fisheye":
         raise tags.wrong("Camera:ModelType", f"fisheye lenses are not read from tags; give {FORMS}.")
+    focal = tags.number("Camera:PerspectiveFocalLength", MILLIMETRES)
+    density = None if focal is None else _density(tags)
     if focal is None or density is None or tags.text("Camera:PerspectiveFocalLengthUnits").lower() not in ("", "mm"):
         return None
     point, bent = tags.numbers("Camera:PrincipalPoint"), tags.numbers("Camera:PerspectiveDistortion")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._given_angles import PITCH, ROLL, YAW, by_hand
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.errors import TableError
-
-YAW: Limits = (-360.0, 360.0, "deg")
-PITCH: Limits = (-180.0, 180.0, "deg")
-ROLL: Limits = (-180.0, 180.0, "deg")
 
 
 @dataclass(frozen=True)
@@ -96,12 +92,12 @@ MAKERS = (
 ANY = replace(MAKERS[-1], form="image with a position in EXIF")  # of no maker, its angles given by the caller
 
 
-def maker_of(tags: ImageTags, given: tuple[float, float, float] | None = None) -> Maker:
-    """Whose tags an image has; with angles `given`, from the horizon, in place of those in the file.
+def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
+    """Whose tags an image has; where angles are given, from the horizon, it needs none of its own.
 
     Raises `TableError` where nothing says how the camera was turned.
     """
-    if given is not None:
+    if angles_are_given:
         prefixes = {name.partition(":")[0] for name in tags.values}
         maker = next((one for one in MAKERS if one.angles[0].partition(":")[0] in prefixes), ANY)
         return replace(maker, looks="forward")
@@ -114,36 +110,15 @@ def maker_of(tags: ImageTags, given: tuple[float, float, float] | None = None) -
         if is_theirs and there:
             missing = ", ".join(name for name in maker.angles if name not in there)
             raise TableError(
-                f"{tags.path}: there is {there[0]}, but no {missing}; all three are needed. {_by_hand(tags)}"
+                f"{tags.path}: there is {there[0]}, but no {missing}; all three are needed. {by_hand(tags)}"
             )
     known = ", ".join(dict.fromkeys(maker.angles[0] for maker in MAKERS))
     prefixes = sorted({name.partition(":")[0] for name in tags.values} - {"EXIF"})
     raise TableError(
         f"{tags.path}: nothing says how the camera was turned; expected one of {known}; found XMP of "
         f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it: editors drop such tags. "
-        f"{_by_hand(tags)}"
+        f"{by_hand(tags)}"
     )
-
-
-def _by_hand(tags: ImageTags) -> str:
-    """The way out for an image without angles, with the heading of the aircraft if that is told."""
-    heading = next((tags.number(one.aircraft[0], YAW) for one in MAKERS if one.aircraft), None) or 0.0
-    return (
-        f"Or give yaw, pitch and roll of the camera in deg; of one that looked straight down, its top towards "
-        f"{heading:g} deg: gimbal_deg=({heading:g}, -90, 0)."
-    )
-
-
-def checked_angles(gimbal_deg: Sequence[float]) -> tuple[float, float, float]:
-    """Yaw, pitch and roll in deg as given by a caller. Raises `TableError` for others than three angles."""
-    angles = [float(one) for one in gimbal_deg]
-    shown = ", ".join(f"{one:g}" for one in angles)
-    if len(angles) != 3:
-        raise TableError(f"gimbal_deg=({shown}): expected three angles in deg: yaw, pitch, roll.")
-    for value, name, (low, high, _) in zip(angles, ("yaw", "pitch", "roll"), (YAW, PITCH, ROLL), strict=True):
-        if not low <= value <= high:
-            raise TableError(f"gimbal_deg=({shown}): {name} {value:g} is outside [{low:g}, {high:g}] deg.")
-    return angles[0], angles[1], angles[2]
 
 
 def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
@@ -152,15 +127,21 @@ def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
     Raises `TableError`, also where all are zero, which is written where they are not known.
     """
     if reason := tags.unknown("camera angles", maker.angles):
-        raise TableError(f"{tags.path}: how the camera was turned is unknown: {reason}. {_by_hand(tags)}")
+        raise TableError(f"{tags.path}: how the camera was turned is unknown: {reason}. {by_hand(tags)}")
     try:
         return [tags.number(name, limits) for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)]
     except TableError as error:
         hint = maker.hint if maker.angles[1] in str(error) else ""
-        raise TableError(f"{error}{hint} {_by_hand(tags)}") from error
+        raise TableError(f"{error}{hint} {by_hand(tags)}") from error
 
 
 def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:
-    """Heading, pitch and roll of the aircraft in deg, None where they are not there. Raises `TableError`."""
-    found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]
+    """Heading, pitch and roll of the aircraft in deg; None where they are not there, or no such angles.
+
+    They have no part in lines of sight, and so are no reason to refuse an image.
+    """
+    try:
+        found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]
+    except TableError:
+        found = []
     return found or [None] * 3

@@ -12,11 +12,12 @@ import numpy as np
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._given_angles import angles_given, checked_angles, given_told
 from jaxgeo.io.acquisitions._image_cameras import GivenCamera, sensor_of_images, span_shown
 from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_shown, heights_of, lat_lon_of
 from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags
 from jaxgeo.io.acquisitions._image_times import time_of
-from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, checked_angles, maker_of
+from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, maker_of
 from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.acquisitions.usual_errors import POSITION
 from jaxgeo.io.errors import ImageError, TableError
@@ -26,6 +27,11 @@ from jaxgeo.uncertainty.sources import Position
 ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff")
 SIGMA: Limits = (0.0, 1e6, "m")
 AXES = "standard deviations north, east, down"
+NO_ANGLES = "No errors of the angles are taken from the files."
+POSITIONS = (
+    "Positions are taken to be those of the camera: the lever arm from the antenna, some 0.2 m where the drone does "
+    "not allow for it, is not among the errors."
+)
 
 Path = str | os.PathLike[str]
 
@@ -36,7 +42,7 @@ def read_drone_images(
     height_datum: str | float | None = None,
     takeoff_height: float | None = None,
     camera: GivenCamera | None = None,
-    gimbal_deg: Sequence[float] | None = None,
+    gimbal_deg: Sequence[float | int | str] | None = None,
 ) -> Acquisition:
     """The exposures of one image, of several, or of all in a folder by name: JPEG or TIFF, all of one camera.
 
@@ -55,7 +61,8 @@ def read_drone_images(
     - `camera`: instead of the tags, a camera of the size of the images; a lens as text, "focal=8.8mm,pitch=2.41um",
       "focal=8.8mm,sensor=13.2mm" or "focal=3666px"; the path of a camera file or scene file (.toml); or the name of a
       camera of the table, "FC6310".
-    - `gimbal_deg`: instead of the tags, yaw from true north, pitch above the horizon and roll of the camera in deg.
+    - `gimbal_deg`: instead of the tags, yaw from true north, pitch above the horizon and roll of the camera in deg; yaw
+      may be "aircraft", the heading of the aircraft in each image's tags.
 
     Raises `UnstatedDatum`; `ImageError` for what is no image or cut short, and images turned by a flag; `TableError`,
     file and tag named, for tags that are missing, no number, out of range, twice, for images of several cameras;
@@ -66,7 +73,7 @@ def read_drone_images(
         check_is(camera, FrameCamera, "camera", "Or a lens as text, or the path of a camera file.")
     given = None if gimbal_deg is None else checked_angles(gimbal_deg)
     tags = [read_tags(path) for path in _files(paths)]
-    makers = [maker_of(one, given) for one in tags]
+    makers = [maker_of(one, angles_are_given=given is not None) for one in tags]
     _check_alike(tags, makers)
     maker, told = makers[0], dict[str, None]()
     for one in tags:
@@ -79,13 +86,13 @@ def read_drone_images(
     time, is_utc = _times(tags, told)
     stated, errors = _position_errors(tags, maker, told, by_barometer=takeoff_height is not None)
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
-    angles = [angles_of(one, maker) if given is None else given for one in tags]
+    angles = [angles_of(one, maker) if given is None else angles_given(one, given) for one in tags]
     readings = np.deg2rad(np.array(angles, np.float64))
     shots = Shot(_pose(tags, maker, position, told), readings, time)
     first = tags[0]
     if given is not None:
-        told |= {f"Yaw, pitch and roll of the camera are as given, {', '.join(f'{one:g}' for one in given)} deg.": None}
-    told |= {"Yaw is taken to be from true north.": None, "No errors of the angles are taken from the files.": None}
+        told |= {given_told(given): None}
+    told |= dict.fromkeys((POSITIONS, "Yaw is taken to be from true north.", NO_ANGLES))
     return Acquisition(
         path=os.fspath(paths) if isinstance(paths, str | os.PathLike) else _shown([one.path for one in tags]),
         form=maker.form,
@@ -159,7 +166,10 @@ def _warnings_of(tags: ImageTags) -> list[str]:
     """What the file says that is not modelled."""
     told = []
     if tags.text("drone-dji:ShutterType").lower().startswith(("electronic", "rolling")):
-        told.append("The shutter is electronic: that rows are exposed one after another is not allowed for.")
+        told.append(
+            "The shutter is electronic: that rows are exposed one after another is not allowed for, and not among the "
+            "errors; it is some 0.3 m along the flight at 10 m/s."
+        )
     for name in ("drone-dji:GimbalReverse", "drone-dji:CamReverse"):
         if tags.text(name) not in ("", "0"):
             told.append(f"The camera hangs upside down ({name} {tags.text(name)}): its angles are taken as written.")
@@ -170,7 +180,7 @@ def _warnings_of(tags: ImageTags) -> list[str]:
 
 
 def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bool]:
-    found = [time_of(one) for one in tags]
+    found = [_time(one, told) for one in tags]
     if any(time is None for time, _ in found):
         told |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
         return np.array([0.0 if time is None else time for time, _ in found]), False
@@ -180,6 +190,15 @@ def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bo
     if not is_utc and any(utc for _, utc in found):
         raise TableError(f"{tags[0].path}: some of the images tell their time in UTC and some do not; read them apart.")
     return np.array([time for time, _ in found]), is_utc
+
+
+def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
+    """As `time_of`; a time that is none is told, since no line of sight depends on it."""
+    try:
+        return time_of(tags)
+    except TableError as error:
+        told |= {f"Not used: {str(error).removeprefix(tags.path).lstrip(', ')}": None}
+        return None, False
 
 
 def _position_errors(
@@ -219,18 +238,22 @@ def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[st
 
 
 def _reported(tags: list[ImageTags]) -> Reported | None:
-    """What DJI's laser rangefinder hit, close to the middle of the image."""
-    rows = np.full((len(tags), 4), np.nan)
-    columns = {"Lat": LAT, "Lon": LON, "AbsAlt": HEIGHT, "Distance": (0.0, 1e5, "m")}
-    for row, one in zip(rows, tags, strict=True):
-        if one.text("drone-dji:LRFStatus") not in ("", "Normal"):
-            continue
-        if one.unknown("rangefinder"):
-            continue
-        numbers = [one.number(f"drone-dji:LRFTarget{name}", limits) for name, limits in columns.items()]
-        if numbers[3]:
-            row[:] = [np.nan if number is None else number for number in numbers]
+    """What DJI's laser rangefinder hit, close to the middle of the image; NaN where that is no place."""
+    rows = np.array([_hit_by_laser(one) for one in tags])
     if not np.any(np.isfinite(rows)):
         return None
     lat, lon, height, slant_range = rows.T
     return Reported(Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), slant_range)
+
+
+def _hit_by_laser(tags: ImageTags) -> list[float]:
+    """Latitude and longitude in deg, height and slant range in m."""
+    columns = {"Lat": LAT, "Lon": LON, "AbsAlt": HEIGHT, "Distance": (0.0, 1e5, "m")}
+    nothing = [np.nan] * len(columns)
+    try:
+        if tags.unknown("rangefinder") or tags.text("drone-dji:LRFStatus") not in ("", "Normal"):
+            return nothing
+        numbers = [tags.number(f"drone-dji:LRFTarget{name}", limits) for name, limits in columns.items()]
+    except TableError:
+        return nothing
+    return [np.nan if number is None else number for number in numbers] if numbers[3] else nothing
