@@ -133,6 +133,12 @@ def read_dem_and_report(
         bounds=bounds,
     )
     name, window = source.name, source.window
+    turn = source.mosaic.first.cols_per_turn
+    if turn is not None and window.shape[1] >= turn:
+        raise DemError(
+            f"{name}: its columns go all round the Earth, and rays that cross the seam where its ends meet would find "
+            f"no ground, or the wrong one. Read a part, which may lie across the seam, with bounds=(170, -60, -170, 60)."
+        )
     heights, void = source.heights(Window(0, 0, *window.shape), np.dtype(dtype))
     if void.all():
         raise DemError(
