@@ -182,7 +182,8 @@ def test_what_a_refusal_advises_works_as_printed(
 def write_dem(path: pathlib.Path, **options: Any) -> pathlib.Path:
     if options.pop("driver", None) == "DTED":
         return dted(path.with_suffix(".dt1"))
-    return write(path, options.pop("heights", HILLS), **{"affine": HERE} | options)
+    made: dict[str, Any] = {"affine": HERE} | options
+    return write(path, made.pop("heights", HILLS), **made)
 
 
 def dted(path: pathlib.Path) -> pathlib.Path:
