@@ -76,6 +76,7 @@ _OF_DEM = {
     "vertical_datum": "vertical-datum",
 }
 _DEM_LIST = re.compile(r"\bnodata=\[([^\]]*)\]")
+_DEM_TUPLE = re.compile(r"\bbounds=\(([-\d., ]*)\)")
 _DEM_OPTION = re.compile(rf"\b({'|'.join(_OF_DEM)})=(\.\.\.)?\s?")
 _DEM_WORDS = (
     ("assume_wgs84=True", "--assume-wgs84"),
@@ -93,6 +94,7 @@ def dem_as_typed(text: str) -> str:
         return f"--{_OF_DEM[found[1]]}" + ("" if follows in ",:;." or not follows else " ")
 
     text = _DEM_LIST.sub(lambda found: " ".join(f"--nodata {one.strip()}" for one in found[1].split(",")), text)
+    text = _DEM_TUPLE.sub(lambda found: f"--dem-bounds {found[1].replace(' ', '')}", text)
     for word, option in _DEM_WORDS:
         text = text.replace(word, option)
     return _DEM_OPTION.sub(typed, text)
