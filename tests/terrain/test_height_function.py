@@ -3,6 +3,8 @@ refused."""
 
 from __future__ import annotations
 
+import pickle
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -315,3 +317,28 @@ def test_the_steepest_rise_of_the_test_s_own_hills_is_a_bound() -> None:
     )
     rise = np.hypot(gradient.lat / M, gradient.lon / (N * np.cos(lat)))
     assert 0.4 * steepest(SHAPE) < np.max(rise) < steepest(SHAPE)
+
+
+def test_parameters_are_what_jax_can_trace_and_the_rest_is_compiled_in() -> None:
+    class Steps(eqx.Module):
+        levels: np.ndarray
+        scale: float
+        count: int
+
+        def __call__(self, position: Geodetic):
+            step = jnp.clip((1e3 * (position.lat - LAT)).astype(int), 0, self.count - 1)
+            return self.scale * self.levels[step]
+
+    ground = HeightFunction(Steps(np.array([100.0, 150.0]), 2.0, 2), 0.0, 500.0)
+    assert [np.shape(leaf) for leaf in jax.tree.leaves(ground.parameters)] == [(2,), ()]
+    ray = local_ray(0.0, 0.0, 900.0)
+    by_ground = jax.jit(jax.grad(lambda ground: jaxgeo.intersect(ray, ground).position.height))(ground)
+    np.testing.assert_allclose(by_ground.parameters.levels, [2.0, 0.0], rtol=1e-9)
+    assert float(by_ground.parameters.scale) == pytest.approx(100.0)
+
+
+def test_terrain_survives_pickling() -> None:
+    again = pickle.loads(pickle.dumps(GROUND))
+    place = Geodetic(lat=jnp.asarray(LAT), lon=jnp.asarray(LON), height=jnp.zeros(()))
+    assert float(again.height_at(place)) == float(GROUND.height_at(place))
+    assert jax.tree.structure(again) == jax.tree.structure(GROUND)
