@@ -42,6 +42,7 @@ class HeightFunction(AbstractTerrain):
     Raises `TypeError` for what is no function and heights that are not float64, `ValueError` for heights of another
     shape than (), and bounds that are none.
 
+    >>> import jax.numpy as jnp
     >>> def hills(position):
     ...     return 600.0 + 40.0 * jnp.sin(2e4 * position.lat)  # 2e4 rad a rad: 0.00316 rad a m at most
     >>> ground = jaxgeo.terrain.HeightFunction(hills, 560.0, 640.0, lipschitz=0.13)
@@ -49,7 +50,7 @@ class HeightFunction(AbstractTerrain):
     >>> down = -jaxgeo.WGS84.normal_and_height(p_ecef)[0]
     >>> fix = jaxgeo.intersect(jaxgeo.Ray(p_ecef, down), ground)
     >>> print(f"{fix.position.height:.2f} {ground.height_at(fix.position):.2f}")
-    616.68 616.68
+    625.71 625.71
     """
 
     parameters: Any
