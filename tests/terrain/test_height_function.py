@@ -15,7 +15,7 @@ import jaxgeo
 from jaxgeo import Bisection, ConstantHeight, Geodetic, Ray, Status
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import ConstantField, HeightFunction, LineField
-from tests.support.hills import BASE, LAT, LON, first_below, hills, rays_over, sampled_dem, steepest, terrain
+from tests.support.hills import BASE, LAT, LON, first_below, geodetic, hills, rays_over, sampled_dem, steepest, terrain
 from tests.support.scenes import local_ray, stack
 
 COUNT = 64
@@ -342,3 +342,30 @@ def test_terrain_survives_pickling() -> None:
     place = Geodetic(lat=jnp.asarray(LAT), lon=jnp.asarray(LON), height=jnp.zeros(()))
     assert float(again.height_at(place)) == float(GROUND.height_at(place))
     assert jax.tree.structure(again) == jax.tree.structure(GROUND)
+
+
+WALL_AT = LON + 2000.0 / (6.39e6 * np.cos(LAT))  # rad: some 2 km to the east
+
+
+def wall(position: Geodetic):
+    """Level ground with a wall from north to south, 60 m high and some 0.4 m thick."""
+    metres = 6.39e6 * np.cos(LAT) * (position.lon - WALL_AT)
+    return 300.0 + 60.0 * jnp.exp(-((metres / 0.2) ** 2))
+
+
+def test_a_thin_wall_is_found_by_its_slope_and_may_be_passed_without() -> None:
+    """From 500 m, at 5 degrees below the horizon, it is met at half its height; the ground some 300 m behind it."""
+    ray = local_ray(0.0, 0.0, 505.0, azimuth=90.0, elevation=-5.0)
+    with_slope, without = (
+        jaxgeo.intersect(ray, HeightFunction(wall, 300.0, 360.0, lipschitz=slope)) for slope in (260.0, None)
+    )
+    metres = [6.39e6 * np.cos(LAT) * (float(fix.position.lon) - WALL_AT) for fix in (with_slope, without)]
+    assert bool(with_slope.ok)
+    assert -0.4 < metres[0] < 0.0
+    assert metres[1] > 100.0  # a thousandth of the way is 0.7 m
+    assert abs(float(with_slope.position.height) - float(wall(with_slope.position))) < 1e-8
+    steps = np.arange(0.0, float(with_slope.slant_range) - 1e-3, 0.01)
+    p = np.asarray(ray.origin)[None, :] + steps[:, None] * np.asarray(ray.direction)[None, :]
+    _, lon, height = geodetic(p)
+    above = height - 300.0 - 60.0 * np.exp(-((6.39e6 * np.cos(LAT) * (lon - WALL_AT) / 0.2) ** 2))
+    assert np.min(above) > 0.0
