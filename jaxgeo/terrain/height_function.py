@@ -7,7 +7,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64, check_finite, check_is, concrete, require_x64
@@ -43,6 +42,7 @@ class HeightFunction(AbstractTerrain):
     Raises `TypeError` for what is no function and heights that are not float64, `ValueError` for heights of another
     shape than (), and bounds that are none.
 
+    >>> import jax.numpy as jnp
     >>> def hills(position):
     ...     return 600.0 + 40.0 * jnp.sin(2e4 * position.lat)  # 2e4 rad a rad: 0.00316 rad a m at most
     >>> ground = jaxgeo.terrain.HeightFunction(hills, 560.0, 640.0, lipschitz=0.13)
@@ -50,7 +50,7 @@ class HeightFunction(AbstractTerrain):
     >>> down = -jaxgeo.WGS84.normal_and_height(p_ecef)[0]
     >>> fix = jaxgeo.intersect(jaxgeo.Ray(p_ecef, down), ground)
     >>> print(f"{fix.position.height:.2f} {ground.height_at(fix.position):.2f}")
-    616.68 616.68
+    625.71 625.71
     """
 
     parameters: Any
@@ -69,8 +69,9 @@ class HeightFunction(AbstractTerrain):
         lipschitz: ScalarField | None = None,
     ) -> None:
         require_x64()
-        _check_function(height_at)
-        self.parameters, self.rest = eqx.partition(height_at, _is_parameter)
+        parameters, self.rest = eqx.partition(height_at, _is_parameter)
+        self.parameters = jax.tree.map(jnp.asarray, parameters)
+        _check_function(height_at, eqx.combine(self.parameters, self.rest))
         self.lowest, self.highest = as_float64(lowest, "lowest"), as_float64(highest, "highest")
         self.lipschitz = None if lipschitz is None else as_float64(lipschitz, "lipschitz")
         self.raised = jnp.zeros(())
@@ -120,12 +121,12 @@ class HeightFunction(AbstractTerrain):
 
 def _is_parameter(leaf: Any) -> bool:
     """Whether a part of a function goes through JAX: arrays, and plain floats; the rest is compiled in."""
-    return eqx.is_array(leaf) or isinstance(leaf, np.ndarray | np.generic | float)
+    return eqx.is_array_like(leaf) and not isinstance(leaf, int)  # a number of layers, a choice
 
 
-def _check_function(height_at: Any) -> None:
-    if not callable(height_at):
-        raise TypeError(f"height_at must be a function of a Geodetic; got {type(height_at).__name__}.")
+def _check_function(given: Any, height_at: Any) -> None:
+    if not callable(given):
+        raise TypeError(f"height_at must be a function of a Geodetic; got {type(given).__name__}.")
     place = Geodetic(lat=jnp.zeros(()), lon=jnp.zeros(()), height=jnp.zeros(()))
     told = jax.eval_shape(height_at, place)
     shape, dtype = getattr(told, "shape", None), getattr(told, "dtype", None)
@@ -142,7 +143,7 @@ def _check_bounds(lowest: Any, highest: Any, lipschitz: Any) -> None:
         if value is not None:
             check_finite(value, name, unit)
     low, high, slope = (None if value is None else concrete(value) for value in (lowest, highest, lipschitz))
-    if low is not None and high is not None and np.any(low > high):
+    if low is not None and high is not None and (low > high).any():
         raise ValueError(f"lowest must not exceed highest, in m; got {low.tolist()!r} and {high.tolist()!r}.")
-    if slope is not None and np.any(slope < 0.0):
+    if slope is not None and (slope < 0.0).any():
         raise ValueError(f"lipschitz must be a slope of 0 or more, m per m; got {slope.tolist()!r}.")

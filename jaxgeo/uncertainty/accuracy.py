@@ -73,9 +73,10 @@ def accuracy(
     What lies about the fix is looked at first, without a sample: the slope of the facet against that of the footprint,
     the profile of the ground along the look with its ridges and unseen gaps, edges and voids within reach. If linear
     propagation over the facet agrees with them, that is the answer; if not, but that over the footprint does, that one;
-    if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out; `draws` and
-    `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a probability outside (0, 1) and where there
-    is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and `assess`.
+    if neither can be trusted, or the ground cannot be probed, `count` samples are drawn (with `key`,
+    `jax.random.key(0)` if left out; `draws` and `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a
+    probability outside (0, 1) and where there is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and
+    `assess`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)

@@ -3,6 +3,8 @@ refused."""
 
 from __future__ import annotations
 
+import pickle
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ import jaxgeo
 from jaxgeo import Bisection, ConstantHeight, Geodetic, Ray, Status
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import ConstantField, HeightFunction, LineField
-from tests.support.hills import BASE, LAT, LON, first_below, hills, rays_over, sampled_dem, steepest, terrain
+from tests.support.hills import BASE, LAT, LON, first_below, geodetic, hills, rays_over, sampled_dem, steepest, terrain
 from tests.support.scenes import local_ray, stack
 
 COUNT = 64
@@ -315,3 +317,55 @@ def test_the_steepest_rise_of_the_test_s_own_hills_is_a_bound() -> None:
     )
     rise = np.hypot(gradient.lat / M, gradient.lon / (N * np.cos(lat)))
     assert 0.4 * steepest(SHAPE) < np.max(rise) < steepest(SHAPE)
+
+
+def test_parameters_are_what_jax_can_trace_and_the_rest_is_compiled_in() -> None:
+    class Steps(eqx.Module):
+        levels: np.ndarray
+        scale: float
+        count: int
+
+        def __call__(self, position: Geodetic):
+            step = jnp.clip((1e3 * (position.lat - LAT)).astype(int), 0, self.count - 1)
+            return self.scale * self.levels[step]
+
+    ground = HeightFunction(Steps(np.array([100.0, 150.0]), 2.0, 2), 0.0, 500.0)
+    assert [np.shape(leaf) for leaf in jax.tree.leaves(ground.parameters)] == [(2,), ()]
+    ray = local_ray(0.0, 0.0, 900.0)
+    by_ground = jax.jit(jax.grad(lambda ground: jaxgeo.intersect(ray, ground).position.height))(ground)
+    np.testing.assert_allclose(by_ground.parameters.levels, [2.0, 0.0], rtol=1e-9)
+    assert float(by_ground.parameters.scale) == pytest.approx(100.0)
+
+
+def test_terrain_survives_pickling() -> None:
+    again = pickle.loads(pickle.dumps(GROUND))
+    place = Geodetic(lat=jnp.asarray(LAT), lon=jnp.asarray(LON), height=jnp.zeros(()))
+    assert float(again.height_at(place)) == float(GROUND.height_at(place))
+    assert jax.tree.structure(again) == jax.tree.structure(GROUND)
+
+
+WALL_AT = LON + 2000.0 / (6.39e6 * np.cos(LAT))  # rad: some 2 km to the east
+
+
+def wall(position: Geodetic):
+    """Level ground with a wall from north to south, 60 m high and some 0.4 m thick."""
+    metres = 6.39e6 * np.cos(LAT) * (position.lon - WALL_AT)
+    return 300.0 + 60.0 * jnp.exp(-((metres / 0.2) ** 2))
+
+
+def test_a_thin_wall_is_found_by_its_slope_and_may_be_passed_without() -> None:
+    """From 500 m, at 5 degrees below the horizon, it is met at half its height; the ground some 300 m behind it."""
+    ray = local_ray(0.0, 0.0, 505.0, azimuth=90.0, elevation=-5.0)
+    with_slope, without = (
+        jaxgeo.intersect(ray, HeightFunction(wall, 300.0, 360.0, lipschitz=slope)) for slope in (260.0, None)
+    )
+    metres = [6.39e6 * np.cos(LAT) * (float(fix.position.lon) - WALL_AT) for fix in (with_slope, without)]
+    assert bool(with_slope.ok)
+    assert -0.4 < metres[0] < 0.0
+    assert metres[1] > 100.0  # a thousandth of the way is 0.7 m
+    assert abs(float(with_slope.position.height) - float(wall(with_slope.position))) < 1e-8
+    steps = np.arange(0.0, float(with_slope.slant_range) - 1e-3, 0.01)
+    p = np.asarray(ray.origin)[None, :] + steps[:, None] * np.asarray(ray.direction)[None, :]
+    _, lon, height = geodetic(p)
+    above = height - 300.0 - 60.0 * np.exp(-((6.39e6 * np.cos(LAT) * (lon - WALL_AT) / 0.2) ** 2))
+    assert np.min(above) > 0.0
