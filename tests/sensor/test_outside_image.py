@@ -24,7 +24,7 @@ LENSES = {
 BESIDE = np.array([[-1.0, 20.0], [4000.0, 1499.5], [1e4, 1e4], [2e4, 1499.5], [1999.5, -1e5], [1e7, 0.0]])
 
 
-rays = eqx.filter_jit(lambda camera, uv: jax.vmap(lambda one: camera.ray(one))(uv))
+rays = eqx.filter_jit(lambda camera, uv: jax.vmap(camera.ray)(uv))
 pixel = eqx.filter_jit(lambda camera, p: camera.project(p))
 
 
