@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax._src import xla_bridge
 
 T = TypeVar("T")
 
@@ -16,17 +18,51 @@ MOST_INDEXED = 2**31 - 1  # int32
 
 
 def enable_x64() -> None:
-    """Turn on JAX's 64-bit floats, which every position on the Earth needs; call it once, first of all."""
+    """Turn on JAX's 64-bit floats, which every position on the Earth needs; call it once, first of all.
+
+    Child processes that are started afterwards compute in 64 bits too: JAX_ENABLE_X64=1 is put into the environment
+    that they get.
+    """
     jax.config.update("jax_enable_x64", True)
+    os.environ["JAX_ENABLE_X64"] = "1"
+
+
+def is_x64() -> bool:
+    """Whether JAX computes in 64-bit floats."""
+    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def require_x64() -> None:
-    """Raise `RuntimeError` unless JAX computes in 64-bit floats."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+    """Raise `RuntimeError` unless JAX computes in 64-bit floats, in a process where it can compute at all."""
+    if not is_x64():
         raise RuntimeError(
             "jaxgeo needs 64-bit floats, but JAX is set to 32 bits, in which a position on the Earth is uncertain "
             "by half a metre. Call jaxgeo.enable_x64() at the start of the program, or set JAX_ENABLE_X64=1."
         )
+    if is_forked_from_jax():
+        raise RuntimeError(
+            "this process was forked from one in which JAX had already started; the threads of JAX are missing here, "
+            "and a computation can wait for them for ever. Start worker processes with 'spawn' or 'forkserver', e.g. "
+            "ProcessPoolExecutor(mp_context=multiprocessing.get_context('spawn')), or fork before the first "
+            "computation."
+        )
+
+
+_is_forked_from_jax = False
+
+
+def is_forked_from_jax() -> bool:
+    """Whether this process was forked from one in which JAX was running, whose threads it does not have."""
+    return _is_forked_from_jax
+
+
+def _after_fork() -> None:
+    global _is_forked_from_jax  # noqa: PLW0603
+    _is_forked_from_jax = xla_bridge.backends_are_initialized()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def as_float64(tree: T, name: str) -> T:

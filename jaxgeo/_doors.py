@@ -14,13 +14,14 @@ from jax.typing import ArrayLike
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
 from jaxgeo._typing import Pixel, Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
 from jaxgeo.sensor import FrameCamera, Sensor, Shot, Trajectory
 from jaxgeo.sensor.scanning import AbstractScanningCamera
 from jaxgeo.status import Status
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, ConstantHeight, Dem, FirstHit
 
 UNIT_TOLERANCE = 1e-6
 
@@ -68,6 +69,22 @@ def check_terrain(terrain: Any, search: Any) -> None:
             "or make one with jaxgeo.Dem.from_array(posts, grid) or jaxgeo.ConstantHeight(height)."
         )
     check_is(search, AbstractSearch, "search")
+
+
+def check_mapped_terrain(terrain: Any) -> None:
+    """Raise `TypeError` unless this is a terrain whose height at a place is read from a grid, or one number."""
+    check_terrain(terrain, FirstHit())
+    if not isinstance(terrain, Dem | ConstantHeight):
+        raise TypeError(
+            f"terrain must be a jaxgeo.Dem or a jaxgeo.ConstantHeight here: maps are made cell by cell from heights on "
+            f"a grid, which a {type(terrain).__name__} does not have. Make one with jaxgeo.Dem.from_array(posts, grid) "
+            "of the heights that its height_at gives at the posts."
+        )
+    if isinstance(terrain, ConstantHeight) and (terrain.ellipsoid.a, terrain.ellipsoid.f) != (WGS84.a, WGS84.f):
+        raise ValueError(
+            "terrain must lie on WGS 84 here; got a ConstantHeight on an ellipsoid of "
+            f"a = {terrain.ellipsoid.a:.10g} m and f = {terrain.ellipsoid.f:.10g}. Leave its ellipsoid out."
+        )
 
 
 def checked_air(atmosphere: Any) -> Atmosphere | None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
+from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, ScalarField, StatusField, Vector3Field
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.status import Status
 
 
-class Fix(eqx.Module):
+class Fix(Record):
     """A point on the ground, how it is seen, and whether it can be trusted.
 
     `position` and `ecef` (m) are the same point; `slant_range` in m from the perspective centre; angles in rad:
@@ -58,7 +58,7 @@ class Fix(eqx.Module):
         }
 
 
-class Projection(eqx.Module):
+class Projection(Record):
     """Where a ground point lies in an image: `uv` = (column, row) in px, and an int8 `Status`.
 
     `uv` is NaN where there is no image of the point; a point beside the image keeps its `uv`.

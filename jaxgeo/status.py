@@ -40,6 +40,7 @@ class Status(enum.IntEnum):
     images_apart = 19
     too_few_rays = 20
     weak_intersection = 21
+    file_not_read = 22
 
     @property
     def message(self) -> str:
@@ -75,6 +76,7 @@ _MESSAGES = {
     Status.images_apart: "The images share no ground across the flight, so that there is nowhere to overlap along it.",
     Status.too_few_rays: "Fewer than two rays are used: one alone does not say how far away its point is.",
     Status.weak_intersection: "The rays are too nearly parallel for their errors to say where they meet.",
+    Status.file_not_read: "The file of the exposure could not be read: its row has the reason.",
 }
 
 

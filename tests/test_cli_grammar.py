@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from types import SimpleNamespace
 
 import numpy as np
@@ -90,6 +91,7 @@ def test_every_flag_says_what_it_is_for(name: str) -> None:
 LINES = [
     "inspect DJI_0042.JPG --height-datum ellipsoid --json --tags --debug",
     "inspect DJI_0042.JPG --takeoff-height 800 -o exposures.csv",
+    "inspect DJI_0042.JPG --height-datum ellipsoid --camera focal=8.8mm,pitch=2.41um --gimbal 30,-90,0 --json",
     "inspect flight.klv --image-size 640,480 --upright --keep-damaged --json",
     "inspect opk.csv --source-crs EPSG:32616 --height-datum EPSG:5773 --json",
     "inspect reconstruction.json --camera one --height-datum -31 --json",
@@ -98,11 +100,11 @@ LINES = [
 LONG_LINES = [
     f"locate {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --format geojson --debug",
     "locate DJI_0042.JPG --height-datum ellipsoid --ground 300 --pixel 10,20 --exposure DJI_0042.JPG --accuracy "
-    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 --refraction "
-    "-o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
+    "--probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --principal-sigma 2,1px "
+    "--dem-sigma 4 --refraction -o fixes.geojson --crs EPSG:32616 --heights EPSG:5773 --mgrs --json",
     "report DJI_0042.JPG --height-datum ellipsoid --ground 300 --vertical-datum EPSG:5773 --pixel 10,20 --exposure "
-    "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px --dem-sigma 4 "
-    "--title Title --details 1 -o out.html --json --debug",
+    "DJI_0042.JPG --probability 0.95 --position-sigma 1 --gimbal-sigma 0.2 --focal-sigma 3px "
+    "--principal-sigma 2px --dem-sigma 4 --title Title --details 1 -o out.html --json --debug",
     f"report {SCENE} --shots shots.csv --details 0 -o out.html",
     f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
@@ -115,20 +117,34 @@ LONG_LINES = [
     f"rectify {SMALL} --crs EPSG:32616 --bounds 745000,4018500,745900,4019400 --resolution 15 --band 1 --json "
     "--interpolation cubic --cog --status --no-hidden-mask --vertical-datum EPSG:5773 -o out.tif --debug",
     f"rectify {SMALL} --like ortho.tif -o out.tif",
-    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --reference-sigma 5 --registration-sigma 0.1 "
-    "--dem-sigma 1 --dem-correlation 300 --vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
+    f"register {SMALL} --reference ortho.tif {SIGMAS} --focal-sigma 1px --principal-sigma 1px "
+    "--reference-sigma 5 --registration-sigma 0.1 --dem-sigma 1 --dem-correlation 300 "
+    "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
+READING = "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84"
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
+    f"locate {SCENE} {READING}",
+    f"report {SCENE} {READING} -o out.html",
+    f"footprint {SCENE} {READING}",
+    f"point {SCENE} --target 36.27,-84.268 {READING}",
+    f"overlap {SCENE} --shots shots.csv {READING}",
+    f"plan {SCENE} --navigation flight.csv --overlap 0.9 {READING} -o out.csv",
+    f"rectify {SMALL} {READING} -o out.tif",
+    f"register {SMALL} --reference ortho.tif {SIGMAS} {READING} -o results",
+    f"study gu2017 --image a --reference b --dem c --scene d {READING}",
     f"report {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --refraction --details 0 -o out.html",
     "inspect video.ts --stream 1",
-    "inspect mission.sbet --errors smrmsg.out",
+    "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
+    "inspect images --positions geo.txt",
+    "locate images --positions geo.txt",
+    "report images --positions geo.txt -o out.html",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --interior i",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
-    "--stream 1 --errors e --interior i -o out.html",
+    "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "demo -o picture.png --write-scene scene.toml --json --debug",
     "study li2020 -o out --json --debug",
@@ -201,9 +217,9 @@ def test_long_lines(folder, line: str) -> None:
 def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
-    asked = Asked(None, scene, None, [], [], [pathlib.Path("dem.tif")], None, None, False, {}, Sigmas())
+    asked = Asked([], scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
     assert asked.samples_of_field is is_field
-    assert asked._replace(file=scene, scene=None).samples_of_field is is_field
+    assert asked._replace(files=[scene], scene=None).samples_of_field is is_field
     assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field
 
 
@@ -406,10 +422,13 @@ def test_without_anything_there_is_help() -> None:
 
 
 def failing(error: BaseException):
+    """A function that raises an error as one of the package's would."""
+
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    return fail
+    names = {**fail.__globals__, "__name__": "jaxgeo.made_for_a_test"}
+    return types.FunctionType(fail.__code__, names, closure=fail.__closure__)
 
 
 @pytest.mark.parametrize(

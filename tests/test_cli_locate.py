@@ -137,14 +137,15 @@ WRONG = [
     (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),
     (["{image}", "--ground", "high", "--height-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
     (["{image}", "--ground", "reported", "--height-datum", "ellipsoid"], ["--ground reported", "reports no height"]),
-    (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure", "'DJI_0043.JPG'", "DJI_0042.JPG"]),
+    (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure DJI_0043.JPG", "there are DJI_0042.JPG"]),
     (["{image}", *GROUND, "--attitude-sigma", "1"], ["--attitude-sigma 1", "against the level", "--gimbal-sigma"]),
     (["{image}", *GROUND, "--gimbal-sigma", "1,2"], ["--gimbal-sigma '1,2'", "YAW,PITCH,ROLL"]),
     (["{image}", *GROUND, "--dem-sigma", "-1"], ["--dem-sigma -1", "zero or more"]),
     (["{image}", *GROUND, "--dem-correlation", "100"], ["--dem-correlation", "level ground"]),
     (["{image}", *GROUND, "--no-accuracy", "--gimbal-sigma", "1"], ["--no-accuracy", "leave one out"]),
     (["{image}", *GROUND, "--probability", "90"], ["--probability 90", "between 0 and 1"]),
-    (["{image}", *GROUND, "--scene", str(scene_file())], ["--scene", "has a camera of its own"]),
+    (["{image}", *GROUND, "--scene", str(scene_file())], ["40 x 30 pixels, the camera given 2400 x 4800", "shape"]),
+    (["{image}", *GROUND, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
     (["{image}", *GROUND, "--mgrs"], ["--crs, --heights and --mgrs go with --output"]),
     (["{image}", *GROUND, "--shots", "shots.csv"], ["--shots shots.csv", "--scene"]),
     (["{image}", *GROUND, "-o", "{image}"], ["--output", "the ending .JPG is not one that is known"]),
@@ -235,7 +236,7 @@ def test_usual_errors_are_told_and_stated_ones_kept(image: pathlib.Path) -> None
     found = read_acquisition(image, height_datum="ellipsoid")
     usual = with_usual_errors(found)
     kinds = [type(source) for source in usual.sources]
-    assert kinds == [sources.Position, sources.GimbalAngles]
+    assert kinds == [sources.InteriorOrientation, sources.Position, sources.GimbalAngles]
     assert len(usual.assumed) == len(found.assumed) + 2
     again = with_usual_errors(usual)
     assert again.assumed == usual.assumed

@@ -276,6 +276,8 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS, "--dem-correlation", "-500"], ["--dem-correlation -500", "a distance is zero or more"]),
     ([*REGISTER, *SIGMAS, "--gimbal-sigma", "0.1"], ["--gimbal-sigma 0.1", "is fixed"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "5"], ["--focal-sigma '5'", "5px or 0.05mm"]),
+    ([*REGISTER, *SIGMAS, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
+    ([*REGISTER, *SIGMAS, "--principal-sigma", "0px"], ["--principal-sigma", "left out"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "0.1mm"], ["in pixels", "in px"]),
     ([*REGISTER, *SIGMAS, "--pixel", "256,10"], ["--pixel 256,10", "256 columns and 192 rows"]),
     ([*REGISTER, *SIGMAS, "--pixel", "10"], ["--pixel '10'", "COLUMN,ROW"]),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
 from jaxgeo._doors import check_latitude, checked_air
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.platform import Pose
@@ -22,7 +22,7 @@ from jaxgeo.uncertainty.sharing import Occasion
 from jaxgeo.uncertainty.sources import TerrainField, TerrainHeight
 
 
-class Measured(eqx.Module):
+class Measured(Record):
     """Measurements of one point, in float64; all but errors and air have a leading axis of rays."""
 
     sensors: Sensor

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._record import portable
 from jaxgeo.adjust.arrays import free_columns
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.equations import navigation_residuals
@@ -55,6 +56,7 @@ class Parameter:
     unit: str
 
 
+@portable
 @dataclass(frozen=True)
 class Adjustment:
     """What an adjustment found.

@@ -8,20 +8,21 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo.adjust.collinearity import Observed
 from jaxgeo.adjust.layout import Layout
 from jaxgeo.adjust.values import POSE, Step, Values
 from jaxgeo.sensor import FrameCamera
 
 
-class Known(eqx.Module):
+class Known(Record):
     """What is known of some unknowns beforehand: 1 / sigma (zero where nothing), and 1 where they are free, else 0."""
 
     information: Float[Array, "some size"]
     free: Float[Array, "some size"]
 
 
-class Problem(eqx.Module):
+class Problem(Record):
     """A block in the order of its layout, and what is unknown of it.
 
     `active` are the columns of the lenses that are unknown; with `own_lens` each image has a camera, and so a lens, of

@@ -14,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._record import Record
+
 LEAST_SLABS = 4  # below it the gain is not worth the way round
 
 
-class Band(eqx.Module):
+class Band(Record):
     """Where each image stands, slab by slab: `place` (n,) is slab * `size` + the place within. Images that share a
     point are in the same slab or in neighbouring ones."""
 
@@ -41,7 +43,7 @@ class Band(eqx.Module):
         return found if self.slabs == 1 else found[self.place]
 
 
-class Tridiagonal(eqx.Module):
+class Tridiagonal(Record):
     """A symmetric matrix: the slabs' own blocks `diagonal` (slabs, m, m), `below` (slabs - 1, m, m) those of each slab
     (columns) with the next (rows), `border` (slabs, m, s) with what all share, and that by itself, `corner` (s, s)."""
 
@@ -65,7 +67,7 @@ class Tridiagonal(eqx.Module):
         )
 
 
-class Factor(eqx.Module):
+class Factor(Record):
     """Lower triangular factor of a symmetric positive definite matrix, its diagonal scaled to ones: `own` blocks,
     `below` those of each slab with the next, `border` (slabs, m, s) transposed that of what all share, and `corner`."""
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import product, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Pixel, Scalar, Vector3
 from jaxgeo.adjust.values import with_interior
 from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
@@ -48,7 +48,7 @@ def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:
     return jnp.stack(parts)
 
 
-class Observed(eqx.Module):
+class Observed(Record):
     """What the navigation says of an image, or of all (leading axis), and its mount; see `Navigation`.
 
     `centred_time` is s after the middle of the strip's; `level` whether the gimbal reports in local level.

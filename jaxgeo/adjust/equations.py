@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.arrays import Known, Problem
 from jaxgeo.adjust.collinearity import (
@@ -22,7 +23,7 @@ from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Values
 from jaxgeo.rotations import rotation_vector_from_R
 
 
-class Equations(eqx.Module):
+class Equations(Record):
     """Normal equations at some values, in units of the weights, before anything is eliminated.
 
     Of the images (n, c, c), of what they share, and of the points (3, 3, rows), with the gradients; `coupling`

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 
 
-class LocalFrame(eqx.Module):
+class LocalFrame(Record):
     """East-north-up at `origin`, turned and shifted from ECEF and nothing else: exact at any distance."""
 
     origin: Geodetic
@@ -56,5 +56,5 @@ class LocalFrame(eqx.Module):
         return self.R_ecef_from_local.T @ R_ecef_from_enu(position)
 
 
-class Cartesian(eqx.Module):
+class Cartesian(Record):
     """A frame that stands nowhere on the Earth, such as a model's or a map's taken as Cartesian; m, z up."""

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int
 
 from jaxgeo._numerics import all_finite, finite_or
+from jaxgeo._record import Record
 from jaxgeo._typing import (
     Matrix3,
     Matrix3Field,
@@ -52,7 +53,7 @@ NEARLY_PARALLEL = 0.02  # rad: rays that meet behind the camera within this angl
 _circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
 
 
-class Intersection(eqx.Module):
+class Intersection(Record):
     """A point seen in several images, how sure it is, and whether it can be trusted.
 
     `position` and `p_ecef` (m) are the same point; `cov_enu` (3, 3) its covariance in m2 along east, north, up there,

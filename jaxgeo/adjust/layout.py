@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
 GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
@@ -23,7 +24,7 @@ BATCH_BYTES = 8_000_000  # of the products of a batch of chunks
 MULTIPLY, GATHER, SCATTER, BEGIN = 0.04, 1.5, 8.0, 3000.0
 
 
-class Group(eqx.Module):
+class Group(Record):
     """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
 
     Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
@@ -47,7 +48,7 @@ class Group(eqx.Module):
         return self.chunks * self.size
 
 
-class Layout(eqx.Module):
+class Layout(Record):
     """Index arrays of a block. The last measurement is one without weight, to fill up with.
 
     `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import abc
 
-import equinox as eqx
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 
 
-class AbstractLoss(eqx.Module):
+class AbstractLoss(Record):
     """rho(s) with rho'(0) = 1, and its derivative, the weight that a residual keeps. The cost is half its sum."""
 
     @abc.abstractmethod

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo.adjust._lapack import one_thread
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
@@ -28,14 +29,14 @@ from jaxgeo.adjust.reduction import (
 from jaxgeo.adjust.values import Values
 
 
-class Datum(eqx.Module):
+class Datum(Record):
     """Inner constraints: the motions that nothing holds, of images (d, n, c) and points (d, 3, rows)."""
 
     images: Float[Array, "d n c"]
     points: Float[Array, "d 3 rows"]
 
 
-class Posterior(eqx.Module):
+class Posterior(Record):
     """The reduced normal equations factored, the inverse where they have blocks, and the points' factors.
 
     With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones.
@@ -260,7 +261,7 @@ def _transferred(transfer: _Transfer, covariance: Array, G: Array, H: Array) -> 
     return covariance - moved - jnp.swapaxes(moved, -1, -2) + jnp.einsum("...di,de,...ej->...ij", G, transfer.middle, G)
 
 
-class _Transfer(eqx.Module):
+class _Transfer(Record):
     """What turns covariances of any minimal constraints into those of the inner ones (S-transformation, Baarda 1973).
 
     With the motions G of all unknowns and G_s those of the points, which make the datum: `inverse` (G_s' G)^-1,

@@ -9,13 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
 from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.layout import Group
 
 
-class Eliminated(eqx.Module):
+class Eliminated(Record):
     """Points factored: `factor` (6, rows) the lower triangles L of their normal matrices L L', `halves` (3, obs, c) of
     images and (lenses, 3, rows) of lenses the couplings times L'^-1, `forward` (3, rows) the gradients L^-1 g."""
 
@@ -25,7 +26,7 @@ class Eliminated(eqx.Module):
     forward: Float[Array, "3 rows"]
 
 
-class Reduced(eqx.Module):
+class Reduced(Record):
     """The normal equations of images and what they share, the points eliminated, and the gradients of both."""
 
     matrix: Tridiagonal

@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.adjust.frame import LocalFrame
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import Dem
 
 
-class TerrainHeights(eqx.Module):
+class TerrainHeights(Record):
     """The points of a block lie on a terrain model, to a standard deviation of its height.
 
     `information` (rows,) is 1 / sigma in 1/m, zero for points that are not tied to it. The residual is the height of
@@ -42,7 +43,7 @@ class TerrainHeights(eqx.Module):
         return jnp.where(tied, value, 0.0) * weight, jnp.where(tied[:, None], slope, 0.0) * weight[:, None]
 
 
-class OnTerrain(eqx.Module):
+class OnTerrain(Record):
     """That points lie on a terrain model to `sigma` m of its height: those of `names`, or all that are no control."""
 
     dem: Dem

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import product
+from jaxgeo._record import Record
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import FrameCamera
 
@@ -19,7 +20,7 @@ STRIP = 6  # of a strip: shift in m and drift in m/s of its positions (frame axe
 INTERIOR = ("focal", "aspect", "principal column", "principal row")  # px, 1, px, px
 
 
-class Values(eqx.Module):
+class Values(Record):
     """Everything that may be unknown.
 
     `centre` (n, 3) m and `R_frame_from_camera` (n, 3, 3) of the images; `points` (rows, 3) m in the order of the
@@ -36,7 +37,7 @@ class Values(eqx.Module):
     strip: Float[Array, "strips 6"]
 
 
-class Step(eqx.Module):
+class Step(Record):
     """A change of all unknowns; of the lenses, the active columns only."""
 
     pose: Float[Array, "n 6"]

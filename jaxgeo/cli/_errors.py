@@ -48,7 +48,16 @@ FocalSigma = Annotated[
     typer.Option(
         "--focal-sigma",
         metavar="SIGMA",
-        help="How the focal length errs: 5px or 0.05mm; or FOCAL,COLUMN,ROWpx.",
+        help="How the focal length errs, alone: 5px or 0.05mm.",
+        rich_help_panel=SURE,
+    ),
+]
+PrincipalSigma = Annotated[
+    str | None,
+    typer.Option(
+        "--principal-sigma",
+        metavar="SIGMA",
+        help="How the principal point errs: 5px or 0.05mm; or COLUMN,ROWpx.",
         rich_help_panel=SURE,
     ),
 ]
@@ -76,6 +85,7 @@ class Sigmas(NamedTuple):
     focal: str | None = None
     dem: float | None = None
     dem_correlation: float | None = None
+    principal: str | None = None
 
     @property
     def are_given(self) -> bool:
@@ -84,7 +94,7 @@ class Sigmas(NamedTuple):
 
 
 def errors_given(
-    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path, pixel_pitch: float | None
+    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> tuple[Any, ...]:
     """Sources that are stated, with those typed in their place; what was typed as zero does not err.
 
@@ -105,8 +115,10 @@ def errors_given(
         typed[sources.Attitude] = attitude_errors(sigmas.attitude, zero=True)
     if sigmas.gimbal is not None:
         typed[sources.GimbalAngles] = gimbal_errors(sigmas.gimbal, gimbal, where, zero=True)
-    if sigmas.focal is not None:
-        typed[sources.InteriorOrientation] = focal_errors(sigmas.focal, where, pixel_pitch, zero=True)
+    if sigmas.focal is not None or sigmas.principal is not None:
+        known = next((one for one in stated if isinstance(one, sources.InteriorOrientation)), None)
+        lens = interior_errors(sigmas.focal, sigmas.principal, where, pixel_pitch, known)
+        typed[sources.InteriorOrientation] = lens
     kept = [one for one in stated if type(one) not in typed]
     return (*kept, *(one for one in typed.values() if one is not None))
 
@@ -152,7 +164,7 @@ def attitude_errors(text: str, *, zero: bool = False) -> Any:
     return Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll) if heading or pitch or roll else None
 
 
-def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = False) -> Any:
+def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path | str, *, zero: bool = False) -> Any:
     """Errors of a gimbal's readings; None for zero, where that is allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import GimbalAngles
 
@@ -165,26 +177,45 @@ def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = F
     return GimbalAngles.from_degrees(**axes) if any(values) else None
 
 
-def focal_errors(text: str, where: pathlib.Path, pixel_pitch: float | None, *, zero: bool = False) -> Any:
-    """Errors of focal length, principal column and row; None for zero, where that is allowed. Raises `UserError`.
+def interior_errors(
+    focal: str | None, principal: str | None, where: pathlib.Path | str, pixel_pitch: float | None, stated: Any = None
+) -> Any:
+    """Errors of the focal length, of the principal point, or both, as typed; what is not typed is as `stated`, or zero.
 
-    `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said.
+    `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said. None where nothing is left.
+    Raises `UserError`.
     """
+    import dataclasses
+
+    import numpy as np
+
     from jaxgeo.uncertainty.sources import InteriorOrientation
 
-    form = "a length with its unit, 5px or 0.05mm, or three: FOCAL,COLUMN,ROW with the unit behind, 5,2,2px"
+    sigma = np.zeros(3) if stated is None else np.array(stated.sigma)
+    if focal is not None:
+        form = "a length with its unit, 5px or 0.05mm (the principal point has --principal-sigma)"
+        sigma[..., 0] = _in_pixels("--focal-sigma", focal, 1, form, where, pixel_pitch)
+    if principal is not None:
+        form = "a length with its unit, 5px or 0.05mm, or two: COLUMN,ROW with the unit behind, 5,3px"
+        sigma[..., 1:] = _in_pixels("--principal-sigma", principal, 2, form, where, pixel_pitch)
+    if not np.any(sigma):
+        return None
+    return InteriorOrientation(sigma) if stated is None else dataclasses.replace(stated, sigma=sigma)
+
+
+def _in_pixels(
+    option: str, text: str, count: int, form: str, where: pathlib.Path, pixel_pitch: float | None
+) -> list[float]:
+    """Lengths on the detector in pixels. Raises `UserError`."""
     unit = text.strip()[-2:]
     if unit not in ("px", "mm"):
-        raise UserError(f"--focal-sigma {text!r}: expected {form}.")
-    values = sigmas_in("--focal-sigma", text.strip()[:-2], 3, form, zero=zero)
-    if unit == "mm":
-        if pixel_pitch is None:
-            raise UserError(f"--focal-sigma {text}: the camera of {where} is given in pixels; so give this in px.")
-        values = [value / pixel_pitch for value in values]
-    focal, column, row = values
-    if not any(values):
-        return None
-    return InteriorOrientation.from_pixels(focal=focal, principal_column=column, principal_row=row)
+        raise UserError(f"{option} {text!r}: expected {form}.")
+    values = sigmas_in(option, text.strip()[:-2], count, form, zero=True)
+    if unit == "px":
+        return values
+    if pixel_pitch is None:
+        raise UserError(f"{option} {text}: the camera of {where} is given in pixels; so give this in px.")
+    return [value / pixel_pitch for value in values]
 
 
 def pixel_pitch_of(scene: pathlib.Path) -> float | None:

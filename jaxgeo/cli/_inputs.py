@@ -4,27 +4,56 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._screen import working
-from jaxgeo.cli._words import words_as_typed
+from jaxgeo.cli._words import dem_words_as_typed
 
 
-def read_terrain(paths: list[pathlib.Path], vertical_datum: str | None) -> Any:
+class DemReading(NamedTuple):
+    """How the files of --dem are read: options that go with it."""
+
+    nodata: list[float] | None = None
+    height_unit: str | None = None
+    band: int | None = None
+    bounds: str | None = None
+    assume_wgs84: bool | None = None
+
+    def check_goes_with_dem(self) -> None:
+        """Raises `UserError` where one is given; to be called where no --dem is."""
+        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84")
+        given = [name for name, value in zip(options, self, strict=True) if value is not None]
+        if given:
+            raise UserError(f"{given[0]} goes with --dem FILE.")
+
+
+def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> Any:
     """The elevation model of one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    with working("reading the elevation model"), words_as_typed():
-        return read_dem([str(path) for path in paths], vertical_datum=datum(vertical_datum))
+    edges: Any = None
+    if reading.bounds is not None:
+        edges = tuple(numbers_in("--dem-bounds", reading.bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"))
+    with working("reading the elevation model"), dem_words_as_typed():
+        return read_dem(
+            list(paths),
+            vertical_datum=datum(vertical_datum),
+            nodata=reading.nodata,
+            height_unit=reading.height_unit,
+            band=1 if reading.band is None else reading.band,
+            bounds=edges,
+            assume_wgs84=bool(reading.assume_wgs84),
+        )
 
 
-def terrain_files(paths: list[pathlib.Path], vertical_datum: str | None) -> list[str]:
+def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> list[str]:
     """All files that make up the elevation model: tiles, what a VRT is put together from, a geoid's grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
-    tiles = [file for tile in expanded([str(path) for path in paths]) for file in files_behind(tile)]
+    del reading
+    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile)]
     return tiles if vertical_datum is None else [*tiles, vertical_datum]
 
 
@@ -32,7 +61,7 @@ def keep_inputs(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],
-    ground: tuple[list[pathlib.Path], str | None] = ([], None),
+    ground: tuple[list[str], str | None] = ([], None),
 ) -> None:
     """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files and datum."""
     if output is not None:
@@ -93,6 +122,7 @@ def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: 
 
 def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
     """(a batch of shots, their rows as written) of a table without pixels."""
+    from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
@@ -102,7 +132,7 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
     check_stated(found, table, scene.sensor.gimbal, stated)
     try:
         return found.shots(names, stated), found.rows
-    except ValueError as error:  # the datum is unknown, or its grid does not reach a shot
+    except (OutsideDatum, VerticalDatumError) as error:
         raise SceneError(f"{path}, with the heights of {table}: {error}") from error
 
 

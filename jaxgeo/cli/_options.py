@@ -10,14 +10,52 @@ import typer
 
 SEEN, SURE = "What is seen", "How sure it is"  # panels of the help of commands with many options
 READING, WRITING = "How the FILE is read", "What comes out"
+OF_DEM = "How the elevation model is read"
 
 SceneFile = Annotated[
     pathlib.Path,
     typer.Option("--scene", metavar="FILE", help="Scene file (TOML): camera, gimbal, mount and pose."),
 ]
 DemFiles = Annotated[
-    list[pathlib.Path],
-    typer.Option("--dem", metavar="FILE", help="Elevation model; repeat it for several tiles."),
+    list[str],
+    typer.Option("--dem", metavar="FILE", help="Elevation model, a file or a URL; repeat it for several tiles."),
+]
+Nodata = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--nodata",
+        metavar="VALUE",
+        help="Value that marks voids of --dem beside its own tag, as stored; repeat it for more.",
+        rich_help_panel=OF_DEM,
+    ),
+]
+HeightUnit = Annotated[
+    str | None,
+    typer.Option(
+        "--height-unit",
+        metavar="UNIT",
+        help='Unit of the heights of --dem, over what the file states: "m", "ft", "us-ft", "dm", "cm".',
+        rich_help_panel=OF_DEM,
+    ),
+]
+_BAND = "Band of --dem that holds the heights, from 1; 1 if left out."
+DemBand = Annotated[int | None, typer.Option("--dem-band", "--band", help=_BAND, rich_help_panel=OF_DEM)]
+DemBandBesideBand = Annotated[int | None, typer.Option("--dem-band", help=_BAND, rich_help_panel=OF_DEM)]
+"""Of commands in which --band is that of an image."""
+DemBounds = Annotated[
+    str | None,
+    typer.Option(
+        "--dem-bounds",
+        metavar="EDGES",
+        help="WEST,SOUTH,EAST,NORTH in deg: the part of --dem to read.",
+        rich_help_panel=OF_DEM,
+    ),
+]
+AssumeWgs84 = Annotated[
+    bool | None,
+    typer.Option(
+        "--assume-wgs84", help="Take latitudes and longitudes of --dem as those of WGS 84.", rich_help_panel=OF_DEM
+    ),
 ]
 VerticalDatum = Annotated[
     str | None,

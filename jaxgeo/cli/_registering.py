@@ -17,8 +17,8 @@ from jaxgeo.cli._errors import (
     DEM_SIGMA,
     attitude_errors,
     checked_sigma,
-    focal_errors,
     gimbal_errors,
+    interior_errors,
     pixel_pitch_of,
     position_errors,
 )
@@ -42,6 +42,7 @@ class Sigmas(NamedTuple):
     registration: float
     dem: float | None
     dem_correlation: float | None
+    principal: str | None = None
 
 
 class Errors(NamedTuple):
@@ -62,8 +63,11 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
     found: list[Any] = [position_errors(sigmas.position), attitude_errors(sigmas.attitude)]
     if sigmas.gimbal is not None:
         found.append(gimbal_errors(sigmas.gimbal, scene.sensor.gimbal, scene_path))
-    if sigmas.focal is not None:
-        found.append(focal_errors(sigmas.focal, scene_path, pixel_pitch_of(scene_path)))
+    if sigmas.focal is not None or sigmas.principal is not None:
+        lens = interior_errors(sigmas.focal, sigmas.principal, scene_path, pixel_pitch_of(scene_path))
+        if lens is None:
+            raise UserError("--focal-sigma and --principal-sigma are zero: what is exact is left out.")
+        found.append(lens)
     assumed = []
     if sigmas.reference is None:
         assumed.append(f"the reference lies within {cell:.3g} m, one of its cells, of the truth (--reference-sigma)")

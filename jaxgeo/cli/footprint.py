@@ -13,8 +13,19 @@ from rich.console import Console
 from jaxgeo._destination import check_place
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, shot_of, shots_of, single
-from jaxgeo.cli._options import DemFiles, HeightDatum, SceneFile, ShotsFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._options import (
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    DemFiles,
+    HeightDatum,
+    HeightUnit,
+    Nodata,
+    SceneFile,
+    ShotsFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
@@ -40,6 +51,11 @@ def footprint_command(
     dem: DemFiles,
     shots: ShotsFile = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     height_datum: HeightDatum = None,
     output: Annotated[
         pathlib.Path | None,
@@ -65,7 +81,8 @@ def footprint_command(
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
         keep_inputs("--output", output, [scene, shots], (dem, vertical_datum))
-        rows, outlines = _footprint(scene, dem, shots, (vertical_datum, height_datum), output, (crs, tolerance, edges))
+        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        rows, outlines = _footprint(scene, ground, shots, height_datum, output, (crs, tolerance, edges))
         _show(rows, outlines, inputs if as_json else None)
 
 
@@ -77,9 +94,9 @@ def _check_output(output: pathlib.Path) -> None:
 
 def _footprint(
     scene_path: pathlib.Path,
-    dem_paths: list[pathlib.Path],
+    ground: tuple[list[str], str | None, DemReading],
     shots_path: pathlib.Path | None,
-    datums: tuple[str | None, str | None],
+    height_datum: str | None,
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool],
 ) -> tuple[list[dict[str, Any]], list[Any]]:
@@ -95,9 +112,9 @@ def _footprint(
     if shots_path is None:
         shots, carried = [shot_of(scene, scene_path, "a footprint without --shots")], [{}]
     else:
-        batch, carried = shots_of(scene, scene_path, shots_path, datums[1])
+        batch, carried = shots_of(scene, scene_path, shots_path, height_datum)
         shots = list(single(batch))
-    terrain = read_terrain(dem_paths, datums[0])
+    terrain = read_terrain(*ground)
     outlines, rows = [], []
     for index, shot in enumerate(track(shots, "outlining")):
         outline, row = _outlined(scene, shot, terrain, tolerance)

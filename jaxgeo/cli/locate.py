@@ -13,8 +13,11 @@ from rich.console import Console
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
     CameraName,
+    GimbalAngles,
     InteriorFile,
     KeepDamaged,
+    NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -45,10 +48,12 @@ from jaxgeo.cli._errors import (
     FocalSigma,
     GimbalSigma,
     PositionSigma,
+    PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING
+from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
@@ -65,7 +70,7 @@ class Format(StrEnum):
 
 
 def locate_command(
-    file: Source = None,
+    files: Source = None,
     scene: SceneOption = None,
     shots: TableOfShots = None,
     pixel: Pixels = None,
@@ -73,6 +78,11 @@ def locate_command(
     dem: GroundDem = None,
     vertical_datum: GroundDatum = None,
     ground: Ground = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -92,6 +102,7 @@ def locate_command(
     attitude_sigma: AttitudeSigma = None,
     gimbal_sigma: GimbalSigma = None,
     focal_sigma: FocalSigma = None,
+    principal_sigma: PrincipalSigma = None,
     dem_sigma: DemSigma = None,
     dem_correlation: DemCorrelation = None,
     refraction: Refraction = False,
@@ -99,12 +110,15 @@ def locate_command(
     takeoff_height: TakeoffHeight = None,
     source_crs: SourceCrs = None,
     camera: CameraName = None,
+    gimbal: GimbalAngles = None,
     image_size: VideoSize = None,
     upright: Upright = False,
     keep_damaged: KeepDamaged = False,
     stream: Stream = None,
     errors: SbetErrors = None,
+    no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -156,10 +170,15 @@ def locate_command(
             (upright, keep_damaged, stream),
             errors,
             interior,
+            no_velocities,
+            gimbal,
+            positions=positions,
         )
-        sigmas = Sigmas(position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation)
+        sigmas = Sigmas(
+            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
+        )
         asked = Asked(
-            file,
+            files or [],
             scene,
             shots,
             pixel or [],
@@ -170,6 +189,7 @@ def locate_command(
             refraction,
             how,
             sigmas,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84),
         )
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
@@ -226,13 +246,21 @@ def _locate(
         enable_x64()
         question = told_question(asked, accuracy, output)
         chosen = _format(output, output_format, asked.shots)
-        if chosen is Format.table or question.errors is not None:
+        counts: dict[str, int] = {}
+        if chosen is Format.table or question.has_errors or question.is_each:
             found = located(question, probability)
             rows = found.rows("--output", question)
-            _count(rows)
+            counts |= _counts(rows)
         else:
-            found, rows = None, _rows(question)
+            found, rows = None, _rows(question, counts)
+            if stream.isatty():  # bars on the same screen would break the rows
+                rows = list(rows)
+        if chosen is Format.table:
+            print_counts(counts, len(question.carried))
         _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
+        stream.flush()
+    if chosen is not Format.table:  # not within rows that a program is to read
+        print_counts(counts, len(question.carried))
     if found is not None:
         leave_without_a_fix(question, found)
 
@@ -242,7 +270,7 @@ def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], quest
     from jaxgeo.io.fix_files import check_fix_file
 
     crs, heights, _ = drawn
-    check_fix_file(output, crs, heights, question.shots.pose.position)
+    check_fix_file(output, crs, heights, question.position)
 
 
 def _finish(
@@ -270,8 +298,9 @@ def _finish(
             heights=heights,
             attributes=carried,
             mgrs=mgrs,
+            reasons=question.reasons,
         )
-    _count(rows)
+    print_counts(_counts(rows), len(rows))
     if as_json:
         print_json("locate", {"inputs": question.inputs, "assumed": question.assumed, "fixes": rows})
     leave_without_a_fix(question, found)
@@ -290,26 +319,24 @@ def _typed(question: Question) -> list[dict[str, Any]]:
 def _number(value: Any) -> float | None:
     import math
 
-    number = float(value)
+    number = math.nan if value is None else float(value)
     return number if math.isfinite(number) else None
 
 
-def _rows(question: Question) -> Iterator[dict[str, Any]]:
-    """Rows of fixes alone, as they are computed; the count of statuses goes to stderr."""
+def _rows(question: Question, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
+    """Rows of fixes alone, as they are computed; statuses are counted in `counts`."""
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    counts: dict[str, int] = {}
     for start, fixes in fixes_in_parts(question):
         for i, row in enumerate(fix_rows(fixes, height_msl(fixes)), start):
             counts[row["status"]] = counts.get(row["status"], 0) + 1
             yield {**question.carried[i], **row}
-    print_counts(counts, len(question.carried))
 
 
-def _count(rows: list[dict[str, Any]]) -> None:
+def _counts(rows: list[dict[str, Any]]) -> dict[str, int]:
     names = [row["status"] for row in rows]
-    print_counts({name: names.count(name) for name in names}, len(names))
+    return {name: names.count(name) for name in dict.fromkeys(names)}
 
 
 def _write_rows(rows: Any, question: Question, probability: float | None, output_format: Format, stream: Any) -> None:

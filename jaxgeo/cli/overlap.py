@@ -14,8 +14,21 @@ from rich.console import Console
 from jaxgeo._destination import destination, is_device
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, shots_of, single, trajectory_of
-from jaxgeo.cli._options import Along, DemFiles, HeightDatum, NavigationFile, SceneFile, ShotsFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._options import (
+    Along,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    DemFiles,
+    HeightDatum,
+    HeightUnit,
+    NavigationFile,
+    Nodata,
+    SceneFile,
+    ShotsFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
@@ -55,6 +68,11 @@ def overlap_command(
     shots: ShotsFile = None,
     along: Along = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     height_datum: HeightDatum = None,
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
@@ -84,7 +102,9 @@ def overlap_command(
                 images = _exposures(given, scene, navigation, moments, height_datum)
             else:
                 images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(dem, vertical_datum)
+            terrain = read_terrain(
+                dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+            )
             rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:

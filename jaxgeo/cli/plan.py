@@ -12,8 +12,19 @@ import typer
 from jaxgeo._destination import check_place
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, trajectory_of
-from jaxgeo.cli._options import Along, DemFiles, HeightDatum, SceneFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
+from jaxgeo.cli._options import (
+    Along,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    DemFiles,
+    HeightDatum,
+    HeightUnit,
+    Nodata,
+    SceneFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._poses import pose_columns, rows_of
 from jaxgeo.cli._results import AsJson, asked, print_json, status_words
 from jaxgeo.cli._screen import print_counts, stderr, working
@@ -55,6 +66,11 @@ def plan_command(
     start: Annotated[float | None, typer.Option(help="Time of the first exposure, s; the first record's.")] = None,
     along: Along = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -71,8 +87,9 @@ def plan_command(
         keep_inputs("--output", output, [scene, navigation], (dem, vertical_datum))
         period = _checked_wishes(timing, overlap, place)
         exposures = _plan(
-            (scene, dem, navigation),
-            (vertical_datum, height_datum),
+            (scene, navigation),
+            (dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)),
+            height_datum,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
             output,
@@ -110,8 +127,9 @@ def _period(timing: str, number: str, overlap: float | None) -> float:
 
 
 def _plan(
-    files: tuple[pathlib.Path, list[pathlib.Path], pathlib.Path],
-    datums: tuple[str | None, str | None],
+    files: tuple[pathlib.Path, pathlib.Path],
+    ground: tuple[list[str], str | None, DemReading],
+    height_datum: str | None,
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
     output: pathlib.Path,
@@ -126,11 +144,11 @@ def _plan(
 
     compile_quickly()
     enable_x64()
-    scene_path, dem_paths, navigation = files
+    scene_path, navigation = files
     start, along = course
     scene = read_scene(scene_path)
-    flight = trajectory_of(scene, scene_path, navigation, datums[1])
-    terrain = read_terrain(dem_paths, datums[0])
+    flight = trajectory_of(scene, scene_path, navigation, height_datum)
+    terrain = read_terrain(*ground)
     with working("compiling and flying"):
         found = plan(
             scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere

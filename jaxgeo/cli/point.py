@@ -10,8 +10,17 @@ from rich.console import Console
 
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import numbers_in, read_terrain, said_datum, shot_of
-from jaxgeo.cli._options import HeightDatum, SceneFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, said_datum, shot_of
+from jaxgeo.cli._options import (
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightDatum,
+    HeightUnit,
+    Nodata,
+    SceneFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json, status_words
 from jaxgeo.cli._screen import stderr, working
 
@@ -21,8 +30,10 @@ UNHIDDEN = "The readings look there; whether ground lies before it, nobody asked
 def point_command(
     scene: SceneFile,
     dem: Annotated[
-        list[pathlib.Path] | None,
-        typer.Option(metavar="FILE", help="Elevation model that may hide the target; repeat it for tiles."),
+        list[str] | None,
+        typer.Option(
+            metavar="FILE", help="Elevation model, a file or a URL, that may hide the target; repeat it for tiles."
+        ),
     ] = None,
     target: Annotated[
         str | None,
@@ -38,6 +49,11 @@ def point_command(
         str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to look with; the optical axis if left out.")
     ] = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -48,8 +64,11 @@ def point_command(
     """
     inputs = asked(locals())
     with mistakes_told(debug):
-        datums = vertical_datum, height_datum
-        names, found, aim = _point(scene, dem or [], (target, line_of_sight, pixel), datums)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        if not dem:
+            reading.check_goes_with_dem()
+        ground = dem or [], vertical_datum, reading
+        names, found, aim = _point(scene, ground, (target, line_of_sight, pixel), height_datum)
         code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
@@ -61,18 +80,18 @@ def point_command(
 
 def _point(
     scene_path: pathlib.Path,
-    dem_paths: list[pathlib.Path],
+    ground: tuple[list[str], str | None, DemReading],
     texts: tuple[str | None, str | None, str | None],
-    datums: tuple[str | None, str | None],
+    height_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
     """(names of the axes, the pointing, what was aimed at)."""
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
-    if direction is not None and dem_paths:
+    if direction is not None and ground[0]:
         raise UserError("--dem goes with --target: along a line of sight there is no target that terrain could hide.")
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
-    if len(place) == 2 and not dem_paths:
+    if len(place) == 2 and not ground[0]:
         raise UserError(f"--target {target}: give its height too, LAT,LON,HEIGHT, or --dem for the ground there.")
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
@@ -83,8 +102,8 @@ def _point(
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "pointing")
-    terrain = read_terrain(dem_paths, datums[0]) if dem_paths else None
-    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, datums[1])
+    terrain = read_terrain(*ground) if ground[0] else None
+    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     if not scene.sensor.gimbal.names:
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
     with working("compiling and pointing"):

@@ -13,8 +13,17 @@ from rich.console import Console
 
 from jaxgeo.cli._common import Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
-from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._options import (
+    AssumeWgs84,
+    DemBandBesideBand,
+    DemBounds,
+    DemFiles,
+    HeightUnit,
+    Nodata,
+    SceneFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
 
@@ -38,6 +47,11 @@ def rectify_command(
     dem: DemFiles,
     output: Annotated[pathlib.Path, typer.Option("--output", "-o", metavar="FILE", help="GeoTIFF to write (.tif).")],
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBandBesideBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     crs: Annotated[
         str | None, typer.Option(metavar="CRS", help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
     ] = None,
@@ -79,7 +93,8 @@ def rectify_command(
         if bounds is not None and crs is None:
             raise UserError(f"--bounds {bounds}: in the unit of which map? Name it with --crs.")
         wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
-        done, seconds = _rectify(image, scene, (dem, vertical_datum), output, placed | wishes, interpolation)
+        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        done, seconds = _rectify(image, scene, ground, output, placed | wishes, interpolation)
         if as_json:
             print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
         else:
@@ -90,7 +105,7 @@ def rectify_command(
 def _rectify(
     image: pathlib.Path,
     scene_path: pathlib.Path,
-    ground: tuple[list[pathlib.Path], str | None],
+    ground: tuple[list[str], str | None, DemReading],
     output: pathlib.Path,
     wishes: dict[str, Any],
     interpolation: Interpolation,

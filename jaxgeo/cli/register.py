@@ -10,8 +10,17 @@ import typer
 
 from jaxgeo.cli._common import NO_ANSWER, Debug, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
-from jaxgeo.cli._options import DemFiles, SceneFile, VerticalDatum
+from jaxgeo.cli._inputs import DemReading, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._options import (
+    AssumeWgs84,
+    DemBandBesideBand,
+    DemBounds,
+    DemFiles,
+    HeightUnit,
+    Nodata,
+    SceneFile,
+    VerticalDatum,
+)
 from jaxgeo.cli._registered import Work, reported, written
 from jaxgeo.cli._registering import Errors, Sigmas, check_search, errors_of, new_results, pixels_in, prepared_folder
 from jaxgeo.cli._results import AsJson, asked
@@ -39,9 +48,11 @@ def register_command(
     ] = None,
     focal_sigma: Annotated[
         str | None,
-        typer.Option(
-            metavar="SIGMA", help="Also find focal length and principal point, which err by so much: 5px, 0.1mm."
-        ),
+        typer.Option(metavar="SIGMA", help="Also find the focal length, which errs by so much: 5px, 0.1mm."),
+    ] = None,
+    principal_sigma: Annotated[
+        str | None,
+        typer.Option(metavar="SIGMA", help="Also find the principal point: 5px, 0.1mm, or COLUMN,ROWpx."),
     ] = None,
     reference_sigma: Annotated[
         float | None,
@@ -61,6 +72,11 @@ def register_command(
         typer.Option(help="Over which distance these errors are alike, m; 500 if left out, 0 if each errs for itself."),
     ] = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBandBesideBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     block: Annotated[int, typer.Option(help="Cells on a side of a block, at most; 32 or more.")] = 300,
     probability: Annotated[
         float, typer.Option(help="With which a shift lies in what is searched; between 0.5 and 1.")
@@ -95,11 +111,11 @@ def register_command(
             registration_sigma,
             dem_sigma,
             dem_correlation,
+            principal_sigma,
         )
-        work, errors, pixels = _read(
-            image, reference, (dem, vertical_datum), scene, sigmas, pixel or [], (band, reference_band)
-        )
-        files = [*files_behind(image), *files_behind(reference), scene, *terrain_files(dem, vertical_datum)]
+        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        work, errors, pixels = _read(image, reference, ground, scene, sigmas, pixel or [], (band, reference_band))
+        files = [*files_behind(image), *files_behind(reference), scene, *terrain_files(*ground)]
         prepared_folder(output, files)
         for one in errors.assumed:
             tell(f"assumed: {one}")
@@ -120,7 +136,7 @@ def register_command(
 def _read(
     image: pathlib.Path,
     reference_path: pathlib.Path,
-    ground: tuple[list[pathlib.Path], str | None],
+    ground: tuple[list[str], str | None, DemReading],
     scene_path: pathlib.Path,
     sigmas: Sigmas,
     pixels: list[str],

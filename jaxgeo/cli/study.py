@@ -13,8 +13,8 @@ from rich.console import Console
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._examples import examples_of
-from jaxgeo.cli._inputs import keep_inputs, read_terrain
-from jaxgeo.cli._options import VerticalDatum
+from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
+from jaxgeo.cli._options import AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata, VerticalDatum
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
 
@@ -97,12 +97,17 @@ def gu2017_command(
     ] = None,
     reference: Annotated[pathlib.Path | None, typer.Option(help="Orthoimage of the same ground.")] = None,
     dem: Annotated[
-        list[pathlib.Path] | None, typer.Option(help="Elevation model; repeat it for several tiles.")
+        list[str] | None, typer.Option(help="Elevation model, a file or a URL; repeat it for several tiles.")
     ] = None,
     scene: Annotated[
         pathlib.Path | None, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")
     ] = None,
     vertical_datum: VerticalDatum = None,
+    nodata: Nodata = None,
+    height_unit: HeightUnit = None,
+    dem_band: DemBand = None,
+    dem_bounds: DemBounds = None,
+    assume_wgs84: AssumeWgs84 = None,
     position_sigma: Annotated[float, typer.Option(help="How the position of a real image errs, m.")] = 50.0,
     attitude_sigma: Annotated[float, typer.Option(help="How its attitude errs, deg.")] = 0.5,
     as_json: AsJson = False,
@@ -119,13 +124,16 @@ def gu2017_command(
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        if not dem:
+            reading.check_goes_with_dem()
         keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum))
         _begin(output)
         from jaxgeo.studies import gu2017
 
         given = None
         if image is not None and reference is not None and scene is not None:
-            terrain = read_terrain(dem or [], vertical_datum)
+            terrain = read_terrain(dem or [], vertical_datum, reading)
             given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma))
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 

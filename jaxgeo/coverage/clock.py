@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import dot
+from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_positive
 from jaxgeo.coverage.geometry import velocity_height_of_overlap
@@ -22,7 +22,7 @@ NEWTON_STEPS = 8
 GAUSS = np.polynomial.legendre.leggauss(8)  # exact to rounding while the range changes by less than half of itself
 
 
-class ExposureClock(eqx.Module):
+class ExposureClock(Record):
     """Counts the integral of speed over slant range since the last image: Li et al. (2020), Eq 36.
 
     Each `record` gives the clock as it is after it, and the times of the images that fell due since the one before; the

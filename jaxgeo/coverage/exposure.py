@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import check_is
 from jaxgeo._doors import observation
 from jaxgeo._numerics import dot
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
@@ -24,7 +25,7 @@ Places = Float[Array, "places 2"]
 Along = Literal["columns", "rows"]  # the axis of an image that lies along the flight
 
 
-class Exposure(eqx.Module):
+class Exposure(Record):
     """An image of a moving sensor: a `Trajectory` and the `time` in s at which it is taken."""
 
     trajectory: Trajectory

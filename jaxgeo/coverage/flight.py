@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import as_float64, check_is, check_range
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo._numerics import cross, safe_norm, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
 from jaxgeo.coverage.exposure import Along, near_end, near_length
@@ -39,7 +40,7 @@ STATIONS = 9
 Normals = Float[Array, " normals"]
 
 
-class FlightNoise(eqx.Module):
+class FlightNoise(Record):
     """What an aircraft and its camera do of themselves: standard deviations, and for how long they last.
 
     `heading`, `pitch`, `roll` in rad, `height` and `across` (the track's offset to the right) in m, `speed` over the
@@ -95,7 +96,7 @@ class FlightNoise(eqx.Module):
         return jnp.stack([jnp.asarray(getattr(self, name), float) for name in SPECS])
 
 
-class Compensation(eqx.Module):
+class Compensation(Record):
     """What is done about the noise: nothing, unless asked for.
 
     `attitude`: the gimbal is turned so that the line of sight keeps the direction that is planned. `timing`: the next
@@ -114,7 +115,7 @@ class Compensation(eqx.Module):
         return " and ".join(part for part in ("attitude" if np.all(self.attitude) else "", timing) if part) or "none"
 
 
-class Strip(eqx.Module):
+class Strip(Record):
     """The plan of a strip: `images` of a `sensor`, the first at `shot`, at `speed` m/s along `course` (rad, true).
 
     The images follow each other by `step` m of the aircraft's way, which gives a wished `overlap` at the near end if

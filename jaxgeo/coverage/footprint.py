@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import as_array, check_finite
 from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
 from jaxgeo._numerics import dot, safe_angle, safe_norm
+from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, PixelField, Scalar, ScalarField, StatusField, Vector3
 from jaxgeo.coverage.exposure import Image, checked_image, image_size, motion_of, on_map, own_map, seen_at
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
@@ -33,7 +34,7 @@ MOST = 500_000  # places of one outline
 BATCH = 256  # places that are located at a time, so that every outline runs what is compiled for one
 
 
-class Footprint(eqx.Module):
+class Footprint(Record):
     """The ground outline of an image.
 
     `uv` (n, 2) are places on the image's outer edge in px, from its upper left corner clockwise in the image, the ring
@@ -75,7 +76,7 @@ class Footprint(eqx.Module):
         return float(np.sum(steps[np.asarray(self.hidden)]))
 
 
-class GroundSampling(eqx.Module):
+class GroundSampling(Record):
     """How large a pixel is on the ground, m: along the image's `columns` axis (from a column to the next), along its
     `rows` axis, `along` the line of sight and `across` it, all on the surface; and its `area` there, m2.
 

@@ -14,6 +14,7 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int8
 
 from jaxgeo._checks import check_is
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.coverage.exposure import end_places
 from jaxgeo.coverage.flight import SPECS, Compensation, FlightNoise, Strip, flown, normals_of, shots_of, specs_of
@@ -34,7 +35,7 @@ CLOSE = 1e-4  # of overlap, to which it is found
 Derivatives = dict[str, tuple[float, float]]
 
 
-class Flights(eqx.Module):
+class Flights(Record):
     """Sampled flights of a strip: what each image shares with the one before (flights, images - 1), see `Overlap`.
 
     `gap` says whether anything along the strip is left out (also where an image sees no ground, or none beside that
@@ -81,7 +82,7 @@ class Flights(eqx.Module):
         return found
 
 
-class LinearGaps(eqx.Module):
+class LinearGaps(Record):
     """The same by linear propagation about the flight as planned.
 
     `margins` (4 pairs,) are the overlaps there at the near ends, then at the far ends, then by how much each image's

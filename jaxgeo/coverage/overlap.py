@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import as_float64, concrete
 from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import dot, safe_norm
+from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
 from jaxgeo.coverage.exposure import Along, Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
 from jaxgeo.earth import Atmosphere, TransverseMercator
@@ -27,7 +28,7 @@ PlanePoint = Float[Array, "2"]
 PlanePoints = Float[Array, "stations 2"]
 
 
-class Edges(eqx.Module):
+class Edges(Record):
     """The two edges of an image that lie across the flight, on a map: (easting, northing) in m at stations (n, 2).
 
     `leading` is the one ahead in the direction of flight; stations go from the near end to the far end. `status` is
@@ -39,7 +40,7 @@ class Edges(eqx.Module):
     status: StatusField
 
 
-class GroundEdges(eqx.Module):
+class GroundEdges(Record):
     """The same edges on the ground: `points` (2, n, 3) in ECEF m, where the `platform` was, and the status."""
 
     points: Float[Array, "... 2 stations 3"]
@@ -47,7 +48,7 @@ class GroundEdges(eqx.Module):
     status: StatusField
 
 
-class Overlap(eqx.Module):
+class Overlap(Record):
     """What an image shares with the one before, as shares of the one before's length along the flight.
 
     `along` (stations,) at places evenly between the `near` end and the `far` end of what both reach, by their distance

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._doors import check_latitude, check_terrain, checked_air, observation
 from jaxgeo._numerics import turned
+from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusField
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT, visibility
@@ -27,7 +28,7 @@ from jaxgeo.terrain import AbstractTerrain
 HIDDEN_TOLERANCE = 0.01  # m before the target at which ground that is met hides it
 
 
-class Pointing(eqx.Module):
+class Pointing(Record):
     """Where a gimbal is to go: `readings` in rad, the angle `miss` in rad by which they are off, and a `Status`.
 
     `hit`; `hidden_by_terrain` (the readings hold, but nearer ground is in the way), or why the terrain cannot tell;

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int8
 from jaxgeo._checks import check_is
 from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import tree_where
+from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, StatusCode, StatusField
 from jaxgeo.coverage._checks import checked_positive
 from jaxgeo.coverage.exposure import Image, checked_image, motion_of, on_map
@@ -28,7 +29,7 @@ BATCH = 4096  # places that are looked at from the camera at a time
 MOST = 4_000_000  # of them in all
 
 
-class GroundSeen(eqx.Module):
+class GroundSeen(Record):
     """Which ground within an outline an image sees.
 
     `places` (n, 2) are the (easting, northing) in m of squares `spacing` m wide on the footprint's map, by their

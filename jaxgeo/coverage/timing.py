@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo._numerics import safe_norm, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
 from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
@@ -48,7 +49,7 @@ FEWEST = 64  # that are computed with
 STANDING = 1e-3  # m between two platforms: nearer, the velocity tells the direction of flight
 
 
-class Plan(eqx.Module):
+class Plan(Record):
     """Images of a flight: when they are taken, s, and what each (but the first) shares with the one before.
 
     `overlaps` has a leading axis of one less than `times`.
@@ -59,7 +60,7 @@ class Plan(eqx.Module):
     overlaps: Overlap
 
 
-class Course(eqx.Module):
+class Course(Record):
     """All that the time of an image hangs on: who flies where, over what, and which way the image lies."""
 
     sensor: Sensor
@@ -85,7 +86,7 @@ class Course(eqx.Module):
         return Course(self.sensor, self.trajectory, terrain, self.air, self.along)
 
 
-class AbstractTiming(eqx.Module):
+class AbstractTiming(Record):
     """When images are due after a first one."""
 
     def check(self, course: Course, along: Along | None, start: float) -> None:

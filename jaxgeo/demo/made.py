@@ -6,12 +6,12 @@ import importlib.resources
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._numerics import safe_angle, safe_norm
+from jaxgeo._record import Record
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
@@ -42,7 +42,7 @@ DOUBTED = 13  # of the grid's fixes: a ridge behind which some of the lines of s
 SAMPLES = 20_000
 
 
-class Errors(eqx.Module):
+class Errors(Record):
     """How sure one fix is, by every method; `number` is that of the fix in the grid."""
 
     number: int
@@ -51,7 +51,7 @@ class Errors(eqx.Module):
     budget: Budget
 
 
-class Demo(eqx.Module):
+class Demo(Record):
     """All that the demonstration shows; angles in rad, lengths in m."""
 
     title: str

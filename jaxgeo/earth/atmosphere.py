@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, ScalarLike
 
 R_GEOPOTENTIAL = 6_356_766.0  # m, the Earth's radius in the standard's geopotential height
@@ -23,7 +23,7 @@ COLDEST = 100.0  # K: a shifted atmosphere is taken as no colder, so that nothin
 Heights = Float[Array, "..."]
 
 
-class Atmosphere(eqx.Module):
+class Atmosphere(Record):
     """Dry air at rest: the US Standard Atmosphere 1976, or as near to it as a measurement lets it be.
 
     `temperature_offset` in K is added at every height, `sea_level_pressure` in Pa is at sea level, which lies

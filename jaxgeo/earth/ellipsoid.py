@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import as_float64
 from jaxgeo._numerics import dot, implicit_root, safe_norm, safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
 from jaxgeo.earth.geodetic import Geodetic
 
@@ -19,7 +20,7 @@ BOWRING_STEPS_IF_FLAT = 6  # for a flattening above 0.01; four reach the last bi
 CLOSE_ENOUGH = 1e-7  # m of height before the last Newton step, which squares it; a tighter bound would chase rounding
 
 
-class Ellipsoid(eqx.Module):
+class Ellipsoid(Record):
     """An oblate ellipsoid of revolution (or a sphere): semi-major axis `a` in m and flattening `f`.
 
     >>> point = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0)

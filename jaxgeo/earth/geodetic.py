@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_float64, check_finite, check_range
+from jaxgeo._checks import as_float64, check_finite, check_range, require_x64
+from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField
 
 
-class Geodetic(eqx.Module):
+class Geodetic(Record):
     """A point near the ellipsoid: latitude and longitude in rad, height above the ellipsoid in m.
 
     >>> summit = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=2450.0)
@@ -43,4 +43,5 @@ class Geodetic(eqx.Module):
 
     def to_degrees(self) -> tuple[ScalarField, ScalarField, ScalarField]:
         """(lat, lon, height) in deg, deg, m."""
+        require_x64()
         return jnp.rad2deg(self.lat), jnp.rad2deg(self.lon), self.height

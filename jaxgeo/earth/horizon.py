@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.refraction import MEAN_RADIUS, arc_between
@@ -14,7 +14,7 @@ from jaxgeo.earth.refraction import MEAN_RADIUS, arc_between
 VACUUM = Atmosphere(refractivity=0.0)
 
 
-class Horizon(eqx.Module):
+class Horizon(Record):
     """`distance` in m along the ground to the horizon, and its `dip` in rad below the level of the observer."""
 
     distance: ScalarField

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64, check_range
 from jaxgeo._numerics import safe_norm
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike, Vector3
 from jaxgeo.earth import _krueger
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
@@ -19,7 +20,7 @@ from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 LATITUDE_STEPS = 4  # Newton squares an error that starts at e2 / 2: three reach the last bit, one is to spare
 
 
-class TransverseMercator(eqx.Module):
+class TransverseMercator(Record):
     """A transverse Mercator map: central meridian `lon0` and latitude of origin `lat0` in rad, false origin in m.
 
     `k0` is the scale on the central meridian. Krueger's series to the eighth order of the third flattening (Karney

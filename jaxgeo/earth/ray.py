@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3, Vector3Field
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.refraction import Bending
 
 
-class Ray(eqx.Module):
+class Ray(Record):
     """A half-line in ECEF: `origin` in m, `direction` a unit vector; bent by the air if `bending` is given.
 
     Ranges along a bent ray are counted on its first direction: the point at a range lies below the straight one.

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64
 from jaxgeo._numerics import dot, safe_sqrt, value_and_slope
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
@@ -20,7 +21,7 @@ SHELLS = 4000
 MEAN_RADIUS = 6_371_008.8  # m
 
 
-class Bending(eqx.Module):
+class Bending(Record):
     """How far a ray falls below its first direction, by range.
 
     The closed form angle = K (tan z_s + tan z_g) / 2 with K = beta [(P_g - P_s) / (g (H - h)) - rho_s], from pressure

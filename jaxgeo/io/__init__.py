@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from jaxgeo.io.accuracy_map import write_accuracy_map
-from jaxgeo.io.acquisitions import Acquisition, UnstatedDatum, read_acquisition, with_usual_errors
+from jaxgeo.io.acquisitions import (
+    Acquisition,
+    AcquisitionSet,
+    UnstatedDatum,
+    read_acquisition,
+    read_acquisitions,
+    with_positions,
+    with_usual_errors,
+)
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
@@ -20,7 +28,8 @@ from jaxgeo.io.images import read_image
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
-from jaxgeo.io.orientations import Orientations, read_orientations, write_orientations
+from jaxgeo.io.orientation_writer import write_orientations
+from jaxgeo.io.orientations import Orientations, read_orientations
 from jaxgeo.io.ortho_writer import OrthoWriter, write_orthoimage
 from jaxgeo.io.orthoimages import OrthoimageReport, read_orthoimage, read_orthoimage_and_report
 from jaxgeo.io.rectified import RectifiedFile, rectify_file
@@ -29,6 +38,7 @@ from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
     "Acquisition",
+    "AcquisitionSet",
     "BalProblem",
     "DemError",
     "DemFiles",
@@ -52,6 +62,7 @@ __all__ = [
     "locate_files",
     "open_dem",
     "read_acquisition",
+    "read_acquisitions",
     "read_bal",
     "read_dem",
     "read_dem_and_report",
@@ -67,6 +78,7 @@ __all__ = [
     "rectify_file",
     "samples_dataset",
     "undulation",
+    "with_positions",
     "with_usual_errors",
     "write_accuracy_map",
     "write_bal",

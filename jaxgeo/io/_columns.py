@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -10,10 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxgeo.io._csv import SEPARATORS, CsvTable, Limits, read_csv
+from jaxgeo.io._csv import CsvTable, Limits, read_csv
 from jaxgeo.io.errors import TableError
 
+OUR_UNITS = re.compile(r"\s*[\[(](?:deg|degrees?|°|m|met(?:er|re)s?)[\])]$")  # behind a name, in small letters
 Aliases = Mapping[str, tuple[str, ...]]  # our name of a column: what else it is called
+
+
+SHOWN = 2  # other names of a column in a message
 
 
 @dataclass(frozen=True)
@@ -29,9 +32,9 @@ class Columns:
     def __contains__(self, name: str) -> bool:
         return name in self.called
 
-    def numbers(self, name: str, limits: Limits) -> np.ndarray:
+    def numbers(self, name: str, limits: Limits, *, unknown_too: bool = False) -> np.ndarray:
         """A column as floats; raises as `CsvTable.numbers`."""
-        return self.table.numbers(self.called[name], limits)
+        return self.table.numbers(self.called[name], limits, unknown_too=unknown_too)
 
     def names(self, name: str) -> np.ndarray:
         """A column of names; raises as `names_of`."""
@@ -41,28 +44,36 @@ class Columns:
         """Raises `TableError` unless all columns are there; `why` is a sentence for the message."""
         missing = [name for name in names if name not in self.called]
         if missing:
-            others = [f"{name} (or {', '.join(aliases[name])})" if aliases.get(name) else name for name in missing]
-            found = ", ".join(self.table.header)
-            hint = next((f" Columns separated by {shown} are not read." for mark, shown in SEPARATORS.items()
-                         if mark in found), "")  # fmt: skip
-            raise TableError(f"{self.table.path}: no column {', '.join(others)}; found {found}.{hint}{why}")
+            others = [
+                f"{name} (or {', '.join(aliases[name][:SHOWN])})" if aliases.get(name) else name for name in missing
+            ]
+            if any(cell.strip().lstrip("+-").replace(".", "", 1).isdigit() for cell in self.table.header):
+                why += " The first row holds numbers: write the names of the columns above it."
+            raise TableError(
+                f"{self.table.path}: no column {', '.join(others)}; found {', '.join(self.table.header)}.{why}"
+            )
 
 
-def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases) -> Columns:
-    """A CSV file, or one with white space between its columns, where names in quotes may hold some.
+def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases, *, weak: Aliases | None = None) -> Columns:
+    """A table with columns under several names, as `read_csv` tells its layout; names in quotes may hold white space.
 
-    Capitals do not matter in the header. Columns that `aliases` do not name are passed over. Raises as `read_csv`, and
-    `TableError` for two columns that mean the same.
+    Capitals do not matter in the header, nor does a unit of ours behind a name, "Yaw [deg]". Columns that `aliases` do
+    not name are passed over; those that `weak` names count where no other column means the same. Raises as `read_csv`,
+    and `TableError` for two columns that mean the same.
     """
-    first = _first_line(path)
-    table = _read_words(path, what) if len(first.split()) > 1 and "," not in first else read_csv(path, what, ())
     meant = {other.lower(): name for name, others in aliases.items() for other in (name, *others)}
+    weakly = {other.lower(): name for name, others in (weak or {}).items() for other in others}
+    table = read_csv(path, what, (), known={*meant, *weakly})
     called: dict[str, str] = {}
     for written in table.header:
-        name = meant.get(written.lower())
+        name = meant.get(written.lower()) or meant.get(OUR_UNITS.sub("", written.lower()))
         if name in called:
             raise TableError(f"{path}: columns {called[name]} and {written} both mean {name}; leave one out.")
         if name is not None:
+            called[name] = written
+    for written in table.header:
+        name = weakly.get(written.lower())
+        if name is not None and name not in called:
             called[name] = written
     return Columns(table, called)
 
@@ -86,36 +97,9 @@ def refuse_doubles(table: CsvTable, keys: Iterable[object], what: str) -> None:
         seen[key] = line
 
 
-def _first_line(path: str | os.PathLike[str]) -> str:
-    """The first line that is not blank; empty where the file cannot be read, which reading it then tells."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            return next((line for line in file if line.strip()), "")
-    except (OSError, UnicodeDecodeError):
-        return ""
-
-
-def _read_words(path: str | os.PathLike[str], what: str) -> CsvTable:
-    """A table with white space between columns; quotes, single or double, are those that words begin with."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = [(i, line.strip().replace("\t", " ")) for i, line in enumerate(file, start=1) if line.strip()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: the {what} cannot be read: {error}.") from error
-    quote = re.search(r"(?:^|\s)(['\"])", "\n".join(line for _, line in lines))
-    quotechar = quote[1] if quote else '"'
-    try:
-        rows = csv.reader((line for _, line in lines), delimiter=" ", quotechar=quotechar, skipinitialspace=True)
-        header, *cells = list(rows)
-    except csv.Error as error:
-        raise TableError(f"{path}: not a table of words in UTF-8: {error}.") from error
-    if not cells:
-        raise TableError(f"{path}: no rows below the header.")
-    table = CsvTable(path, header, [i for i, _ in lines[1:]], cells)
-    for line, row in zip(table.lines, cells, strict=True):
-        if len(row) != len(header):
-            raise TableError(
-                f"{path}, row {line}: {len(row)} words, but the header has {len(header)}; names with white space need "
-                f"quotes."
-            )
-    return table
+def refuse_nowhere(table: CsvTable, column: str, lat: np.ndarray, lon: np.ndarray) -> None:
+    """Raises `TableError` for a row whose latitude and longitude are zero, as GPS without a position is written."""
+    nowhere = (lat == 0.0) & (lon == 0.0)
+    if np.any(nowhere):
+        reason = "latitude and longitude are zero, which is written where GPS has no position; take the row out."
+        raise table.wrong(int(np.argmax(nowhere)), column, reason)

@@ -1,16 +1,18 @@
-"""CSV files whose columns are checked: every refusal names the file, the row, the column and the reason."""
+"""Tables whose columns are checked: every refusal names the file, the row, the column and the reason."""
 
 from __future__ import annotations
 
-import csv
 import difflib
 import os
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from jaxgeo.io._dialect import layout_of
+from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
 
 Limits = tuple[float, float, str]  # lowest and highest value of a column, and its unit
@@ -26,17 +28,23 @@ POSE_COLUMNS: dict[str, Limits] = {
     "roll_deg": (-180.0, 180.0, "deg"),
 }
 
-SEPARATORS = {";": "';'", "\t": "tabs", "|": "'|'"}  # that other programs write, and their names in a message
+# What is written where a value is not known: words, and numbers that no column of this package can hold.
+UNKNOWN_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "nil", "unknown", "-", "--", "?"})
+UNKNOWN_NUMBERS = frozenset({-9999.0, -99999.0, -999999.0, -32767.0, -32768.0})
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """The header and the rows of a CSV file as written, and the line that each row ends in; every row is complete."""
+    """The header and the rows of a CSV file, and the line that each row ends in; every row is complete.
+
+    Cells are as written, but decimals are with points; `comments` are the lines above that begin with #.
+    """
 
     path: str | os.PathLike[str]
     header: list[str]
     lines: list[int]
     cells: list[list[str]]
+    comments: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -47,23 +55,35 @@ class CsvTable:
         return [dict(zip(self.header, row, strict=True)) for row in self.cells]
 
     def numbers(self, name: str, limits: Limits, *, unknown_too: bool = False) -> np.ndarray:
-        """A column as floats; `unknown_too` lets `nan` pass.
+        """A column as floats; `unknown_too` lets what is not known pass, as NaN: `nan`, an empty cell, -9999 and so on.
 
-        Raises `TableError` for a cell that is no number or lies outside the limits.
+        Raises `TableError` for a cell that is no number, is unknown, or lies outside the limits.
         """
         low, high, unit = limits
         index, values = self.header.index(name), np.empty(len(self))
         for i, row in enumerate(self.cells):
-            try:
-                values[i] = float(row[index])
-            except ValueError:
-                hint = f"expected {unit} (nan if unknown)" if unknown_too else f"expected {unit}"
-                raise self.wrong(i, name, f"{row[index]!r} is not a number; {hint}.") from None
+            values[i] = self._number(i, name, row[index].strip(), unit, unknown_too=unknown_too)
             if values[i] < low or values[i] > high:
                 raise self.wrong(i, name, f"{row[index].strip()} is outside [{low:g}, {high:g}] {unit}.")
             if np.isnan(values[i]) and not unknown_too:
-                raise self.wrong(i, name, f"unknown ({row[index].strip()}); expected {unit}.")
+                raise self.wrong(i, name, f"unknown ({row[index].strip() or 'empty'}); expected {unit}.")
         return values
+
+    def _number(self, row: int, name: str, cell: str, unit: str, *, unknown_too: bool) -> float:
+        """A cell as a number, NaN where it says that the value is not known."""
+        if cell.lower() in UNKNOWN_WORDS:
+            return np.nan
+        try:
+            value = float(cell)
+        except ValueError:
+            hint = f"expected {unit} (nan if unknown)." if unknown_too else f"expected {unit}."
+            if "," in cell and any(mark.isdigit() for mark in cell):
+                hint += (
+                    " Decimals are read with commas if all of the file have them, and semicolons or tabs stand between "
+                    "columns."
+                )
+            raise self.wrong(row, name, f"{cell!r} is not a number; {hint}") from None
+        return np.nan if value in UNKNOWN_NUMBERS else value
 
     def wrong(self, index: int, name: str, reason: str) -> TableError:
         """The error of a cell."""
@@ -82,32 +102,35 @@ def read_csv(
     *,
     taken: Collection[str] = (),
     hints: Mapping[str, str] | None = None,
+    known: Collection[str] = (),
 ) -> CsvTable:
-    """A CSV file with commas in UTF-8, its columns and the lengths of its rows checked; blank rows are skipped.
+    """A table whose columns and lengths of rows are checked; blank rows and comments (#) are skipped.
 
-    `what` it is, for messages; `needed` are columns that it must have, `taken` those that it may not. `hints` say for
-    some columns what to do where they are missing. Raises `TableError`, and `FileNotFoundError`.
+    Columns are separated by commas, semicolons, tabs, bars or white space, decimals have points or commas, and the
+    text is UTF-8, UTF-16 or Windows' 1252: all told by the content. `what` it is, for messages; `needed` are columns
+    that it must have, `taken` those that it may not. `hints` say for some columns what to do where they are missing;
+    `known` are further names by which a header is recognised. Raises `TableError`, and `FileNotFoundError`.
     """
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
-            header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header, needed, taken, hints or {})
-            found = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such {what}.") from None
-    except IsADirectoryError:
-        raise TableError(f"{path}: this is a folder; give the CSV file in it.") from None
-    except OSError as error:
-        raise TableError(f"{path}: the {what} cannot be read: {error.strerror}.") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: not a CSV file in UTF-8: {error}.") from error
-    if not found:
+    layout = layout_of(path, read_text(path, what), {name.lower() for name in (*needed, *known)})
+    header = layout.header
+    _check_header(path, header, needed, taken, hints or {})
+    if not layout.cells:
         raise TableError(f"{path}: no rows below the header.")
-    for line, row in found:
+    for line, row in zip(layout.lines, layout.cells, strict=True):
         if len(row) != len(header):
-            raise TableError(f"{path}, row {line}: {len(row)} cells, but the header has {len(header)}.")
-    return CsvTable(path, header, [line for line, _ in found], [row for _, row in found])
+            raise TableError(
+                f"{path}, row {line}: {len(row)} {'words' if layout.separator == ' ' else 'cells'}, but the header has "
+                f"{len(header)}{_why_longer(layout.separator, len(row) > len(header))}."
+            )
+    return CsvTable(path, header, layout.lines, layout.cells, tuple(layout.comments))
+
+
+def _why_longer(separator: str, longer: bool) -> str:
+    if not longer or separator not in ", ":
+        return ""
+    if separator == " ":
+        return "; names with white space need quotes"
+    return "; if decimals are written with commas, put semicolons or tabs between the columns"
 
 
 def _check_header(
@@ -117,12 +140,11 @@ def _check_header(
     taken: Collection[str],
     hints: Mapping[str, str],
 ) -> None:
-    doubled = sorted({name for name in header if header.count(name) > 1})
+    doubled = sorted(name for name, count in Counter(header).items() if count > 1)
     if doubled:
         raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")
     missing = [name for name in needed if name not in header]
     if missing:
-        _check_separator(path, header, needed)
         advice = dict.fromkeys(f" {hints[name]}" for name in missing if name in hints)
         raise TableError(
             f"{path}: no column {', '.join(missing)}.{_near_names(missing, header, needed)}{''.join(advice)} "
@@ -131,15 +153,6 @@ def _check_header(
     reserved = [name for name in taken if name in header]
     if reserved:
         raise TableError(f"{path}: column {reserved[0]} is one that the answer writes; rename it.")
-
-
-def _check_separator(path: str | os.PathLike[str], header: list[str], needed: Collection[str]) -> None:
-    for separator, shown in SEPARATORS.items():
-        names = {name.strip(" \"'").lower() for name in ",".join(header).split(separator)}
-        if len(names & set(needed)) > 1:
-            raise TableError(
-                f"{path}: the columns are separated by {shown}; use commas between columns, and points in decimals."
-            )
 
 
 def _near_names(missing: list[str], header: list[str], needed: Collection[str]) -> str:

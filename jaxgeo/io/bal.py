@@ -60,7 +60,7 @@ def read_bal(path: str | os.PathLike[str]) -> BalProblem:
     """
     text = _text(path)
     header = text.partition("\n")[0].split()
-    if len(header) != 3 or not all(word.isdecimal() and int(word) > 0 for word in header):
+    if len(header) != 3 or not all(word.isdecimal() and len(word) < 19 and int(word) > 0 for word in header):
         raise TableError(
             f"{path}, row 1: {' '.join(header)[:60]!r} are not the numbers of cameras, points and observations, three "
             f"whole numbers above zero."

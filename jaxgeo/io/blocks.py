@@ -7,6 +7,7 @@ import os
 import pathlib
 import threading
 import zipfile
+import zlib
 
 import numpy as np
 
@@ -19,6 +20,17 @@ BLOCK = 256  # cells on a side
 MOST_AT_ONCE = 16  # blocks read in one go: a million posts
 _reading = threading.RLock()  # of all at once, since a lock of each would keep it from being pickled
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
+# What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class Blocks:
@@ -111,7 +123,7 @@ class Blocks:
                     return
                 for name in ("low", "high", "has_void", "is_read"):
                     getattr(self, name)[...] = held[name]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise DemError(
                 f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
             ) from error
@@ -121,7 +133,7 @@ class Blocks:
         """Says which files, of which time and size, and how they were understood."""
         source = self.source
         files = [(t.path, t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources]) for t in source.mosaic.tiles]
-        rest = (source.mosaic.offsets, source.shift.name, source.unit, repr(source.nodata), self.size)
+        rest = (source.mosaic.corners.tolist(), source.shift.name, source.unit, repr(source.nodata), self.size)
         return hashlib.sha256(repr((files, rest)).encode()).hexdigest()
 
     def _index(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,10 @@ from jaxgeo._checks import require_x64
 from jaxgeo.io._proj import DATA
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
-from jaxgeo.io.heights import open_source
+from jaxgeo.io.heights import check_nodata_used, open_source
 from jaxgeo.io.paths import Paths
 from jaxgeo.io.vertical import VerticalDatum
+from jaxgeo.io.voids import Nodata
 from jaxgeo.io.windows import Bounds, Window, padded_shape
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
@@ -59,7 +60,7 @@ def read_dem(
     vertical_datum: VerticalDatum = None,
     bounds: Bounds | None = None,
     band: int = 1,
-    nodata: float | int | None = None,
+    nodata: Nodata = None,
     height_unit: str | None = None,
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
@@ -70,15 +71,19 @@ def read_dem(
     `path_or_paths` is anything rasterio opens (a VRT too, if its sources are on its grid), or several tiles on one
     grid (they are not resampled; where several hold a post, the first that knows it is taken): a list, a folder, which
     stands for all rasters right inside it, or a pattern such as "tiles/**/*.tif". All of it comes into memory: for
-    more than that holds, see `open_dem`. Keyword options, each optional:
+    more than that holds, see `open_dem`. Columns may be spaced differently from tile to tile, as those of Copernicus
+    DEM and DTED are by latitude: they are joined without a step (`jaxgeo.io.zones`). What the sources of a VRT state of
+    unit, scale, voids and datum holds for the VRT. Keyword options, each optional:
 
     - `vertical_datum`: what the file's heights are measured from: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
       pyproj CRS, a constant undulation in m, or the path of a geoid grid. Needed unless the file's CRS says it.
     - `bounds`: (west, south, east, north) in deg of WGS 84; west > east crosses the date line. The window is padded by
       a post, and its arrays to one of a few sizes, so that another window does not recompile.
-    - `band`: counted from 1. `nodata`: a further value that marks voids, where the file's own tag is missing or wrong
-      (the value after the file's scale and offset, if it has any).
-    - `height_unit`: "m", "ft" or "us-ft", where the file does not say it. `void_ceiling`: as in `Dem.from_array`.
+    - `band`: counted from 1. `nodata`: a further value that marks voids, or several in a list, where the file's own tag
+      is missing or wrong: as the file stores it, before scale, offset and unit. One that marks no post of the whole
+      file is refused.
+    - `height_unit`: "m", "ft", "us-ft", "dm" or "cm", where the file does not state it, or states it wrongly.
+      `void_ceiling`: as in `Dem.from_array`.
     - `dtype` of the posts in memory, float64 by default.
     - `assume_wgs84=True`: take the file's latitudes and longitudes as WGS 84's, where PROJ knows no transformation.
 
@@ -112,7 +117,7 @@ def read_dem_and_report(
     vertical_datum: VerticalDatum = None,
     bounds: Bounds | None = None,
     band: int = 1,
-    nodata: float | int | None = None,
+    nodata: Nodata = None,
     height_unit: str | None = None,
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
@@ -130,6 +135,12 @@ def read_dem_and_report(
         bounds=bounds,
     )
     name, window = source.name, source.window
+    turn = source.mosaic.first.cols_per_turn
+    if turn is not None and window.shape[1] >= turn:
+        raise DemError(
+            f"{name}: its columns go all round the Earth, and rays that cross the seam where its ends meet would find "
+            f"no ground, or the wrong one. Read a part, which may lie across it, with bounds=(170, -60, -170, 60)."
+        )
     heights, void = source.heights(Window(0, 0, *window.shape), np.dtype(dtype))
     if void.all():
         raise DemError(
@@ -139,6 +150,8 @@ def read_dem_and_report(
     known, first = ~void, heights.flat[int(np.argmin(void))]
     lowest, highest = heights.min(where=known, initial=first), heights.max(where=known, initial=first)
     del known
+    if bounds is None:
+        check_nodata_used(source, (float(lowest), float(highest)))
     grid, error = make_grid(name, source.mapping)
     along, across = grid.cell_size()
     report = DemReport(

@@ -17,11 +17,12 @@ from jaxgeo.io.blocks import Blocks
 from jaxgeo.io.dem import build_dem
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
-from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, open_source
+from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, check_nodata_used, open_source
 from jaxgeo.io.paths import Paths
 from jaxgeo.io.sightlines import BESIDE, Sightlines, sightlines
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import VerticalDatum
+from jaxgeo.io.voids import Nodata
 from jaxgeo.io.windows import Window, padded_shape
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid, GeographicGrid
@@ -38,7 +39,7 @@ def open_dem(
     height_range: tuple[float, float] | None = None,
     cache: str | os.PathLike[str] | None = None,
     band: int = 1,
-    nodata: float | int | None = None,
+    nodata: Nodata = None,
     height_unit: str | None = None,
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
@@ -239,7 +240,10 @@ class DemFiles:
     def _range(self) -> tuple[float, float]:
         if self.blocks.height_range is not None:
             return self.blocks.height_range
+        was_read = bool(self.blocks.is_read.any())
         self.blocks.read()
+        if not was_read:  # else some posts were looked at in an earlier run
+            check_nodata_used(self.source, None)
         low, high = float(self.blocks.low.min()), float(self.blocks.high.max())
         if not np.isfinite(low):
             raise DemError(f"{self.source.name}: all posts are void: there is no terrain here.")

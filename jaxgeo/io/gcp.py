@@ -16,8 +16,10 @@ from jaxgeo.adjust.records import ImagePoints, as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import refuse_doubles
 from jaxgeo.io._csv import CsvTable
+from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io._text import read_text
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.tables import PIXEL_COLUMNS
 from jaxgeo.io.vertical import vertical_unit
@@ -87,7 +89,7 @@ def read_gcp_list(
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
     (line, projection), *rows = _lines(path)
     table = _table(path, rows)
-    crs, vertical = understood_crs(f"{path}, row {line}", _projection(projection))
+    crs, vertical = understood_crs(f"{path}, row {line}", projection_text(projection))
     numbers = {name: table.numbers(name, limits) for name, limits in LIMITS.items()}
     places = np.stack([numbers[name] for name in COLUMNS[:3]], axis=-1)
     names, of_point = _points(table, places)
@@ -102,13 +104,8 @@ def read_gcp_list(
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """The lines that say something, with their numbers."""
-    try:
-        with open(path, encoding="utf-8-sig") as file:
-            lines = [(i, line.strip()) for i, line in enumerate(file, start=1)]
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such file of ground control points.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise TableError(f"{path}: the file of ground control points cannot be read: {error}.") from error
+    text = read_text(path, "file of ground control points")
+    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
     lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
     if len(lines) < 2:
         raise TableError(f"{path}: expected a projection in the first line and measurements of points below it.")
@@ -123,10 +120,10 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
         if len(words) < len(COLUMNS):
             raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
         cells.append([*words[:6], words[6] if len(words) > 6 else ""])
-    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], cells)
+    return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], with_points(cells, WHITE))
 
 
-def _projection(text: str) -> str:
+def projection_text(text: str) -> str:
     """What PROJ calls the projection of the first line."""
     if text.upper() in ("WGS84", "EPSG:4326"):
         return "EPSG:4326"
@@ -178,6 +175,6 @@ def _positions(
         height = ellipsoidal_heights(lon, lat, z * (vertical_unit(vertical) or 1.0), height_datum, vertical)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a point
+    except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
     return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)

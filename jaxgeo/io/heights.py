@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
 from jaxgeo.io.errors import DemError, VerticalDatumError
+from jaxgeo.io.height_units import CHOICES, metres_per_unit
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.paths import Paths
-from jaxgeo.io.raster import Mosaic, metres_per_unit, open_mosaic, read_window
+from jaxgeo.io.raster import Mosaic
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import (
     LARGEST_UNDULATION,
@@ -19,11 +21,12 @@ from jaxgeo.io.vertical import (
     horizontal_part,
     vertical_part,
 )
+from jaxgeo.io.voids import Nodata, marks_of
 from jaxgeo.io.windows import Bounds, Window, window_of_bounds
+from jaxgeo.io.zones import Zones, open_tiles
 
 CHUNK = 1_000_000  # posts transformed at once
-UNTAGGED = -9999.0
-POSSIBLE_HEIGHTS = (-12_500.0, 9_500.0)  # m; from the deepest trench to above the highest peak
+POSSIBLE_HEIGHTS = (-11_200.0, 9_100.0)  # m; from below the deepest trench to above the highest peak
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +37,18 @@ class Source:
     part.
     """
 
-    mosaic: Mosaic
+    mosaic: Mosaic | Zones
     window: Window
     mapping: FileMap
     shift: HeightShift
     unit: float
-    nodata: float | int | None
+    nodata: tuple[float, ...]
+
+    @property
+    def unused_nodata(self) -> tuple[float, ...]:
+        """Values given for voids that no post read so far holds, and no tag of a file names."""
+        tags = {tile.nodata for tile in self.mosaic.tiles} | self.mosaic.marks_found
+        return tuple(mark for mark in self.nodata if mark not in tags and not math.isnan(mark))
 
     @property
     def name(self) -> str:
@@ -47,14 +56,9 @@ class Source:
         return self.mosaic.name
 
     def stored(self, part: Window, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What the files hold at a part of this source, and which posts are void."""
+        """What the files hold at a part of this source, in their unit, and which posts are void."""
         place = part.moved(self.window.row, self.window.col)
-        values, void = read_window(self.mosaic, dataclasses.astuple(place), files)
-        if self.nodata is not None:
-            void |= np.isnan(values) if np.isnan(self.nodata) else values == self.nodata
-        else:
-            _check_untagged_voids(self.name, values, void)
-        return values, void
+        return self.mosaic.read(dataclasses.astuple(place), files)
 
     def heights(self, part: Window, dtype: np.dtype, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Heights above the ellipsoid in m of a part of this source, zero over voids, and the voids."""
@@ -73,20 +77,37 @@ def open_source(
     *,
     band: int,
     vertical_datum: VerticalDatum,
-    nodata: float | int | None,
+    nodata: Nodata,
     height_unit: str | None,
     assume_wgs84: bool,
     bounds: Bounds | None = None,
 ) -> Source:
     """The headers of files, the map and the vertical datum of the part within `bounds`; no post is read."""
-    mosaic = open_mosaic(paths, band)
+    mosaic = open_tiles(paths, band)
     mapping, window = _part(mosaic, bounds, assume_wgs84)
     shift = _shift(mosaic, mapping, vertical_datum)
     unit = metres_per_unit(mosaic.first, height_unit, shift.unit if shift.transformer is not None else None)
-    return Source(mosaic, window, mapping, shift, unit, nodata)
+    marks = marks_of(mosaic.name, nodata)
+    return Source(mosaic.read_as(unit, marks), window, mapping, shift, unit, marks)
 
 
-def _part(mosaic: Mosaic, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
+def check_nodata_used(source: Source, known: tuple[float, float] | None) -> None:
+    """Raises `DemError` where a value given for voids marks no post of a source that was read as a whole.
+
+    `known` is the (lowest, highest) known height in m above the ellipsoid.
+    """
+    unused = source.unused_nodata
+    if not unused:
+        return
+    range_ = "" if known is None else f" (its known heights are {known[0]:.6g} to {known[1]:.6g} m above the ellipsoid)"
+    values = ", ".join(f"nodata={mark:g}" for mark in unused)
+    raise DemError(
+        f"{source.name}: {values} marks no post of it{range_}. Leave it out, or give the value as the file stores it, "
+        f"before scale and unit (gdalinfo -stats shows the lowest and the highest)."
+    )
+
+
+def _part(mosaic: Mosaic | Zones, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
     """The map and the window, counted from the first tile's first post, of what is to be read."""
     first, name, whole = mosaic.first, mosaic.name, Window(*mosaic.bounds())
     mapping = file_map(name, horizontal_part(first.crs), first.affine[:6], first.shape, assume_wgs84=assume_wgs84)
@@ -98,7 +119,7 @@ def _part(mosaic: Mosaic, bounds: Bounds | None, assume_wgs84: bool) -> tuple[Fi
     return mapping.window(part.row, part.col, part.shape), part.moved(whole.row, whole.col)
 
 
-def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShift:
+def _shift(mosaic: Mosaic | Zones, mapping: FileMap, asked: VerticalDatum) -> HeightShift:
     rows, cols = (np.linspace(0.0, n - 1.0, 5) for n in mapping.shape)
     lon, lat = mapping.lonlat(*(u.ravel() for u in np.meshgrid(rows, cols)))
     known = np.isfinite(lon) & np.isfinite(lat)
@@ -109,7 +130,10 @@ def _shift(mosaic: Mosaic, mapping: FileMap, asked: VerticalDatum) -> HeightShif
     try:
         return height_shift(asked, vertical_part(mosaic.first.crs, unnamed=True), area)
     except VerticalDatumError as error:
-        raise VerticalDatumError(f"{mosaic.name}: {error}") from error
+        field = mosaic.first.datum_field
+        meant = "EGM96, which is EPSG:5773" if field == "E96" else "mean sea level, by a model that it does not name"
+        quoted = "" if field is None or asked is not None else f" The file's own field of it is {field!r}: {meant}."
+        raise VerticalDatumError(f"{mosaic.name}: {error}{quoted}") from error
 
 
 def _ellipsoidal(
@@ -150,20 +174,6 @@ def _shifted(name: str, height: np.ndarray, shifted: np.ndarray, shift: HeightSh
     return shifted
 
 
-def _check_untagged_voids(name: str, values: np.ndarray, void: np.ndarray) -> None:
-    """Refuse posts of exactly -9999 far below all others: the most usual mark of a void, here without its tag."""
-    marked = (values == UNTAGGED) & ~void
-    if not marked.any():
-        return
-    others = values[~void & ~marked]
-    if not others.size or others.min() > UNTAGGED + 1000.0:
-        row, col = np.argwhere(marked)[0]
-        raise DemError(
-            f"{name}: {int(marked.sum())} posts, the first at row {row}, column {col}, are exactly {UNTAGGED:g}, far "
-            f"below all others, and the file has no nodata tag for that. Pass nodata={UNTAGGED:g}."
-        )
-
-
 def _check_heights(name: str, height: np.ndarray, row: np.ndarray, col: np.ndarray, shift: HeightShift) -> None:
     low, high = POSSIBLE_HEIGHTS
     wrong = ~((height >= low) & (height <= high))
@@ -177,7 +187,8 @@ def _check_heights(name: str, height: np.ndarray, row: np.ndarray, col: np.ndarr
         )
     raise DemError(
         f"{where} (and {int(wrong.sum()) - 1} more) the height is {height[first]:.6g} m, which no place on the Earth "
-        f"has. If that marks a void, pass nodata=...; if the unit is not the metre, pass height_unit=..."
+        f"has. If the unit is another, pass {CHOICES}; if that marks a void, pass the value that the file stores there "
+        f"with nodata=."
     )
 
 

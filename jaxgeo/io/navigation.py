@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, require_x64
+from jaxgeo.io._columns import refuse_nowhere
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable, Limits, gimbal_columns, read_csv
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.tables import poses_of, readings_of
 from jaxgeo.sensor import Pose, Trajectory
 from jaxgeo.sensor.camera import Numbers
@@ -55,6 +56,7 @@ def read_navigation(
         _check_said_once(table, readings)
     wanted |= _velocity_columns(table)
     numbers = {name: table.numbers(name, limits) for name, limits in wanted.items()}
+    refuse_nowhere(table, "lat_deg", numbers["lat_deg"], numbers["lon_deg"])
     _check_times(table, numbers["time_s"])
     angles = _angles(table, numbers, readings, gimbal_readings)
     velocity = np.stack([numbers[name] for name in VELOCITY], axis=-1) if VELOCITY.keys() <= wanted.keys() else None
@@ -130,7 +132,7 @@ def _poses(table: CsvTable, numbers: Mapping[str, np.ndarray], height_datum: str
         return poses_of(numbers, height_datum)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach a record
+    except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
 
 

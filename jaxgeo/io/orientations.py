@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import os
-import pathlib
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,58 +12,27 @@ import numpy as np
 import pyproj
 
 from jaxgeo._checks import check_is, require_x64
-from jaxgeo._destination import destination
 from jaxgeo.adjust.records import as_names
 from jaxgeo.earth import Geodetic
-from jaxgeo.io._columns import Columns, read_columns, refuse_doubles
-from jaxgeo.io._csv import POSE_COLUMNS, Limits
-from jaxgeo.io._map_grid import MapGrid, metric_map
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io._columns import Columns, refuse_doubles, refuse_nowhere
+from jaxgeo.io._csv import Limits
+from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
+from jaxgeo.io._orientation_columns import (
+    ALIASES,
+    EARTH_COLUMNS,
+    GON,
+    IN_GON,
+    MAP_COLUMNS,
+    SIGMA_COLUMNS,
+    TIME,
+    angle_columns,
+    read_orientation_columns,
+    stated_crs,
+)
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
-from jaxgeo.io.tables import poses_of
-from jaxgeo.io.vertical import height_shift
-from jaxgeo.rotations import heading_pitch_roll_from_R
+from jaxgeo.io.vertical import is_unnamed
 from jaxgeo.sensor import Pose
-
-# What columns may be called; IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words.
-ALIASES = {
-    "image": ("filename", "nom"),
-    "camera": (),
-    "time_s": (),
-    "x_m": ("x",),
-    "y_m": ("y",),
-    "z_m": ("z",),
-    "omega_deg": ("omega", "o"),
-    "phi_deg": ("phi", "p"),
-    "kappa_deg": ("kappa", "k"),
-    "lat_deg": ("latitude",),
-    "lon_deg": ("longitude",),
-    "height_m": ("altitude",),
-    "heading_deg": ("yaw_deg", "yaw"),
-    "pitch_deg": ("pitch",),
-    "roll_deg": ("roll",),
-}
-GON = 0.9  # deg
-# The same angles in gon, in place of those in deg: our name in deg, and what the column in gon may be called.
-IN_GON = {
-    f"{angle}_deg": (f"{angle}_gon", f"{angle}[gon]", f"{angle} [gon]", f"{angle}(gon)", f"{angle} (gon)")
-    for angle in ("omega", "phi", "kappa")
-}
-GRID_COLUMNS: dict[str, Limits] = {
-    "x_m": (-1e8, 1e8, "m"),
-    "y_m": (-1e8, 1e8, "m"),
-    "z_m": POSE_COLUMNS["height_m"],
-    "omega_deg": (-360.0, 360.0, "deg"),
-    "phi_deg": (-360.0, 360.0, "deg"),
-    "kappa_deg": (-360.0, 360.0, "deg"),
-}
-SIGMA_COLUMNS: dict[str, Limits] = {f"sigma_{axis}_m": (1e-12, 1e6, "m") for axis in ("north", "east", "down")} | {
-    f"sigma_{angle}_deg": (1e-12, 360.0, "deg") for angle in ("heading", "pitch", "roll")
-}
-TIME: Limits = (-1e11, 1e11, "s")
-# Decimals that are written: a hundredth of a millimetre for latitudes, 1e-8 deg for angles, a nanosecond.
-DECIMALS = {"x_m": 4, "y_m": 4, "z_m": 4, "height_m": 4, "lat_deg": 10, "lon_deg": 10, "time_s": 9}
-DECIMALS_OF_ANGLES = 8
 
 
 @dataclass(frozen=True)
@@ -75,7 +42,9 @@ class Orientations:
     `pose` holds n entries: geodetic positions of the perspective centres and attitudes of the body, that has the
     camera in `Mount.nadir()` with `Gimbal.fixed()`. `camera` are names of cameras (n,), `sigma` (n, 6) standard
     deviations of north, east and down in m and of heading, pitch and roll in rad, `time` (n,) in s; each None if
-    unknown. Raises `ValueError` for fields that do not fit each other and for an image that is there twice.
+    unknown. `assumed` are sentences about what a reader took for granted; `of_camera` says that the angles are the
+    camera's own, and no aircraft's. Raises `ValueError` for fields that do not fit each other and for an image that is
+    there twice.
     """
 
     names: np.ndarray
@@ -83,6 +52,8 @@ class Orientations:
     camera: np.ndarray | None = None
     sigma: np.ndarray | None = None
     time: np.ndarray | None = None
+    assumed: tuple[str, ...] = ()
+    of_camera: bool = False
 
     def __post_init__(self) -> None:
         check_is(self.pose, Pose, "pose", "One Pose, whose fields hold an entry for each image.")
@@ -112,26 +83,29 @@ class Orientations:
 
     def of(self, rows: Any) -> Orientations:
         """Some of the images, by index or flag."""
-        optional = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
-        return Orientations(self.names[rows], jax.tree.map(lambda x: x[rows], self.pose), *optional)
+        camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
+        pose = jax.tree.map(lambda x: x[rows], self.pose)
+        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
 
 
 def read_orientations(
     path: str | os.PathLike[str],
     *,
-    height_datum: str | float,
+    height_datum: str | float | None,
     crs: str | int | pyproj.CRS | None = None,
     linear_alteration_above: float | np.ndarray | None = None,
 ) -> Orientations:
-    """The orientations of a block of images: a row for each, in a CSV file or with white space between columns.
+    """The orientations of a block of images: a row for each, in a table of any layout that `read_csv` tells.
 
     Without `crs` the columns are `image`, `lat_deg`, `lon_deg`, `height_m`, `heading_deg` (from true north),
     `pitch_deg`, `roll_deg`: the attitude of a body with the camera in `Mount.nadir()`. So does OpenDroneMap's
     `odm_lla_rpy.csv` count them, a gimbal 60 deg below level being a pitch of 30 deg.
     With `crs`, a map such as "EPSG:2154", they are `image`, `x_m`, `y_m`, `z_m`, `omega_deg`, `phi_deg`, `kappa_deg`:
     the photogrammetric angles of `Pose.from_omega_phi_kappa`, R_map_from_image = Rx(omega) Ry(phi) Rz(kappa), in the
-    grid of that map at the image. Positions are exact, and the grid's convergence is allowed for at each.
-    In both, `camera`, `time_s` and, all six or none, `sigma_north_m`, `sigma_east_m`, `sigma_down_m`,
+    grid of that map at the image. Positions are exact, and the grid's convergence is allowed for at each. Headings in
+    a map are from the grid's north: R_map_from_image = Rz(-heading) Rx(pitch) Ry(roll). In a `crs` of longitudes (x)
+    and latitudes (y) in deg, and on the Earth, omega, phi and kappa are against east, north and up at the image.
+    In all, `camera`, `time_s` and, all six or none, `sigma_north_m`, `sigma_east_m`, `sigma_down_m`,
     `sigma_heading_deg`, `sigma_pitch_deg`, `sigma_roll_deg` are taken where they are there; others are passed over.
 
     Also read, in any case of letters: `filename` or `nom` for the image; `x`, `y`, `z`, `omega` or `o`, `phi` or `p`,
@@ -139,122 +113,97 @@ def read_orientations(
     Rx(pi) times the extrinsic x-y-z rotation by (-omega, -phi, -kappa), is the inverse of the above); `latitude`,
     `longitude`, `altitude`, `yaw`, `pitch`, `roll`; angles in gon under `omega_gon`, `phi_gon` and `kappa_gon` (or
     `omega[gon]` and so on), all three or none. Names of images are kept as they are written.
+    Exports of other programs are read as they are: Pix4D's external camera parameters, Metashape's cameras ("Omega Phi
+    Kappa") and reference (with the CRS in its comment), RealityCapture's internal and external parameters, MicMac's
+    `#F=N X Y Z W P K`, in deg as OriConvert takes them.
 
     - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
-      m, the path of a geoid grid; as in scene files.
+      m, the path of a geoid grid; as in scene files. None where the CRS has a vertical part that says it.
     - `linear_alteration_above`: heights of the ground below in m above the same datum, one or one for each image,
       where camera heights were stretched with the scale k of the map: z = Z + (k - 1) (Z - ground). Z is taken.
 
     Raises `TableError` with row and column for columns that are missing, cells that are unknown, no number or out of
-    range, an image that is there twice, a map that PROJ does not know or that is not in metres;
-    `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    range, a position of latitude and longitude zero, an image that is there twice, a map that PROJ does not know, that
+    is not in metres or not that of the file; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit
+    floats off.
     """
     require_x64()
-    in_gon = {gon: tuple(others) for gon, *others in IN_GON.values()}
-    columns = read_columns(path, "table of orientations", ALIASES | in_gon | dict.fromkeys(SIGMA_COLUMNS, ()))
-    wanted = _wanted(columns, crs)
+    columns = read_orientation_columns(path)
+    crs = crs_of(columns, crs)
+    wanted = check_columns(columns, crs)
     names = columns.names("image")
     refuse_doubles(columns.table, names.tolist(), "image {} is there twice")
     numbers = {name: columns.numbers(name, limits) for name, limits in wanted.items()}
     numbers |= {name: GON * numbers[gon] for name, (gon, *_) in IN_GON.items() if gon in numbers}
     sigma = _sigma(columns)
+    if crs is None and linear_alteration_above is not None:
+        raise TableError(f"{path}: linear_alteration_above= is of heights in a map; give its crs too.")
     try:
-        if crs is None:
-            if linear_alteration_above is not None:
-                raise TableError(f"{path}: linear_alteration_above= is of heights in a map; give its crs too.")
-            pose = poses_of(numbers, height_datum)
-        else:
-            pose = _of_grid(columns, numbers, crs, height_datum, linear_alteration_above)
+        pose, told = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except TableError:
-        raise
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
-    return Orientations(names, pose, camera, sigma, time)
+    of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
+    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)), of_camera)
 
 
-def write_orientations(
-    path: str | os.PathLike[str],
-    orientations: Orientations,
-    *,
-    crs: str | int | pyproj.CRS | None = None,
-    height_datum: str | float = "ellipsoid",
-) -> None:
-    """Orientations as a CSV file that `read_orientations` reads: on the Earth, or with `crs` in that map.
-
-    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part.
-    Digits end at 1e-4 m and 1e-8 deg; headings are written from 0 to 360. The file appears when all is written. Raises
-    `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for a map that does
-    not serve, `VerticalDatumError` for heights.
-    """
-    check_is(orientations, Orientations, "orientations")
-    target, pose = pathlib.Path(path), orientations.pose
-    finite = np.all([np.isfinite(leaf) for leaf in jax.tree.leaves(pose)], axis=0)
-    if not np.all(finite):
-        raise ValueError(f"{target}: the pose of image {orientations.names[np.argmin(finite)]} is not finite.")
-    lat, lon, height = (np.asarray(x) for x in pose.position.to_degrees())
-    horizontal, vertical = (None, None) if crs is None else metric_map(target, crs)
-    height = height_shift(height_datum, vertical).from_ellipsoid(lon, lat, height)
-    if horizontal is None:
-        heading, pitch, roll = (np.rad2deg(x) for x in _heading_pitch_roll(pose))
-        numbers = dict(zip(POSE_COLUMNS, [lat, lon, height, np.remainder(heading, 360.0), pitch, roll], strict=True))
-    else:
-        grid = MapGrid.about_lonlat(target, horizontal, lon, lat)
-        x, y = grid.from_lonlat(lon, lat)
-        angles = _to_omega_phi_kappa(pose, grid.convergence(x, y))
-        numbers = dict(zip(GRID_COLUMNS, [x, y, height, *(np.rad2deg(angle) for angle in angles)], strict=True))
-    lost = ~np.all([np.isfinite(column) for column in numbers.values()], axis=0)
-    if np.any(lost):
-        raise ValueError(f"{target}: map or vertical datum do not reach image {orientations.names[np.argmax(lost)]}.")
-    _write(target, orientations, numbers)
+def crs_of(columns: Columns, crs: Any) -> Any:
+    """The CRS of a table: the caller's, else that of the file. Raises `TableError` if they are not the same."""
+    own = stated_crs(columns)
+    if own is None or crs is None:
+        return crs if own is None else own
+    (given, _), (stated, _) = understood_crs(columns.table.path, crs), understood_crs(columns.table.path, own)
+    if not given.equals(stated, ignore_axis_order=True):
+        raise TableError(f"{columns.table.path}: the file says that it is in {own.name!r}, but crs={crs!r}; leave crs= "
+                         f"out.")  # fmt: skip
+    return crs
 
 
-def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, np.ndarray]) -> None:
-    columns: dict[str, list[str]] = {"image": orientations.names.tolist()}
-    times = {} if orientations.time is None else {"time_s": orientations.time}
-    for name, values in (numbers | times).items():
-        columns[name] = [f"{value:.{DECIMALS.get(name, DECIMALS_OF_ANGLES)}f}" for value in values]
-    if orientations.camera is not None:
-        columns["camera"] = orientations.camera.tolist()
-    if orientations.sigma is not None:
-        sigma = np.concatenate([orientations.sigma[:, :3], np.rad2deg(orientations.sigma[:, 3:])], axis=1)
-        columns |= {name: [f"{x:.9g}" for x in values] for name, values in zip(SIGMA_COLUMNS, sigma.T, strict=True)}
-    with destination("orientations", target) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+def has_vertical(path: Any, crs: Any) -> bool:
+    """Whether a CRS says what heights are measured from."""
+    vertical = None if crs is None else understood_crs(path, crs)[1]
+    return vertical is not None and not is_unnamed(vertical)
 
 
-def _wanted(columns: Columns, crs: Any) -> dict[str, Limits]:
-    """The columns of the kind of table that a caller means."""
-    in_map, on_earth = ([name for name in kind if name in columns] for kind in (GRID_COLUMNS, POSE_COLUMNS))
+def _is_geographic(path: Any, crs: Any) -> bool:
+    return crs is not None and understood_crs(path, crs)[0].is_geographic
+
+
+def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
+    """The columns of the kind of table that a caller means; raises `TableError` where some are missing."""
+    path = columns.table.path
+    in_map, on_earth = ("x_m" in columns or "y_m" in columns), ("lat_deg" in columns or "lon_deg" in columns)
+    is_geographic = _is_geographic(path, crs)
     why = ""
     if crs is None and in_map and not on_earth:
-        why = f" {columns.called[in_map[0]]} is of a map: say which with crs=."
-    if crs is not None and on_earth and not in_map:
-        why = f" {columns.called[on_earth[0]]} is on the Earth: leave crs= out."
-    wanted = POSE_COLUMNS if crs is None else _units(columns)
+        raise TableError(which_map(columns))
+    if crs is not None and on_earth and not in_map and not is_geographic:
+        why = f" {columns.called.get('lat_deg', columns.called.get('lon_deg'))} is on the Earth: leave crs= out."
+    if crs is None or (is_geographic and not in_map):
+        wanted = EARTH_COLUMNS | angle_columns(columns, first="hpr")
+    else:
+        wanted = MAP_COLUMNS | angle_columns(columns, first="opk")
     columns.require(["image", *wanted], ALIASES, why)
     return wanted
 
 
-def _units(columns: Columns) -> dict[str, Limits]:
-    """The columns of a table in a map, its angles in gon where they are called so."""
-    in_gon = [others[0] for others in IN_GON.values() if others[0] in columns]
-    in_deg = [name for name in IN_GON if name in columns]
-    if not in_gon:
-        return GRID_COLUMNS
-    if in_deg:
-        both = f"{columns.called[in_gon[0]]} and {columns.called[in_deg[0]]}"
-        raise TableError(f"{columns.table.path}: columns {both} are there; give all three angles in one unit.")
-    angles: dict[str, Limits] = {}
-    for name, (gon, *_) in IN_GON.items():
-        low, high, _ = GRID_COLUMNS[name]
-        angles[gon] = low / GON, high / GON, "gon"
-    return {name: limits for name, limits in GRID_COLUMNS.items() if name not in IN_GON} | angles
+def which_map(columns: Columns) -> str:
+    """That nobody says in which map a table is, with an example that fits its numbers."""
+    called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
+    cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
+    what, example = "of a map", "EPSG:32616"
+    if len(cells) == 2 and _in_degrees(*cells):
+        what, example = "in deg", "EPSG:4326"
+    told = f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS; give it: "
+    return f'{told}crs="{example}".'
+
+
+def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether coordinates look like longitudes and latitudes in deg."""
+    return bool(np.all(np.abs(x) <= 360.0) and np.all(np.abs(y) <= 90.0))
 
 
 def _sigma(columns: Columns) -> np.ndarray | None:
@@ -266,28 +215,73 @@ def _sigma(columns: Columns) -> np.ndarray | None:
     return np.stack([*values[:3], *(np.deg2rad(angle) for angle in values[3:])], axis=-1)
 
 
-def _of_grid(
-    columns: Columns, numbers: dict[str, np.ndarray], crs: Any, height_datum: str | float, ground: Any
-) -> Pose:
-    """Poses of photogrammetric angles in a map."""
+def _poses(
+    columns: Columns, numbers: dict[str, np.ndarray], crs: Any, height_datum: str | float | None, ground: Any
+) -> tuple[Pose, list[str]]:
+    """(poses, what was taken for granted of their angles)."""
+    position, convergence = positions_of(columns, numbers, crs, height_datum, ground)
+    is_map = crs is not None and not _is_geographic(columns.table.path, crs)
+    if "omega_deg" in numbers:
+        omega, phi, kappa = (np.deg2rad(numbers[name]) for name in ("omega_deg", "phi_deg", "kappa_deg"))
+        told = [] if is_map else ["Omega, phi and kappa are taken against east, north and up at each image."]
+        return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence)), told
+    heading, pitch, roll = (np.deg2rad(numbers[name]) for name in ("heading_deg", "pitch_deg", "roll_deg"))
+    if not is_map:
+        return Pose(position, heading, pitch, roll), []
+    low, high = np.rad2deg(np.min(convergence)), np.rad2deg(np.max(convergence))
+    told = [f"Headings are taken from the map's grid north, {low:.2f} to {high:.2f} deg clockwise of true north here."]
+    return Pose(position, heading + convergence, pitch, roll), told
+
+
+def positions_of(
+    columns: Columns, numbers: dict[str, np.ndarray], crs: Any, height_datum: str | float | None, ground: Any = None
+) -> tuple[Geodetic, np.ndarray]:
+    """(positions of the rows, convergence of the grid there in rad: zero but in a map)."""
     path = columns.table.path
-    horizontal, vertical = metric_map(path, crs)
-    x, y, z = (numbers[name] for name in ("x_m", "y_m", "z_m"))
+    if "lat_deg" in numbers:
+        refuse_nowhere(columns.table, columns.called["lat_deg"], numbers["lat_deg"], numbers["lon_deg"])
+    if crs is None:
+        lat, lon = numbers["lat_deg"], numbers["lon_deg"]
+        height = ellipsoidal_heights(lon, lat, numbers["height_m"], height_datum)  # type: ignore[arg-type]
+        return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), np.zeros(len(lat))
+    horizontal, vertical = understood_crs(path, crs)
+    if not horizontal.is_geographic:
+        metric_map(path, crs)  # refuses other units
+    in_map = "x_m" in numbers
+    x, y, z = (numbers[name] for name in (("x_m", "y_m", "z_m") if in_map else ("lon_deg", "lat_deg", "height_m")))
+    if horizontal.is_geographic:
+        _check_degrees(columns, horizontal, x, y)
+    elif _in_degrees(x, y):
+        raise columns.table.wrong(
+            0,
+            columns.called["x_m"],
+            f"({x[0]:.10g}, {y[0]:.10g}) look like longitude and latitude in deg, but crs is {horizontal.name!r}; if "
+            f'they are, give crs="EPSG:4326".',
+        )
     grid = MapGrid.about(path, horizontal, x, y)
     lon, lat = grid.to_lonlat(x, y)
-    convergence = grid.convergence(x, y)
+    convergence = np.where(np.isfinite(lat), 0.0, np.nan) if horizontal.is_geographic else grid.convergence(x, y)
     outside = ~np.isfinite(convergence)
     if np.any(outside):
         row = int(np.argmax(outside))
         reason = f"({x[row]:.10g}, {y[row]:.10g}) has no place in {horizontal.name!r}, or its axes are mirrored."
-        raise columns.table.wrong(row, columns.called["x_m"], reason)
+        raise columns.table.wrong(row, columns.called["x_m" if in_map else "lon_deg"], reason)
     if ground is not None:
         scale = grid.scale(lon, lat)
         z = (z + (scale - 1.0) * np.asarray(ground, np.float64)) / scale
     height = ellipsoidal_heights(lon, lat, z, height_datum, vertical)
-    position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
-    omega, phi, kappa = (np.deg2rad(numbers[name]) for name in ("omega_deg", "phi_deg", "kappa_deg"))
-    return jax.tree.map(np.asarray, poses_of_opk(position, omega, phi, kappa, convergence))
+    return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), convergence
+
+
+def _check_degrees(columns: Columns, crs: pyproj.CRS, lon: np.ndarray, lat: np.ndarray) -> None:
+    """Raises `TableError` for what are no degrees, and for a position at zero."""
+    name = columns.called.get("y_m", columns.called.get("lat_deg", ""))
+    beyond = (np.abs(lat) > 90.0) | (np.abs(lon) > 360.0)
+    if np.any(beyond):
+        row = int(np.argmax(beyond))
+        reason = f"({lon[row]:.10g}, {lat[row]:.10g}) are no longitude and latitude in deg, but crs is {crs.name!r}."
+        raise columns.table.wrong(row, name, reason)
+    refuse_nowhere(columns.table, name, lat, lon)
 
 
 @eqx.filter_jit
@@ -297,14 +291,17 @@ def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergen
     return Pose.from_omega_phi_kappa(position, omega, phi, kappa, convergence=convergence)
 
 
-@eqx.filter_jit
-@jax.vmap
-def _to_omega_phi_kappa(pose: Pose, convergence: Any) -> tuple[Any, Any, Any]:
-    return pose.to_omega_phi_kappa(convergence=convergence)
-
-
-def _heading_pitch_roll(pose: Pose) -> tuple[Any, Any, Any]:
-    """The attitude against the ellipsoid's normal."""
-    if pose.deflection is None:
-        return pose.heading, pose.pitch, pose.roll
-    return eqx.filter_jit(jax.vmap(lambda one: heading_pitch_roll_from_R(one.R_ned_from_body)))(pose)
+def _of_program(columns: Columns) -> list[str]:
+    """What was taken for granted of a program's columns."""
+    header = [name.lower() for name in columns.table.header]
+    told = []
+    if "f=n" in header:
+        told.append(
+            "W, P and K are taken as omega, phi and kappa in deg, as MicMac's OriConvert does; where they are pitch, "
+            "roll and yaw, name the columns so."
+        )
+    if {"r11", "r33"} <= set(header):
+        told.append("The rotation matrices beside the angles are not read.")
+    if {"f", "px", "py"} <= set(header):
+        told.append("Focal lengths and distortion in the file are not read: it does not say how large the images are.")
+    return told

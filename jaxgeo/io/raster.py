@@ -10,24 +10,25 @@ import numpy as np
 from rasterio.windows import Window
 
 from jaxgeo.io.errors import DemError
-from jaxgeo.io.paths import Paths, are_all_named, expanded
-from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header, read_tile
-from jaxgeo.io.vertical import horizontal_part, vertical_part, vertical_unit
+from jaxgeo.io.height_units import alike, stated_unit, unit_shown
+from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_tile
+from jaxgeo.io.voids import check_untagged, marked
 from jaxgeo.terrain.pyramid import check_size
-
-_UNITS = {
-    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0,
-    "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
-    "us-ft": 1200 / 3937, "ftus": 1200 / 3937, "us survey foot": 1200 / 3937, "us survey feet": 1200 / 3937,
-}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
 class Mosaic:
-    """Tiles placed on the grid of the first; `offsets` are the (row, col) of each tile's first post on it."""
+    """Tiles placed on the grid of the first; `offsets` are the (row, col) of each tile's first post on it.
+
+    `unit` is m per unit of height; `nodata` are further stored values that mark voids, of which `marks_found` gathers
+    those that a post read so far held.
+    """
 
     tiles: tuple[Tile, ...]
     offsets: tuple[tuple[int, int], ...]
+    unit: float = 1.0
+    nodata: tuple[float, ...] = ()
+    marks_found: set[float] = dataclasses.field(default_factory=set)
 
     @property
     def first(self) -> Tile:
@@ -57,6 +58,14 @@ class Mosaic:
         r0, c0, r1, c1 = self.corners.T
         return int(r0.min()), int(c0.min()), int(r1.max()), int(c1.max())
 
+    def read_as(self, unit: float, nodata: tuple[float, ...]) -> Mosaic:
+        """The same, with m per unit of height and further values for voids."""
+        return dataclasses.replace(self, unit=unit, nodata=nodata, marks_found=set())
+
+    def read(self, window: tuple[int, int, int, int], files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """As `read_window`."""
+        return read_window(self, window, files)
+
     def under(self, window: tuple[int, int, int, int]) -> Iterator[tuple[Tile, int, int]]:
         """The tiles that reach into a window, in their order, with the row and column of their first post there."""
         r0, c0, r1, c1 = window
@@ -69,22 +78,13 @@ class Mosaic:
                 yield self.tiles[index], int(top[index]), int(left[index]) + shifts[which]
 
 
-def open_mosaic(paths: Paths, band: int) -> Mosaic:
-    """Headers of one file or of several tiles on one grid. Raises `FileNotFoundError` or `DemError`."""
-    tiles = tuple(read_header(name, band) for name in expanded(paths))
-    mosaic = Mosaic(tiles, tuple(_offset(tiles[0], tile) for tile in tiles))
-    if not are_all_named(paths):
-        _check_no_two_are_alike(mosaic)
-    return mosaic
-
-
 def read_window(
     mosaic: Mosaic, window: tuple[int, int, int, int], files: OpenFiles | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values as stored, and voids, of (first row, first col, last row + 1, last col + 1) on the mosaic's grid.
+    """Values in the unit that files state, and voids, of a window of the mosaic's grid.
 
-    Where several tiles hold a post, the first that knows it is taken; what none holds is void. `files` are kept open
-    for the next window.
+    `window` is (first row, first col, last row + 1, last col + 1). Where several tiles hold a post, the first that
+    knows it is taken; what none holds is void. `files` are kept open for the next window.
     """
     if files is None:
         with OpenFiles() as files:
@@ -99,7 +99,7 @@ def read_window(
         top, left = max(row, r0), max(col, c0)
         bottom, right = min(row + tile.shape[0], r1), min(col + tile.shape[1], c1)
         inner = Window(left - col, top - row, right - left, bottom - top)  # pyright: ignore[reportCallIssue]
-        part, unknown = read_tile(tile, inner, files)
+        part, unknown = _read_part(mosaic, tile, inner, files)
         here = np.s_[top - r0 : bottom - r0, left - c0 : right - c0]
         take = void[here] & ~unknown
         np.copyto(values[here], part, where=take)
@@ -107,36 +107,21 @@ def read_window(
     return values, void
 
 
-def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None) -> float:
-    """m per unit of a tile's heights: by the caller, the band, the file's vertical CRS or the datum asked for; else 1.
-
-    A horizontal CRS in feet whose heights' unit nobody states is refused, as is a file that contradicts itself.
-    """
-    by_crs = vertical_unit(vertical_part(tile.crs, unnamed=True))
-    if height_unit is not None:
-        return _unit(height_unit, "height_unit")
-    if tile.unit:
-        by_band = _unit(tile.unit, f"{tile.path}: the unit of band {tile.band}")
-        if by_crs is not None and abs(by_band / by_crs - 1.0) > 1e-9:
-            raise DemError(
-                f"{tile.path}: band {tile.band} says that its heights are in {tile.unit!r}, the file's vertical CRS "
-                f"has a unit of {by_crs:g} m. Say which holds with height_unit=."
-            )
-        return by_band
-    if by_crs is not None:
-        return by_crs
-    if by_datum is not None and by_datum != 1.0:  # a datum in metres says nothing of a map in feet
-        return by_datum
-    axis = horizontal_part(tile.crs).axis_info[0]
-    if not tile.is_geographic and axis.unit_conversion_factor != 1.0:
-        raise DemError(
-            f"{tile.path}: the map is in {axis.unit_name} and nothing says whether the heights are too. "
-            f'Pass height_unit="m", "ft" or "us-ft".'
-        )
-    return 1.0
+def _read_part(mosaic: Mosaic, tile: Tile, inner: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
+    """Values with scale and offset applied, and voids, of a window of one tile."""
+    part, unknown = read_tile(tile, inner, files)
+    for mark in mosaic.nodata:
+        here = marked(part, mark)
+        if here.any():
+            mosaic.marks_found.add(mark)
+            unknown |= here
+    check_untagged(tile, part, unknown, (int(inner.row_off), int(inner.col_off)), mosaic.unit)
+    if (tile.scale, tile.offset) != (1.0, 0.0):
+        part = part.astype(np.float64) * tile.scale + tile.offset
+    return part, unknown
 
 
-def _check_no_two_are_alike(mosaic: Mosaic) -> None:
+def check_no_two_are_alike(mosaic: Mosaic) -> None:
     """Refuse two files over the same posts where nobody named them: one may hold something else than heights."""
     seen: dict[tuple[int, ...], Tile] = {}
     for tile, corners in zip(mosaic.tiles, map(tuple, mosaic.corners), strict=True):
@@ -148,7 +133,7 @@ def _check_no_two_are_alike(mosaic: Mosaic) -> None:
         seen[corners] = tile
 
 
-def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
+def offset_on(first: Tile, tile: Tile) -> tuple[int, int]:
     """(row, col) of a tile's first post on the grid of the first tile. Raises `DemError` if it is not on that grid."""
     if tile is first:
         return 0, 0
@@ -157,11 +142,14 @@ def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
             f"{tile.path}: its CRS is {tile.crs.name!r}, that of {first.path} is {first.crs.name!r}; tiles must share "
             f"one grid (they are not resampled). Read them apart, or warp them to one grid first."
         )
-    if tile.unit != first.unit:
-        raise DemError(f"{tile.path}: its heights are in {tile.unit!r}, those of {first.path} in {first.unit!r}.")
+    if not alike(_unit_or_metre(tile), _unit_or_metre(first)):
+        raise DemError(
+            f"{tile.path}: its heights are in {unit_shown(stated_unit(tile))}, those of {first.path} in "
+            f"{unit_shown(stated_unit(first))}. Convert them to one unit first (gdal_calc), or read them apart."
+        )
     steps, others = np.array(first.affine[:6]).reshape(2, 3), np.array(tile.affine[:6]).reshape(2, 3)
     drift = np.linalg.solve(steps[:, :2], others[:, :2] - steps[:, :2]) * max(tile.shape)
-    if np.abs(drift).max() > MISALIGNED:
+    if not np.abs(drift).max() <= MISALIGNED:
         raise DemError(
             f"{tile.path}: its posts are spaced {_spacing(tile)}, those of {first.path} {_spacing(first)}; tiles must "
             f"share one grid (they are not resampled). Read them apart, or warp them to one grid first."
@@ -169,7 +157,7 @@ def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
     col, row = np.linalg.solve(steps[:, :2], others[:, 2] - steps[:, 2])
     if first.cols_per_turn is not None:
         col -= first.cols_per_turn * np.round((col + (tile.shape[1] - first.shape[1]) / 2.0) / first.cols_per_turn)
-    if max(abs(row - round(row)), abs(col - round(col))) > MISALIGNED:
+    if not max(abs(row - np.round(row)), abs(col - np.round(col))) <= MISALIGNED:
         raise DemError(
             f"{tile.path}: its first post falls at row {row:.3f}, column {col:.3f} of the grid of {first.path}; tiles "
             f"must share one grid (they are not resampled). Read them apart, or warp them to one grid first."
@@ -177,13 +165,10 @@ def _offset(first: Tile, tile: Tile) -> tuple[int, int]:
     return round(row), round(col)
 
 
-def _unit(name: str, whose: str) -> float:
-    try:
-        return _UNITS[name.strip().lower()]
-    except KeyError:
-        raise DemError(
-            f'{whose} is {name!r}, no known unit of height; pass height_unit="m", "ft" or "us-ft".'
-        ) from None
+def _unit_or_metre(tile: Tile) -> float | str | None:
+    """The unit that a tile states; the metre where it states none, unless its map is in another unit."""
+    stated = stated_unit(tile)
+    return 1.0 if stated is None and (tile.is_geographic or tile.map_unit == 1.0) else stated
 
 
 def _spacing(tile: Tile) -> str:

@@ -5,10 +5,12 @@ The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import pathlib
+import threading
 import tomllib
 from typing import Any
 
@@ -20,25 +22,33 @@ from pydantic import ValidationError
 from pyproj.exceptions import CRSError
 
 from jaxgeo._checks import require_x64
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._schema import AirTable, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
-from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
+from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
-from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
+from jaxgeo.io.vertical import LARGEST_UNDULATION, HeightShift, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
+MOST_LINES = 20  # mistakes of a file that are told
 _Numbers = np.ndarray | list[float]
 
 
-class SceneError(ValueError):
-    """A scene file that cannot be read; the message names the file and every key that is wrong."""
+class SceneError(RefusedFile):
+    """A scene file that cannot be read; the message names the file and every key that is wrong, a line for each."""
+
+    def __init__(self, message: str = "") -> None:
+        lines = str(message).split("\n")
+        more = [f"... and {len(lines) - MOST_LINES} more mistakes."] if len(lines) > MOST_LINES else []
+        super().__init__("")
+        self.args = ("\n".join([*map(one_line, lines[:MOST_LINES]), *more]),)
 
 
-class Scene(eqx.Module):
+class Scene(Record):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
     `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
@@ -83,22 +93,47 @@ def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
     return scene.sensor, scene.shot
 
 
-def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
-    """(what the file holds as written, the same checked); a byte order mark is skipped."""
+def read_camera(path: str | os.PathLike[str]) -> FrameCamera:
+    """The camera of a scene file, or of a file that has nothing but the table [camera].
+
+    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    64-bit floats off.
+    """
+    require_x64()
+    content = _read_toml(pathlib.Path(path))
+    if "camera" not in content:
+        raise SceneError(
+            f"{path}: [camera] is missing; it has width, height and focal_px, or focal_length_mm and more."
+        )
     try:
-        content: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return _camera(CameraFile.model_validate(content).camera)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from error
+
+
+def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
+    """(what the file holds as written, the same checked)."""
+    content = _read_toml(path)
+    try:
+        return content, SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
+
+
+def _read_toml(path: pathlib.Path) -> dict[str, Any]:
+    """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such scene file.") from None
     except IsADirectoryError:
         raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
     except OSError as error:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # tomllib's own, of UTF-8, of numbers too long, of lists too deep
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
-    try:
-        return content, SceneTable.model_validate(content)
-    except ValidationError as error:
-        raise SceneError("\n".join(f"{path}: {line}" for line in explain(error, content))) from None
 
 
 def _check_datum(table: str, datum: str | float, written: Any) -> None:
@@ -192,7 +227,7 @@ def _air(table: AirTable, pose: PoseTable | None) -> Atmosphere:
 def _pose(table: PoseTable) -> Pose:
     try:
         height = ellipsoidal_heights([table.lon_deg], [table.lat_deg], [table.height_m], table.height_datum)[0]
-    except ValueError as error:
+    except (OutsideDatum, VerticalDatumError) as error:
         raise ValueError(f"[pose] {error}") from error
     position = Geodetic.from_degrees(lat=table.lat_deg, lon=table.lon_deg, height=height)
     if table.map_crs is None:
@@ -208,27 +243,39 @@ def _radians(*angles_deg: float | None) -> list[float]:
 
 
 def ellipsoidal_heights(
-    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float, stated: pyproj.CRS | None = None
+    lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float | None, stated: pyproj.CRS | None = None
 ) -> np.ndarray:
     """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
 
     `stated` is the vertical CRS of the file that the heights are from, if it names one: the datum must agree with it,
     and where its heights are depths, so are these. NaN stays NaN.
-    Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and `ValueError` where the
-    datum's grid does not reach.
+    Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
+    `OutsideDatum`, a `ValueError`, where the datum's grid does not reach.
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
-    shift = height_shift(datum, stated)
+    shift = height_shift(datum, stated) if stated is not None or datum is None else _shift(datum)
     result = np.full(height.shape, np.nan)
     if known.any():
         result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])
     lost = known & ~np.isfinite(result)
     if lost.any():
-        raise ValueError(
+        raise OutsideDatum(
             f"height_datum = {datum!r} is not defined at {lat[lost][0]:.6f} deg, {lon[lost][0]:.6f} deg (lat, lon)."
         )
     return result
+
+
+def _shift(datum: str | float) -> HeightShift:
+    """The shift of a datum; of one that is no file it is found once, which takes PROJ longer than many points."""
+    if isinstance(datum, str) and not os.path.exists(datum):
+        return _shift_of(datum, threading.get_ident())  # a transformer belongs to its thread
+    return height_shift(datum)
+
+
+@functools.lru_cache(maxsize=8)
+def _shift_of(datum: str, thread: int) -> HeightShift:
+    return height_shift(datum)
 
 
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:

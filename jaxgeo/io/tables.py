@@ -15,6 +15,7 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
+from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.status import Status
@@ -89,14 +90,22 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels:
     """One shot and pixel for each row of a CSV file; `readings` are the gimbal's names (columns `gimbal_<name>_deg`).
 
     Without `pixels`, of whole images, columns `u` and `v` need not be there, and names of columns are not reserved for
-    fixes. Other columns are carried through. A number written as `nan` is taken as unknown: its fix is `invalid_input`.
-    Raises `TableError` for a missing or doubled column, a row of another length, and a cell that is no number or out of
-    range, another separator than the comma, and a file that cannot be opened; `FileNotFoundError`.
+    fixes. Other columns are carried through. What is not known (`nan`, an empty cell, -9999, latitude and longitude
+    both zero) is NaN, in `rows` "nan": its fix is `invalid_input`. Raises `TableError` for a missing or doubled column,
+    a row of another length, and a cell that is no number or out of range, and a file that cannot be opened;
+    `FileNotFoundError`.
     """
     wanted = number_columns(readings, pixels=pixels)
     table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS if pixels else ())
     numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
-    return ShotTable(numbers, table.rows)
+    nowhere = (numbers["lat_deg"] == 0.0) & (numbers["lon_deg"] == 0.0)  # as GPS without a position is written
+    for name in ("lat_deg", "lon_deg"):
+        numbers[name] = np.where(nowhere, np.nan, numbers[name])
+    rows = table.rows
+    for name, values in numbers.items():
+        for i in np.flatnonzero(np.isnan(values)):
+            rows[i][name] = "nan"
+    return ShotTable(numbers, rows)
 
 
 def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
@@ -104,7 +113,7 @@ def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
 
     `height_msl` are heights above mean sea level in m, if known.
     """
-    lat, lon, height = (np.asarray(x) for x in fix.position.to_degrees())
+    lat, lon, height = degrees_of(fix.position)
     angles = [np.rad2deg(x) for x in (fix.incidence_ellipsoid, fix.incidence_surface, fix.slope)]
     unknown = np.full(height.shape, np.nan)
     columns = [lat, lon, height, unknown if height_msl is None else height_msl, np.asarray(fix.slant_range), *angles]

@@ -12,17 +12,20 @@ import numpy as np
 import pyproj
 import rasterio
 from pyproj.exceptions import CRSError
-from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.enums import ColorInterp, MaskFlags
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
-from jaxgeo.io.vrt import checked_sources
+from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
+from jaxgeo.io.vrt_facts import inherit
 
 MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
+MOST_PER_TURN = 2**31  # columns in 360 degrees; a spacing of less than 2 cm in longitude goes round nowhere
 MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
 _NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
 
@@ -43,6 +46,12 @@ class Tile:
     unit: str | None
     sources: tuple[str, ...] = ()
     """The files that a VRT is put together from."""
+    nodata: float | None = None
+    has_mask: bool = False
+    marks: tuple[float, ...] = ()
+    """Stored values that mark voids beside `nodata`: those of a VRT's sources."""
+    datum_field: str | None = None
+    """What a DTED file has in its field of the vertical datum."""
 
     @functools.cached_property
     def is_geographic(self) -> bool:
@@ -50,13 +59,18 @@ class Tile:
         return horizontal_part(self.crs).is_geographic
 
     @functools.cached_property
+    def map_unit(self) -> float:
+        """m, or rad, per unit of the map coordinates."""
+        return horizontal_part(self.crs).axis_info[0].unit_conversion_factor
+
+    @functools.cached_property
     def cols_per_turn(self) -> int | None:
         """Columns in 360 degrees of longitude, where that is a whole number of them."""
         if not self.is_geographic or self.affine.a == 0.0 or self.affine.b or self.affine.d:
             return None
-        turn = 2.0 * np.pi / horizontal_part(self.crs).axis_info[0].unit_conversion_factor
+        turn = 2.0 * np.pi / self.map_unit
         cols = abs(turn / self.affine.a)
-        return round(cols) if abs(cols - round(cols)) < MISALIGNED else None
+        return round(cols) if cols < MOST_PER_TURN and abs(cols - round(cols)) < MISALIGNED else None
 
 
 class OpenFiles:
@@ -96,44 +110,39 @@ def stamp_of(path: str) -> tuple[int, int] | None:
 
 
 def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
-    """Values with scale and offset applied, and voids, of a window of one file. Raises `DemError` if it is damaged."""
+    """Values as stored, without scale and offset, and voids, of a window of one file. Raises `DemError` if damaged."""
     data = files[tile.path]
-    try:
+    with refused_as(DemError, tile.path, f"rows {window.row_off} to {window.row_off + window.height}"):
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
         if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
             unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
-    except RasterioIOError as error:
-        raise DemError(
-            f"{tile.path}: rows {window.row_off} to {window.row_off + window.height} cannot be read; the file is "
-            f"damaged or cut short: {error.__cause__ or error}"
-        ) from error
+    for mark in tile.marks:
+        unknown |= values == mark
     if values.dtype.kind == "f":
         unknown |= ~np.isfinite(values)
-        values = np.where(unknown, 0.0, values).astype(values.dtype)
-    if (tile.scale, tile.offset) != (1.0, 0.0):
-        values = values.astype(np.float64) * tile.scale + tile.offset
+        values = np.where(unknown & ~np.isfinite(values), 0.0, values).astype(values.dtype)
     return values, unknown
 
 
 def _opened(path: str) -> rasterio.DatasetReader:
     """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
-    is_plain = "://" not in path and not path.startswith("/vsi") and ":" not in path[2:]
-    if is_plain and not pathlib.Path(path).exists():
+    if is_local(path) and not pathlib.Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file.")
     with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
         try:
             return rasterio.open(path)
-        except RasterioError as error:
+        except GDAL_ERRORS as error:
             raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
 
 
 @functools.lru_cache(maxsize=65_536)
 def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
     del stamp  # part of the key only: another time or size is another file
-    with _opened(path) as data:
+    with _opened(path) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
-            raise DemError(f"{path}: there is no band {band}; the file has {data.count}.")
+            known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
+            raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
         _check_holds_heights(path, data, band)
         _check_georeferenced(path, data)
         if data.crs is None:
@@ -141,7 +150,7 @@ def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
                 f"{path}: the file names no coordinate reference system, so nobody knows where it lies. "
                 f"Write one into it, e.g. gdal_edit -a_srs EPSG:4326 {path}."
             )
-        return Tile(
+        tile = Tile(
             path=path,
             band=band,
             driver=data.driver,
@@ -152,8 +161,30 @@ def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
             scale=data.scales[band - 1],
             offset=data.offsets[band - 1],
             unit=data.units[band - 1] or None,
-            sources=checked_sources(path, band) if data.driver == "VRT" else (),
+            nodata=data.nodatavals[band - 1],
+            has_mask=_has_mask(data, band),
+            datum_field=data.tags().get("DTED_VerticalDatum", "").strip() or None,
         )
+        xml = data.tags(ns="xml:VRT").get("xml:VRT", "") if data.driver == "VRT" else ""
+    return _with_sources(tile, xml) if xml else tile
+
+
+def _with_sources(tile: Tile, xml: str) -> Tile:
+    """The header of a VRT with what its sources state. Raises `DemError` where they are not on its grid or differ."""
+    vrt = read_vrt(tile.path, xml, tile.band)
+    if vrt is None:
+        return tile
+    check_files_exist(tile.path, vrt)
+    headers = [read_header(source.file, source.band) for source in vrt.sources]
+    for source, header in zip(vrt.sources, headers, strict=True):
+        check_on_grid(tile.path, vrt, source, header.shape)
+    behind = [file for header in headers for file in (header.path, *header.sources) if is_local(file)]
+    return inherit(dataclasses.replace(tile, sources=tuple(dict.fromkeys(behind))), vrt, headers)
+
+
+def _has_mask(data: rasterio.DatasetReader, band: int) -> bool:
+    flags = data.mask_flag_enums[band - 1]
+    return MaskFlags.per_dataset in flags or ColorInterp.alpha in data.colorinterp
 
 
 def _centred(corner: Affine) -> Affine:
@@ -165,7 +196,7 @@ def _centred(corner: Affine) -> Affine:
 def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
     try:
         crs = _crs_of(data.crs.to_wkt())
-    except (CRSError, RasterioError) as error:
+    except (CRSError, *GDAL_ERRORS) as error:
         raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
     flat = horizontal_part(crs)
     if not (flat.is_geographic or flat.is_projected):

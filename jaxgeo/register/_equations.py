@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Scalar, StatusCode, Vector3
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
@@ -41,7 +41,7 @@ Unknowns = Float[Array, " unknowns"]
 Square = Float[Array, "unknowns unknowns"]
 
 
-class Problem(eqx.Module):
+class Problem(Record):
     """The navigation's look with its errors, the ties with theirs, and what was known before."""
 
     look: Look

@@ -5,9 +5,10 @@ from __future__ import annotations
 import enum
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
+
+from jaxgeo._record import Record
 
 SIZE = 300  # cells: Gu and Qiao (2017), section 2.2
 
@@ -38,7 +39,7 @@ _MESSAGES = {
 }
 
 
-class Matches(eqx.Module):
+class Matches(Record):
     """Where blocks of a rectified image may lie in the reference: up to `peaks` candidates each, the best first.
 
     Places are (row, col) in cells of the grid that both images share. `centre` (n, 2) is the mean place of a block's

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Float32, Int8
 
 from jaxgeo._numerics import dot, safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, Vector3
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import sight_along, visibility
@@ -27,7 +28,7 @@ DIRECTIONS = 64  # about the centre of a lens, in which its field is looked at
 Field = Float[Array, "*shape"]
 
 
-class View(eqx.Module):
+class View(Record):
     """All that the image of a place on the ground depends on."""
 
     sensor: Sensor

@@ -9,10 +9,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo.register.blocks import Matches
 
 
-class Chosen(eqx.Module):
+class Chosen(Record):
     """Which candidate of each block was chosen, and what it takes to say how far that could be chance.
 
     `peak` (n,) is the index of the candidate, -1 for none. `area` (n,) in cells2 is that of the part of the reference
@@ -42,7 +43,7 @@ class Chosen(eqx.Module):
         return np.where(chosen, values[rows, np.maximum(self.peak, 0)], np.nan)
 
 
-class AbstractChoice(eqx.Module):
+class AbstractChoice(Record):
     """A way of choosing candidates that agree."""
 
     @abc.abstractmethod

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Num
 
 from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 
 LEAST = 1e-9  # weight below which a pixel has no part in a value
@@ -23,7 +24,7 @@ ROWS_AT_ONCE = 512
 WORDS = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}  # by their bits
 
 
-class AbstractInterpolation(eqx.Module):
+class AbstractInterpolation(Record):
     """Weights of the pixels about a place, along rows and columns alike."""
 
     taps: ClassVar[tuple[int, ...]]
@@ -82,7 +83,7 @@ def precision_of(values: Num[Array, "..."]) -> Any:
     return jnp.float64 if values.dtype.itemsize > 2 and values.dtype != jnp.float32 else jnp.float32
 
 
-class Pixels(eqx.Module):
+class Pixels(Record):
     """The pixels of an image (bands, rows, cols), laid out so that those about a place are quick to take.
 
     Two to four bands of bytes can share a word: eight bits for each, or sixteen where they are means, with their 256th

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num
 
+from jaxgeo._record import Record
 from jaxgeo.terrain.grid import AbstractGrid
 
 
-class Orthoimage(eqx.Module):
+class Orthoimage(Record):
     """Bands of an image over a grid on the ground: an orthophoto, or an image that was rectified.
 
     `values` (bands, rows, cols) of any real dtype; `known` (rows, cols) is where there is an image at all; `grid` maps

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import numpy as np
 
+from jaxgeo._record import Record
 from jaxgeo.register.blocks import BlockOutcome, Matches, blocks_of, count_outcomes
 from jaxgeo.register.chance import false_alarms, runner_up
 from jaxgeo.register.choice import Chosen
@@ -23,7 +23,7 @@ AT_FIRST, LATER = 3.0, 1.0
 MOSTLY = 0.6  # of the blocks
 
 
-class Pass(eqx.Module):
+class Pass(Record):
     """What a pass did. `cell` is the side of a cell in m, `block` that of a block in cells. `offered` blocks could be
     matched, `agreeing` were chosen, `rival` is how many agree on something else, `false_alarms` how often chance would
     do as well. `shifts` are those of the blocks' middles; `searched` cells were compared in all."""

@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_enu
 from jaxgeo.fix import Fix
 from jaxgeo.locate import locate
@@ -63,7 +64,7 @@ def places_of_blocks(
     return BlockPlaces(uv, Geodetic(lat=lat, lon=lon, height=height), tie, on_ground)
 
 
-class _Scene(eqx.Module):
+class _Scene(Record):
     """What looks at what."""
 
     sensor: Sensor

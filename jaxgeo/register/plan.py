@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
+from jaxgeo._record import Record
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.comparison import AbstractComparison
 from jaxgeo.register.images import Images, Stopped
@@ -40,7 +41,7 @@ class Search(NamedTuple):
     block: int
 
 
-class Plan(eqx.Module):
+class Plan(Record):
     """A pass: how image and reference are compared, and where; blocks of `block` cells. `is_last` where nothing finer
     comes."""
 

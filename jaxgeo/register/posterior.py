@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
 from jaxgeo._checks import concrete
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flags, Numbers, ScalarField, StatusField
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
@@ -26,7 +26,7 @@ from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
 from jaxgeo.uncertainty.sources.base import AbstractSource
 
 
-class Update(eqx.Module):
+class Update(Record):
     """Sensor, shot and terrain as ties have corrected them, and the covariance of what is left of their errors.
 
     `sensor`, `shot` (or trajectory, with the image's `time` in s), `terrain` and `atmosphere` are the corrected ones.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_finite, check_is
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.uncertainty.model import ErrorModel
@@ -19,7 +19,7 @@ SHIFT = ("shift: east", "shift: north")
 NOTHING = 1e-14  # of the largest eigenvalue of a correlation: less is rounding
 
 
-class Prior(eqx.Module):
+class Prior(Record):
     """A normal distribution of the unknowns: the axes of an error model, and the map's shift to the east and north, m.
 
     `mean` (unknowns,) is about the navigation's own look; `covariance` (unknowns, unknowns) may be singular.

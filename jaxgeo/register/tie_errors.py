@@ -5,12 +5,12 @@ from __future__ import annotations
 import abc
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_is, check_range, concrete
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.register.ties import PaddedTies, TiePoints
@@ -24,7 +24,7 @@ Pixels = Float[Array, "ties 2"]
 Weights = Float[Array, " ties"]
 
 
-class TieErrors(eqx.Module):
+class TieErrors(Record):
     """Standard deviations in m of what errs in the reference and the terrain, beside the covariance of each match.
 
     `registration` errs anew at each tie, along east and north alike; `terrain` is the height of the elevation model,
@@ -39,7 +39,7 @@ class TieErrors(eqx.Module):
     terrain_field: TerrainField | None = None
 
 
-class AbstractTiePropagation(eqx.Module):
+class AbstractTiePropagation(Record):
     """How an error of a tie's place on the map becomes one in the image."""
 
     @abc.abstractmethod
@@ -70,7 +70,7 @@ class LevelGround(AbstractTiePropagation):
         return by_enu[:, :, :2]
 
 
-class AbstractWhitener(eqx.Module):
+class AbstractWhitener(Record):
     """Rows of ties divided by a root of the covariance of their errors."""
 
     @abc.abstractmethod
@@ -96,7 +96,7 @@ class Alike(AbstractWhitener):
         return jax.scipy.linalg.solve_triangular(self.lower, rows.reshape(-1, rows.shape[2]), lower=True)
 
 
-class Sensitivity(eqx.Module):
+class Sensitivity(Record):
     """Derivatives of the ties' pixels by the place on the map (east, north) and by the height, px/m; where they lie."""
 
     by_place: Blocks

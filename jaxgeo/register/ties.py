@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Num
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, check_range, concrete
+from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, ScalarField
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 
@@ -24,7 +24,7 @@ else:
 SIZES = (32, 128, 512, 2048, 4096)  # ties are padded to one of these, so that another number compiles nothing anew
 
 
-class TiePoints(eqx.Module):
+class TiePoints(Record):
     """Pixels `uv` (n, 2) of an image, and the places where a reference shows the same, by latitude and longitude.
 
     `covariance` (n, 2, 2) in m2 of east, north is that of each match on the map, independent from tie to tie;

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_range
 from jaxgeo._numerics import all_finite, product, safe_norm, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Matrix3, Pixel, Scalar, StatusCode, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
@@ -23,7 +24,7 @@ from jaxgeo.sensor.sensor import Sensor, Sight
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
 
-class LineOfSight(eqx.Module):
+class LineOfSight(Record):
     """A direction to look in: `ned`, a vector north-east-down at the position of the pose, of any length."""
 
     ned: Vector3Field

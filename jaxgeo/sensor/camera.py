@@ -15,6 +15,7 @@ from jaxtyping import Array, Int8, Num
 
 from jaxgeo._checks import as_float64, check_finite, concrete
 from jaxgeo._numerics import safe_angle, safe_norm
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
 from jaxgeo._typing import Numbers as CrowdNumbers
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
@@ -32,7 +33,7 @@ else:
     Vector3Like: TypeAlias = Num[ArrayLike, "3"]
 
 
-class AbstractCamera(eqx.Module):
+class AbstractCamera(Record):
     """Two functions that invert each other: pixel to ray, point to pixel; and when a pixel is exposed.
 
     The camera frame is (right, down, forward); `uv` is (column, row), with pixel centres at integers.

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
 from jaxgeo._numerics import product
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
 
@@ -35,7 +36,7 @@ _TURNS = {"x": about_x, "y": about_y, "z": about_z}
 _RIGHT_ANGLE = math.pi / 2.0
 
 
-class Gimbal(eqx.Module):
+class Gimbal(Record):
     """Axes in named order, from the base to the head; each turns what follows it.
 
     Axis angle = sign * gain * (reading - offset), in rad; R_base_from_head = R_first(angle) R_second(angle) ...

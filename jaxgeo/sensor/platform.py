@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_range
 from jaxgeo._numerics import product, safe_norm
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, Rx, Ry, Rz, heading_pitch_roll_from_R
@@ -26,7 +27,7 @@ R_HEAD_FROM_CAMERA_LI_2023 = np.diag([-1.0, -1.0, 1.0])
 R_IMAGE_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
 
-class Mount(eqx.Module):
+class Mount(Record):
     """How gimbal and camera sit on the platform: two rotations and two lever arms in m.
 
     `lever_body` runs from the IMU (the position of the pose) to the gimbal's centre, in body axes;
@@ -73,7 +74,7 @@ def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, 
     return R_from_heading_pitch_roll(jnp.deg2rad(heading), jnp.deg2rad(pitch), jnp.deg2rad(roll))
 
 
-class Deflection(eqx.Module):
+class Deflection(Record):
     """Deflection of the vertical: the plumb line's zenith lies `xi` rad north and `eta` rad east of the ellipsoid's.
 
     xi is astronomic less geodetic latitude, eta that of the longitudes times the cosine of latitude. An inertial system
@@ -102,7 +103,7 @@ class Deflection(eqx.Module):
         return R_from_rotation_vector(jnp.stack([eta, -xi, jnp.zeros_like(xi)]))
 
 
-class Pose(eqx.Module):
+class Pose(Record):
     """Position of the IMU and attitude of the body (forward, right, down); angles in rad, heading from true north.
 
     R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): nose to the right, nose up, right wing down are positive. With a
@@ -205,7 +206,7 @@ class Pose(eqx.Module):
 _READINGS = partial(as_array, name="gimbal_readings")
 
 
-class Shot(eqx.Module):
+class Shot(Record):
     """One exposure: where the platform was, what its gimbal read (rad, in the order of its axes), when (s)."""
 
     pose: Pose

@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import all_finite, finite_or, product, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
@@ -36,7 +37,7 @@ class Sight(NamedTuple):
         return turned(self.R_ecef_from_camera.T, seeming - self.centre)
 
 
-class Sensor(eqx.Module):
+class Sensor(Record):
     """A camera, the gimbal that turns it, and how both are mounted; what stays the same from shot to shot."""
 
     camera: AbstractCamera

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
 from jaxgeo._numerics import product, tree_where, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
@@ -26,7 +26,7 @@ STEADY_LEGS = 8
 LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond, nobody can tell which way the body turned
 
 
-class Trajectory(eqx.Module):
+class Trajectory(Record):
     """Poses and gimbal readings at `times` (knots, in s), and between them.
 
     Make one with `Trajectory.from_knots`. Position is a cubic in ECEF between two knots, with the knots' velocities;

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain import Dem
@@ -15,7 +15,7 @@ SAG = 1.0 / (8.0 * 6.3e6)  # 1/m: what a straight line falls below the middle of
 FINEST = 24  # dyadic levels at most
 
 
-class _Walk(eqx.Module):
+class _Walk(Record):
     position: Index
     level: Index
     bounds: Index

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.earth.ray import Ray
@@ -19,7 +20,7 @@ CENTRE = Geodetic(lat=math.radians(29.4), lon=math.radians(88.9), height=0.0)  #
 ALTITUDE = 15_409.0  # m, of their aircraft
 
 
-class Scene(eqx.Module):
+class Scene(Record):
     """A terrain and a batch of rays over it, with what they were made from: rms slope and depression in rad."""
 
     name: str = eqx.field(static=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -13,6 +12,7 @@ from jaxtyping import Num
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import dot
+from jaxgeo._record import Record
 from jaxgeo._typing import Index, PixelField, Scalar, ScalarField
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ else:
 Bounds: TypeAlias = tuple[Scalar, Scalar]
 
 
-class AbstractField(eqx.Module):
+class AbstractField(Record):
     """Heights in m to be added to the posts of a terrain (`Dem.with_field`), and between what bounds they lie."""
 
     @abstractmethod

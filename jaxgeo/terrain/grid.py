@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, Num
 from jaxgeo._checks import as_float64, require_x64
 from jaxgeo._elementary import arctangent
 from jaxgeo._numerics import safe_sqrt, times
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.earth.projection import TransverseMercator
@@ -34,7 +35,7 @@ _EDGE = 2.0  # a fitted map is trusted to twice the half width of the area it wa
 _HORIZON = 0.05  # cosine of the angle from a tangent frame's centre beyond which its plane coordinates stop growing
 
 
-class AbstractGrid(eqx.Module):
+class AbstractGrid(Record):
     """A map between positions and (row, col), smooth over its own area and its neighbourhood."""
 
     rowcol0: eqx.AbstractVar[Pair]

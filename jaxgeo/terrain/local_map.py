@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._numerics import dot
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.track import Quartic, Track
@@ -46,7 +46,7 @@ class Line(NamedTuple):
         return self.second, self.third
 
 
-class LocalMap(eqx.Module):
+class LocalMap(Record):
     """Row, column and height within a box as polynomials of the third degree of the place in it.
 
     `middle` in ECEF m, `axes` (3, 3) unit vectors by row, `half` the box's half lengths in m; `error` in m bounds what

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import equinox as eqx
-
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField
 
 
-class Patch(eqx.Module):
+class Patch(Record):
     """The bilinear surface through a cell's four posts, heights in m; `first`, then the next in col, in row, in both.
 
     Offsets are in cells from the first post, and may lie beyond the cell.

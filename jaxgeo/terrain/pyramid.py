@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, UInt16
 
 from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, ScalarField
 from jaxgeo.terrain._memory import aligned_empty, handed_over
 
@@ -20,7 +21,7 @@ FINEST_STEP = 1e-7  # m, for level ground
 ROWS_AT_ONCE = 64  # so that building takes little memory beside the posts
 
 
-class Pyramid(eqx.Module):
+class Pyramid(Record):
     """Maxima over 2 x 2 neighbouring texels of 2^level x 2^level cells, all levels in one flat array.
 
     A box no wider than 2^level cells on either axis touches at most the texel of its lower corner and the next one

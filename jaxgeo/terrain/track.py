@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
@@ -18,7 +18,7 @@ COEFFICIENTS = 5  # of a quartic
 _DROPPED = 16.0 / (25.0 * 5.0**0.5)  # largest |tau (tau^2 - 1)^2| on [-1, 1]
 
 
-class Quartic(eqx.Module):
+class Quartic(Record):
     """A polynomial of degree four in tau, by its coefficients; each of them one number, or one per ray."""
 
     c0: ScalarField
@@ -48,7 +48,7 @@ class Quartic(eqx.Module):
         return 0.25 * abs(self.c2) + 0.75 * abs(self.c3) + 1.5 * abs(self.c4)
 
 
-class Track(eqx.Module):
+class Track(Record):
     """(row, col, height) along a stretch of a ray, as polynomials of tau in [-1, 1].
 
     `middle` and `half` are the range in m at tau = 0 and half the length; `error` bounds, in m, what the polynomials

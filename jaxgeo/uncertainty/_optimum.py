@@ -14,13 +14,14 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 from jaxtyping import Bool, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.uncertainty.budget import Linear, Sigmas, error_and_slopes
 
 MOST_STEPS = 500
 
 
-class Problem(eqx.Module):
+class Problem(Record):
     """Cost and circular error by the logarithms of the factors on today's sigmas; those that are zero stay so."""
 
     linear: Linear

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from numbers import Integral
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._doors import check_latitude, observation
+from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, PixelField, ScalarField, StatusField
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT
@@ -47,7 +47,7 @@ SAMPLES = 2000  # a place, whose figures then are good to some 3 %
 RANDOM = Random()
 
 
-class AccuracyMap(eqx.Module):
+class AccuracyMap(Record):
     """How sure the fixes of many places are; all arrays have the shape of what was asked for.
 
     `circular`, `linear` and `spherical` are radii in m that hold the truth with a `probability`, by the method that

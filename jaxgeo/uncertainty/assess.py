@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -25,7 +26,7 @@ from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
 NO_FIX = -1  # in place of a `Trust`, where there is no fix to trust
 
 
-class Assessment(eqx.Module):
+class Assessment(Record):
     """How sure a fix is, as far as that can be told without a sample: radii in m that hold the truth.
 
     `circular` on the level plane, `linear` in height, `spherical` in space, by the linear propagation that `trust`

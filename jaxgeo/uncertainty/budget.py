@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import check_is
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.status import Status
 from jaxgeo.uncertainty.linear import Propagation
@@ -62,7 +63,7 @@ class SourceShare(NamedTuple):
     sigmas: tuple[SigmaShare, ...]
 
 
-class Budget(eqx.Module):
+class Budget(Record):
     """The error budget of one look, by linear propagation; print it for a table.
 
     `total` is the variance of the fix, to which `shares()` add up; `circular_error` in m the one at `probability`. With
@@ -128,7 +129,7 @@ class _Row(NamedTuple):
     order: tuple[float, float, int]
 
 
-class Linear(eqx.Module):
+class Linear(Record):
     """The covariance of a fix as a function of the standard deviations of all its errors."""
 
     jacobian: Float[Array, "3 axes"]

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
@@ -42,7 +43,7 @@ class Row(NamedTuple):
         return all(one == "valid" for one in self.validity)
 
 
-class Comparison(eqx.Module):
+class Comparison(Record):
     """What each method says of one fix; `str()` of it is a table with the verdict.
 
     A figure is valid if it lies within half a unit of the last of `digits` significant digits of the sampled one
@@ -136,7 +137,7 @@ def compare(
         validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
         rows.append(Row(name, values, validity))
     beyond = np.zeros(drawn.count, bool)
-    if profile is not None and drawn.errors_enu is not None:
+    if drawn.errors_enu is not None:
         ahead = np.asarray(aim.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
         beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))

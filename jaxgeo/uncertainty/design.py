@@ -7,11 +7,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, check_finite
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain
@@ -27,7 +27,7 @@ AT_BOUND = 1e-7  # of log sigma, within which a sigma is at its bound
 KEPT = 1e-6  # of the cost, by which an optimum may break the conditions of Karush, Kuhn and Tucker
 
 
-class InverseCost(eqx.Module):
+class InverseCost(Record):
     """The cost of each sigma is `weights` (one, or one for each) times today's sigma over it: half of it costs double.
 
     A sigma that is zero today costs nothing.
@@ -52,7 +52,7 @@ class Outcome(enum.Enum):
     not_converged = "The optimisation did not converge: these sigmas may not be the cheapest, or miss the target."
 
 
-class Design(eqx.Module):
+class Design(Record):
     """The cheapest standard deviations, and how sure a fix is with them.
 
     `sigmas` in rad, m, px, s, ... under `names`, `model` the errors with them, `cost` theirs, `equal_cost` that of

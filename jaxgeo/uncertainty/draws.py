@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, UInt32
 
 from jaxgeo._checks import concrete, require_x64
 from jaxgeo._elementary import logarithm
+from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, Numbers
 from jaxgeo.uncertainty import sobol
 
@@ -26,7 +27,7 @@ OWN = 0x6A617867  # folded into a key, so that nobody else draws these numbers w
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
-class AbstractDraws(eqx.Module):
+class AbstractDraws(Record):
     """Where the standard normal vectors of a sampling come from."""
 
     def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:

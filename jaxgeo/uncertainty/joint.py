@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.earth.ellipsoid import WGS84
@@ -20,7 +20,7 @@ SINGULAR = 1e-10  # of the largest eigenvalue: less is rounding
 Joint = Float[Array, "coordinates coordinates"]
 
 
-class JointFixes(eqx.Module):
+class JointFixes(Record):
     """Fixes with the covariance of all their errors, in ECEF m2, `cov_ecef` (3 n, 3 n) in the order of the fixes."""
 
     p_ecef: Float[Array, "fixes 3"]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from jaxgeo._checks import as_float64
 from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
 from jaxgeo._numerics import implicit_root, safe_norm, tree_where, turned
+from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, ScalarField, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
@@ -87,7 +88,7 @@ class Aim(NamedTuple):
             raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
 
 
-class Look(eqx.Module):
+class Look(Record):
     """A sensor, where it was (a shot, or a trajectory with the image's time), a pixel, the terrain, and any air.
 
     Made by `Look.of`, which checks what it is given. An error source moves any of these.

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64
+from jaxgeo._record import Record
 from jaxgeo._typing import StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
 from jaxgeo.uncertainty.look import Aim, Look, Sweep
@@ -19,7 +20,7 @@ from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
 Root: TypeAlias = Float[Array, "..."]
 
 
-class ErrorModel(eqx.Module):
+class ErrorModel(Record):
     """A tuple of error sources, independent of each other; what hangs together is one `Correlated` source.
 
     Its error vector e is theirs, one after the other. Everything that asks how sure a fix is pushes e through one map,

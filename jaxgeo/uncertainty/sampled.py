@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
@@ -51,7 +51,7 @@ class Quantile(NamedTuple):
     share: float
 
 
-class Sampled(eqx.Module):
+class Sampled(Record):
     """How sure a fix is, by samples.
 
     `count` samples of which `found` have a fix, the others counted in `statuses`; `mean_enu` in m and `cov_enu` in m2

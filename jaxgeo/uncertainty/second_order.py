@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
+from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
@@ -24,6 +25,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 SPREAD = 3.0**0.5  # sigmas at which a sigma point lies: right to the fourth moment of a Gaussian along its axis
 
 
+@portable
 class Moments(NamedTuple):
     """Mean (m) and covariance (m2) of a fix's errors in east, north, up; `failed` sigma points had no fix."""
 

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._checks import check_countable
+from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -61,7 +62,7 @@ class SobolIndex(NamedTuple):
     total_high: float
 
 
-class SobolIndices(eqx.Module):
+class SobolIndices(Record):
     """Sobol indices of a miss by groups of errors, for east, north, up and the horizontal plane.
 
     `estimate` is from the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is

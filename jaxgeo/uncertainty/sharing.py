@@ -5,10 +5,10 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._checks import check_range
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike
 
 
@@ -21,7 +21,7 @@ class Occasion(NamedTuple):
     time: ScalarLike
 
 
-class AbstractSharing(eqx.Module):
+class AbstractSharing(Record):
     """How an error of one occasion is correlated with that of another."""
 
     @abstractmethod

@@ -1,4 +1,9 @@
-"""Drone images: rays along the angles written, cameras by other libraries' formula, heights never guessed, refusals."""
+"""Drone images: rays along the angles written, cameras by other libraries' formula, heights never guessed, refusals.
+
+Held against: images of a DJI drone as it wrote them (the block Miaoli of OpenDroneMap's data), positions of EXIF as
+GDAL reads them, lenses by OpenCV, tags as DJI, Skydio, Parrot and Autel publish or write them, and EXIF as GDAL puts it
+into a TIFF file.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +18,7 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from scipy.spatial.transform import Rotation
 
 from jaxgeo import WGS84, FrameCamera, Sensor, Shot, intersect
@@ -202,7 +208,7 @@ def test_what_a_file_of_dji_tells(image) -> None:
     position = np.array([pose.position.lat, pose.position.lon, pose.position.height])[:, 0]
     np.testing.assert_allclose(position, [np.deg2rad(LAT), np.deg2rad(LON), 1538.962 + 48.25], atol=1e-12)
     np.testing.assert_allclose(np.rad2deg([pose.heading, pose.pitch, pose.roll])[:, 0], [92.8, -4.0, 2.3], atol=1e-12)
-    (source,) = found.sources
+    source, _ = found.sources
     np.testing.assert_allclose(source.sigma, [[0.0093, 0.0097, 0.0238]], atol=1e-15)  # m north, east, down
     assert (found.form, len(found), found.names.tolist()) == ("DJI drone image", 1, ["a.jpg"])
     assert found.tags[0]["drone-dji:Unheard"] == "of"
@@ -286,7 +292,8 @@ def test_a_camera_given(image) -> None:
     assert sensor is not None
     np.testing.assert_array_equal(sensor.camera.focal_px, [33.0, 33.0])  # type: ignore[attr-defined]
     assert found.facts["focal length"] == "33 pixels (as given)"
-    with pytest.raises(TableError, match=r"a.jpg: the image has 40 x 30 pixels, the camera given 41 x 30; scale"):
+    assert [type(one).__name__ for one in found.sources] == ["Position"]  # a lens that is given does not err
+    with pytest.raises(TableError, match=r"a.jpg: the image has 40 x 30 pixels, the camera given 41 x 30, which is an"):
         read(image(), camera=FrameCamera.from_pixels(focal_px=33.0, width=41, height=30))
 
 
@@ -302,7 +309,7 @@ def test_heights_are_not_guessed(image) -> None:
     np.testing.assert_allclose(found.shots.pose.position.height, [1586.6], atol=1e-9)
     told = "Heights are drone-dji:RelativeAltitude above a take-off at 1560 m"
     assert any(told in line for line in found.assumed)
-    assert found.sources == ()  # RTK's are not those of a barometer
+    assert [one.label for one in found.sources] == ["interior orientation"]  # RTK's are not those of a barometer
     with pytest.raises(TableError, match=r"height_datum= and takeoff_height= both say"):
         read(path, takeoff_height=1560.0)
     with pytest.raises(VerticalDatumError, match=r"a.jpg: height_datum='EPSG:0' is unknown"):
@@ -336,7 +343,7 @@ def test_positions_of_exif_are_those_that_gdal_reads(image, name: str, below: in
     for ours, axis, sign in ((lat, "Latitude", -1.0), (lon, "Longitude", -1.0)):
         parts = [float(part.strip("( )")) for part in theirs[f"EXIF_GPS{axis}"].split(") (")]
         np.testing.assert_allclose(sign * np.dot(parts, [1.0, 1 / 60, 1 / 3600]), ours, atol=2e-8)  # of six digits
-    (source,) = found.sources
+    source, _ = found.sources
     xy, z = 845389 / 2097152, 5117051 / 8388608
     np.testing.assert_allclose(source.sigma, [[xy, xy, z]], atol=1e-15)  # m
 
@@ -407,8 +414,10 @@ def test_several_images_and_a_folder(image, tmp_path: pathlib.Path) -> None:
     twice = read([paths[0], image(far, "c/b.jpg")])
     assert twice.names.tolist() == [str(tmp_path / "b.jpg"), str(tmp_path / "c/b.jpg")]
     partly = read([image({**DJI, "drone-dji:RtkStdLat": "0"}, "a.jpg"), paths[0]])
-    assert (partly.sources, partly.facts["position errors"]) == ((), "not said")
-    assert any("How well the positions are known is not said" in line for line in partly.assumed)
+    np.testing.assert_allclose(partly.sources[0].sigma, [[3.0, 3.0, 5.0], [0.0093, 0.0097, 0.04]])
+    assert any("1 of 2 images do not say how well their positions are known" in line for line in partly.assumed)
+    none = read(image({**DJI, "drone-dji:RtkFlag": "0"}, "a.jpg"))
+    assert (len(none.sources), none.facts["position errors"]) == (1, "not said")
 
 
 def test_what_a_rangefinder_hit_is_reported(image) -> None:
@@ -461,7 +470,7 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     "no fix": (
         DJI | {"drone-dji:GpsLatitude": "0.0", "drone-dji:GpsLongtitude": "0.0"},
         {},
-        "latitude and longitude are zero",
+        r"its position is unknown: drone-dji:GpsLatitude 0.0, drone-dji:GpsLongtitude 0.0 \(a receiver without a fix",
     ),
     "no hemisphere": (
         GPS_OFF,
@@ -470,8 +479,6 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     ),
     "no altitude": (PARROT, {"gps": {key: PLACE[key] for key in (1, 2, 3, 4)}}, "there is no EXIF:GPSAltitude"),
     "sigma": (DJI | {"drone-dji:RtkStdHgt": "-1"}, {}, "drone-dji:RtkStdHgt: -1 is outside"),
-    "time": (DJI, {"exif": CAMERA | {0x9003: "yesterday"}}, "EXIF:DateTimeOriginal: 'yesterday' is no date and time"),
-    "zone": (DJI, {"exif": CAMERA | CLOCK | {0x9011: "CEST"}}, "EXIF:OffsetTimeOriginal: 'CEST' is no time zone"),
     "turned": (DJI, {"first": {ORIENTATION: 6}}, r"flagged to be turned for display \(Orientation 6\)"),
     "zoom": (DJI, {"exif": CAMERA | {0xA404: 2.5}}, "EXIF:DigitalZoomRatio: the image is magnified 2.5 times"),
     "cut image": (
@@ -482,7 +489,7 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
     "no focal length": (
         PIX4D,
         {"exif": {}},
-        r"nothing says what the focal length is in pixels.* camera=.*width=40, height=30",
+        r"nothing says what the focal length is in pixels.*Maker Model of 40 x 30 pixels is not in the table.* camera=",
     ),
     "fisheye": (PARROT | {"Camera:ModelType": "fisheye"}, {}, "Camera:ModelType: fisheye lenses are not read"),
     "another size, dewarped": (
@@ -517,6 +524,152 @@ REFUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
         r"Camera:Pitch: -35.5 is outside \[0, 180\] deg. Autel means",
     ),
 }
+
+
+MAVIC = {"model": "FC220", "exif": {0x920A: 4.73, 0xA002: 4000, 0xA003: 3000}}
+BARE = less(DJI, *(name for name in DJI if "Calibrated" in name))
+ZEROS = dict.fromkeys(("drone-dji:CalibratedOpticalCenterX", "drone-dji:CalibratedOpticalCenterY"), "0.000000")
+# Strange tags that no line of sight depends on, and what is told of them, if anything.
+UNUSED: dict[str, tuple[Any, dict[str, Any], str]] = {
+    "a time": (
+        DJI,
+        {"exif": CAMERA | {0x9003: "yesterday"}},
+        "Not used: EXIF:DateTimeOriginal: 'yesterday' is no date and time.",
+    ),
+    "a time zone": (
+        DJI,
+        {"exif": CAMERA | CLOCK | {0x9011: "CEST"}},
+        "Not used: EXIF:OffsetTimeOriginal: 'CEST' is no",
+    ),
+    "no time": (DJI, {"exif": CAMERA | {0x9003: "0000:00:00 00:00:00"}}, "Not used: EXIF:DateTimeOriginal 0000:00:00"),
+    "an attitude": (DJI | {"drone-dji:FlightPitchDegree": "up"}, {}, "The attitude of the aircraft is not said"),
+    "a rangefinder": (DJI | {"drone-dji:LRFTargetDistance": "far", "drone-dji:LRFTargetLat": "999"}, {}, ""),
+    "another maker's angle": (DJI | {"Camera:Yaw": "north"}, {}, ""),
+    "a pixel density": (DJI, {"exif": CAMERA | {0xA20E: -1.0, 0xA210: 3}}, ""),
+    "a 35 mm equivalent of 0": (DJI, {"exif": CAMERA | {0xA405: 0}}, "Not used: EXIF:FocalLengthIn35mmFilm 0"),
+    "a calibration of 0": (
+        DJI | ZEROS | {"drone-dji:CalibratedFocalLength": "0.000000"},
+        {},
+        "Not used: drone-dji:CalibratedFocalLength 0.000000 (the camera was not calibrated).",
+    ),
+    "an altitude of 0 beside another": (
+        DJI | {"drone-dji:AbsoluteAltitude": "+0.00"},
+        {},
+        "Not used: drone-dji:AbsoluteAltitude +0.00 (a receiver without a height writes zero).",
+    ),
+    "a repeated tag": (
+        packet(DJI).replace(
+            "</rdf:RDF>",
+            f'<rdf:Description xmlns:d="{SPACES["drone-dji"]}" d:SelfData="a"/><rdf:Description '
+            f'xmlns:d="{SPACES["drone-dji"]}" d:SelfData="b"/></rdf:RDF>',
+        ),
+        {},
+        "",
+    ),
+    "a control character": (packet(DJI | {"drone-dji:SelfData": "\x07\x00\x1f"}), {}, ""),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_only_what_is_used_can_refuse(image, case: str) -> None:
+    tags, options, told = UNUSED[case]
+    found = read(image(tags, **options))
+    assert any(line.startswith(told) for line in found.assumed)
+    np.testing.assert_allclose(np.rad2deg(found.shots.gimbal_readings), [[-97.4, -35.5, 2.5]], atol=1e-12)
+    height = 1538.962 if "altitude of 0" not in case else PLACE_DEG[2]
+    np.testing.assert_allclose(found.shots.pose.position.height, [height], atol=1e-9)
+    focal: Any = found.sensor.camera.focal_px  # type: ignore[union-attr]
+    by_film = case == "a calibration of 0"
+    np.testing.assert_allclose(focal[0, 0], 24.0 * 50.0 / 43.26661 if by_film else 36.6667, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["byte", "undefined", "in the directory of EXIF"])
+def test_xmp_of_a_tiff_of_every_type(tmp_path: pathlib.Path, kind: str) -> None:
+    """As the maker of the file chose it: BYTE by the specification, UNDEFINED by MicaSense and the Phantom 4."""
+    xmp, picture, path = packet(DJI).encode(), Image.new("L", SIZE), tmp_path / "a.tif"
+    if kind.startswith("in"):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[700] = xmp
+        exif[0x8769] = exif.get_ifd(0x8769)
+        picture.save(path, exif=exif)
+    else:
+        directory = ImageFileDirectory_v2()
+        directory.tagtype[700] = {"byte": 1, "undefined": 7}[kind]
+        directory[700] = xmp
+        picture.save(path, tiffinfo=directory)
+        with Image.open(path) as written:
+            assert written.tag_v2.tagtype[700] == directory.tagtype[700]  # type: ignore[attr-defined]
+    assert read_tags(path).values["drone-dji:GimbalPitchDegree"] == "-35.50"
+
+
+def test_the_table_of_cameras_beats_the_film_and_is_beaten_by_a_calibration(image) -> None:
+    def focal(tags: dict[str, Any], **options: Any) -> tuple[float, str]:
+        found = read(image(tags, make="DJI", **options), camera=options.pop("camera", None))
+        assert found.sensor is not None
+        return float(found.sensor.camera.focal_px[0, 0]), found.facts["focal length"]  # type: ignore[attr-defined]
+
+    by_film = MAVIC | {"exif": {**MAVIC["exif"], 0xA405: 26}}  # type: ignore[dict-item]
+    assert focal(BARE, **by_film) == (pytest.approx(47.3 / 1.58), "29.9367 pixels (table of cameras: Mavic Pro)")
+    assert focal(DJI, **by_film)[0] == pytest.approx(36.6667)
+    assert focal(DJI | DEWARP, **by_film)[0] == pytest.approx(36.5702)
+    other = by_film | {"exif": {**MAVIC["exif"], 0x920A: 9.0, 0xA405: 26}}  # type: ignore[dict-item]
+    assert "EXIF:FocalLengthIn35mmFilm" in focal(BARE, **other)[1]  # another lens than the table's
+
+
+def test_a_camera_by_text_name_and_file(image, tmp_path: pathlib.Path) -> None:
+    path, small = image(BARE, make="", model="", exif=CAMERA), image(BARE, name="b.jpg", exif={})
+    file = tmp_path / "camera.toml"
+    file.write_text("[camera]\nwidth = 4000\nheight = 3000\nfocal_px = 3000.0\nprincipal_px = [2009.5, 1499.5]\n")
+    for given, focal in [
+        ("focal=4.73mm,pitch=1.58um", 47.3 / 1.58),
+        ("focal=8.8mm,sensor=13.2mm", 40 * 8.8 / 13.2),
+        ("focal=30px", 30.0),
+        (str(file), 30.0),
+        (file, 30.0),
+    ]:
+        found = read(path, camera=given)
+        camera: Any = found.sensor.camera  # type: ignore[union-attr]
+        np.testing.assert_allclose(camera.focal_px, [[focal, focal]], rtol=1e-12)
+        assert [one.label for one in found.sources] == ["position"]
+        assert any(line.startswith("The camera is taken as it is given") for line in found.assumed)
+    np.testing.assert_allclose(camera.principal_px, [[19.6, 14.5]])  # by edges, (2009.5 + 0.5) / 100 - 0.5
+    named = read(image(BARE, name="c.jpg", exif=less_exif(CAMERA, 0x920A)), camera="Mavic Pro")
+    assert named.facts["focal length"].endswith("(table of cameras: Mavic Pro)")
+    assert [one.label for one in named.sources] == ["position", "interior orientation"]
+    np.testing.assert_allclose(
+        read(small, camera="focal=4.73mm,pitch=1.58um").sensor.camera.focal_px[0, 0], 4730 / 1.58
+    )
+
+
+def less_exif(tags: dict[int, Any], *keys: int) -> dict[int, Any]:
+    return {key: value for key, value in tags.items() if key not in keys}
+
+
+def test_angles_given_by_the_caller(image) -> None:
+    """In place of those of the file, against the horizon whatever its maker's sense; yaw perhaps that of each."""
+    zeros = turned(0.0, 0.0, 0.0)
+    there = [image(zeros, "a.jpg"), image(zeros | {"drone-dji:FlightYawDegree": "10.00"}, "b.jpg")]
+    found = read(there, gimbal_deg=("aircraft", -90.0, 0.0))
+    np.testing.assert_allclose(np.rad2deg(found.shots.gimbal_readings), [[92.8, -90.0, 0.0], [10.0, -90.0, 0.0]])
+    assert (
+        "The camera's angles are as given: yaw the heading of the aircraft, pitch -90 deg, roll 0 deg." in found.assumed
+    )
+    for tags, options in ((PIX4D, {}), (PARROT, {"make": "Parrot"}), ("", {})):
+        given = read(image(tags, "c.jpg", **options), gimbal_deg=(30.0, -60.0, 0.0))
+        np.testing.assert_allclose(np.rad2deg(given.shots.gimbal_readings), [[30.0, -60.0, 0.0]])
+        R = orientation(image(tags, "c.jpg", **options), gimbal_deg=(30.0, -60.0, 0.0))
+        np.testing.assert_allclose(R[2, 2], np.sin(np.deg2rad(60.0)), atol=1e-12)  # down
+    assert given.form == "image with a position in EXIF"
+    with pytest.raises(TableError, match=r"yaw is asked for as the heading.*gimbal_deg=\(0, -90, 0\)"):
+        read(image("", "c.jpg"), gimbal_deg=("aircraft", -90.0, 0.0))
+    for wrong, words in [
+        ((1.0, 2.0), r"gimbal_deg=\(1, 2\): expected three angles"),
+        ((0.0, -200.0, 0.0), r"pitch -200 is outside \[-180, 180\]"),
+        ((0.0, "aircraft", 0.0), "pitch is 'aircraft'"),
+        ((float("nan"), 0.0, 0.0), "yaw nan is outside"),
+    ]:
+        with pytest.raises(TableError, match=words):
+            read(there, gimbal_deg=wrong)
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 
 import pytest
+
 from tests.support import field_images, field_tables, field_telemetry
 from tests.support.field import FieldFile
 

@@ -1,16 +1,23 @@
-"""KLV packets and the items of MISB ST 0601: framing, checksums, numbers."""
+"""KLV packets and the items of MISB ST 0601: framing, checksums, numbers.
+
+Held against: the examples that MISB ST 0601 and ST 1201 print of each item (`EXAMPLES`), the Python package klvdata on
+three files of others (a flight of 2012 and two test packets of the standard), and the keys of other sets as jMISB's
+`KlvConstants` has them (`OTHERS`).
+"""
 
 from __future__ import annotations
 
 import math
 import pathlib
+import time
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.klv_packets import KEY, length, local_set, tag_bytes, usual
 
-from jaxgeo.io.acquisitions.klv import ber_length, ber_oid, checksum, items, packets
+from jaxgeo.io import TableError, read_acquisition
+from jaxgeo.io.acquisitions.klv import MOST_WITHIN, ber_length, ber_oid, checksum, items, packets
 from jaxgeo.io.acquisitions.st0601 import TAGS, decode, label
 
 quickly = settings(deadline=None, database=None, derandomize=True, max_examples=200)
@@ -78,6 +85,45 @@ def test_no_checksum_is_damage() -> None:
     (packet,) = packets(KEY + length(len(body)) + body)
     assert packet.damage == "no checksum at its end"
     assert packet.items == ((3, b"A"),)
+
+
+def test_a_length_that_reaches_over_many_packets_takes_no_time() -> None:
+    """Keys throughout, each with a length up to the end: looking into every one would take the square of their number.
+
+    A packet that holds one further key in its values is still read.
+    """
+    start = time.perf_counter()
+    count = 20_000
+    found = list(packets(b"".join(KEY + b"\x83" + (20 * (count - k) - 20).to_bytes(3, "big") for k in range(count))))
+    assert len(found) == count
+    assert not any(one.items for one in found[: -MOST_WITHIN - 2])
+    assert "reaches over the packets behind it" in found[0].damage
+    assert time.perf_counter() - start < 5.0  # s
+    inside = local_set(usual() | {94: KEY})
+    assert [one.damage for one in packets(inside)] == [""]
+
+
+# By the public registry of MISB, in bytes: the set, and what it is called.
+OTHERS = {
+    "06 0e 2b 34 02 01 01 01 0e 01 01 02 01 01 00 00": "EG 0104",
+    "06 0e 2b 34 02 0b 01 01 0e 01 03 03 06 00 00 00": "ST 0903",
+    "06 0e 2b 34 02 03 01 01 0e 01 03 03 1e 00 00 00": "ST 0903",
+    "06 0e 2b 34 02 03 01 01 0e 01 03 03 02 00 00 00": "ST 0102",
+    "06 0e 2b 34 02 01 01 01 02 08 02 00 00 00 00 00": "ST 0102",
+    "06 0e 2b 34 02 0b 01 01 0e 01 03 01 02 00 00 00": "ST 0806",
+    "06 0e 2b 34 02 03 01 01 0e 01 03 05 02 00 00 00": "ST 0808",
+    "06 0e 2b 34 02 0b 01 01 0e 01 03 03 0d 00 00 00": "ST 1206",
+}
+
+
+@pytest.mark.parametrize("key", OTHERS)
+def test_other_sets_are_named(tmp_path: pathlib.Path, key: str) -> None:
+    path = tmp_path / "other.klv"
+    path.write_bytes(bytes.fromhex(key) + b"\x04\x01\x02ab")
+    with pytest.raises(TableError, match=rf"no packet of MISB ST 0601.*it holds MISB {OTHERS[key]}.*Ask its source"):
+        read_acquisition(path)
+    path.write_bytes(path.read_bytes() + MADE)
+    assert len(read_acquisition(path)) == 1  # beside packets they do no harm
 
 
 PIECES = st.sampled_from([KEY, b"\x81", b"\x01\x02", b"\xff", MADE[16:60]]) | st.binary(max_size=8)

@@ -1,4 +1,8 @@
-"""Navigation records: what the file says is what the trajectory does, and what it cannot mean is refused in words."""
+"""Navigation records: what the file says is what the trajectory does, and what it cannot mean is refused in words.
+
+The format is our own, CSV, described in `docs/howto/navigation.md`; its layouts are those of `test_table_layouts`. Held
+against: rows written by hand, and what NumPy makes of them.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +136,7 @@ WRONG_RECORDS = [
     (at("lat_deg", 3, "136.3"), ["row 5, column lat_deg", "136.3 is outside [-90, 90] deg"]),
     (at("pitch_deg", 0, "nan"), ["row 2, column pitch_deg", "unknown (nan)"]),
     (at("height_m", 0, "inf"), ["row 2, column height_m", "inf is outside"]),
-    (at("time_s", 2, ""), ["row 4, column time_s", "'' is not a number; expected s."]),
+    (at("time_s", 2, ""), ["row 4, column time_s", "unknown (empty); expected s."]),
     ({"time_s": BACKWARDS}, ["rows 6 and 7, column time_s", "time running backwards, from 1000.4 s to 1000.25 s"]),
     ({"time_s": TWICE}, ["rows 6 and 7, column time_s", "time stands still"]),
     ({"time_s": NEW_WEEK}, ["time running backwards", "GPS week", "604800"]),

@@ -1,4 +1,11 @@
-"""SBET files: a made flight comes back as it was flown, errors between their records, and wrong files are named."""
+"""SBET files: a made flight comes back as it was flown, errors between their records, and wrong files are named.
+
+Held against: `2-points.sbet` of PDAL's public tests, two records of a real POSPac trajectory, with the numbers that its
+`SbetReaderTest` expects; the layout of SBET records as Applanix publishes it (17 float64: time, latitude, longitude,
+altitude, x, y, z velocity, roll, pitch, platform heading, wander angle, accelerations, rates); and for the horizontal
+axes of the wander frame the reader of SNV and SBET files by J. Skaloud (EPFL, 2001), whose formula is written out in
+`test_velocities_by_the_formula_of_others`. Files of errors (smrmsg) against the layout of PDAL's `readers.smrmsg`.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +38,7 @@ def flight(wander: float = WANDER, start: float = START) -> np.ndarray:
     x, y = _turned(north, east, wander)
     records = np.zeros((COUNT, 17))
     records[:, :4] = np.stack([times + start - START, lat, lon, height], axis=-1)
-    records[:, 4:7] = x, y, -CLIMB
+    records[:, 4:7] = x, -y, CLIMB
     records[:, 7:11] = np.deg2rad(1.5), np.deg2rad(3.0), COURSE + DRIFT + wander, wander
     records[:, 11:] = np.random.default_rng(1).normal(0.0, 0.1, (COUNT, 6))
     return records
@@ -184,7 +191,7 @@ def test_velocities_that_are_unknown_or_left_out(file) -> None:
     found = read_sbet(file(records))
     assert found.velocity_ned is None
     assert any("zero throughout though the positions move" in sentence for sentence in found.assumed)
-    found = read_sbet(file(with_z_up()), velocities=False)
+    found = read_sbet(file(with_other_z()), velocities=False)
     assert found.velocity_ned is None
     assert np.asarray(found.trajectory().velocity_ned_at(START + 1.5))[2] == pytest.approx(-CLIMB, abs=1e-3)
     still = records.copy()
@@ -194,17 +201,77 @@ def test_velocities_that_are_unknown_or_left_out(file) -> None:
     assert not np.any(standing)
 
 
-def with_z_up() -> np.ndarray:
+def with_other_z() -> np.ndarray:
     records = flight()
     records[:, 6] *= -1.0
+    return records
+
+
+def with_right_and_down() -> np.ndarray:
+    records = flight()
+    records[:, 5:7] *= -1.0
     return records
 
 
 def other_velocities(wander: float) -> np.ndarray:
     records = flight()
     x, y = _turned(SPEED * np.cos(COURSE), SPEED * np.sin(COURSE), wander)
-    records[:, 4:6] = x, y
+    records[:, 4:6] = x, -y
     return records
+
+
+def along_north_east_down() -> np.ndarray:
+    records = flight()
+    records[:, 4:7] = SPEED * np.cos(COURSE), SPEED * np.sin(COURSE), -CLIMB
+    return records
+
+
+def test_the_axes_that_fit_the_positions_are_taken(file) -> None:
+    """Those of Applanix, or y to the right and z down if only they fit; which, is said."""
+    applanix, other = (read_sbet(file(records)) for records in (flight(), with_right_and_down()))
+    assert applanix.velocity_ned is not None
+    assert other.velocity_ned is not None
+    np.testing.assert_array_equal(applanix.velocity_ned, other.velocity_ned)
+    assert "y west and z up" in applanix.facts["velocities"]
+    assert not any("Velocities" in sentence for sentence in applanix.assumed)
+    assert "y east and z down" in other.facts["velocities"]
+    assert any("Velocities are taken along x north, y east and z down" in sentence for sentence in other.assumed)
+
+
+def test_velocities_by_the_formula_of_others(file) -> None:
+    """North and east of Skaloud's reader: vn = x cos w - y sin w, ve = -x sin w - y cos w."""
+    records = flight()
+    x, y, w = records[:, 4], records[:, 5], records[:, 10]
+    found = read_sbet(file(records)).velocity_ned
+    assert found is not None
+    expected = np.stack([x * np.cos(w) - y * np.sin(w), -x * np.sin(w) - y * np.cos(w)], axis=-1)
+    np.testing.assert_allclose(found[:, :2], expected, atol=1e-12)  # m/s
+
+
+# The first record of PDAL's `2-points.sbet`, as its `SbetReaderTest` has it, to the digits printed there.
+OF_PDAL = (1.516310028360710e05, 5.680211852972264e-01, -2.041654392303940e00, 1.077152953296560e02)
+
+
+def test_a_real_trajectory(jaxgeo_test_data: pathlib.Path) -> None:
+    """Velocities against the change of the positions by PROJ, the heading against the course."""
+    pyproj = pytest.importorskip("pyproj")
+    path = jaxgeo_test_data / "field" / "tab" / "2-points.sbet"
+    if not path.exists():
+        pytest.skip(f"no such data: {path}")
+    found = read_sbet(path)
+    position = found.poses.position
+    first = (found.times[0], position.lat[0], position.lon[0], position.height[0])
+    np.testing.assert_allclose(first, OF_PDAL, rtol=1e-14)
+    assert found.velocity_ned is not None
+    lon, lat, height = np.rad2deg(position.lon), np.rad2deg(position.lat), position.height
+    topocentric = f"+proj=topocentric +lon_0={lon[0]:.15g} +lat_0={lat[0]:.15g} +h_0={height[0]:.15g} +ellps=WGS84"
+    moved = pyproj.Transformer.from_pipeline(f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+        f"+step +proj=cart +ellps=WGS84 +step {topocentric}").transform(lon[1], lat[1], height[1])  # fmt: skip
+    by_positions = np.array([moved[1], moved[0], -moved[2]]) / np.diff(found.times)
+    np.testing.assert_allclose(found.velocity_ned.mean(axis=0), by_positions, atol=0.03)  # m/s
+    np.testing.assert_allclose(found.velocity_ned.mean(axis=0), [-2.341, 0.282, 0.031], atol=1.5e-3)
+    course = np.arctan2(found.velocity_ned[0, 1], found.velocity_ned[0, 0])
+    assert abs(np.rad2deg(course - found.poses.heading[0])) < 5.0
 
 
 def changed(row: int, column: int, value: float) -> np.ndarray:
@@ -221,8 +288,11 @@ def in_degrees() -> np.ndarray:
 
 REFUSED: dict[str, tuple[Any, str]] = {
     "degrees": (in_degrees, r"record 0: latitude 51 and longitude 7 look like degrees; angles of an SBET are in rad"),
-    "z up": (with_z_up, r"differ by 5 m/s .* at 60.1 m/s \(medians\). They fit if taken as z upwards"),
-    "north and east": (lambda: other_velocities(0.0), "taken as north, east and down, not turned by the wander angle"),
+    "z down": (
+        with_other_z,
+        r"differ by 5 m/s .* at 60.1 m/s \(medians\). They fit if taken as x north, y west and z d",
+    ),
+    "north and east": (along_north_east_down, "taken as north, east and down, not turned by the wander angle"),
     "other way": (lambda: other_velocities(-WANDER), "turned by the wander angle the other way"),
     "no frame": (lambda: other_velocities(1.0), r"of the positions, at 60.1 m/s \(medians\). Export the file"),
     "latitude": (lambda: changed(7, 1, 1.6), r"record 7: lat is 1.6, outside \[-1.5708, 1.5708\] rad"),

@@ -6,6 +6,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
+import pyproj
 import rasterio
 from rasterio.transform import Affine
 
@@ -51,13 +52,46 @@ def write(
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "w", **made | profile) as sink:
         if point:
             sink.update_tags(AREA_OR_POINT="Point")
-        sink.write(bands)
         if unit is not None:
             sink.units = (unit,) * bands.shape[0]
-        if scale is not None:
+        if scale is not None:  # before any value: GDAL loses it afterwards where the CRS has a vertical part
             sink.scales = (scale,) * bands.shape[0]
         if offset is not None:
             sink.offsets = (offset,) * bands.shape[0]
+        sink.write(bands)
         if mask is not None:
             sink.write_mask(mask)
+    return path
+
+
+def gdalbuildvrt(path: pathlib.Path, tiles: list[pathlib.Path]) -> pathlib.Path:
+    """A VRT over files as `gdalbuildvrt` lays it out: without units, scales and vertical CRS."""
+    found, nodata, crs = [], None, None
+    for tile in tiles:
+        with rasterio.open(tile) as data:
+            found.append((tile, data.shape, data.transform, data.dtypes[0]))
+            nodata, crs = data.nodata, data.crs
+    assert crs is not None
+    step = found[0][2]
+    west, north = min(t.c for _, _, t, _ in found), max(t.f for _, _, t, _ in found)
+    sources, right, bottom = [], 0, 0
+    for tile, (rows, cols), t, _ in found:
+        x, y = round((t.c - west) / step.a), round((t.f - north) / step.e)
+        right, bottom = max(right, x + cols), max(bottom, y + rows)
+        size = f'xSize="{cols}" ySize="{rows}"'
+        rects = f'<SrcRect xOff="0" yOff="0" {size}/><DstRect xOff="{x}" yOff="{y}" {size}/>'
+        name = f'<SourceFilename relativeToVRT="1">{tile.relative_to(path.parent)}</SourceFilename>'
+        tag = "" if nodata is None else f"<NODATA>{nodata:.9g}</NODATA>"
+        kind = "SimpleSource" if nodata is None else "ComplexSource"
+        sources.append(f"<{kind}>{name}<SourceBand>1</SourceBand>{rects}{tag}</{kind}>")
+    kinds = {"int16": "Int16", "uint16": "UInt16", "int32": "Int32", "float32": "Float32", "float64": "Float64"}
+    tag = "" if nodata is None else f"<NoDataValue>{nodata:.9g}</NoDataValue>"
+    flat = pyproj.CRS.from_wkt(crs.to_wkt())
+    flat = flat.sub_crs_list[0] if flat.is_compound else flat.to_2d()
+    srs = flat.to_wkt("WKT1_GDAL").replace('"', "&quot;")
+    path.write_text(
+        f'<VRTDataset rasterXSize="{right}" rasterYSize="{bottom}"><SRS>{srs}</SRS>'
+        f"<GeoTransform>{west!r}, {step.a!r}, 0, {north!r}, 0, {step.e!r}</GeoTransform>"
+        f'<VRTRasterBand dataType="{kinds[found[0][3]]}" band="1">{tag}{"".join(sources)}</VRTRasterBand></VRTDataset>'
+    )
     return path

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64
+from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, ScalarLike
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 
@@ -23,7 +24,7 @@ _ARC = (
 )
 
 
-class GaussKruegerSeries(eqx.Module):
+class GaussKruegerSeries(Record):
     """Gauss-Krueger map about the meridian `lon0` in rad, by series in the longitude difference; scale 1.
 
     Li et al. (2020), "Effect and compensation of overlap influenced by flight parameter of oblique aerial camera",

@@ -10,8 +10,8 @@ from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.navigation import WEEK
 
-# Numbers of a record, all float64, little-endian. Velocities are along the axes of the wander frame; what turns the
-# body is not used: the file does not say whether against the Earth or the stars.
+# Numbers of a record, all float64, little-endian. Velocities are along the axes of the wander frame (`_wander`);
+# accelerations and rates are not used: the file does not say whether rates are against the Earth or the stars.
 FIELDS = (
     "time", "lat", "lon", "height", "velocity_x", "velocity_y", "velocity_z", "roll", "pitch", "platform_heading",
     "wander", "acceleration_x", "acceleration_y", "acceleration_z", "rate_x", "rate_y", "rate_z",

@@ -8,7 +8,7 @@ from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
 LAT: Limits = (-90.0, 90.0, "deg")
@@ -17,19 +17,22 @@ HEIGHT = POSE_COLUMNS["height_m"]
 
 
 def lat_lon_of(tags: list[ImageTags], maker: Maker) -> tuple[np.ndarray, np.ndarray]:
-    """Latitudes and longitudes in deg."""
+    """Latitudes and longitudes in deg. Raises `TableError` where there are none, or what means "unknown"."""
     places = []
     for one in tags:
+        _check_known(one, "position")
         lat, lon = one.first(maker.lat, LAT), one.first(maker.lon, LON)
         if lat is None or lon is None:
+            _check_known(one, "EXIF position")
             lat, lon = _exif_angle(one, "GPSLatitude", "NS", LAT), _exif_angle(one, "GPSLongitude", "EW", LON)
-        if lat == 0.0 and lon == 0.0:
-            raise TableError(
-                f"{one.path}: latitude and longitude are zero, which is written where GPS has no position."
-            )
         places.append((lat, lon))
     lat, lon = np.array(places).T
     return lat, lon
+
+
+def _check_known(tags: ImageTags, quantity: str) -> None:
+    if reason := tags.unknown(quantity):
+        raise TableError(f"{tags.path}: its position is unknown: {reason}; it gives no fix.")
 
 
 def _exif_angle(tags: ImageTags, name: str, signs: str, limits: Limits) -> float:
@@ -79,7 +82,7 @@ def heights_of(
         return ellipsoidal_heights(lon, lat, heights, height_datum), []
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{first.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach an image
+    except OutsideDatum as error:
         raise TableError(f"{first.path}: {error}") from error
 
 
@@ -92,10 +95,22 @@ def _needed(tags: ImageTags, name: str) -> float:
 
 def _altitude(tags: ImageTags, maker: Maker) -> float:
     exif = "EXIF:GPSAltitude"
-    if maker.height != exif and maker.height in tags.values:
+    if maker.height != exif and maker.height in tags.values and not tags.unknown("height"):
         return _needed(tags, maker.height)
+    if reason := tags.unknown("EXIF height"):
+        raise TableError(f"{tags.path}: its height is unknown: {reason}.{_by_takeoff(tags, maker)}")
     value = _needed(tags, exif)
     return -value if tags.number("EXIF:GPSAltitudeRef", (0.0, 3.0, "")) in (1.0, 3.0) else value
+
+
+def _by_takeoff(tags: ImageTags, maker: Maker) -> str:
+    """The way out for an image without a height."""
+    if maker.relative not in tags.values:
+        return " It gives no fix."
+    return (
+        f" Its height above the point of take-off is {tags.shown(maker.relative)} m ({maker.relative}): give that "
+        f"point's height in m above the ellipsoid as takeoff_height=."
+    )
 
 
 def _which_datum(tags: ImageTags, maker: Maker) -> str:
@@ -116,4 +131,4 @@ def _which_datum(tags: ImageTags, maker: Maker) -> str:
 def altitude_shown(tags: ImageTags, maker: Maker) -> str:
     """What a file tells of its altitude, for people."""
     names = [maker.height if maker.height in tags.values else "EXIF:GPSAltitude", maker.relative, *maker.evidence]
-    return ", ".join(f"{name.partition(':')[2]} {tags.text(name)}" for name in names if name in tags.values)
+    return ", ".join(f"{name.partition(':')[2]} {tags.shown(name)}" for name in names if name in tags.values)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import io
 import math
 import os
+import re
+import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta, timezone
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from jaxgeo.io._csv import Limits
 from jaxgeo.io._quietly import heard, quietly
 from jaxgeo.io.errors import ImageError, TableError
+from jaxgeo.io.sentinels import IMAGE, is_undefined, sentinel_of
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 CONTAINERS = {f"{{{RDF}}}{name}" for name in ("RDF", "Description", "Seq", "Bag", "Alt")}
@@ -27,24 +29,52 @@ PREFIXES = {
 EXIF_PARTS = {0x8769: "TAGS", 0x8825: "GPSTAGS"}  # directories of EXIF, and Pillow's tables of their names
 PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pillow has names of its own for them
 XML_PACKET, GDAL_METADATA, DNG_VERSION = 700, 42112, 50706
+GDAL_EXIF = "GDAL_METADATA"  # the name of that tag among the entries
+FORMATS = ("JPEG", "MPO", "TIFF")
+TRIED = ("JPEG", "TIFF", "PNG", "GIF", "BMP", "PPM")  # the last four are named when they are refused; MPO is a JPEG
+HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+(\s+0x[0-9a-fA-F]+)*")
+# What Pillow raises over damaged directories: it indexes, converts and seeks as they say.
+PILLOW_ERRORS = (
+    OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
+    ZeroDivisionError, RuntimeError, struct.error,
+)  # fmt: skip
 LONGEST_TEXT = 2000  # characters of a tag that are kept
+NOT_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow; some makers write them
+BLOCK = 65_536  # bytes of a file that are looked through at a time
 
 
 @dataclass(frozen=True)
 class ImageTags:
     """The size of an image file in pixels and its tags: "EXIF:Model", and of XMP "drone-dji:GimbalYawDegree".
 
-    A field of a structure is called "drone-skydio:CameraOrientationNED/Yaw"; lists are texts with commas.
+    A field of a structure is called "drone-skydio:CameraOrientationNED/Yaw"; lists are texts with commas. Of a tag
+    that is there several times, `values` has the first, and `repeated` another that differs: it is refused if used.
     """
 
     path: str
     width: int
     height: int
     values: Mapping[str, Any]
+    repeated: Mapping[str, str] = field(default_factory=dict)
+
+    def shown(self, name: str) -> str:
+        """A tag as a text for people, empty where it is not there."""
+        return str(self.values.get(name, "")).strip()
 
     def text(self, name: str) -> str:
-        """A tag as a text, empty where it is not there."""
-        return str(self.values.get(name, "")).strip()
+        """A tag as a text, empty where it is not there. Raises `TableError` where it is there twice and differs."""
+        if name in self.repeated:
+            raise self.wrong(name, f"it is there twice, as {self.shown(name)[:80]!r} and {self.repeated[name][:80]!r}.")
+        return self.shown(name)
+
+    def unknown(self, quantity: str, among: tuple[str, ...] | None = None) -> str:
+        """The tags, perhaps only `among` some, that say that a quantity is unknown, and why; empty if none does."""
+        values = self.values if among is None else {name: self.values[name] for name in among if name in self.values}
+        row = sentinel_of(IMAGE, quantity, values)
+        if row is None:
+            return ""
+        shown = ", ".join(f"{name} {_shown(self.values[name])}" for name in row.fields)
+        return f"{shown} ({row.reason})"
 
     @property
     def camera(self) -> tuple[str, str]:
@@ -53,13 +83,14 @@ class ImageTags:
         return make, model
 
     def number(self, name: str, limits: Limits) -> float | None:
-        """A tag as a number, None where it is not there. Raises `TableError` if it is none or beyond the limits."""
-        if name not in self.values:
+        """A tag as a number, None where it is not there or 0/0. Raises `TableError` if it is none or out of limits."""
+        if name not in self.values or is_undefined(self.values[name]):
             return None
         low, high, unit = limits
-        value = _number(self.values[name])
+        text, value = self.text(name), _number(self.values[name])
         if value is None:
-            raise self.wrong(name, f"{self.text(name)!r} is not a number; expected {unit}.")
+            why = " (a decimal comma; tags have a point)" if _number(text.replace(",", ".")) is not None else ""
+            raise self.wrong(name, f"{text!r} is not a number{why}; expected {unit}.")
         if not low <= value <= high:
             raise self.wrong(name, f"{value:g} is outside [{low:g}, {high:g}] {unit}.")
         return value
@@ -70,7 +101,9 @@ class ImageTags:
 
     def numbers(self, name: str) -> list[float]:
         """A tag that lists numbers, after the last semicolon; empty where it is not there. Raises `TableError`."""
-        value = self.values.get(name, "")
+        value = self.values.get(name, "") if self.text(name) else ""
+        if is_undefined(value):
+            return []
         parts = value if isinstance(value, tuple) else str(value).split(";")[-1].split(",")
         if len(parts) == 1 and not str(parts[0]).strip():
             return []
@@ -98,82 +131,69 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     cut = "the file is damaged or cut short"
     try:
         no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
-        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name) as image:
-            _check_kind(name, image)
-            values = _exif(image)
-            packet = _packet(image)
-            if not _is_whole(image):
-                raise ImageError(f"{name}: {cut}: its pixels end before their time.")
-            width, height = image.size
-        if told:  # so Pillow tells of directories that end before their time
-            raise ImageError(f"{name}: {cut}: {told[0]}")
-    except (ImageError, TableError):
-        raise
+        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name, formats=TRIED) as image:
+            raw = _raw(image)
     except UnidentifiedImageError as error:
         raise ImageError(f"{name}: not an image, or {cut}; expected JPEG or TIFF.") from error
-    except Exception as error:  # Pillow raises whatever a damaged directory leads it to
+    except (*PILLOW_ERRORS, Image.DecompressionBombError) as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
-    return ImageTags(name, width, height, values | _xmp(name, packet))
+    _check_kind(name, raw)
+    if told or not raw.is_whole:  # so Pillow tells of directories that end before their time
+        raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
+    found, repeated = _xmp(name, raw.packet)
+    return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)
 
 
-def time_of(tags: ImageTags) -> tuple[float | None, bool]:
-    """(s since 1970, whether that is UTC) of an exposure; by a clock without a time zone as if it were UTC.
+class _Raw(NamedTuple):
+    """What Pillow reads of a file: its format, size, entries of EXIF by name, XMP, and if it reaches to its end."""
 
-    None where the file has no time. Raises `TableError` for a time that is none.
-    """
-    told = "drone-dji:UTCAtExposure"
-    if tags.text(told):
-        written = tags.text(told)
-        return _seconds(tags, told, written[:10].replace(":", "-") + written[10:], UTC), True
-    name, zone = "EXIF:DateTimeOriginal", tags.text("EXIF:OffsetTimeOriginal")
-    date, stamp = tags.text("EXIF:GPSDateStamp"), tags.numbers("EXIF:GPSTimeStamp")
-    if not zone and date and len(stamp) == 3:
-        midnight = _seconds(tags, "EXIF:GPSDateStamp", date.replace(":", "-"), UTC)
-        return midnight + 3600.0 * stamp[0] + 60.0 * stamp[1] + stamp[2], True
-    if not tags.text(name):
-        return None, False
-    day, _, clock = tags.text(name).partition(" ")
-    fraction = tags.text("EXIF:SubsecTimeOriginal")
-    written = f"{day.replace(':', '-')} {clock}" + (f".{fraction}" if fraction.isdigit() and "." not in clock else "")
-    return _seconds(tags, name, written, _zone(tags, zone)), bool(zone)
+    kind: str
+    is_dng: bool
+    size: tuple[int, int]
+    entries: dict[str, Any]
+    packet: bytes
+    is_whole: bool
 
 
-def _zone(tags: ImageTags, zone: str) -> timezone:
-    if zone in ("", "Z"):
-        return UTC
-    try:
-        hours, minutes = zone[1:].split(":")
-        return timezone({"+": 1, "-": -1}[zone[0]] * timedelta(hours=int(hours), minutes=int(minutes)))
-    except (KeyError, ValueError) as error:
-        raise tags.wrong("EXIF:OffsetTimeOriginal", f"{zone!r} is no time zone; expected +08:00.") from error
+def _raw(image: Any) -> _Raw:
+    """All that is asked of Pillow, which raises whatever a damaged directory leads it to: `PILLOW_ERRORS`."""
+    is_read = image.format in FORMATS
+    is_dng = image.format == "TIFF" and DNG_VERSION in image.tag_v2
+    if not is_read or is_dng:
+        return _Raw(image.format, is_dng, image.size, {}, b"", True)
+    return _Raw(image.format, False, image.size, _entries(image), _packet(image), _is_whole(image))
 
 
-def _seconds(tags: ImageTags, name: str, written: str, zone: timezone) -> float:
-    whole, _, fraction = written.partition(".")
-    try:
-        start = datetime.fromisoformat(whole).replace(tzinfo=zone).timestamp()
-        return start + (float(f"0.{int(fraction):0{len(fraction)}d}") if fraction else 0.0)
-    except ValueError as error:
-        raise tags.wrong(name, f"{tags.text(name)!r} is no date and time.") from error
-
-
-def _check_kind(name: str, image: Any) -> None:
-    if image.format not in ("JPEG", "MPO", "TIFF"):
-        raise ImageError(f"{name}: {image.format} images are not read; expected JPEG or TIFF, as the drone wrote it.")
-    if image.format == "TIFF" and DNG_VERSION in image.tag_v2:
+def _check_kind(name: str, raw: _Raw) -> None:
+    if raw.kind not in FORMATS:
+        raise ImageError(f"{name}: {raw.kind} images are not read; expected JPEG or TIFF, as the drone wrote it.")
+    if raw.is_dng:
         raise ImageError(f"{name}: DNG files are not read: what opens is a preview. Take the JPEG of the same shot.")
 
 
 def _is_whole(image: Any) -> bool:
     """Whether a file reaches as far as its pixels."""
     if image.format != "TIFF":
-        return b"\xff\xd9" in image.fp.read()  # the end of an image, which cannot be within what is coded
+        return _ends_in(image.fp, b"\xff\xd9")  # the end of an image, which cannot be within what is coded
     size = os.fstat(image.fp.fileno()).st_size
     pairs = [(image.tag_v2.get(at, ()), image.tag_v2.get(count, ())) for at, count in ((273, 279), (324, 325))]
     return all(at + count <= size for ats, counts in pairs for at, count in zip(ats, counts, strict=True))
 
 
-def _exif(image: Any) -> dict[str, Any]:
+def _ends_in(file: Any, mark: bytes) -> bool:
+    """Whether a mark stands somewhere after the place where a file is read; looked for from its end, where it is."""
+    start, end = file.tell(), file.seek(0, os.SEEK_END)
+    while end > start:
+        first = max(start, end - BLOCK)
+        file.seek(first)
+        if mark in file.read(end - first + len(mark) - 1):  # a mark may lie across two blocks
+            return True
+        end = first
+    return False
+
+
+def _entries(image: Any) -> dict[str, Any]:
+    """The entries of EXIF by their names in Pillow's tables; GDAL's metadata of a TIFF file under its number."""
     from PIL import ExifTags
 
     exif = image.getexif()
@@ -182,17 +202,28 @@ def _exif(image: Any) -> dict[str, Any]:
     for part, table in EXIF_PARTS.items():
         names = getattr(ExifTags, table) | (PIXEL_DIMENSIONS if table == "TAGS" else {})
         found |= {names.get(key, f"0x{key:04x}"): value for key, value in exif.get_ifd(part).items()}
-    if "DateTimeOriginal" not in found and GDAL_METADATA in exif:
-        found |= _gdal_exif(str(exif[GDAL_METADATA]))
-    found = {name: _plain(value) for name, value in found.items() if name not in ("XMLPacket", "0xa480")}
+    return found | ({GDAL_EXIF: str(exif[GDAL_METADATA])} if GDAL_METADATA in exif else {})
+
+
+def _exif(name: str, entries: dict[str, Any]) -> dict[str, Any]:
+    """The entries of EXIF as texts, numbers and tuples; raises as `read_tags`."""
+    metadata = entries.pop(GDAL_EXIF, "")
+    if metadata and "DateTimeOriginal" not in entries:
+        entries = entries | _gdal_exif(name, metadata)
+    found = {name: _plain(value) for name, value in entries.items() if name not in ("XMLPacket", "0xa480")}
     return {f"EXIF:{name}": value for name, value in found.items() if value is not None}
 
 
-def _gdal_exif(metadata: str) -> dict[str, Any]:
-    """EXIF as GDAL writes it: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text."""
-    from defusedxml.ElementTree import fromstring
+def _gdal_exif(path: str, metadata: str) -> dict[str, Any]:
+    """EXIF as GDAL writes it: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text. Raises `TableError`."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
 
-    items = {item.get("name", ""): item.text or "" for item in fromstring(metadata, forbid_dtd=True).iter("Item")}
+    try:
+        root = fromstring(metadata, forbid_dtd=True)
+    except (ParseError, DefusedXmlException) as error:
+        raise TableError(f"{path}, tag {GDAL_METADATA}: not the XML that GDAL writes: {error}.") from error
+    items = {item.get("name", ""): item.text or "" for item in root.iter("Item")}
     found: dict[str, Any] = {}
     for name, text in items.items():
         if not name.startswith("EXIF_"):
@@ -200,7 +231,7 @@ def _gdal_exif(metadata: str) -> dict[str, Any]:
         value: Any = text
         if text.startswith("("):
             value = tuple(part.strip("()") for part in text.split(") ("))
-        elif text.startswith("0x"):
+        elif HEXADECIMAL.fullmatch(text):
             value = tuple(int(part, 16) for part in text.split())
         name = name.removeprefix("EXIF_").replace("SubSec", "Subsec")
         found[name] = value[0] if isinstance(value, tuple) and len(value) == 1 else value
@@ -215,7 +246,13 @@ def _plain(value: Any) -> Any:
         return value.strip("\0 ")[:LONGEST_TEXT]
     if isinstance(value, tuple):
         return tuple(_plain(part) for part in value) if len(value) <= 16 else None
-    return value if isinstance(value, int) else _number(value)
+    if isinstance(value, int):
+        return value
+    return "0/0" if value != value else _number(value)  # Pillow's fraction 0/0 is not equal to itself
+
+
+def _shown(value: Any) -> str:
+    return " ".join(str(part) for part in value) if isinstance(value, tuple) else str(value)
 
 
 def _number(value: Any) -> float | None:
@@ -232,17 +269,23 @@ def _number(value: Any) -> float | None:
 
 
 def _packet(image: Any) -> bytes:
-    packet = image.tag_v2.get(XML_PACKET, b"") if image.format == "TIFF" else image.info.get("xmp", b"")
+    """XMP as it stands in the file; of TIFF of any type of tag, in the directory of the image or in that of EXIF."""
+    places = (image.tag_v2, image.getexif().get_ifd(0x8769)) if image.format == "TIFF" else (image.info,)
+    packet: Any = next(filter(None, (place.get(XML_PACKET, place.get("xmp")) for place in places)), b"")
+    if isinstance(packet, tuple):  # of single bytes, or one of type UNDEFINED
+        packet = packet[0] if len(packet) == 1 and isinstance(packet[0], bytes | str) else bytes(packet)
     packet = packet.encode() if isinstance(packet, str) else bytes(packet)
-    return packet[max(packet.find(b"<"), 0) :].strip(b"\0 \t\r\n")  # GDAL writes "xml:XMP=" in front
+    packet = packet[max(packet.find(b"<"), 0) :].strip(b"\0 \t\r\n")  # GDAL writes "xml:XMP=" in front
+    return packet if packet.startswith((b"<\0", b"\0<")) else NOT_XML.sub(b" ", packet)
 
 
-def _xmp(path: str, packet: bytes) -> dict[str, str]:
+def _xmp(path: str, packet: bytes) -> tuple[dict[str, str], dict[str, str]]:
+    """(tags, those that are there again with another value)."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, iterparse
 
     if not packet:
-        return {}
+        return {}, {}
     prefixes: dict[str, str] = {}
     try:
         root: Any = None
@@ -256,11 +299,11 @@ def _xmp(path: str, packet: bytes) -> dict[str, str]:
         raise TableError(f"{path}, XMP: not XML, or cut off: {error}. Take the file as the drone wrote it.") from error
     except DefusedXmlException as error:
         raise TableError(f"{path}, XMP: it has a document type or entities, which no drone writes: {error}.") from error
-    found: dict[str, str] = {}
+    found, repeated = dict[str, str](), dict[str, str]()
     for key, text in _leaves(root, "", prefixes):
         if found.setdefault(key, text) != text:
-            raise TableError(f"{path}, {key}: it is there twice, as {found[key][:80]!r} and {text[:80]!r}.")
-    return found
+            repeated.setdefault(key, text)
+    return found, repeated
 
 
 def _leaves(element: Any, within: str, prefixes: Mapping[str, str]) -> list[tuple[str, str]]:

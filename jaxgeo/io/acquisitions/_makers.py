@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from jaxgeo.io._csv import Limits
+from jaxgeo.io.acquisitions._given_angles import PITCH, ROLL, YAW, by_hand
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.errors import TableError
-
-YAW: Limits = (-360.0, 360.0, "deg")
-PITCH: Limits = (-180.0, 180.0, "deg")
-ROLL: Limits = (-180.0, 180.0, "deg")
 
 
 @dataclass(frozen=True)
@@ -92,8 +89,18 @@ MAKERS = (
 )
 
 
-def maker_of(tags: ImageTags) -> Maker:
-    """Whose tags an image has. Raises `TableError` where nothing says how the camera was turned."""
+ANY = replace(MAKERS[-1], form="image with a position in EXIF")  # of no maker, its angles given by the caller
+
+
+def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
+    """Whose tags an image has; where angles are given, from the horizon, it needs none of its own.
+
+    Raises `TableError` where nothing says how the camera was turned.
+    """
+    if angles_are_given:
+        prefixes = {name.partition(":")[0] for name in tags.values}
+        maker = next((one for one in MAKERS if one.angles[0].partition(":")[0] in prefixes), ANY)
+        return replace(maker, looks="forward")
     make, model = (name.lower() for name in tags.camera)
     for maker in MAKERS:
         is_theirs = make.startswith(maker.make) and model.startswith(maker.model)
@@ -101,26 +108,40 @@ def maker_of(tags: ImageTags) -> Maker:
         if is_theirs and len(there) == 3:
             return maker
         if is_theirs and there:
-            missing = [name for name in maker.angles if name not in there]
-            raise TableError(f"{tags.path}: there is {there[0]}, but no {', '.join(missing)}; all three are needed.")
+            missing = ", ".join(name for name in maker.angles if name not in there)
+            raise TableError(
+                f"{tags.path}: there is {there[0]}, but no {missing}; all three are needed. {by_hand(tags)}"
+            )
     known = ", ".join(dict.fromkeys(maker.angles[0] for maker in MAKERS))
     prefixes = sorted({name.partition(":")[0] for name in tags.values} - {"EXIF"})
     raise TableError(
         f"{tags.path}: nothing says how the camera was turned; expected one of {known}; found XMP of "
-        f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it: editors drop such tags."
+        f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it: editors drop such tags. "
+        f"{by_hand(tags)}"
     )
 
 
 def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
-    """Yaw, pitch and roll of the camera in deg, as they are written. Raises `TableError`."""
+    """Yaw, pitch and roll of the camera in deg, as they are written.
+
+    Raises `TableError`, also where all are zero, which is written where they are not known.
+    """
+    if reason := tags.unknown("camera angles", maker.angles):
+        raise TableError(f"{tags.path}: how the camera was turned is unknown: {reason}. {by_hand(tags)}")
     try:
         return [tags.number(name, limits) for name, limits in zip(maker.angles, (YAW, maker.pitch, ROLL), strict=True)]
     except TableError as error:
         hint = maker.hint if maker.angles[1] in str(error) else ""
-        raise TableError(f"{error}{hint}") from error
+        raise TableError(f"{error}{hint} {by_hand(tags)}") from error
 
 
 def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:
-    """Heading, pitch and roll of the aircraft in deg, None where they are not there. Raises `TableError`."""
-    found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]
+    """Heading, pitch and roll of the aircraft in deg; None where they are not there, or no such angles.
+
+    They have no part in lines of sight, and so are no reason to refuse an image.
+    """
+    try:
+        found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]
+    except TableError:
+        found = []
     return found or [None] * 3

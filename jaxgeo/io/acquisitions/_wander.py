@@ -1,8 +1,9 @@
-"""Velocities along the axes of a wander frame, turned to north-east-down and held against the positions."""
+"""Velocities of an SBET: from the axes of its wander frame to north-east-down, and compared with the positions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,23 +11,31 @@ from jaxgeo.earth import WGS84
 from jaxgeo.io.acquisitions._applanix import Fields, numbers_of, wrapped
 from jaxgeo.io.errors import TableError
 
-# How velocities are compared with the change of the positions: over so many seconds, at so many places; and by how much
-# (m/s, and of the speed) they may differ. A frame mistaken for another differs by the speed, a wrong z by the climb.
+# Velocities are compared with the change of the positions over so many seconds, at so many places, and may differ by
+# so much (m/s, and a share of the speed). A wrong horizontal axis differs by the speed, a wrong z by the climb.
 COMPARED_OVER, COMPARED_AT = 0.2, 500
 LARGEST_DIFFERENCE, LARGEST_SHARE = 0.1, 0.003
 
 
-def velocity_of(
-    path: str, records: np.ndarray, clock: np.ndarray, numbers: Fields
-) -> tuple[np.ndarray | None, str | None]:
-    """(velocities of the picked records in north-east-down, None): held against the positions of all about them.
+class Velocities(NamedTuple):
+    """Velocities (n, 3) in m/s north-east-down, None if unknown; a fact about them and a remark, each None if none."""
 
-    None and a remark where all are zero though the positions move.
+    ned: np.ndarray | None
+    fact: str | None
+    remark: str | None
+
+
+def velocity_of(path: str, records: np.ndarray, clock: np.ndarray, numbers: Fields) -> Velocities:
+    """The velocities of the picked records, in the frame that fits the change of the positions of all `records`.
+
+    That is the frame of Applanix, or the one with y to the right and z down, if only that one fits. Velocities that
+    are all zero though the positions move are unknown. Raises `TableError` if neither frame fits, naming one that does.
     """
+    applanix, right_down = FRAMES
     pairs = _pairs(clock)
-    told = _ned(numbers)
     if pairs is None:
-        return told, "Velocities could not be compared with positions: there is one record."
+        words = f"Velocities could not be compared with positions (one record): taken {applanix}."
+        return Velocities(FRAMES[applanix](numbers), None, words)
     before, after = (numbers_of(path, records, pair) for pair in pairs)
     moved = _displacement(before, after) / (clock[pairs[1]] - clock[pairs[0]])[:, None]
     speed = float(np.median(np.linalg.norm(moved, axis=-1)))
@@ -35,17 +44,27 @@ def velocity_of(
     def difference(frame: Callable[[Fields], np.ndarray]) -> float:
         return float(np.median(np.linalg.norm(0.5 * (frame(before) + frame(after)) - moved, axis=-1)))
 
-    if difference(_ned) <= allowed:
-        return told, None
-    if not np.any(told) and not np.any(_ned(before)):
-        return None, "Velocities are zero throughout though the positions move; they are taken as unknown."
-    fitting = [words for words, frame in OTHER_FRAMES.items() if difference(frame) <= allowed]
-    guess = f" They fit if taken as {fitting[0]}." if fitting else ""
-    raise TableError(
-        f"{path}: velocities turned from the wander frame differ by {difference(_ned):.3g} m/s from the change of the "
-        f"positions, at {speed:.3g} m/s (medians).{guess} Export the file as the format has it; velocities=False reads "
-        f"it without them, but if the wander angle is the reason, headings are wrong too."
+    found = {words: difference(frame) for words, frame in FRAMES.items()}
+    best = min(found, key=lambda words: found[words])
+    if found[best] > allowed:
+        if not any(np.any(one[f"velocity_{axis}"]) for one in (numbers, before) for axis in "xyz"):
+            words = "Velocities are zero throughout though the positions move; they are taken as unknown."
+            return Velocities(None, None, words)
+        fitting = [words for words, frame in OTHER_FRAMES.items() if difference(frame) <= allowed]
+        guess = f" They fit if taken as {fitting[0]}." if fitting else ""
+        raise TableError(
+            f"{path}: velocities turned from the wander frame differ by {found[applanix]:.3g} m/s from the change of "
+            f"the positions, at {speed:.3g} m/s (medians).{guess} Export the file as the format has it, or read it "
+            f"without velocities: velocities=False; but if the wander angle is the reason, headings are wrong too."
+        )
+    fact = f"taken {best}; {found[best]:.2g} m/s from the change of the positions (median)"
+    if best == applanix or found[applanix] <= allowed:
+        return Velocities(FRAMES[best](numbers), fact, None)
+    remark = (
+        f"Velocities are taken {right_down}: so they fit the positions; {applanix} they differ from them by "
+        f"{found[applanix]:.3g} m/s (median)."
     )
+    return Velocities(FRAMES[best](numbers), fact, remark)
 
 
 def _pairs(clock: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -57,24 +76,40 @@ def _pairs(clock: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     return start, start + step
 
 
-def _ned(numbers: Fields, sign: float = 1.0) -> np.ndarray:
-    """Velocities in north-east-down (n, 3): the x axis of the wander frame lies the wander angle left of north."""
+def _xyz(numbers: Fields) -> tuple[np.ndarray, ...]:
+    return tuple(numbers[f"velocity_{axis}"] for axis in "xyz")
+
+
+def _west_up(numbers: Fields, sign: float = 1.0) -> np.ndarray:
+    """Velocities in north-east-down (n, 3), of x the wander angle left of north, y left of x, and z up."""
     sin, cos = np.sin(sign * numbers["wander"]), np.cos(numbers["wander"])
-    x, y, z = (numbers[f"velocity_{axis}"] for axis in "xyz")
+    x, y, z = _xyz(numbers)
+    return np.stack([cos * x - sin * y, -sin * x - cos * y, -z], axis=-1)
+
+
+def _right_down(numbers: Fields) -> np.ndarray:
+    """Velocities in north-east-down (n, 3), of x the wander angle left of north, y right of x, and z down."""
+    sin, cos = np.sin(numbers["wander"]), np.cos(numbers["wander"])
+    x, y, z = _xyz(numbers)
     return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
 
 
 def _along_ned(numbers: Fields) -> np.ndarray:
-    return np.stack([numbers[f"velocity_{axis}"] for axis in "xyz"], axis=-1)
+    return np.stack(_xyz(numbers), axis=-1)
 
 
 UPWARDS = np.array([1.0, 1.0, -1.0])
+FRAMES: dict[str, Callable[[Fields], np.ndarray]] = {
+    "along x north, y west and z up of the wander frame, as Applanix writes them": _west_up,
+    "along x north, y east and z down of the wander frame": _right_down,
+}
 OTHER_FRAMES: dict[str, Callable[[Fields], np.ndarray]] = {
-    "z upwards": lambda numbers: _ned(numbers) * UPWARDS,
+    "x north, y west and z down of the wander frame": lambda numbers: _west_up(numbers) * UPWARDS,
+    "x north, y east and z up of the wander frame": lambda numbers: _right_down(numbers) * UPWARDS,
     "north, east and down, not turned by the wander angle": _along_ned,
     "north, east and up, not turned by the wander angle": lambda numbers: _along_ned(numbers) * UPWARDS,
     "east, north and up": lambda numbers: _along_ned(numbers)[:, [1, 0, 2]] * UPWARDS,
-    "turned by the wander angle the other way": lambda numbers: _ned(numbers, -1.0),
+    "turned by the wander angle the other way": lambda numbers: _west_up(numbers, -1.0),
 }
 
 

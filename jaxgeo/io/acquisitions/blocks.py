@@ -14,17 +14,21 @@ import pyproj
 from jaxgeo._checks import check_is
 from jaxgeo.io._json import read_json, shown
 from jaxgeo.io._map_grid import understood_crs
+from jaxgeo.io._orientation_columns import read_orientation_columns
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm
-from jaxgeo.io.orientations import Orientations, read_orientations
+from jaxgeo.io.orientations import Orientations, check_columns, crs_of, has_vertical, read_orientations
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
 from jaxgeo.uncertainty.sources import AbstractSource, Attitude, Position
 
 Cameras: TypeAlias = Mapping[str, FrameCamera]
 
-CHOICES = 'Pass height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m, a geoid file.'
+CHOICES = (
+    'Pass height_datum="ellipsoid" (WGS 84), height_datum="EPSG:5773" (EGM96 mean sea level), an undulation in m, or '
+    "the path of a geoid grid."
+)
 NO_ERRORS = "How large errors are is not in the file."
 NO_TIMES = "When images were taken is not in the file; their time is 0."
 CAPTURE_TIME = "Times are the file's capture_time, in s since 1970 by the camera's clock, of an unknown time zone."
@@ -98,7 +102,10 @@ def acquisition_of_orientations(
     """
     if cameras is not None and not isinstance(cameras, Mapping):
         check_is(cameras, FrameCamera, "cameras", "Or give a table of cameras by name.")
-    if height_datum is None:
+    columns = read_orientation_columns(path)
+    of_map = crs_of(columns, crs)
+    if height_datum is None and not has_vertical(path, of_map):
+        check_columns(columns, of_map)
         raise UnstatedDatum(
             f"{os.fspath(path)}: a table of orientations does not say what its heights are measured from, and a guess "
             f"may be off by 100 m. {CHOICES}"
@@ -108,9 +115,9 @@ def acquisition_of_orientations(
         table = table.of(rows_of(path, table.camera, camera))
     elif camera is not None:
         raise TableError(f"{path}: camera={camera!r} is asked for, but there is no column camera.")
-    assumed = [heights_are(height_datum)]
+    assumed = [heights_are(height_datum), *table.assumed]
     assumed += [NO_ERRORS] if table.sigma is None else [_INDEPENDENT]
-    assumed += [ELLIPSOID] if crs is None else []
+    assumed += [ELLIPSOID] if of_map is None else []
     assumed += [NO_TIMES] if table.time is None else []
     if isinstance(cameras, FrameCamera) and table.camera is not None and len(np.unique(table.camera)) > 1:
         some = ", ".join(np.unique(table.camera))
@@ -123,7 +130,8 @@ def acquisition_of_orientations(
         shots=shots_of(table.pose, table.time),
         sources=stated_sources(table.sigma),
         assumed=tuple(assumed),
-        facts={"images": f"{len(table)}"} | ({} if crs is None else {"map": understood_crs(path, crs)[0].name}),
+        of_camera=table.of_camera,
+        facts={"images": f"{len(table)}"} | ({} if of_map is None else {"map": understood_crs(path, of_map)[0].name}),
     )
 
 

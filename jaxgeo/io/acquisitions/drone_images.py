@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pathlib
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -13,20 +12,26 @@ import numpy as np
 from jaxgeo._checks import check_is, require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import Limits
-from jaxgeo.io.acquisitions._calibrations import Calibration, arrays_of, calibration_of
+from jaxgeo.io.acquisitions._given_angles import angles_given, checked_angles, given_told
+from jaxgeo.io.acquisitions._image_cameras import GivenCamera, sensor_of_images, span_shown
 from jaxgeo.io.acquisitions._image_positions import HEIGHT, LAT, LON, altitude_shown, heights_of, lat_lon_of
-from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags, time_of
+from jaxgeo.io.acquisitions._image_tags import ImageTags, read_tags
+from jaxgeo.io.acquisitions._image_times import time_of
 from jaxgeo.io.acquisitions._makers import Maker, aircraft_of, angles_of, maker_of
-from jaxgeo.io.acquisitions.record import Acquisition, Reported, for_each
+from jaxgeo.io.acquisitions.record import Acquisition, Reported
+from jaxgeo.io.acquisitions.usual_errors import POSITION
 from jaxgeo.io.errors import ImageError, TableError
-from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
-from jaxgeo.sensor.distortion import NoDistortion
+from jaxgeo.sensor import FrameCamera, Pose, Shot
 from jaxgeo.uncertainty.sources import Position
 
 ENDINGS = (".jpg", ".jpeg", ".tif", ".tiff")
 SIGMA: Limits = (0.0, 1e6, "m")
-# Yaw and the others may pass the limits that drones have by default: DJI writes pitches of -90.1 deg.
-LIMITS = np.pi * np.array([[-2.0, 2.0], [-1.0, 1.0], [-1.0, 1.0]])
+AXES = "standard deviations north, east, down"
+NO_ANGLES = "No errors of the angles are taken from the files."
+POSITIONS = (
+    "Positions are taken to be those of the camera: the lever arm from the antenna, some 0.2 m where the drone does "
+    "not allow for it, is not among the errors."
+)
 
 Path = str | os.PathLike[str]
 
@@ -36,54 +41,65 @@ def read_drone_images(
     *,
     height_datum: str | float | None = None,
     takeoff_height: float | None = None,
-    camera: FrameCamera | None = None,
+    camera: GivenCamera | None = None,
+    gimbal_deg: Sequence[float | int | str] | None = None,
 ) -> Acquisition:
     """The exposures of one image, of several, or of all in a folder by name: JPEG or TIFF, all of one camera.
 
     Read are the tags of DJI, Skydio, Parrot and Autel, and Pix4D's camera tags; pixels are not decoded. The angles of
     the camera are against level and true north, so it hangs in a `Gimbal.three_axis()` and looks along its head,
     `Mount.forward()`; Pix4D counts from straight down, `Mount.nadir()`. The pose has the attitude of the aircraft where
-    the file tells it. Lens and focal length are the maker's calibration, else by EXIF; scaled, where an image was made
-    smaller after it was taken. What had to be taken for granted is in `assumed`.
+    the file tells it. Lens and focal length are the maker's calibration in the image, else of the package's table of
+    cameras, else by EXIF; scaled, where an image was made smaller after it was taken. How they err is among the
+    sources, the more the less they are known. What had to be taken for granted is in `assumed`; values that mean
+    "unknown" (`jaxgeo.io.sentinels`) are never taken as measurements.
 
     - `height_datum`: what the altitudes in the files are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea
       level), an undulation in m, the path of a geoid grid; as in scene files. Only Skydio's say it themselves.
     - `takeoff_height`: instead, the height of the point of take-off in m above the ellipsoid, to which the files'
       heights above it are added.
-    - `camera`: instead of the tags, a camera of the size of the images.
+    - `camera`: instead of the tags, a camera of the size of the images; a lens as text, "focal=8.8mm,pitch=2.41um",
+      "focal=8.8mm,sensor=13.2mm" or "focal=3666px"; the path of a camera file or scene file (.toml); or the name of a
+      camera of the table, "FC6310".
+    - `gimbal_deg`: instead of the tags, yaw from true north, pitch above the horizon and roll of the camera in deg; yaw
+      may be "aircraft", the heading of the aircraft in each image's tags.
 
     Raises `UnstatedDatum`; `ImageError` for what is no image or cut short, and images turned by a flag; `TableError`,
     file and tag named, for tags that are missing, no number, out of range, twice, for images of several cameras;
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    if camera is not None:
-        check_is(camera, FrameCamera, "camera")
+    if camera is not None and not isinstance(camera, str | os.PathLike):
+        check_is(camera, FrameCamera, "camera", "Or a lens as text, or the path of a camera file.")
+    given = None if gimbal_deg is None else checked_angles(gimbal_deg)
     tags = [read_tags(path) for path in _files(paths)]
-    makers = [maker_of(one) for one in tags]
+    makers = [maker_of(one, angles_are_given=given is not None) for one in tags]
     _check_alike(tags, makers)
     maker, told = makers[0], dict[str, None]()
     for one in tags:
         _check_upright(one)
         told |= dict.fromkeys(_warnings_of(one))
-    sensor, how = _sensor(tags, maker, camera, told)
+    sensor, lens_errors, how = sensor_of_images(tags, maker, camera, told)
     lat, lon = lat_lon_of(tags, maker)
     height, where_from = heights_of(tags, maker, lat, lon, height_datum, takeoff_height)
     told |= dict.fromkeys(where_from)
     time, is_utc = _times(tags, told)
-    sources, errors = _sources(tags, maker, told, by_barometer=takeoff_height is not None)
+    stated, errors = _position_errors(tags, maker, told, by_barometer=takeoff_height is not None)
     position = Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height)
-    readings = np.deg2rad(np.array([angles_of(one, maker) for one in tags], np.float64))
+    angles = [angles_of(one, maker) if given is None else angles_given(one, given) for one in tags]
+    readings = np.deg2rad(np.array(angles, np.float64))
     shots = Shot(_pose(tags, maker, position, told), readings, time)
     first = tags[0]
-    told |= {"Yaw is taken to be from true north.": None, "No errors of the angles are taken from the files.": None}
+    if given is not None:
+        told |= {given_told(given): None}
+    told |= dict.fromkeys((POSITIONS, "Yaw is taken to be from true north.", NO_ANGLES))
     return Acquisition(
         path=os.fspath(paths) if isinstance(paths, str | os.PathLike) else _shown([one.path for one in tags]),
         form=maker.form,
         names=np.array(_names(tags)),
         sensor=sensor,
         shots=shots,
-        sources=sources,
+        sources=(*stated, *lens_errors),
         assumed=tuple(told),
         facts={
             "camera": " ".join(first.camera).strip() or "not said",
@@ -150,49 +166,21 @@ def _warnings_of(tags: ImageTags) -> list[str]:
     """What the file says that is not modelled."""
     told = []
     if tags.text("drone-dji:ShutterType").lower().startswith(("electronic", "rolling")):
-        told.append("The shutter is electronic: that rows are exposed one after another is not allowed for.")
+        told.append(
+            "The shutter is electronic: that rows are exposed one after another is not allowed for, and not among the "
+            "errors; it is some 0.3 m along the flight at 10 m/s."
+        )
     for name in ("drone-dji:GimbalReverse", "drone-dji:CamReverse"):
         if tags.text(name) not in ("", "0"):
             told.append(f"The camera hangs upside down ({name} {tags.text(name)}): its angles are taken as written.")
+    for quantity in ("height", "focal length", "focal length for 35 mm film", "calibration", "time"):
+        if reason := tags.unknown(quantity):
+            told.append(f"Not used: {reason}.")
     return told
 
 
-def _sensor(
-    tags: list[ImageTags], maker: Maker, camera: FrameCamera | None, told: dict[str, None]
-) -> tuple[Sensor, str]:
-    """(the sensor, with an entry for each image; in words, how long its focal length is and how that is known)."""
-    gimbal = Gimbal.three_axis(limits=LIMITS)
-    mount = Mount.forward() if maker.looks == "forward" else Mount.nadir()
-    if maker.looks == "down":
-        told |= {"Yaw, pitch and roll are taken in Pix4D's sense: of the camera, at zero looking straight down.": None}
-    if camera is not None:
-        size = tags[0].width, tags[0].height
-        if (camera.width, camera.height) != size:
-            raise TableError(
-                f"{tags[0].path}: the image has {size[0]} x {size[1]} pixels, the camera given {camera.width} x "
-                f"{camera.height}; scale the camera to the image."
-            )
-        return for_each(Sensor(camera, gimbal, mount), len(tags)), _focal_shown(camera.focal_px, "as given")
-    found = [calibration_of(one) for one in tags]
-    told |= dict.fromkeys(line for one in found for line in one.assumed)
-    made = _camera(found, tags[0].width, tags[0].height)
-    gimbal, mount = for_each((gimbal, mount), len(tags))
-    ways = " or ".join(dict.fromkeys(one.how for one in found))
-    return Sensor(made, gimbal, mount), _focal_shown(made.focal_px, ways)
-
-
-def _focal_shown(focal: Any, how: str) -> str:
-    return f"{_span_shown(np.asarray(focal), '.6g')} pixels ({how})"
-
-
-def _camera(found: list[Calibration], width: int, height: int) -> FrameCamera:
-    focal, principal, coefficients = arrays_of(found)
-    distortion = BrownConrady(*coefficients.T) if np.any(coefficients) else NoDistortion()
-    return FrameCamera(focal, principal, distortion, width, height)
-
-
 def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bool]:
-    found = [time_of(one) for one in tags]
+    found = [_time(one, told) for one in tags]
     if any(time is None for time, _ in found):
         told |= {"The time of an image, or of all, is not in the file; it is set to zero.": None}
         return np.array([0.0 if time is None else time for time, _ in found]), False
@@ -204,25 +192,40 @@ def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bo
     return np.array([time for time, _ in found]), is_utc
 
 
-def _sources(
+def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
+    """As `time_of`; a time that is none is told, since no line of sight depends on it."""
+    try:
+        return time_of(tags)
+    except TableError as error:
+        told |= {f"Not used: {str(error).removeprefix(tags.path).lstrip(', ')}": None}
+        return None, False
+
+
+def _position_errors(
     tags: list[ImageTags], maker: Maker, told: dict[str, None], *, by_barometer: bool
 ) -> tuple[tuple[Position, ...], str]:
-    """(the errors of position, in words)."""
-    sigma = np.array([[one.number(name, SIGMA) or 0.0 for name in maker.sigma] for one in tags])
-    if not maker.sigma or not np.all(sigma > 0.0):
-        told |= {"How well the positions are known is not said by the files, or not by all.": None}
+    """(the errors of position, in words). An image that states none has the usual ones beside others that do."""
+    sigma = np.array([_stated_sigma(one, maker) for one in tags])
+    stated = np.all(sigma > 0.0, axis=1)
+    if not np.any(stated):
+        told |= {"How well the positions are known is not said by the files.": None}
         return (), "not said"
     if by_barometer:
         told |= {"The errors of position in the files are not taken: they are not of a barometer's heights.": None}
         return (), "not said"
-    shown = [_span_shown(column, ".3g") for column in sigma.T]
-    source = jax.tree.map(np.asarray, jax.vmap(Position)(sigma))
-    return (source,), f"{', '.join(shown)} m (standard deviations north, east, down)"
+    words = f"{', '.join(span_shown(column, '.3g') for column in sigma[stated].T)} m ({AXES})"
+    if not np.all(stated):
+        sigma[~stated] = POSITION
+        count, usual = f"{int(np.sum(~stated))} of {len(tags)} images", ", ".join(f"{value:g}" for value in POSITION)
+        told |= {f"{count} do not say how well their positions are known: these err by {usual} m ({AXES}).": None}
+        words += f"; {count} do not say it"
+    return (jax.tree.map(np.asarray, jax.vmap(Position)(sigma)),), words
 
 
-def _span_shown(numbers: np.ndarray, form: str) -> str:
-    low, high = format(numbers.min(), form), format(numbers.max(), form)
-    return low if low == high else f"{low} to {high}"
+def _stated_sigma(tags: ImageTags, maker: Maker) -> list[float]:
+    """Standard deviations of a position, m north, east, down; zeros where the file does not tell them."""
+    unknown = not maker.sigma or tags.unknown("position errors")
+    return [0.0] * 3 if unknown else [tags.number(name, SIGMA) or 0.0 for name in maker.sigma]
 
 
 def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[str, None]) -> Pose:
@@ -235,16 +238,22 @@ def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[st
 
 
 def _reported(tags: list[ImageTags]) -> Reported | None:
-    """What DJI's laser rangefinder hit, close to the middle of the image."""
-    rows = np.full((len(tags), 4), np.nan)
-    columns = {"Lat": LAT, "Lon": LON, "AbsAlt": HEIGHT, "Distance": (0.0, 1e5, "m")}
-    for row, one in zip(rows, tags, strict=True):
-        if one.text("drone-dji:LRFStatus") not in ("", "Normal"):
-            continue
-        numbers = [one.number(f"drone-dji:LRFTarget{name}", limits) for name, limits in columns.items()]
-        if numbers[3]:  # zero where it hit nothing
-            row[:] = [np.nan if number is None else number for number in numbers]
+    """What DJI's laser rangefinder hit, close to the middle of the image; NaN where that is no place."""
+    rows = np.array([_hit_by_laser(one) for one in tags])
     if not np.any(np.isfinite(rows)):
         return None
     lat, lon, height, slant_range = rows.T
     return Reported(Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), slant_range)
+
+
+def _hit_by_laser(tags: ImageTags) -> list[float]:
+    """Latitude and longitude in deg, height and slant range in m."""
+    columns = {"Lat": LAT, "Lon": LON, "AbsAlt": HEIGHT, "Distance": (0.0, 1e5, "m")}
+    nothing = [np.nan] * len(columns)
+    try:
+        if tags.unknown("rangefinder") or tags.text("drone-dji:LRFStatus") not in ("", "Normal"):
+            return nothing
+        numbers = [tags.number(f"drone-dji:LRFTarget{name}", limits) for name, limits in columns.items()]
+    except TableError:
+        return nothing
+    return [np.nan if number is None else number for number in numbers] if numbers[3] else nothing

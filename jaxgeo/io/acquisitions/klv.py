@@ -8,6 +8,19 @@ from typing import NamedTuple
 import numpy as np
 
 UAS_LOCAL_SET = bytes.fromhex("060e2b34020b01010e01030101000000")
+# Keys of other sets that video carries, by the registry of SMPTE and the standards of MISB.
+OTHER_SETS = {
+    bytes.fromhex("060e2b34020101010e01010201010000"): "MISB EG 0104, the universal set that ST 0601 has replaced",
+    bytes.fromhex("060e2b34020b01010e01030306000000"): "MISB ST 0903, moving targets (VMTI)",
+    bytes.fromhex("060e2b34020301010e0103031e000000"): "MISB ST 0903, tracks (VTrack)",
+    bytes.fromhex("060e2b34020301010e01030302000000"): "MISB ST 0102, security metadata",
+    bytes.fromhex("060e2b34020101010208020000000000"): "MISB ST 0102, security metadata (universal set)",
+    bytes.fromhex("060e2b34020b01010e01030102000000"): "MISB ST 0806, remote video terminals",
+    bytes.fromhex("060e2b34020301010e01030502000000"): "MISB ST 0808, ancillary text",
+    bytes.fromhex("060e2b34020b01010e0103030d000000"): "MISB ST 1206, SAR motion imagery",
+}
+LEADING = UAS_LOCAL_SET[:4]  # of every key
+MOST_WITHIN = 2  # further keys that a packet may reach over before it is not looked into
 CHECKSUM_ITEM = b"\x01\x02"  # tag and length of the checksum, which is the last item
 LONGEST_NUMBER = 8  # bytes of a length or a tag; more is noise
 
@@ -40,6 +53,12 @@ def packets(data: bytes) -> Iterator[Packet]:
         packet = _packet(data, offset)
         yield packet
         offset = data.find(UAS_LOCAL_SET, offset + (len(UAS_LOCAL_SET) if packet.damage else packet.size))
+
+
+def other_sets(data: bytes) -> dict[str, int]:
+    """Sets in a stream of bytes that are not ST 0601, in words, and where the first of each is; the first first."""
+    places = {words: data.find(key) for key, words in OTHER_SETS.items()}
+    return {words: at for words, at in sorted(places.items(), key=lambda item: item[1]) if at >= 0}
 
 
 def checksum(data: bytes) -> int:
@@ -95,11 +114,22 @@ def _packet(data: bytes, offset: int) -> Packet:
     end = start + length
     if end > len(data):
         return Packet(offset, len(data) - offset, (), f"cut off: {len(data) - start} of {length} bytes are there")
+    if _reaches_over(data, start, end):
+        return Packet(offset, end - offset, (), f"its length of {length} bytes reaches over the packets behind it")
     damage = _wrong_checksum(data[offset:end])
     try:
         return Packet(offset, end - offset, items(data[start:end]), damage)
     except _Unreadable as error:
         return Packet(offset, end - offset, (), damage or str(error))
+
+
+def _reaches_over(data: bytes, start: int, end: int) -> bool:
+    """Whether several further keys lie within a packet: looking into all such would take the square of their number."""
+    for _ in range(MOST_WITHIN + 1):
+        start = data.find(UAS_LOCAL_SET, start, end) + 1
+        if not start:
+            return False
+    return True
 
 
 def _wrong_checksum(packet: bytes) -> str:

@@ -85,7 +85,8 @@ def _apart(sensor: Sensor, shot: Shot, centre: Geodetic, corners: jax.Array) -> 
     )
     across = _wrapped(azimuth - told_azimuth) * jnp.cos(told_elevation)
     turn = _turn(sensor, sight, Geodetic(lat=corners[:, 0], lon=corners[:, 1], height=centre.height))
-    return safe_norm(to_centre), miss[0], miss[1], across, elevation - told_elevation, turn
+    distance = jnp.where(jnp.all(jnp.isfinite(to_centre)), safe_norm(to_centre), jnp.nan)  # `safe_norm` of NaN is zero
+    return distance, miss[0], miss[1], across, elevation - told_elevation, turn
 
 
 def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:

@@ -15,9 +15,9 @@ from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io.acquisitions._applanix import FIELDS, LIMITS, clock_of, mapped, numbers_of, wrapped
 from jaxgeo.io.acquisitions._smrmsg import errors_at
-from jaxgeo.io.acquisitions._wander import velocity_of
+from jaxgeo.io.acquisitions._wander import Velocities, velocity_of
 from jaxgeo.io.acquisitions.record import Acquisition
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot, Trajectory
 from jaxgeo.uncertainty.sources import Attitude, Position
@@ -113,10 +113,11 @@ def read_sbet(
 ) -> SbetRecords:
     """The records of an SBET file (smoothed best estimate of trajectory): 17 little-endian float64 each, no header.
 
-    The true heading is the platform heading less the wander angle: the x axis of the wander frame lies that angle
-    left of north, y to its right, z down. Velocities, that are along these axes, are turned to north-east-down, and
-    compared with the change of the positions. Longitudes and headings come in [-pi, pi]. The file is mapped, not read
-    into memory: of a long one, take a part.
+    The true heading is the platform heading less the wander angle w: the x axis of the wander frame lies that angle
+    left of north. Its y axis lies left of x (west), z is up, as Applanix writes velocities: north = x cos w - y sin w,
+    east = -x sin w - y cos w, down = -z. Velocities are compared with the change of the positions; other programs
+    write y to the right and z down, which is taken if only that fits, and told in `assumed`. Longitudes and headings
+    come in [-pi, pi]. The file is mapped, not read into memory: of a long one, take a part.
 
     - `errors`: the file of errors that belongs to it (smrmsg: 10 float64 a record; position in m, roll, pitch and
       heading in arc minutes), linearly between its records.
@@ -141,9 +142,9 @@ def read_sbet(
     first, last = _part(path, clock, between)
     picked = _thinned(path, clock, first, last, every)
     numbers = numbers_of(path, records, picked)
-    velocity, remark = None, "Velocities of the file are left out, as asked."
+    velocity = Velocities(None, None, "Velocities of the file are left out, as asked.")
     if velocities:
-        velocity, remark = velocity_of(path, records[first:last], clock[first:last], numbers)
+        velocity = velocity_of(path, records[first:last], clock[first:last], numbers)
     heading = wrapped(numbers["platform_heading"] - numbers["wander"])
     lat, lon = numbers["lat"], wrapped(numbers["lon"])
     height = _heights(path, lat, lon, numbers["height"], height_datum)
@@ -153,11 +154,11 @@ def read_sbet(
         number=picked,
         times=clock[picked] + (0.0 if clock_zero is None else clock_zero),
         poses=Pose(Geodetic(lat=lat, lon=lon, height=height), heading, numbers["pitch"], numbers["roll"]),
-        velocity_ned=velocity,
+        velocity_ned=velocity.ned,
         position_sigma=position_sigma,
         attitude_sigma=attitude_sigma,
-        assumed=_assumed(errors is not None, clock_zero, carried_on, remark),
-        facts=_facts(clock, picked),
+        assumed=_assumed(errors is not None, clock_zero, carried_on, velocity.remark),
+        facts=_facts(clock, picked, velocity.fact),
         time_is_utc=clock_zero is not None,
     )
 
@@ -223,7 +224,7 @@ def _heights(path: str, lat: np.ndarray, lon: np.ndarray, height: np.ndarray, da
         return ellipsoidal_heights(np.rad2deg(lon), np.rad2deg(lat), height, datum)
     except VerticalDatumError as error:  # there it is an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
-    except ValueError as error:  # the datum's grid does not reach
+    except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
 
 
@@ -254,10 +255,12 @@ def _assumed(errors: bool, clock_zero: float | None, carried_on: bool, remark: s
     return (*said, *([remark] if remark else ()))
 
 
-def _facts(clock: np.ndarray, picked: np.ndarray) -> dict[str, str]:
+def _facts(clock: np.ndarray, picked: np.ndarray, velocities: str | None) -> dict[str, str]:
     facts = {"records": f"{len(clock)}", "from": f"{clock[0]:.3f} s", "to": f"{clock[-1]:.3f} s"}
     if len(clock) > 1:
         facts["rate"] = f"{1.0 / float(np.median(np.diff(clock))):.4g} Hz"
     if len(picked) < len(clock):
         facts["read"] = f"{len(picked)} records, {clock[picked[0]]:.3f} to {clock[picked[-1]]:.3f} s"
+    if velocities is not None:
+        facts["velocities"] = velocities
     return facts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any, NamedTuple
 
-from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET
+from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.errors import TableError
 
 SYNC = 0x47  # first byte of each packet of a transport stream
@@ -39,7 +39,8 @@ def read_transport_stream(path: str | os.PathLike[str], stream: int | None = Non
         with av.open(os.fspath(path)) as container:
             data = _data_streams(container)
             video = container.streams.video
-            size = (int(video[0].width), int(video[0].height)) if video else None
+            codec = video[0].codec_context if video else None  # None where FFmpeg knows no decoder
+            size = (int(codec.width), int(codec.height)) if codec is not None else None
     except av.FFmpegError as error:
         raise TableError(f"{path}: FFmpeg cannot read this as a transport stream: {error.strerror}.") from error
     chosen = _chosen(path, data, stream)
@@ -63,7 +64,11 @@ def _chosen(path: str | os.PathLike[str], data: dict[int, bytes], stream: int | 
         return stream
     told = [index for index, content in data.items() if UAS_LOCAL_SET in content]
     if not told:
-        raise TableError(f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}.")
+        others = dict.fromkeys(words for content in data.values() for words in other_sets(content))
+        held = f"they hold {' and '.join(others)}" if others else "they hold none"
+        raise TableError(
+            f"{path}: no packets of MISB ST 0601 in this transport stream; data streams: {_listed(data)}; {held}."
+        )
     if len(told) > 1:
         raise TableError(f"{path}: streams {_listed(told)} hold packets of MISB ST 0601; choose one with stream=.")
     return told[0]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import abc
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, StatusCode
 from jaxgeo.sensor._newton import PlanePoint
 from jaxgeo.status import Status, status_where
@@ -21,7 +21,7 @@ else:
     Self: TypeAlias = Any  # which checks at run time cannot follow through a decorated method
 
 
-class AbstractDistortion(eqx.Module):
+class AbstractDistortion(Record):
     """A smooth map of the image plane that is invertible round the centre.
 
     Its field is the part of the plane around the centre on which it does not fold: where the determinant of its

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import cross, dot
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Scalar, ScalarField, Vector3Field
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.local_map import Line, LocalMap
@@ -36,7 +36,7 @@ class Spread(NamedTuple):
     rise: ScalarField
 
 
-class Beam(eqx.Module):
+class Beam(Record):
     """A cone about a ray, clear of all ground up to the range `start` in m; its rays are likely to come down within the
     box of its `map`.
 
@@ -93,7 +93,7 @@ class Beam(eqx.Module):
         return self.map.track(line), self.ahead.clear_to(line, rise)
 
 
-class Ahead(eqx.Module):
+class Ahead(Record):
     """How far along a box nothing is before rays, by where in its middle they are (`clear`, by tau).
 
     A ray over ground that is raised is as near to it as one that lies `lowered` times that (box's third axis, per m)

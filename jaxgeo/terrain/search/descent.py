@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
@@ -22,7 +22,7 @@ NEWTON_STEPS = 2  # from 1 m off over 20 km; each squares the error times 1e-7 p
 LEAST_SINKING = 1e-6  # sine of the depression below which Newton takes no step
 
 
-class Look(eqx.Module):
+class Look(Record):
     """One evaluation of the DEM: the height Z asked about, the ground h(Z) under the ray there, m, and the range."""
 
     height: Scalar
@@ -37,7 +37,7 @@ class Look(eqx.Module):
         return self.height - self.ground
 
 
-class Descent(eqx.Module):
+class Descent(Record):
     """A ray over a DEM by the height Z of its points above the ellipsoid, from a range `anchor` where it sinks.
 
     h(Z) is the height of the DEM under the ray's point at height Z. Beside the grid the nearest edge goes on level, so

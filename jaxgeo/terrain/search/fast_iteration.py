@@ -17,10 +17,10 @@ step, k = tan(slope along the look) / tan(depression).
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
 from jaxgeo.terrain.search.descent import Descent, Look
 from jaxgeo.terrain.search.run import Ending, ending_code
@@ -67,7 +67,7 @@ class FastIteration(AbstractStudiedSearch):
         return Search(last.look, last.iterations + 1, last.iterations, ending)
 
 
-class _State(eqx.Module):
+class _State(Record):
     """The last look, the two heights whose middle is next, m, and the steps taken."""
 
     look: Look

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
 from jaxgeo.terrain.search.descent import Descent, Look
 from jaxgeo.terrain.search.run import Ending, ending_code
@@ -17,7 +17,7 @@ Step = Callable[[Descent, Look], tuple[Scalar, Index]]
 """From a look at Z to the next height, and the evaluations that finding it took."""
 
 
-class _State(eqx.Module):
+class _State(Record):
     look: Look
     evaluations: Index
     iterations: Index

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 
+from jaxgeo._record import Record
+
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 
-class Ground(eqx.Module):
+class Ground(Record):
     """A terrain in two parts: `shared` by all rays, and what is each ray's `own`, with a leading axis of rays.
 
     Each part is a `Dem` with None for what the other one has. A ray's own may be leaves of the field, and nothing that

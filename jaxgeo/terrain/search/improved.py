@@ -17,10 +17,10 @@ As a secant of D(Z) = Z - h(Z), which needs no horizontal line:
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
 from jaxgeo.terrain.search.descent import Descent, Look
 from jaxgeo.terrain.search.fixed_point import iterate, middle_height
@@ -79,7 +79,7 @@ def secant_step(descent: Descent, look: Look) -> tuple[Scalar, Index]:
     return jnp.where(rise == 0.0, jnp.inf, height), jnp.asarray(1, jnp.int32)
 
 
-class _Outward(eqx.Module):
+class _Outward(Record):
     """The walk along the horizontal line: posts passed, and clearances of the last two looks."""
 
     count: Index

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, Scalar, ScalarField, StatusCode
 from jaxgeo.status import Status, status_where
 
@@ -27,7 +27,7 @@ ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
 SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
 
 
-class March(eqx.Module):
+class March(Record):
     """Where in `tau` a ray is on its way from cell to cell, where it leaves the cell that it has settled last, and what
     it has met so far (see `news_of`)."""
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import enum
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Int8
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, StatusCode
 
 
@@ -58,7 +58,7 @@ _OUTCOMES = {
 }
 
 
-class Run(eqx.Module):
+class Run(Record):
     """One run of a search along one ray.
 
     `distance` is the range in m of its last point, `height` that point's in m above the ellipsoid, `clearance` its

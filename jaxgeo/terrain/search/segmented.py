@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxgeo._numerics import tree_where
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
 from jaxgeo.terrain.search.descent import Descent, Look
 from jaxgeo.terrain.search.exhaustive import nearest_of
@@ -75,7 +76,7 @@ class Segmented(AbstractStudiedSearch):
         return tree_where(is_met, begun, segmented)
 
 
-class _State(eqx.Module):
+class _State(Record):
     """The best look so far, the window as its middle and half width, and the step that made it, m."""
 
     look: Look

@@ -5,11 +5,11 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Int8
 
 from jaxgeo._numerics import tree_where
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, StatusCode
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, first_failure, status_where
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 EPS = 0.2  # m: the tolerance of the experiments of Li et al. (2023), section 5.2
 
 
-class Search(eqx.Module):
+class Search(Record):
     """Where a studied search ended: its last look, what it cost, and the int8 `Ending`."""
 
     look: Look
@@ -33,7 +33,7 @@ class Search(eqx.Module):
     ending: Int8[Array, ""]
 
 
-class Approach(eqx.Module):
+class Approach(Record):
     """A ray ready to be searched: the ray (or a stand-in), the range in m where it begins to sink towards the ground,
     and the int8 `Status` that keeps it from being searched, `hit` if nothing does."""
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Index, IndexField, Indices, Numbers, ScalarField, ScalarLike
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ FINEST = 25  # dyadic levels of one track
 _LEVELS = 32  # a place is position * 32 + level + 1 in one int32
 
 
-class Stretch(eqx.Module):
+class Stretch(Record):
     """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell.
 
     `rough` are its row, col and `headroom` again, in 32 bits and with what bounds the error of that: intervals are
@@ -57,7 +57,7 @@ class Stretch(eqx.Module):
         return self.unit * position - 1.0
 
 
-class Rough(eqx.Module):
+class Rough(Record):
     """A quartic in 32 bits: within `error` of it for tau in [-1, 1]; `sag` bounds its bending as `Quartic.sag` does."""
 
     quartic: Quartic

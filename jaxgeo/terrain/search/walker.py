@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int32
 
 from jaxgeo._numerics import tree_where
+from jaxgeo._record import Record
 from jaxgeo._typing import Flag, FlagField, Index, IndexField, Scalar, ScalarField
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.search.base import Reach
@@ -25,7 +26,7 @@ SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
 MOST_TRACKS = 4096
 
 
-class Walker(eqx.Module):
+class Walker(Record):
     """Where one ray is on its way: the track it walks from range `passed` on, its place there, and what it has met.
 
     `fresh` asks for a new track; `begun` is false until the first good one; `is_over` says that the walk has ended,
@@ -130,7 +131,7 @@ def take_down(walker: Walker, stretch: Stretch, march: March, settled: Index) ->
 # What is gathered and scattered goes in three arrays with one column per ray.
 
 
-class Store(eqx.Module):
+class Store(Record):
     """Walkers and their tracks, one column per ray."""
 
     numbers: Float[Array, "4 rays"]

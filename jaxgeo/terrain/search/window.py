@@ -8,11 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, ScalarField
 from jaxgeo.terrain.search.descent import Descent
 
 
-class AbstractWindow(eqx.Module):
+class AbstractWindow(Record):
     """A choice of the lowest and the highest height that a search considers."""
 
     @abstractmethod

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers, Scalar
 
 FARTHEST = 8.0  # standard deviations: beyond them lies 1e-15 of a normal variable
@@ -21,7 +21,7 @@ OUTER_NODES = 64
 FAR = 20.0
 
 
-class Frame(eqx.Module):
+class Frame(Record):
     """Axes in which the normal vector is taken apart; inner, middle and outer, as far as there are so many.
 
     Along `axes[0]` it is integrated in closed form, along the others by quadrature over the standard normal `u` that

@@ -10,12 +10,13 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 from jaxgeo.uncertainty.metrics.ellipse import drms, error_ellipse
 from jaxgeo.uncertainty.metrics.exact import circular_error, circular_probability, covariance
 
 
-class Classical(eqx.Module):
+class Classical(Record):
     """A formula for the circle of a `probability`, from a covariance (..., 2, 2) in m²; `source` says whose."""
 
     formula: Callable[[Any], Numbers] = eqx.field(static=True)
@@ -23,7 +24,7 @@ class Classical(eqx.Module):
     source: str = eqx.field(static=True)
 
 
-class Comparison(eqx.Module):
+class Comparison(Record):
     """A formula's radius and the exact one in m, its relative error, and the probability that it really holds."""
 
     radius: Numbers

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from jaxgeo._numerics import safe_sqrt
+from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 from jaxgeo.uncertainty.metrics._ball import eigen
 from jaxgeo.uncertainty.metrics.exact import bias_of, check_probability, covariance
 
 
-class ErrorEllipse(eqx.Module):
+class ErrorEllipse(Record):
     """Semi-axes in m, and the azimuth of the longer one in rad clockwise from north, in [0, pi)."""
 
     major: Numbers

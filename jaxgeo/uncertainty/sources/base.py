@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete, require_x64
+from jaxgeo._record import Record
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.sharing import AbstractSharing, InTime, Occasion
 
@@ -28,7 +29,7 @@ else:
 NEGATIVE = 1e-9  # of the largest eigenvalue: a covariance computed in floating point is no more negative than this
 
 
-class AbstractSource(eqx.Module):
+class AbstractSource(Record):
     """One cause of error: a vector e ~ N(0, D R D), D of its `sigma`, R its `correlation`, that moves a look.
 
     `sigma` are standard deviations in rad, m, px, s, K or Pa, one for each of `names`; without a `correlation` the axes

@@ -1,0 +1,111 @@
+"""Base of jaxgeo's records: frozen pytrees that are never rounded to 32-bit floats on their way between processes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import is_forked_from_jax, is_x64
+
+T = TypeVar("T")
+
+
+class Record(eqx.Module):
+    """A frozen record, a pytree of its fields. Subclasses declare fields as an `equinox.Module` does.
+
+    Pickling (and so `copy`, `multiprocessing`, joblib, Dask) carries arrays as NumPy arrays of their own dtype. Loading
+    one where JAX computes in 32 bits raises `RuntimeError`, and so does making one there from an array that JAX has
+    rounded already: `jnp.asarray` does so without a word.
+    """
+
+    def __check_init__(self) -> None:
+        if is_x64():
+            return
+        for name, value in vars(self).items():
+            if isinstance(value, jax.Array) and value.dtype in (jnp.float32, jnp.complex64):
+                raise RuntimeError(
+                    f"{type(self).__name__}.{name} has dtype {value.dtype}, since JAX is set to 32 bits, in which a "
+                    f"position on the Earth is uncertain by half a metre. {_TURN_ON}"
+                )
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return _loaded, (type(self), _packed(dict(vars(self))))
+
+
+def portable(cls: type[T]) -> type[T]:
+    """Class decorator: a `NamedTuple` or dataclass that is pickled as a `Record` is."""
+    if issubclass(cls, tuple):
+        cls.__reduce__ = lambda self: (_loaded_tuple, (type(self), _packed(list(self))))  # pyright: ignore
+    else:
+        cls.__reduce__ = lambda self: (_loaded, (type(self), _packed(dict(vars(self)))))  # pyright: ignore
+    return cls
+
+
+class _JaxArray:
+    """The numbers of a `jax.Array` while they are in a pickle."""
+
+    def __init__(self, values: np.ndarray):
+        self.values = values
+
+
+_TURN_ON = "Call jaxgeo.enable_x64() at the start of the program, or set JAX_ENABLE_X64=1."
+
+
+def _packed(value: Any) -> Any:
+    """A field, or a container of plain Python in one, with arrays of JAX as NumPy arrays; records pack themselves."""
+    if isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer):
+        is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        return value if is_key else _JaxArray(np.asarray(value))
+    return _walked(_packed, value)
+
+
+def _unpacked(value: Any) -> Any:
+    if isinstance(value, _JaxArray):
+        # A process that was forked from one in which JAX runs may not call it: public functions say so.
+        return value.values if is_forked_from_jax() else jnp.array(value.values)
+    return _walked(_unpacked, value)
+
+
+def _walked(each: Callable[[Any], Any], value: Any) -> Any:
+    if isinstance(value, tuple):  # or a NamedTuple
+        return tuple.__new__(type(value), (each(item) for item in value))
+    if type(value) is list:
+        return [each(item) for item in value]
+    if type(value) is dict:
+        return {name: each(item) for name, item in value.items()}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Record):
+        return _filled(type(value), {name: each(item) for name, item in vars(value).items()})
+    return value
+
+
+def _check_loading(cls: type) -> None:
+    if not is_x64():
+        raise RuntimeError(
+            f"a jaxgeo {cls.__name__} cannot be loaded while JAX is set to 32 bits: its positions would be off by "
+            f"up to half a metre. {_TURN_ON} Worker processes need it before their first record: call enable_x64() "
+            f"in the parent before they start, or pass initializer=jaxgeo.enable_x64 to the pool."
+        )
+
+
+def _loaded(cls: type[T], state: dict[str, Any]) -> T:
+    _check_loading(cls)
+    return _filled(cls, _unpacked(state))
+
+
+def _filled(cls: type[T], state: dict[str, Any]) -> T:
+    record = object.__new__(cls)
+    for name, value in state.items():
+        object.__setattr__(record, name, value)
+    return record
+
+
+def _loaded_tuple(cls: type[T], items: list[Any]) -> T:
+    _check_loading(cls)
+    return tuple.__new__(cls, _unpacked(items))  # pyright: ignore

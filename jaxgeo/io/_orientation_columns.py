@@ -1,0 +1,110 @@
+"""Names of the columns of orientations, as programs write them, and what values they may hold."""
+
+from __future__ import annotations
+
+import re
+
+import pyproj
+from pyproj.exceptions import CRSError
+
+from jaxgeo.io._columns import Columns, read_columns
+from jaxgeo.io._csv import POSE_COLUMNS, Limits
+from jaxgeo.io.errors import TableError
+
+# What columns may be called. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
+# Metashape PhotoID or Label and X/East, RealityCapture name and alt, MicMac #F=N Y X Z K W P.
+ALIASES = {
+    "image": ("filename", "nom", "imagename", "photoid", "bildname", "bild", "f=n"),
+    "camera": (),
+    "time_s": (),
+    "x_m": ("x", "x/east", "x/easting", "easting"),
+    "y_m": ("y", "y/north", "y/northing", "northing"),
+    "z_m": ("z",),
+    "omega_deg": ("omega", "o", "w"),
+    "phi_deg": ("phi", "p"),
+    "kappa_deg": ("kappa", "k"),
+    "lat_deg": ("latitude", "lat", "y/latitude", "breite"),
+    "lon_deg": ("longitude", "lon", "long", "lng", "x/longitude", "länge", "laenge"),
+    "height_m": ("altitude", "alt", "z/altitude", "height", "höhe", "hoehe"),
+    "heading_deg": ("yaw_deg", "yaw", "heading", "gier"),
+    "pitch_deg": ("pitch", "nick"),
+    "roll_deg": ("roll",),
+}
+WEAK = {"image": ("name", "label")}  # of a table that has no better name of the column
+GON = 0.9  # deg
+# The same angles in gon, in place of those in deg: our name in deg, and what the column in gon may be called.
+IN_GON = {
+    f"{angle}_deg": (f"{angle}_gon", f"{angle}[gon]", f"{angle} [gon]", f"{angle}(gon)", f"{angle} (gon)")
+    for angle in ("omega", "phi", "kappa")
+}
+MAP_COLUMNS: dict[str, Limits] = {
+    "x_m": (-1e8, 1e8, "m"),
+    "y_m": (-1e8, 1e8, "m"),
+    "z_m": POSE_COLUMNS["height_m"],
+}
+OPK_COLUMNS: dict[str, Limits] = dict.fromkeys(("omega_deg", "phi_deg", "kappa_deg"), (-360.0, 360.0, "deg"))
+EARTH_COLUMNS: dict[str, Limits] = {name: POSE_COLUMNS[name] for name in ("lat_deg", "lon_deg", "height_m")}
+# As programs write them: headings from 0 to 360, pitches beyond a right angle where a camera looks up.
+HPR_COLUMNS: dict[str, Limits] = {
+    "heading_deg": POSE_COLUMNS["heading_deg"],
+    "pitch_deg": (-180.0, 180.0, "deg"),
+    "roll_deg": (-180.0, 180.0, "deg"),
+}
+GRID_COLUMNS: dict[str, Limits] = MAP_COLUMNS | OPK_COLUMNS
+SIGMA_COLUMNS: dict[str, Limits] = {f"sigma_{axis}_m": (1e-12, 1e6, "m") for axis in ("north", "east", "down")} | {
+    f"sigma_{angle}_deg": (1e-12, 360.0, "deg") for angle in ("heading", "pitch", "roll")
+}
+TIME: Limits = (-1e11, 1e11, "s")
+KNOWN = frozenset(
+    {other.lower() for names in (ALIASES, WEAK) for name, others in names.items() for other in (name, *others)}
+    | {other for _, others in IN_GON.items() for other in others}
+)
+METASHAPE_CRS = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
+
+
+def read_orientation_columns(path: object, *, what: str = "table of orientations") -> Columns:
+    """The columns of a table of orientations, or of positions alone, by our names; z is a height and the reverse."""
+    in_gon = {gon: tuple(others) for gon, *others in IN_GON.values()}
+    columns = read_columns(path, what, ALIASES | in_gon | dict.fromkeys(SIGMA_COLUMNS, ()), weak=WEAK)  # type: ignore[arg-type]
+    for one, other in (("z_m", "height_m"), ("height_m", "z_m")):
+        if one in columns and other not in columns:
+            columns.called[other] = columns.called[one]
+    return columns
+
+
+def stated_crs(columns: Columns) -> pyproj.CRS | None:
+    """The CRS that Metashape writes in a comment; None where there is none, or PROJ does not know what is there."""
+    for comment in columns.table.comments:
+        found = METASHAPE_CRS.fullmatch(comment)
+        if found is None:
+            continue
+        name = re.search(r'"([^"]+)"', found[1])
+        for text in (found[1], name[1] if name else ""):  # the whole of it, else by its name
+            try:
+                return pyproj.CRS.from_user_input(text)
+            except CRSError:
+                continue
+    return None
+
+
+def angle_columns(columns: Columns, *, first: str) -> dict[str, Limits]:
+    """The columns of the angles that a table has: omega, phi, kappa ("opk") or heading, pitch, roll ("hpr")."""
+    kinds = {"opk": OPK_COLUMNS, "hpr": HPR_COLUMNS}
+    order = [first, *(kind for kind in kinds if kind != first)]
+    gon = [name for name, *_ in IN_GON.values() if name in columns]
+    count = {kind: sum(name in columns for name in kinds[kind]) for kind in kinds}
+    count["opk"] = max(count["opk"], len(gon))
+    kind = next((kind for kind in order if count[kind] == 3), max(order, key=lambda kind: count[kind]))
+    return _opk_units(columns, gon) if kind == "opk" else HPR_COLUMNS
+
+
+def _opk_units(columns: Columns, in_gon: list[str]) -> dict[str, Limits]:
+    """Omega, phi and kappa, in gon where the columns are called so."""
+    in_deg = [name for name in IN_GON if name in columns]
+    if not in_gon:
+        return OPK_COLUMNS
+    if in_deg:
+        both = f"{columns.called[in_gon[0]]} and {columns.called[in_deg[0]]}"
+        raise TableError(f"{columns.table.path}: columns {both} are there; give all three angles in one unit.")
+    low, high, _ = OPK_COLUMNS["omega_deg"]
+    return {gon: (low / GON, high / GON, "gon") for gon, *_ in IN_GON.values()}

@@ -1,0 +1,129 @@
+"""What telemetry left out, assumed and said, in sentences."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxgeo.io.acquisitions._klv_columns import DERIVED, HELD, LONGEST_HELD, Columns, Numbers, Values, lacking
+from jaxgeo.io.acquisitions.klv import Packet
+from jaxgeo.io.acquisitions.st0601 import label
+from jaxgeo.io.given_camera import FORMS
+
+TEXTS = (3, 4, 10, 11, 12, 59, 65)  # tags for people
+
+
+def damage(found: Sequence[Packet], kept: bool) -> list[str]:
+    """How many packets are damaged, why, and what became of them."""
+    damaged = [(k, one) for k, one in enumerate(found) if one.damage]
+    if not damaged:
+        return []
+    first, packet = damaged[0]
+    readable = sum(bool(one.items) for _, one in damaged)
+    done = f"{readable} of them were kept" if kept else "they were left out"
+    advice = f" keep_damaged=True reads the {readable} whose items can be told apart." if readable and not kept else ""
+    return [
+        f"{len(damaged)} of {len(found)} packets are damaged, {done}: "
+        f"packet {first} at byte {packet.offset}: {packet.damage}{', ...' if len(damaged) > 1 else '.'}{advice}"
+    ]
+
+
+def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> list[str]:
+    """How many packets were left out for want of what, and why it is unknown where it is there."""
+    notes = []
+    for what, (which, tags) in lacking(numbers.columns, fields_too).items():
+        if not which.any():
+            continue
+        rows = np.flatnonzero(which)
+        found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
+        hits = [found[tag][row] for tag in tags for row in found[tag] if which[row]]
+        reasons = list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
+        if 5 in tags and any(64 in values[int(row)] for row in rows):
+            reasons.append("the magnetic heading (tag 64) is there, but not the declination that makes it a true one")
+        why = "".join(f"; {reason}" for reason in reasons[:3])
+        advice = f" Give the camera: {FORMS}." if 16 in tags else ""
+        notes.append(f"{which.sum()} of {count} packets were left out for want of {what}{why}.{advice}")
+    return notes
+
+
+def _unitless(name: str) -> str:
+    return re.sub(r" \([^()]*\)$", "", name)
+
+
+def assumed(
+    numbers: Numbers,
+    values: Values,
+    datum: str | float | None,
+    guessed_size: tuple[int, int] | None,
+    upright: bool,
+    is_given: bool,
+) -> list[str]:
+    """What packets do not say and was taken for granted."""
+    columns = numbers.columns
+    notes = []
+    from_msl = ~np.isfinite(columns["height"])
+    if guessed_size is not None:
+        notes.append(
+            f"The size of the images is not in the packets: {guessed_size[0]} x {guessed_size[1]} pixels, by the ratio "
+            f"of the fields of view; image_size= says it."
+        )
+    if from_msl.any() and datum is None:
+        notes.append(
+            "Heights are above mean sea level, and the standard names no geoid: EGM96 (EPSG:5773); height_datum= says "
+            "another."
+        )
+    if datum is not None and not from_msl.all():
+        notes.append(
+            f"{(~from_msl).sum()} packets have heights above the ellipsoid, so height_datum was not used there."
+        )
+    if not upright and not np.isfinite(columns["turn"]).all():
+        notes.append("The roll of the sensor (tag 20) is not told everywhere: zero, the top of the image up.")
+    notes += ["The camera is the one given, not that of the packets."] if is_given else _fields_of_view(numbers)
+    if not any(136 in one for one in values):
+        notes.append(
+            "Times are taken as UTC; by newer editions of the standard they would count leap seconds, which tag 136 "
+            "would tell."
+        )
+    if not is_given:
+        notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
+    sigmas = "are in tag 102, which is not read" if any(102 in one for one in values) else "are not in the packets"
+    notes.append(f"Accuracies {sigmas}: no errors are given.")
+    return notes
+
+
+def _fields_of_view(numbers: Numbers) -> list[str]:
+    held, derived = numbers.origin == HELD, numbers.origin == DERIVED
+    across, down = numbers.columns["field_across"], numbers.columns["field_down"]
+    notes = []
+    if held.any():
+        notes.append(
+            f"The field of view of {held.sum()} packets is that of an earlier one, up to {numbers.age[held].max():.3g} "
+            f"s old: items sent now and then are held until they change, at most {LONGEST_HELD:g} s."
+        )
+    if derived.any():
+        angle = np.degrees(np.median(across[derived]))
+        notes.append(
+            f"The field of view of {derived.sum()} packets is not told; it is from target width and slant range, "
+            f"2 atan(width / (2 range)): {angle:.3g} deg across (median). It moves pixels away from the middle only."
+        )
+    if not np.isfinite([across, down]).all():
+        notes.append("Only one field of view (tag 16 or 17) is known in some packets: pixels are square there.")
+    return notes
+
+
+def facts(values: Values, columns: Columns, count: int) -> dict[str, str]:
+    """What the file says, for people."""
+    told = {"packets": f"{count}, of which {len(values)} make exposures"}
+    first, last = (
+        datetime.datetime.fromtimestamp(time, datetime.UTC).isoformat(sep=" ", timespec="milliseconds")
+        for time in (columns["time"].min(), columns["time"].max())
+    )
+    told["times"] = f"{first} to {last}"
+    for tag in TEXTS:
+        texts = dict.fromkeys(str(one[tag]) for one in values if one.get(tag) not in (None, "", b""))
+        if texts:
+            told[label(tag)] = ", ".join(texts)
+    return told

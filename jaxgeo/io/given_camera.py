@@ -1,0 +1,141 @@
+"""A camera as a caller gives it: a lens in a few words, a camera file, a name, or a `FrameCamera`."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import pathlib
+import re
+from typing import Any
+
+from jaxgeo.io.errors import TableError
+from jaxgeo.sensor import FrameCamera
+
+FORMS = (
+    'camera="focal=8.8mm,pitch=2.41um" (focal length and pixel size), camera="focal=8.8mm,sensor=13.2mm" (and width of '
+    'the sensor), camera="focal=3666px" (focal length in pixels of the image), or camera="camera.toml" (a scene file, '
+    "or its table [camera] alone)"
+)
+UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
+CLOSE = 0.005  # by which the scales along columns and rows may differ where an image was made smaller
+_VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*")
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """Focal length in mm, with pixel size in um or sensor width in mm; or in pixels; perhaps an image size."""
+
+    focal_mm: float | None = None
+    focal_px: float | None = None
+    pitch_um: float | None = None
+    sensor_mm: float | None = None
+    size: tuple[int, int] | None = None
+
+    def focal_at(self, width: int, full_width: int) -> float:
+        """Focal length in pixels of an image `width` pixels wide, as a copy of one of the camera's `full_width`."""
+        if self.focal_px is not None:
+            return self.focal_px
+        assert self.focal_mm is not None
+        if self.sensor_mm is not None:
+            return self.focal_mm / self.sensor_mm * width
+        assert self.pitch_um is not None
+        return 1e3 * self.focal_mm / self.pitch_um * width / full_width
+
+
+def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | Lens | str:
+    """A lens from text with "=", a camera from a file that ends in .toml, else the text as a name.
+
+    Raises `TableError` for a lens that is none, `SceneError` for a file, `FileNotFoundError`.
+
+    >>> from jaxgeo.io.given_camera import given_camera
+    >>> lens = given_camera("focal=8.8mm,pitch=2.41um")
+    >>> print(round(lens.focal_at(width=5472, full_width=5472), 3))
+    3651.452
+    """
+    if isinstance(camera, FrameCamera):
+        return camera
+    text = os.fspath(camera)
+    if pathlib.Path(text).suffix.lower() == ".toml":
+        from jaxgeo.io.scene import read_camera
+
+        return read_camera(text)
+    return _lens(text) if "=" in text else text
+
+
+def is_a_name(camera: Any) -> bool:
+    """Whether a camera is given by the name of one of several."""
+    return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith(".toml")
+
+
+def _lens(text: str) -> Lens:
+    found: dict[str, Any] = {}
+    for part in text.split(","):
+        name, _, written = part.partition("=")
+        name = name.strip().lower()
+        if name not in UNITS or name in found or not written.strip():
+            raise _wrong(text, f"{part.strip()!r} is none of focal=, pitch=, sensor=, size=, each once")
+        found[name] = _size(text, written) if name == "size" else _quantity(text, name, written)
+    if "focal" not in found:
+        raise _wrong(text, "the focal length is missing")
+    focal, unit = found["focal"]
+    pitch, sensor = (found.get(name, (None, ""))[0] for name in ("pitch", "sensor"))
+    if unit == "px" and (pitch or sensor):
+        raise _wrong(text, "a focal length in px needs neither pitch nor sensor")
+    if unit == "mm" and (pitch is None) == (sensor is None):
+        raise _wrong(text, "a focal length in mm needs either the pixel size, pitch=, or the sensor width, sensor=")
+    return Lens(focal if unit == "mm" else None, focal if unit == "px" else None, pitch, sensor, found.get("size"))
+
+
+def _quantity(text: str, name: str, written: str) -> tuple[float, str]:
+    matched = _VALUE.fullmatch(written.lower().replace("µ", "u").replace("μ", "u"))
+    if matched is None or matched[2] not in UNITS[name] or not 0.0 < float(matched[1]) < math.inf:
+        raise _wrong(text, f"{name}={written.strip()} is not a number above zero in {' or '.join(UNITS[name])}")
+    return float(matched[1]), matched[2]
+
+
+def _size(text: str, written: str) -> tuple[int, int]:
+    matched = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[x*]\s*([1-9]\d{0,5})\s*", written.lower())
+    if matched is None:
+        raise _wrong(text, f"size={written.strip()} is not the pixels of an image, such as size=5472x3648")
+    return int(matched[1]), int(matched[2])
+
+
+def _wrong(text: str, reason: str) -> TableError:
+    return TableError(f"camera={text!r}: {reason}. Give {FORMS}.")
+
+
+def frame_camera(lens: Lens, width: int, height: int, full_width: int | None = None) -> FrameCamera:
+    """The camera of a lens for images of a size, its principal point in their middle, free of distortion."""
+    focal = lens.focal_at(width, full_width or width)
+    return FrameCamera.from_pixels(focal_px=focal, width=width, height=height)
+
+
+def whole_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera:
+    """A camera with its image size, for files that do not tell that. Raises `TableError` where a lens has none."""
+    given = given_camera(camera)
+    if isinstance(given, FrameCamera):
+        return given
+    if isinstance(given, str) or given.size is None:
+        raise TableError(
+            f"camera={camera!r}: the size of the images is missing; say it too, as in "
+            f'camera="focal=8.8mm,pitch=2.41um,size=5472x3648".'
+        )
+    return frame_camera(given, *given.size)
+
+
+def resized(camera: FrameCamera, width: int, height: int) -> FrameCamera | None:
+    """A camera for copies of its images at another size; None where these have another shape."""
+    across, down = width / camera.width, height / camera.height
+    if abs(across / down - 1.0) > CLOSE:
+        return None
+    fu, fv = (camera.focal_px[k] for k in range(2))
+    u, v = (camera.principal_px[k] for k in range(2))
+    principal = [(u + 0.5) * across - 0.5, (v + 0.5) * down - 0.5]
+    return FrameCamera.from_pixels(
+        focal_px=[fu * across, fv * down],
+        width=width,
+        height=height,
+        principal_px=principal,
+        distortion=camera.distortion,
+    )

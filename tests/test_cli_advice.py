@@ -1,0 +1,138 @@
+"""Refusals of drone images print what to type next: every option in them is run as it is printed."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+import shlex
+from typing import Any
+
+import pytest
+from support.drone_image_files import CAMERA, PLACE, packet, write_image
+from typer.testing import CliRunner
+
+from jaxgeo.cli import app
+from jaxgeo.cli._words import as_typed
+from tests.test_cli_locate import DJI, GROUND
+
+ANGLES = [f"drone-dji:Gimbal{name}Degree" for name in ("Yaw", "Pitch", "Roll")]
+LENSLESS = {name: value for name, value in DJI.items() if "Calibrated" not in name}
+CAMERA_FILE = "[camera]\nwidth = 40\nheight = 30\nfocal_length_mm = 8.8\npixel_pitch_um = 240.0\n"
+LENSES = ["--camera focal=8.8mm,pitch=2.41um", "--camera focal=8.8mm,sensor=13.2mm", "--camera focal=3666px"]
+LENSES += ["--camera camera.toml"]
+DATUMS = ["--height-datum ellipsoid"]
+# Tags of XMP, options of the file, options typed beside, what is refused, and the ways out that are printed.
+CASES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str], str, list[str]]] = {
+    "no focal length": (LENSLESS, {"exif": {}}, DATUMS, "nothing says what the focal length is", LENSES),
+    "digital zoom": (DJI, {"exif": CAMERA | {0xA404: 2.0}}, DATUMS, "magnified 2 times", LENSES),
+    "cut": (DJI, {"size": (40, 20)}, DATUMS, "it was cut or turned", LENSES[:3]),
+    "calibration of another size": (
+        DJI | {"drone-dji:CalibratedOpticalCenterX": "100", "drone-dji:CalibratedOpticalCenterY": "100"},
+        {},
+        DATUMS,
+        "the calibration is of another size of image",
+        LENSES,
+    ),
+    "a focal length that does not fit": (
+        DJI | {"drone-dji:CalibratedFocalLength": "36.6"},
+        {},
+        DATUMS,
+        "does not fit an image",
+        LENSES,
+    ),
+    "a lens without a unit": (DJI, {}, [*DATUMS, "--camera focal=8.8"], "focal=8.8 is not a number above zero", LENSES),
+    "a camera that is not known": (DJI, {}, [*DATUMS, "--camera FC9998"], "is not in the table of cameras", LENSES),
+    "another size than the table's": (DJI, {}, [*DATUMS, "--camera ZH20T"], "has images of 4056 x 3040", LENSES),
+    "angles all zero": (
+        DJI | dict.fromkeys(ANGLES, "+0.00") | {"drone-dji:FlightYawDegree": "+121.30"},
+        {},
+        DATUMS,
+        "how the camera was turned is unknown",
+        ["--gimbal aircraft,-90,0"],
+    ),
+    "no angles": (
+        {name: value for name, value in DJI.items() if name not in ANGLES},
+        {},
+        DATUMS,
+        "nothing says how the camera was turned",
+        ["--gimbal 0,-90,0"],
+    ),
+    "a decimal comma": (DJI | {ANGLES[1]: "-60,0"}, {}, DATUMS, "a decimal comma", ["--gimbal 0,-90,0"]),
+    "half a gimbal": (
+        {name: value for name, value in DJI.items() if name != ANGLES[2]},
+        {},
+        DATUMS,
+        "all three are needed",
+        ["--gimbal 0,-90,0"],
+    ),
+    "altitude 0": (
+        DJI | {"drone-dji:AbsoluteAltitude": "+0.00"},
+        {"gps": PLACE | {6: 0.0}},
+        [],
+        "its height is unknown",
+        ["--takeoff-height"],
+    ),
+}
+
+
+def run(*words: str):
+    return CliRunner().invoke(app, ["inspect", *words])
+
+
+def printed(line: str) -> list[str]:
+    """Options with their values, as a line tells them."""
+    found = re.findall(r"--[a-z][a-z-]*(?: [^\s();]*[^\s();.,:])?", line)
+    return list(dict.fromkeys(found))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_way_out_works_as_it_is_printed(tmp_path: pathlib.Path, monkeypatch, case: str) -> None:
+    tags, options, typed, reason, ways = CASES[case]
+    monkeypatch.chdir(tmp_path)
+    write_image(tmp_path / "a.jpg", packet(tags), make="DJI", **options)
+    (tmp_path / "camera.toml").write_text(CAMERA_FILE)
+    given = [word for one in typed for word in shlex.split(one)]
+    result = run("a.jpg", *given)
+    assert result.exit_code != 0
+    (line,) = result.stderr.strip().splitlines()
+    assert reason in line
+    told = [one for one in printed(line) if not one.startswith("--camera '")]
+    assert set(ways) <= set(told)
+    for way in told:
+        name = way.split()[0]
+        if case == "cut" and way == "--camera camera.toml":
+            continue  # of images of that shape
+        others = [word for one in typed if not one.startswith(name) for word in shlex.split(one)]
+        value = ["300"] if way == "--takeoff-height" else []
+        result = run("a.jpg", *others, *shlex.split(way), *value)
+        assert result.exit_code == 0, (way, result.stderr)
+
+
+def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
+    """Its lens with its errors and its air, whatever the tags say; the pose is the image's."""
+    path = write_image(tmp_path / "a.jpg", packet(LENSLESS), make="DJI", exif={})
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f'{CAMERA_FILE}[gimbal]\nkind = "fixed"\n[errors]\nfocal_px = 0.5\n')
+    words = ["locate", str(path), *GROUND, "--no-accuracy", "--json"]
+    result = CliRunner().invoke(app, [*words, "--scene", str(scene)])
+    assert result.exit_code == 0, result.stderr
+    assert "The camera is taken as it is given" in result.stderr
+    both = CliRunner().invoke(app, [*words, "--scene", str(scene), "--camera", "focal=3666px"])
+    assert "both are a camera; leave one out" in both.stderr
+
+
+@pytest.mark.parametrize(
+    "python, command",
+    [
+        ('give camera="focal=8.8mm,pitch=2.41um" (so)', "give --camera focal=8.8mm,pitch=2.41um (so)"),
+        ('camera="Phantom 4 Pro".', "--camera 'Phantom 4 Pro'."),
+        ("gimbal_deg=(121.3, -90, 0).", "--gimbal 121.3,-90,0."),
+        ('gimbal_deg=("aircraft", -90, 0).', "--gimbal aircraft,-90,0."),
+        ("Give height_datum=: x", "Give --height-datum: x"),
+        ("as takeoff_height=.", "as --takeoff-height."),
+        ("leave size= of camera= out", "leave size= of --camera out"),
+        ("no image is of camera='falcon'; they", "no image is of --camera 'falcon'; they"),
+    ],
+)
+def test_words_of_readers_become_those_of_the_command_line(python: str, command: str) -> None:
+    assert as_typed(python) == command
