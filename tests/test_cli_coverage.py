@@ -280,7 +280,7 @@ MISTAKES = [
 ]
 
 
-LATE = ("46.2,-84.2", "fixed:30")  # those of these mistakes are seen only after programs were compiled
+LATE = ("46.2,-84.2",)  # those of these mistakes are seen only after programs were compiled
 
 
 def is_late(arguments: list[str]) -> bool:

@@ -20,6 +20,7 @@ from jaxgeo._numerics import safe_norm, turned
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
+from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
 from jaxgeo.coverage.exposure import Along, Exposure, near_length, on_map, own_map
 from jaxgeo.coverage.overlap import (
     STATIONS,
@@ -88,6 +89,9 @@ class Course(Record):
 class AbstractTiming(Record):
     """When images are due after a first one."""
 
+    def check(self, course: Course, along: Along | None, start: float) -> None:
+        """Raise `ValueError` for what cannot work, before programs are compiled; `along` is None until it is found."""
+
     @abc.abstractmethod
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
         """Times in s of the images from `start` on, that one first, while the trajectory lasts, and `most` at most."""
@@ -97,6 +101,10 @@ class FixedPeriod(AbstractTiming):
     """An image every `period` s."""
 
     period: ScalarField
+
+    def check(self, course: Course, along: Along | None, start: float) -> None:
+        if len(self.times(course, start, 2)) < 2:
+            raise too_few(float(course.last), start)
 
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
         period = float(checked_positive(self.period, "period", "s"))
@@ -116,6 +124,11 @@ class VelocityHeight(AbstractTiming):
 
     overlap: ScalarField
     height: ScalarField | None = None
+
+    def check(self, course: Course, along: Along | None, start: float) -> None:
+        goal = 1.0 - float(checked_overlap(self.overlap))
+        over = course if self.height is None else course.over(ConstantHeight(self.height))
+        refuse_too_short(over, along, start, goal)
 
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
         goal = 1.0 - float(checked_overlap(self.overlap))
@@ -140,7 +153,7 @@ class VelocityHeight(AbstractTiming):
         rate = _rates(course if self.height is None else course.over(ConstantHeight(self.height)), nodes)
         if not np.all(np.isfinite(rate)):
             lost = float(nodes[int(np.argmin(np.isfinite(rate)))])
-            raise ValueError(f"the near end of the image sees no ground at {lost:.9g} s: no image can be timed by it.")
+            raise no_ground(lost)
         growth = (nodes[2] - nodes[0]) / 6.0 * (rate[:-2:2] + 4.0 * rate[1:-1:2] + rate[2::2])
         return nodes[::2], jnp.concatenate([jnp.zeros(1), jnp.cumsum(growth)]), rate[::2]
 
@@ -158,11 +171,14 @@ class GroundShared(AbstractTiming):
     place: Literal["near", "far", "least"] = eqx.field(static=True, default="near")
     stations: int = eqx.field(static=True, default=STATIONS)
 
-    def times(self, course: Course, start: float, most: int) -> np.ndarray:
-        goal = 1.0 - checked_overlap(self.overlap)
+    def check(self, course: Course, along: Along | None, start: float) -> None:
         check_stations(self.stations)
         if self.place not in ("near", "far", "least"):
             raise ValueError(f'place must be "near", "far" or "least"; got {self.place!r}.')
+        VelocityHeight(self.overlap).check(course, along, start)
+
+    def times(self, course: Course, start: float, most: int) -> np.ndarray:
+        goal = 1.0 - checked_overlap(self.overlap)
         nodes, total, _ = VelocityHeight(self.overlap).integral(course, start)
         times = [start]
         while len(times) < most:
@@ -246,15 +262,13 @@ def plan(
             f"start must lie on the trajectory, {span[0]:.9g} to {span[1]:.9g} s; got {float(time):.9g} s. (Within, a "
             "whole image is exposed.)"
         )
+    timing.check(course, along, float(time))
     if along is None:
         along = _axis_at(sensor, trajectory, time, terrain)
         course = Course(sensor, trajectory, terrain, course.air, along)
     times = timing.times(course, float(time), most)
     if len(times) < 2:
-        raise ValueError(
-            f"the last whole image is at {span[1]:.9g} s, before a second image is due after that at {times[0]:.9g} s: "
-            "fewer than two images have no overlap. Fly on, or wish for more overlap."
-        )
+        raise too_few(span[1], float(times[0]))
     return Plan(trajectory, jnp.asarray(times), _overlaps_of(course, times, stations))
 
 

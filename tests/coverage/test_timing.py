@@ -225,3 +225,36 @@ def test_over_unseen_ground_images_follow_as_level_ground_would_have_it() -> Non
 def test_more_refusals(timing: Any, options: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         planned(timing, **options)
+
+
+EARLY = [
+    (FixedPeriod(20.0), {}, "fewer than two images"),
+    (FixedPeriod(0.0), {}, "period must be above 0 s"),
+    (VelocityHeight(0.0), {"trajectory": flight(speed=1.0)}, "fewer than two images"),
+    (VelocityHeight(WISHED), {"start": 12.0}, "fewer than two images"),
+    (VelocityHeight(1.0), {}, r"overlap must lie in \[0, 1\)"),
+    (VelocityHeight(WISHED), {"trajectory": LOOKS_UP}, "sees no ground at 0 s"),
+    (GroundShared(0.15, stations=STATIONS), {"trajectory": flight(0.5)}, "the last whole image is at 0.5 s"),
+    (GroundShared(0.0, stations=STATIONS), {"trajectory": flight(speed=1.0)}, "fewer than two images"),
+    (GroundShared(0.15, stations=1), {}, "stations must be at least 2"),
+    (GroundShared(1.2), {}, r"overlap must lie in \[0, 1\)"),
+]
+
+
+@pytest.mark.parametrize("along", ["rows", None])
+@pytest.mark.parametrize("timing, options, words", EARLY)
+def test_what_cannot_work_is_refused_before_anything_is_searched(
+    monkeypatch: pytest.MonkeyPatch, timing: Any, options: dict[str, Any], words: str, along: Any
+) -> None:
+    if along is None and words == "sees no ground at 0 s":
+        pytest.skip("without the axis along the flight nobody knows which end is near")
+    for name in ("_axis_at", "_rates", "_first_due", "overlaps_at"):
+        monkeypatch.setattr(f"jaxgeo.coverage.timing.{name}", lambda *_, name=name: pytest.fail(f"{name} compiled"))
+    with pytest.raises(ValueError, match=words):
+        planned(timing, **{"along": along} | options)
+
+
+def test_a_flight_that_may_do_is_not_refused_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half as long again as needed on level ground; all that comes after is left out."""
+    monkeypatch.setattr("jaxgeo.coverage.timing._rates", lambda *_: pytest.skip("goes on, as it must"))
+    planned(GroundShared(WISHED, stations=STATIONS))
