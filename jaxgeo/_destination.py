@@ -11,6 +11,8 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+SCREEN = pathlib.Path("-")
+
 
 class DestinationError(ValueError):
     """Results cannot be written where the caller asked."""
@@ -22,8 +24,8 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
 
     It is opened before the work, so that a place that cannot be written to is told at once. Raises `DestinationError`.
     """
-    if output is None:
-        yield sys.stdout
+    if output is None or output == SCREEN:
+        yield sys.stdout.buffer if binary else sys.stdout
     elif is_device(output):
         with _opened(option, output, output, binary) as stream:
             yield stream
@@ -43,7 +45,10 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
 
 
 def is_device(output: pathlib.Path) -> bool:
-    """Whether a path is a pipe, a terminal, /dev/null or /dev/stdout: no file that another may take the place of."""
+    """Whether a path is a pipe, a terminal, /dev/null, /dev/stdout or "-", the screen: no file that another may take
+    the place of."""
+    if output == SCREEN:
+        return True
     of_the_system = os.path.islink(output) and output.absolute().is_relative_to("/dev")
     of_a_process = output.absolute().is_relative_to("/proc")
     is_file_or_folder = os.path.isfile(output) or os.path.isdir(output)

@@ -14,12 +14,14 @@ from jax.typing import ArrayLike
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
 from jaxgeo._typing import Pixel, Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
-from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor import FrameCamera, Sensor, Shot, Trajectory
+from jaxgeo.sensor.scanning import AbstractScanningCamera
 from jaxgeo.status import Status
-from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.terrain import AbstractSearch, AbstractTerrain, ConstantHeight, Dem, FirstHit
 
 UNIT_TOLERANCE = 1e-6
 
@@ -69,6 +71,22 @@ def check_terrain(terrain: Any, search: Any) -> None:
     check_is(search, AbstractSearch, "search")
 
 
+def check_mapped_terrain(terrain: Any) -> None:
+    """Raise `TypeError` unless this is a terrain whose height at a place is read from a grid, or one number."""
+    check_terrain(terrain, FirstHit())
+    if not isinstance(terrain, Dem | ConstantHeight):
+        raise TypeError(
+            f"terrain must be a jaxgeo.Dem or a jaxgeo.ConstantHeight here: maps are made cell by cell from heights on "
+            f"a grid, which a {type(terrain).__name__} does not have. Make one with jaxgeo.Dem.from_array(posts, grid) "
+            "of the heights that its height_at gives at the posts."
+        )
+    if isinstance(terrain, ConstantHeight) and (terrain.ellipsoid.a, terrain.ellipsoid.f) != (WGS84.a, WGS84.f):
+        raise ValueError(
+            "terrain must lie on WGS 84 here; got a ConstantHeight on an ellipsoid of "
+            f"a = {terrain.ellipsoid.a:.10g} m and f = {terrain.ellipsoid.f:.10g}. Leave its ellipsoid out."
+        )
+
+
 def checked_air(atmosphere: Any) -> Atmosphere | None:
     """The atmosphere in float64, or None for no air; raises `TypeError` for anything else."""
     if atmosphere is None:
@@ -106,6 +124,19 @@ def check_ray(ray: Ray) -> None:
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise ValueError(
             f"ray.direction must be a unit vector in ECEF; got one of length {length:.9g}. Divide it by its length."
+        )
+
+
+def check_on_image(sensor: Sensor, pixel: Pixel) -> None:
+    """Raise `ValueError` for a known pixel outside the image, with its size; nothing is compiled for that."""
+    camera, known = sensor.camera, concrete(pixel)
+    if known is None or not isinstance(camera, FrameCamera | AbstractScanningCamera):
+        return
+    size = np.array([camera.width, camera.height])
+    if np.all(np.isfinite(known)) and not np.all((known >= -0.5) & (known <= size - 0.5)):
+        raise ValueError(
+            f"outside_image: the pixel uv = ({known[0]:g}, {known[1]:g}) lies outside the image of {size[0]} columns x "
+            f"{size[1]} rows; uv is (column, row), with pixel centres at integers from 0."
         )
 
 

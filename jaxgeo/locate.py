@@ -13,6 +13,7 @@ from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._doors import (
     UNIT_TOLERANCE,
     check_latitude,
+    check_on_image,
     check_ray,
     check_terrain,
     check_throw,
@@ -31,7 +32,7 @@ from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point, line_of_sight
-from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, ConstantHeight, FirstHit
 from jaxgeo.terrain.polish import polish
 
@@ -116,7 +117,10 @@ def locate(
     """
     check_throw(throw, (sensor, shot, uv, terrain, time, atmosphere))
     check_terrain(terrain, search)
-    fix = _locate(*pixel_of_shot(sensor, shot, time, uv), terrain, search, checked_air(atmosphere))
+    looked = pixel_of_shot(sensor, shot, time, uv)
+    if throw:
+        check_on_image(looked[0], looked[-1])
+    fix = _locate(*looked, terrain, search, checked_air(atmosphere))
     return thrown(fix) if throw else fix
 
 
@@ -222,7 +226,7 @@ def located_anywhere(
 ) -> tuple[Fix, Bracket]:
     """`locate` of checked input, for a pixel that may lie beside the image, as a measured one may; and the bracket."""
     ray, status = _line_of_sight(sensor, shot, time, pixel)
-    status = status_where(status == Status.outside_image, Status.hit, status)
+    status = seen_beside(status, ray.direction)
     return met_by(ray, status, terrain, search, air)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._typing import Flag, Flags, Indices, StatusCode
+from jaxgeo._typing import Flag, Flags, Indices, Numbers, StatusCode
 
 
 class Status(enum.IntEnum):
@@ -40,6 +40,7 @@ class Status(enum.IntEnum):
     images_apart = 19
     too_few_rays = 20
     weak_intersection = 21
+    file_not_read = 22
 
     @property
     def message(self) -> str:
@@ -75,6 +76,7 @@ _MESSAGES = {
     Status.images_apart: "The images share no ground across the flight, so that there is nowhere to overlap along it.",
     Status.too_few_rays: "Fewer than two rays are used: one alone does not say how far away its point is.",
     Status.weak_intersection: "The rays are too nearly parallel for their errors to say where they meet.",
+    Status.file_not_read: "The file of the exposure could not be read: its row has the reason.",
 }
 
 
@@ -89,6 +91,14 @@ def first_failure(*statuses: StatusCode) -> StatusCode:
 def status_where(condition: Flag, status: Status, otherwise: StatusCode) -> StatusCode:
     """`status` where `condition` holds, `otherwise` elsewhere."""
     return jnp.where(condition, status.code, otherwise)
+
+
+def seen_beside(status: Indices, given: Numbers) -> Indices:
+    """`hit` in place of `outside_image` where that comes with its pixel or direction `given`, the last axis of finite
+    numbers; any other status as it is. So a measured pixel may lie beside the image, but not where a lens has no ray.
+    """
+    is_beside = (status == Status.outside_image) & jnp.all(jnp.isfinite(given), axis=-1)
+    return jnp.where(is_beside, Status.hit.code, status)
 
 
 def counts_as_fix(code: Indices) -> Flags:

@@ -182,7 +182,8 @@ def test_what_a_refusal_advises_works_as_printed(
 def write_dem(path: pathlib.Path, **options: Any) -> pathlib.Path:
     if options.pop("driver", None) == "DTED":
         return dted(path.with_suffix(".dt1"))
-    return write(path, options.pop("heights", HILLS), **{"affine": HERE} | options)
+    made: dict[str, Any] = {"affine": HERE} | options
+    return write(path, made.pop("heights", HILLS), **made)
 
 
 def dted(path: pathlib.Path) -> pathlib.Path:
@@ -200,7 +201,9 @@ def dted(path: pathlib.Path) -> pathlib.Path:
 
 def test_words_of_python_become_those_of_the_shell() -> None:
     text = 'Pass nodata=[-9999, 1.5]; height_unit="m" or assume_wgs84=True, a part with bounds=, a band with band=2.'
-    assert dem_as_typed(text) == (
+    typed = (
         'Pass --nodata -9999 --nodata 1.5; --height-unit "m" or --assume-wgs84, a part with --dem-bounds, a band with '
         "--dem-band 2."
     )
+    assert dem_as_typed(text) == typed
+    assert dem_as_typed("with bounds=(170, -60, -170, 60).") == "with --dem-bounds 170,-60,-170,60."

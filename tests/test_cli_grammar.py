@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from types import SimpleNamespace
 
 import numpy as np
@@ -137,6 +138,9 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "inspect video.ts --stream 1",
     "inspect mission.sbet --errors smrmsg.out --no-velocities",
     "inspect ext_param.geojson --interior int_param.yaml",
+    "inspect images --positions geo.txt",
+    "locate images --positions geo.txt",
+    "report images --positions geo.txt -o out.html",
     "locate FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
     "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3",
     "report FILE --takeoff-height 8 --source-crs EPSG:32616 --camera a --image-size 64,48 --upright --keep-damaged "
@@ -213,9 +217,9 @@ def test_long_lines(folder, line: str) -> None:
 def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
-    asked = Asked(None, scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
+    asked = Asked([], scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
     assert asked.samples_of_field is is_field
-    assert asked._replace(file=scene, scene=None).samples_of_field is is_field
+    assert asked._replace(files=[scene], scene=None).samples_of_field is is_field
     assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field
 
 
@@ -418,10 +422,13 @@ def test_without_anything_there_is_help() -> None:
 
 
 def failing(error: BaseException):
+    """A function that raises an error as one of the package's would."""
+
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    return fail
+    names = {**fail.__globals__, "__name__": "jaxgeo.made_for_a_test"}
+    return types.FunctionType(fail.__code__, names, closure=fail.__closure__)
 
 
 @pytest.mark.parametrize(

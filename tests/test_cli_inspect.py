@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import pathlib
+import shlex
 from collections.abc import Callable
 
 import numpy as np
@@ -18,6 +19,8 @@ from jaxgeo.demo import scene_file
 from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
+from tests.io.test_flight_logs import airdata, subtitles
+from tests.io.test_metashape_cameras import document, placed
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -67,6 +70,14 @@ FILES = {  # name of a file: how it is made, what it is, options of its reader, 
     "flight.sbet": (of_bytes(np.array(CLIMB, "<f8").tobytes()), "SBET", {}),
     "eo.csv": (of_text(TABLE), "table of orientations", {"height_datum": "ellipsoid"}),
     "opk.txt": (of_text(OPK), "table of orientations", {"height_datum": "ellipsoid", "crs": "EPSG:32651"}),
+    "clip.srt": (of_text(subtitles()), "subtitle file of DJI", {"height_datum": "ellipsoid"}),
+    "flight.csv": (of_text(airdata()), "flight log of AirData", {"takeoff_height": 54.0}),
+    "cameras.xml": (of_text(document(placed()[0])), "camera file of Metashape", {}),
+    "micmac.txt": (
+        of_text("#F=N Y X Z K W P\na 36.3 -84.2 900.0 30 -20 0\n"),
+        "table of orientations",
+        {"height_datum": "ellipsoid", "crs": "EPSG:4326"},
+    ),
     "r.json": (of_text(json.dumps(RECONSTRUCTION)), "reconstruction of OpenSfM", {"height_datum": 19.6}),
 }
 OPTIONS = {"crs": "--source-crs"}
@@ -116,7 +127,7 @@ def test_heights_whose_datum_nobody_says_are_shown_with_that(tmp_path: pathlib.P
     result = run(path)
     assert result.exit_code == 0
     words = " ".join(result.output.split())
-    for word in ("153.90", "must be said", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
+    for word in ("153.90", "Vertical datum unknown", "--height-datum", "--takeoff-height", "AbsoluteAltitude"):
         assert word in words
     assert "height_datum=" not in words
     refused = run(path, "--output", tmp_path / "shots.csv")
@@ -187,9 +198,9 @@ def test_tags_are_kept(tmp_path: pathlib.Path) -> None:
     "content, words",
     [
         (b"", ["empty"]),
-        (b"\x00\x01\x02" * 50, ["none of what is read", "drone image", "SBET"]),
-        (b"just words\nand more\n", ["none of what is read"]),
-        (b"[1, 2", ["none of what is read"]),
+        (b"\x00\x01\x02" * 50, ["unrecognised file type", "drone image", "SBET"]),
+        (b"just words\nand more\n", ["unrecognised file type"]),
+        (b"[1, 2", ["unrecognised file type"]),
         (PACKETS[:40], ["packet"]),
     ],
 )
@@ -206,10 +217,18 @@ def test_other_files_are_refused_in_a_line(tmp_path: pathlib.Path, content: byte
 @pytest.mark.parametrize(
     "name, options, words",
     [
-        ("photo.jpg", ["--image-size", "10,20"], ["image_size", "no option", "drone image"]),
+        (
+            "photo.jpg",
+            ["--image-size", "10,20"],
+            ["(drone image) takes no --image-size", "it takes --height-datum, --takeoff"],
+        ),
         ("video.bin", ["--image-size", "10"], ["--image-size '10'", "WIDTH,HEIGHT"]),
         ("video.bin", ["--image-size", "10,2.5"], ["--image-size", "whole numbers"]),
-        ("video.bin", ["--takeoff-height", "10"], ["takeoff_height", "options are"]),
+        (
+            "video.bin",
+            ["--takeoff-height", "10"],
+            ["takes no --takeoff-height", "it takes --height-datum, --image-size"],
+        ),
         ("video.bin", ["--output", "shots.xlsx"], ["--output shots.xlsx", ".csv"]),
         ("video.bin", ["--tags"], ["--tags goes with --json"]),
         ("eo.csv", ["--height-datum", "sea"], ["sea"]),
@@ -271,3 +290,25 @@ def test_velocities_that_fit_in_no_frame_have_the_way_out_that_is_printed(tmp_pa
     read = run(path, "--no-velocities")
     assert read.exit_code == 0, read.output
     assert "Velocities of the file are left out, as asked." in read.output
+
+
+WITHOUT_FIELDS = {tag: raw for tag, raw in usual().items() if tag not in (16, 17, 21)}
+WAYS_OUT = {  # a file of telemetry that is refused, and what is printed as the way out
+    "wrong checksum": (local_set(usual())[:-1] + b"\x00", "--keep-damaged"),
+    "no field of view": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,pitch=2.41um"),
+    "no field of view, by the sensor": (local_set(WITHOUT_FIELDS), "--camera focal=8.8mm,sensor=13.2mm"),
+    "no field of view, in pixels": (local_set(WITHOUT_FIELDS), "--camera focal=3666px"),
+}
+
+
+@pytest.mark.parametrize("case", WAYS_OUT)
+def test_the_way_out_of_refused_telemetry_works_as_it_is_printed(tmp_path: pathlib.Path, case: str) -> None:
+    content, printed = WAYS_OUT[case]
+    path = tmp_path / "flight.klv"
+    path.write_bytes(content)
+    refused = run(path)
+    assert refused.exit_code == 2
+    assert printed in " ".join(refused.output.split())
+    read = run(path, *shlex.split(printed))
+    assert read.exit_code == 0, read.output
+    assert "1 exposure" in read.output

@@ -138,7 +138,7 @@ WRONG = [
     (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),
     (["{image}", "--ground", "high", "--height-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
     (["{image}", "--ground", "reported", "--height-datum", "ellipsoid"], ["--ground reported", "reports no height"]),
-    (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure", "'DJI_0043.JPG'", "DJI_0042.JPG"]),
+    (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure DJI_0043.JPG", "there are DJI_0042.JPG"]),
     (["{image}", *GROUND, "--attitude-sigma", "1"], ["--attitude-sigma 1", "against the level", "--gimbal-sigma"]),
     (["{image}", *GROUND, "--gimbal-sigma", "1,2"], ["--gimbal-sigma '1,2'", "YAW,PITCH,ROLL"]),
     (["{image}", *GROUND, "--dem-sigma", "-1"], ["--dem-sigma -1", "zero or more"]),

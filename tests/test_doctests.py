@@ -15,6 +15,7 @@ import jaxgeo
 PACKAGE = pathlib.Path(__file__).resolve().parents[1] / "jaxgeo"
 SLOW = {  # of what they compile
     "io/acquisitions/detect.py",
+    "io/acquisitions/several.py",
     "sensor/sensor.py",
     "uncertainty/accuracy.py",
     "uncertainty/budget.py",

@@ -31,7 +31,6 @@ from jaxgeo.adjust.rays import (
     Rays,
     Residuals,
     Stacked,
-    has_pixel,
     largest_angle,
     moved_by_errors,
     nearest_point,
@@ -42,7 +41,7 @@ from jaxgeo.adjust.rays import (
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_enu
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.sensor.sensor import made_safe
-from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 
 CLOSE_ENOUGH = 1e-6  # m, and of the standard deviation: the longest last step
@@ -210,7 +209,7 @@ def _intersected(measured: Measured) -> Intersection:
     ranges, angle = ranges_of(images, p_ecef), largest_angle(directions, used)
     deviation = jnp.sqrt(jnp.maximum(jnp.trace(cov), 0.0))
     is_far = ~(deviation <= WEAK * jnp.min(jnp.where(used, ranges, jnp.inf)))
-    unseen = _first(jnp.where(has_pixel(statuses), Status.hit.code, statuses), used)
+    unseen = _first(statuses, used)
     is_weak = ~meet | is_far & ((unseen == Status.hit) | (angle < NEARLY_PARALLEL))
     is_done = step <= CLOSE_ENOUGH * (1.0 + deviation)
     status = first_failure(status, status_where(is_weak, Status.weak_intersection, Status.hit.code), unseen)
@@ -241,14 +240,15 @@ def _lines(measured: Measured) -> tuple[Image, Rays, tuple[Sensor, Shot, Residua
     sensors, shots, uvs = jax.tree.map(filled, (sensors, shots, uvs))
     sights = jax.vmap(Sensor.sight)(sensors, shots)
     _, directions, seen = jax.vmap(Sensor.ray_from)(sensors, sights, uvs, sound)
-    has_ray = sound & has_pixel(seen)
+    seen = seen_beside(seen, directions)
+    has_ray = sound & (seen == Status.hit)
     directions = jnp.where(has_ray[:, None], directions, jnp.array([[1.0, 0.0, 0.0]]))
     fit = all_finite((measured.air, measured.errors)) & jnp.all(~sound | _is_sigma(measured.sigma, sound))
     is_valid = fit & jnp.all(valid | ~measured.use)
     status = first_failure(
         status_where(is_valid, Status.hit, Status.invalid_input.code),
         status_where(jnp.sum(measured.use) < 2, Status.too_few_rays, Status.hit.code),
-        _first(jnp.where(has_pixel(seen), Status.hit.code, seen), sound),
+        _first(seen, sound),
     )
     return Image(sensors.camera, sights, uvs, has_ray), directions, (sensors, shots, uvs, has_ray), status
 

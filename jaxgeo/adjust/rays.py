@@ -9,13 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int8
 
 from jaxgeo._numerics import cross, dot, safe_angle
-from jaxgeo._typing import Flag, Indices, Matrix3, Pixel, Scalar, StatusCode, Vector3
-from jaxgeo._typing import Flags as AnyFlags
+from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor import AbstractCamera, Sensor, Shot
 from jaxgeo.sensor.sensor import Sight
-from jaxgeo.status import Status
+from jaxgeo.status import Status, seen_beside
 from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
@@ -41,7 +40,8 @@ class Image(NamedTuple):
     used: Flag
 
     def residual(self, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Pixel, StatusCode]:
-        """(pixel of a point in ECEF m less the measured one, px; the camera's status), zero if it is not used.
+        """(pixel of a point in ECEF m less the measured one, px; the camera's status, `hit` too where the pixel lies
+        beside the image), zero if it is not used.
 
         Zero, with derivatives of zero, also where the point has no image: the status says so.
         """
@@ -54,12 +54,8 @@ class Image(NamedTuple):
     def residual_of(self, seeming: Vector3) -> tuple[Pixel, StatusCode]:
         """`residual` of a point that seems to be there."""
         uv, status = self.camera.project(self.sight.to_camera(seeming))
-        return jnp.where(self.used & has_pixel(status), uv - self.uv, 0.0), status
-
-
-def has_pixel(status: Indices) -> AnyFlags:
-    """Whether a status comes with a pixel or a direction: also beside the image, as a measured one may lie."""
-    return (status == Status.hit) | (status == Status.outside_image)
+        status = seen_beside(status, uv)
+        return jnp.where(self.used & (status == Status.hit), uv - self.uv, 0.0), status
 
 
 def residuals_of(images: Image, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Residuals, Int8[Array, " rays"]]:

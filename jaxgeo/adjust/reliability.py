@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -84,7 +85,8 @@ def reliability(adjustment: Adjustment, alpha: float = 0.001) -> Reliability:
 def blunders(adjustment: Adjustment, alpha: float = 0.001) -> list[Blunder]:
     """Image points whose residuals, both axes together, are larger than chance lets be with probability `alpha`.
 
-    The largest first. A large error shows in its neighbours too: `without_blunders` takes one after the other.
+    The largest first. A large error shows in its neighbours too: `without_blunders` takes one after the other. What
+    nothing checks is never among them, right or wrong: its `reliability` has a redundancy of 0.
     """
     left, v = _left(adjustment), adjustment.residuals / adjustment.block.observations.sigma
     trace = np.trace(left, axis1=1, axis2=2)
@@ -127,7 +129,8 @@ def without_blunders(
 ) -> tuple[Adjustment, list[Blunder]]:
     """(adjustment, blunders): the worst measurement taken out, adjusted again, until none is left (data snooping).
 
-    With many images the worst of each is taken at a time. A point that is left with one ray goes altogether.
+    With many images the worst of each is taken at a time. A point that is left with one ray goes altogether. After
+    `most` a `RuntimeWarning` says if more are left.
     `options` are those of `adjust`. `told` hears of each. Raises as `adjust`.
     """
     adjustment, out = adjust(block, unknowns, **options), []
@@ -146,6 +149,13 @@ def without_blunders(
         keep = block.kept(keep)
         block, origin = block.of(keep), origin[keep]
         adjustment = adjust(block, unknowns, **options)
+    if len(out) >= most and (left := blunders(adjustment, alpha)):
+        warnings.warn(
+            f"{len(out)} blunders are taken out, as many as most={most} allows, and more are left: the next is "
+            f"{left[0]}. Allow more, or look at the block.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     return adjustment, out
 
 

@@ -87,6 +87,15 @@ SbetErrors = Annotated[
     pathlib.Path | None,
     typer.Option("--errors", metavar="FILE", help="SBET: its file of errors (smrmsg).", rich_help_panel=READING),
 ]
+PositionsFile = Annotated[
+    pathlib.Path | None,
+    typer.Option(
+        "--positions",
+        metavar="FILE",
+        help="Drone images: a file of better positions (geo.txt, Timestamp.MRK, shots.geojson, a table).",
+        rich_help_panel=READING,
+    ),
+]
 NoVelocities = Annotated[
     bool,
     typer.Option("--no-velocities", help="SBET: leave its velocities out.", rich_help_panel=READING),
@@ -113,13 +122,16 @@ def how_to_read(
     interior: pathlib.Path | None,
     no_velocities: bool = False,
     gimbal: str | None = None,
+    *,
+    positions: pathlib.Path | None = None,
 ) -> dict[str, Any]:
     """Options of `read_acquisition` from those of the command line; `telemetry` are (upright, keep damaged, stream).
 
     Raises `UserError`.
     """
     how: dict[str, Any] = {"takeoff_height": takeoff_height, "crs": crs, "camera": camera}
-    how |= {"errors": errors, "interior": interior, "velocities": False if no_velocities else None}
+    how |= {"errors": errors, "interior": interior, "positions": positions}
+    how |= {"velocities": False if no_velocities else None}
     upright, keep_damaged, stream = telemetry
     how |= {"upright": upright or None, "keep_damaged": keep_damaged or None, "stream": stream}
     if height_datum is not None:

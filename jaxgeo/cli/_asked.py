@@ -13,10 +13,10 @@ from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._options import SEEN
 
 Source = Annotated[
-    pathlib.Path | None,
+    list[pathlib.Path] | None,
     typer.Argument(
         metavar="FILE",
-        help="Drone image or folder, KLV, SBET, table, reconstruction, scene.",
+        help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
         show_default=False,
     ),
 ]
@@ -95,7 +95,7 @@ Refraction = Annotated[
 class Asked(NamedTuple):
     """What was typed."""
 
-    file: pathlib.Path | None
+    files: list[pathlib.Path]
     scene: pathlib.Path | None
     shots: pathlib.Path | None
     pixels: list[str]
@@ -109,26 +109,50 @@ class Asked(NamedTuple):
     reading: DemReading = DemReading()
 
     @property
+    def is_scene(self) -> bool:
+        """Whether the exposures are those of a scene file, by --scene or as the only FILE."""
+        return not self.files or (len(self.files) == 1 and is_scene_file(self.files[0]))
+
+    @property
+    def scene_file(self) -> pathlib.Path | None:
+        """The scene file, however it was given."""
+        return self.files[0] if self.files and self.is_scene else self.scene
+
+    @property
+    def named(self) -> str:
+        """The FILEs in a message."""
+        more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
+        return f"{self.files[0]}{more}" if self.files else f"{self.scene}"
+
+    @property
     def samples_of_field(self) -> bool:
         """Whether heights of the ground err alike over some distance: by an option, or by a table of the scene."""
-        scenes = [path for path in (self.scene, self.file) if path is not None and path.suffix.lower() == ".toml"]
+        scenes = [path for path in (self.scene, self.scene_file) if path is not None and is_scene_file(path)]
         told = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
         return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in told)
 
 
+def is_scene_file(path: pathlib.Path) -> bool:
+    """Whether a file is a scene by its name."""
+    return path.suffix.lower() == ".toml"
+
+
 def check_asked(asked: Asked) -> None:
-    if asked.file is None and asked.scene is None:
+    if not asked.files and asked.scene is None:
         raise UserError("give a FILE of a camera or an aircraft, as jaxgeo inspect reads it, or --scene SCENE.toml.")
+    if len(asked.files) > 1:
+        for path in filter(is_scene_file, asked.files):
+            raise UserError(f"{path} is a scene: give it alone, or as --scene {path} for files without a camera.")
     if asked.shots is not None:
-        if asked.file is not None:
-            raise UserError(f"--shots {asked.shots}: it goes with --scene, and not with {asked.file}.")
+        if asked.files:
+            raise UserError(f"--shots {asked.shots}: it goes with --scene, and not with {asked.named}.")
         if asked.pixels:
             raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
     if bool(asked.dem) == (asked.ground is not None):
         raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
     if not asked.dem:
         asked.reading.check_goes_with_dem()
-    if asked.exposures and (asked.file is None or asked.file.suffix.lower() == ".toml"):
+    if asked.exposures and asked.is_scene:
         raise UserError("--exposure goes with a FILE of exposures; a scene has one.")
     if asked.sigmas.dem_correlation is not None and asked.ground is not None:
         raise UserError("--dem-correlation: level ground errs alike everywhere; it goes with --dem.")

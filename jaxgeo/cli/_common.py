@@ -6,10 +6,11 @@ import contextlib
 import pathlib
 import traceback
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
+from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import tell
 
 DONE, NO_ANSWER, MISTAKE, FAULT, INTERRUPTED = 0, 1, 2, 70, 130  # codes of exit; 70 as in sysexits.h, 130 as shells do
@@ -25,15 +26,16 @@ class UserError(Exception):
 def mistakes_told(debug: bool) -> Iterator[None]:
     """What goes wrong as one message on stderr: exit code 2 for a caller's mistake, 70 for a fault of the program's.
 
-    With `debug`, it stands below the traceback.
+    Which is which, `is_refusal` tells: a `KeyError`, or a `ValueError` that nobody raised for the caller, is a fault.
+    With `debug`, the message stands below the traceback.
     """
     try:
         yield
     except (typer.Exit, typer.Abort, BrokenPipeError):
         raise
-    except (UserError, ValueError, OSError, ImportError) as error:
-        _end(str(error) or type(error).__name__, MISTAKE, debug)
     except Exception as error:
+        if isinstance(error, UserError) or is_refusal(error):
+            _end(str(error) or type(error).__name__, MISTAKE, debug)
         reason = " ".join(str(error).split())
         if _is_of_memory(error):
             said = f"there is not enough memory for this{f' ({reason})' if reason else ''}; "
@@ -42,7 +44,7 @@ def mistakes_told(debug: bool) -> Iterator[None]:
         _end(f"{said}; run it again with --debug to see where, and report it.", FAULT, debug)
 
 
-def _end(message: str, code: int, debug: bool) -> None:
+def _end(message: str, code: int, debug: bool) -> NoReturn:
     if debug:
         traceback.print_exc()
     tell(message)

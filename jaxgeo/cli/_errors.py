@@ -94,7 +94,7 @@ class Sigmas(NamedTuple):
 
 
 def errors_given(
-    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path, pixel_pitch: float | None
+    stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> tuple[Any, ...]:
     """Sources that are stated, with those typed in their place; what was typed as zero does not err.
 
@@ -164,7 +164,7 @@ def attitude_errors(text: str, *, zero: bool = False) -> Any:
     return Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll) if heading or pitch or roll else None
 
 
-def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = False) -> Any:
+def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path | str, *, zero: bool = False) -> Any:
     """Errors of a gimbal's readings; None for zero, where that is allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import GimbalAngles
 
@@ -178,7 +178,7 @@ def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path, *, zero: bool = F
 
 
 def interior_errors(
-    focal: str | None, principal: str | None, where: pathlib.Path, pixel_pitch: float | None, stated: Any = None
+    focal: str | None, principal: str | None, where: pathlib.Path | str, pixel_pitch: float | None, stated: Any = None
 ) -> Any:
     """Errors of the focal length, of the principal point, or both, as typed; what is not typed is as `stated`, or zero.
 

@@ -33,7 +33,7 @@ def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReadi
     """The elevation model of one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    edges = None
+    edges: Any = None
     if reading.bounds is not None:
         edges = tuple(numbers_in("--dem-bounds", reading.bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"))
     with working("reading the elevation model"), dem_words_as_typed():

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import typer
 from rich.table import Table
 
-from jaxgeo.cli._common import NO_ANSWER
-from jaxgeo.cli._question import Question
+from jaxgeo.cli._common import FAULT, NO_ANSWER
+from jaxgeo.cli._question import Batch, Question, on_image
 from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell, working
 
 CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
@@ -21,7 +21,7 @@ WIDE = 120  # characters of a screen on which there is room for all columns
 
 
 class Located(NamedTuple):
-    """Fixes (n) and how sure they are, an `AccuracyOfEach` or None."""
+    """Fixes (n) and how sure they are, an `AccuracyOfEach` or None; a row without a file has the status of that."""
 
     fixes: Any
     accuracy: Any
@@ -31,9 +31,17 @@ class Located(NamedTuple):
         from jaxgeo.io._fix_columns import figures_of, rows_of
 
         figures = figures_of(name, self.fixes, self.accuracy, None, None, None)
-        found = rows_of(self.fixes, figures)
+        found = rows_of(self.fixes, figures, question.reasons)
         pairs = zip(found, question.carried, strict=True)
         return [more | {key: row[key] for key in row if key != "index"} for row, more in pairs]
+
+    def part(self, rows: Any) -> Located:
+        """Some of the rows."""
+        if self.accuracy is None:
+            return Located(_part(self.fixes, rows), None)
+        one = self.accuracy
+        fixes, arrays = _part((self.fixes, _arrays(one)), rows)
+        return Located(fixes, _with(one, fixes, arrays))
 
 
 def located(question: Question, probability: float) -> Located:
@@ -41,26 +49,123 @@ def located(question: Question, probability: float) -> Located:
     import jax
     import numpy as np
 
-    parts = [fixes for _, fixes in fixes_in_parts(question)]
-    fixes = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
-    return Located(fixes, None if question.errors is None else _how_sure(question, fixes, probability))
+    from jaxgeo.status import Status
+
+    count = len(question.carried)
+    each = [jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts) for parts in _fixes_of_each(question)]
+    blank = jax.tree.map(lambda leaf: _blank(leaf, count, Status.file_not_read), each[0])
+    rows = np.concatenate([batch.rows for batch in question.batches])
+    fixes = _spread(each, rows, blank)
+    if not question.has_errors:
+        return Located(fixes, None)
+    pairs = zip(question.batches, each, strict=True)
+    is_long = len(question.carried) > FEW
+    sure = [_how_sure(batch, found, probability, question.atmosphere, is_long=is_long) for batch, found in pairs]
+    known = [one for one in sure if one is not None]
+    if not known:
+        return Located(fixes, None)
+    arrays = [_arrays(one) for one in known]
+    where = [batch.rows for batch, one in zip(question.batches, sure, strict=True) if one is not None]
+    blank = jax.tree.map(lambda leaf: _blank(leaf, count, -1), arrays[0])
+    own = _spread(arrays, np.concatenate(where), blank)
+    return Located(fixes, _with(known[0], fixes, own))
+
+
+def _with(one: Any, fixes: Any, arrays: tuple[Any, ...]) -> Any:
+    """An `AccuracyOfEach` with other fixes and arrays."""
+    return type(one)(fixes, one.probability, *arrays, one.count)
+
+
+def _arrays(one: Any) -> tuple[Any, ...]:
+    """The arrays of an `AccuracyOfEach` but for its fixes, as NumPy's."""
+    import jax
+    import numpy as np
+
+    found = (one.circular, one.linear, one.spherical, one.trust, one.cov_enu, one.bias_enu, one.signs)
+    return jax.tree.map(np.asarray, found)
+
+
+def _fixes_of_each(question: Question) -> Iterator[list[Any]]:
+    """Fixes of each batch, in parts; a bar on stderr."""
+    total = sum(len(batch.uv) for batch in question.batches)
+    with progress_bar() as progress:
+        task = progress.add_task("locating", total=total)
+        for batch in question.batches:
+            parts = []
+            for _, fixes in _fixes_in_parts(batch, question.atmosphere):
+                parts.append(fixes)
+                progress.advance(task, len(fixes.status))
+            yield parts
+
+
+def _blank(leaf: Any, count: int, code: int) -> Any:
+    """An array for `count` rows, in which nothing is known; of whole numbers the code."""
+    import numpy as np
+
+    return np.full((count, *np.shape(leaf)[1:]), np.nan if leaf.dtype.kind == "f" else code, leaf.dtype)
+
+
+def _spread(each: list[Any], rows: Any, blank: Any) -> Any:
+    """Arrays of batches at their rows among all."""
+    import jax
+    import numpy as np
+
+    def placed(whole: Any, *parts: Any) -> Any:
+        whole[rows] = np.concatenate(parts)
+        return whole
+
+    return jax.tree.map(placed, blank, *each)
 
 
 def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
-    """(number of the first, fixes) of parts of all pixels, one after the other; a bar on stderr."""
+    """(number of the first, fixes) of parts of all pixels of the only batch, one after the other; a bar on stderr."""
+    (batch,) = question.batches
+    with progress_bar() as progress:
+        task = progress.add_task("locating", total=len(batch.uv))
+        for start, fixes in _fixes_in_parts(batch, question.atmosphere):
+            yield start, fixes
+            progress.advance(task, len(fixes.status))
+
+
+def _fixes_in_parts(batch: Batch, atmosphere: Any) -> Iterator[tuple[int, Any]]:
+    """(number of the first, fixes) of parts of the pixels of a batch, one after the other."""
     import numpy as np
 
-    total = len(question.uv)
+    total = len(batch.uv)
+    if _are_outside(batch, atmosphere):  # which needs no program
+        yield 0, _outside(total)
+        return
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
-    program = _program(question.axes[0], question.axes[3], size == 1)
-    with progress_bar() as progress:
-        task = progress.add_task("locating", total=total)
-        for start in range(0, total, size):
-            here = np.minimum(np.arange(start, start + size), total - 1)
-            sensor, shots, uv, terrain = _taken(question, here)
-            fixes = program(sensor, shots, uv, terrain, question.atmosphere)
-            yield start, _part(fixes, np.arange(min(size, total - start)))
-            progress.update(task, completed=min(start + size, total))
+    program = _program(batch.axes[0], batch.axes[3], size == 1)
+    for start in range(0, total, size):
+        here = np.minimum(np.arange(start, start + size), total - 1)
+        sensor, shots, uv, terrain = _taken(batch, here)
+        fixes = program(sensor, shots, uv, terrain, atmosphere)
+        yield start, _part(fixes, np.arange(min(size, total - start)))
+
+
+def _are_outside(batch: Batch, atmosphere: Any) -> bool:
+    """Whether no pixel lies on its image, and nothing else is wrong with any."""
+    import jax
+    import numpy as np
+
+    given = jax.tree.leaves((batch.sensor, batch.shots, batch.uv, atmosphere))
+    is_sound = all(np.isfinite(np.asarray(leaf)).all() for leaf in given)
+    return is_sound and not on_image(batch.sensor.camera, batch.uv).any()
+
+
+def _outside(count: int) -> Any:
+    """Fixes of so many pixels outside the image."""
+    import numpy as np
+
+    from jaxgeo.earth import Geodetic
+    from jaxgeo.fix import Fix
+    from jaxgeo.status import Status
+
+    unknown = np.full(count, np.nan)
+    position = Geodetic(lat=unknown, lon=unknown, height=unknown)
+    ecef, status = np.full((count, 3), np.nan), np.full(count, Status.outside_image, np.int8)
+    return Fix(position, ecef, unknown, unknown, unknown, unknown, status)
 
 
 @functools.cache
@@ -84,10 +189,10 @@ def _program(sensor_axis: int | None, terrain_axis: int | None, is_alone: bool) 
     return jax.jit(of_one)
 
 
-def _taken(question: Question, index: Any) -> list[Any]:
+def _taken(batch: Batch, index: Any) -> list[Any]:
     """(sensor, shots, uv, terrain) of some pixels."""
-    given = (question.sensor, question.shots, question.uv, question.terrain)
-    return [_part(one, index) if axis == 0 else one for one, axis in zip(given, question.axes, strict=False)]
+    given = (batch.sensor, batch.shots, batch.uv, batch.terrain)
+    return [_part(one, index) if axis == 0 else one for one, axis in zip(given, batch.axes, strict=False)]
 
 
 def _part(tree: Any, index: Any) -> Any:
@@ -98,22 +203,21 @@ def _part(tree: Any, index: Any) -> Any:
     return jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree)
 
 
-def _how_sure(question: Question, fixes: Any, probability: float) -> Any:
-    """How sure the fixes are; those that are none have no figures."""
-    import jax.numpy as jnp
+def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, is_long: bool) -> Any:
+    """How sure the fixes are, an `AccuracyOfEach`, without figures for those that are none; None where all are."""
+    import jax
     import numpy as np
 
-    from jaxgeo.status import counts_as_fix
+    from jaxgeo.status import Status, counts_as_fix
     from jaxgeo.uncertainty import accuracy_of_each
     from jaxgeo.uncertainty.accuracy_of_each import SAMPLES
-    from jaxgeo.uncertainty.places import spread
 
-    index = np.flatnonzero(np.asarray(counts_as_fix(jnp.asarray(fixes.status))))
+    counts = {int(one) for one in Status if counts_as_fix(one.code)}
+    index = np.flatnonzero(np.isin(fixes.status, list(counts)))
     if not index.size:
         return None
-    sensor, shots, uv, terrain = _taken(question, index)
-    errors = _part(question.errors, index) if question.axes[4] == 0 else question.errors
-    is_long = len(index) > FEW
+    sensor, shots, uv, terrain = _taken(batch, index)
+    errors = _part(batch.errors, index) if batch.axes[4] == 0 else batch.errors
     waiting = contextlib.nullcontext() if is_long else working("computing how sure that is")
     with waiting, bars_on_stderr() as is_shown:
         found = accuracy_of_each(
@@ -122,16 +226,15 @@ def _how_sure(question: Question, fixes: Any, probability: float) -> Any:
             uv,
             terrain,
             errors,
-            in_axes=question.axes,
+            in_axes=batch.axes,
             probability=probability,
             count=SAMPLES_OF_MANY if is_long else SAMPLES,
             progress=is_long and is_shown,
-            atmosphere=question.atmosphere,
+            atmosphere=atmosphere,
         )
-    arrays = (found.circular, found.linear, found.spherical, found.trust, found.cov_enu, found.bias_enu, found.signs)
-    whole = spread(arrays, jnp.asarray(index), len(question.uv))
-    circular, linear, spherical, trust, cov, bias, signs = whole
-    return type(found)(fixes, found.probability, circular, linear, spherical, trust, cov, bias, signs, found.count)
+    arrays = _arrays(found)
+    blank = jax.tree.map(lambda leaf: _blank(leaf, len(batch.uv), -1), arrays)
+    return _with(found, fixes, _spread([arrays], index, blank))
 
 
 def fixes_table(rows: list[dict[str, Any]], probability: float | None, width: int) -> Table:
@@ -173,9 +276,14 @@ def _plain(value: Any, spec: str) -> Any:
 
 
 def leave_without_a_fix(question: Question, found: Located) -> None:
-    """Exit with 1 where no pixel at all has a fix; what was to be written says so, and is written before."""
+    """Exit with 1 where no pixel at all has a fix; what was to be written says so, and is written before.
+
+    With 70 where a file could not be read by a fault of the program's.
+    """
     import numpy as np
 
+    if question.has_faults:
+        raise typer.Exit(FAULT)
     if np.isfinite(np.asarray(found.fixes.slant_range)).any():
         return
     why = where_from(question)
@@ -190,8 +298,8 @@ def where_from(question: Question) -> str | None:
     from jaxgeo.io.extent import camera_beside
     from jaxgeo.terrain import Dem
 
-    if not isinstance(question.terrain, Dem):
+    terrain, position = question.batches[0].terrain, question.position
+    if not isinstance(terrain, Dem):
         return None
-    position = question.shots.pose.position
     lat, lon = (float(np.rad2deg(np.asarray(angle)[0])) for angle in (position.lat, position.lon))
-    return camera_beside(question.terrain, lat, lon)
+    return camera_beside(terrain, lat, lon)

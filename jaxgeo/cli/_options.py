@@ -38,9 +38,9 @@ HeightUnit = Annotated[
         rich_help_panel=OF_DEM,
     ),
 ]
-_BAND = {"help": "Band of --dem that holds the heights, from 1; 1 if left out.", "rich_help_panel": OF_DEM}
-DemBand = Annotated[int | None, typer.Option("--dem-band", "--band", **_BAND)]
-DemBandBesideBand = Annotated[int | None, typer.Option("--dem-band", **_BAND)]
+_BAND = "Band of --dem that holds the heights, from 1; 1 if left out."
+DemBand = Annotated[int | None, typer.Option("--dem-band", "--band", help=_BAND, rich_help_panel=OF_DEM)]
+DemBandBesideBand = Annotated[int | None, typer.Option("--dem-band", help=_BAND, rich_help_panel=OF_DEM)]
 """Of commands in which --band is that of an image."""
 DemBounds = Annotated[
     str | None,

@@ -10,19 +10,22 @@ from jaxgeo._destination import check_no_input
 from jaxgeo.cli._asked import Asked, check_asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors
+from jaxgeo.cli._file_views import tell_unread, views_of_files
 from jaxgeo.cli._inputs import read_terrain, said_datum, terrain_files
+from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import tell
-from jaxgeo.cli._views import Views, in_air, views_of_file, views_of_scene
+from jaxgeo.cli._views import Seen, Views, in_air, views_of_scene
+from jaxgeo.cli._words import reason_not_read
 
 REPORTED = "reported"
 
 
-class Question(NamedTuple):
-    """n pixels, each of its own exposure, and what is known of them.
+class Batch(NamedTuple):
+    """n pixels, each of its own exposure, of one structure: such as those of images of one camera.
 
     `shots` and `uv` (n, 2) have an entry for each pixel; `sensor`, `terrain` and `errors` (sources, without any: None)
-    too where `axes`, for (sensor, shot, uv, terrain, errors), has 0, and are one for all where it has None. `carried`
-    is told of each with its fix, `readings` are the names of the gimbal's axes, `assumed` sentences; `reads` all files.
+    too where `axes`, for (sensor, shot, uv, terrain, errors), has 0, and are one for all where it has None. `rows` (n,)
+    are their places among all pixels.
     """
 
     sensor: Any
@@ -31,6 +34,20 @@ class Question(NamedTuple):
     terrain: Any
     errors: tuple[Any, ...] | None
     axes: tuple[int | None, ...]
+    rows: Any
+
+
+class Question(NamedTuple):
+    """All pixels, by batches, and what is known of them.
+
+    `carried` is told of each row with its fix; `unread` are those rows, by number, whose file could not be read.
+    `readings` are the names of the gimbal's axes, `assumed` sentences; `reads` all files.
+    """
+
+    batches: list[Batch]
+    unread: dict[int, Any]
+    has_errors: bool
+    is_each: bool
     atmosphere: Any
     carried: list[dict[str, Any]]
     readings: tuple[str, ...]
@@ -38,20 +55,45 @@ class Question(NamedTuple):
     inputs: dict[str, Any]
     reads: list[Any]
 
-    def lane(self, index: int) -> tuple[Any, Any, Any, Any, Any]:
-        """(sensor, shot, pixel, terrain, errors) of one pixel."""
+    @property
+    def reasons(self) -> list[str | None] | None:
+        """For each row why its file could not be read, or None; None if all could."""
+        if not self.unread:
+            return None
+        found = {row: reason_not_read(one) for row, one in self.unread.items()}
+        return [found.get(row) for row in range(len(self.carried))]
+
+    @property
+    def read(self) -> Any:
+        """Rows whose file could be read, in order."""
+        import numpy as np
+
+        return np.sort(np.concatenate([batch.rows for batch in self.batches]))
+
+    def look(self, row: int) -> tuple[Any, ...]:
+        """(sensor, shot, pixel, terrain, errors) of one row that could be read."""
         import jax
         import numpy as np
 
-        given = (self.sensor, self.shots, self.uv, self.terrain, self.errors)
-        own = jax.tree.map(
-            lambda leaf: np.asarray(leaf)[index], [one if a == 0 else None for one, a in self._of(given)]
-        )
-        one: Any = tuple(a if axis == 0 else b for a, b, axis in zip(own, given, self.axes, strict=True))
-        return one
+        batch = next(one for one in self.batches if row in one.rows)
+        index = int(np.flatnonzero(batch.rows == row)[0])
+        given = (batch.sensor, batch.shots, batch.uv, batch.terrain, batch.errors)
+        pairs = zip(given, batch.axes, strict=True)
+        return tuple(jax.tree.map(lambda x: np.asarray(x)[index], one) if axis == 0 else one for one, axis in pairs)
 
-    def _of(self, given: tuple[Any, ...]) -> Any:
-        return zip(given, self.axes, strict=True)
+    @property
+    def has_faults(self) -> bool:
+        """Whether a file could not be read by a fault of the program's."""
+        return any(not is_refusal(one.error) for one in self.unread.values())
+
+    @property
+    def position(self) -> Any:
+        """Positions of all exposures that could be read, a `Geodetic`."""
+        import jax
+        import numpy as np
+
+        each = [batch.shots.pose.position for batch in self.batches]
+        return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *each)
 
 
 def told_question(asked: Asked, with_errors: bool | None, output: pathlib.Path | None) -> Question:
@@ -61,7 +103,36 @@ def told_question(asked: Asked, with_errors: bool | None, output: pathlib.Path |
         check_no_input("--output", [output], question.reads)
     for one in question.assumed:
         tell(f"assumed: {one}")
+    _tell_of_pixels_outside(asked.pixels, question)
+    tell_unread(question.unread.values())
     return question
+
+
+def _tell_of_pixels_outside(texts: list[str], question: Question) -> None:
+    """On stderr, before anything is computed, which of the pixels typed are not on the image; they keep their rows."""
+    import numpy as np
+
+    told: dict[str, None] = {}
+    for batch in question.batches:
+        camera, typed = batch.sensor.camera, np.asarray(batch.uv)[: len(texts)]
+        if not np.isfinite(typed).all():
+            continue
+        for text, inside in zip(texts, on_image(camera, typed), strict=True):
+            if not inside:
+                told[
+                    f"--pixel {text}: outside the image of {camera.width} x {camera.height} pixels; columns go from 0 "
+                    f"to {camera.width - 1}, rows from 0 to {camera.height - 1}."
+                ] = None
+    for one in told:
+        tell(one)
+
+
+def on_image(camera: Any, uv: Any) -> Any:
+    """Which of the pixels (n, 2) lie on the image of a camera, the outer edges of its pixels included."""
+    import numpy as np
+
+    uv = np.asarray(uv, np.float64)
+    return np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
 
 
 def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
@@ -71,34 +142,43 @@ def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
     [errors] of the scene, or an option. Raises `UserError`, and as the readers.
     """
     check_asked(asked)
-    is_scene = asked.file is None or asked.file.suffix.lower() == ".toml"
     if with_errors is None and asked.shots is None:
-        with_errors = not is_scene or asked.sigmas.are_given or None
-    views = views_of_scene(asked) if is_scene else views_of_file(asked)
+        with_errors = not asked.is_scene or asked.sigmas.are_given or None
+    views = views_of_scene(asked) if asked.is_scene else views_of_files(asked)
     if with_errors is None:
-        with_errors = bool(views.sources) and asked.shots is None
+        with_errors = any(seen.sources for seen in views.seen) and asked.shots is None
     if asked.refraction:
         views = in_air(views)
-    sources, assumed = (None, []) if not with_errors else _sources(views, asked)
-    terrain, each_ground = _terrain(asked, views)
-    axes = (0 if views.is_each else None, 0, 0, 0 if each_ground else None, 0 if views.is_each else None)
+    assumed = list(views.assumed)
+    sources: list[Any] = [None] * len(views.seen)
+    if with_errors:
+        each = [_sources(seen, views, asked) for seen in views.seen]
+        sources = [found for found, _ in each]
+        assumed += [*views.assumed_of_errors, *dict.fromkeys(one for _, told in each for one in told)]
+    batches = [
+        Batch(seen.sensor, seen.shots, seen.uv, ground, own, _axes(views.is_each, has_ground_each), seen.rows)
+        for seen, own, (ground, has_ground_each) in zip(views.seen, sources, _terrain(asked, views), strict=True)
+    ]
     return Question(
-        views.sensor,
-        views.shots,
-        views.uv,
-        terrain,
-        sources,
-        axes,
+        batches,
+        views.unread,
+        bool(with_errors),
+        views.is_each,
         views.atmosphere,
         views.carried,
-        tuple(views.sensor.gimbal.names),
-        [*views.assumed, *assumed],
+        tuple(views.seen[0].sensor.gimbal.names),
+        assumed,
         _inputs(asked),
         _reads(asked),
     )
 
 
-def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
+def _axes(is_each: bool, has_ground_each: bool) -> tuple[int | None, ...]:
+    own = 0 if is_each else None
+    return own, 0, 0, 0 if has_ground_each else None, own
+
+
+def _sources(seen: Seen, views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     """(sources of error, one entry for each pixel where exposures have their own; what was assumed of the ground)."""
     import numpy as np
 
@@ -106,14 +186,15 @@ def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
     from jaxgeo.uncertainty import sources
 
     of_ground = sources.TerrainHeight | sources.TerrainField
-    count = len(views.uv)
-    own = tuple(one for one in views.sources if not isinstance(one, of_ground))
-    given = errors_given(own, asked.sigmas, views.sensor.gimbal, views.where, views.pixel_pitch)
+    count = len(seen.uv)
+    own = tuple(one for one in seen.sources if not isinstance(one, of_ground))
+    given = errors_given(own, asked.sigmas, seen.sensor.gimbal, views.where, views.pixel_pitch)
     if views.is_each:
-        given = tuple(one if np.ndim(one.sigma) > 1 else for_each(one, count) for one in given)
-    ground, of_heights = ground_errors(views.sources, asked.sigmas, level=asked.ground is not None)
+        kept = {id(one) for one in own}
+        given = tuple(one if id(one) in kept or np.ndim(one.sigma) > 1 else for_each(one, count) for one in given)
+    ground, of_heights = ground_errors(seen.sources, asked.sigmas, level=asked.ground is not None)
     if views.is_each:
-        stated = {id(one) for one in views.sources}
+        stated = {id(one) for one in seen.sources}
         ground = tuple(one if id(one) in stated else for_each(one, count) for one in ground)
     found = (*given, *ground)
     if not found:
@@ -121,23 +202,24 @@ def _sources(views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
             f"nothing says how {views.where} errs: write a table [errors] in the scene, or give --position-sigma, "
             f"--attitude-sigma, --gimbal-sigma, --dem-sigma."
         )
-    return found, [*views.assumed_of_errors, *of_heights]
+    return found, of_heights
 
 
-def _terrain(asked: Asked, views: Views) -> tuple[Any, bool]:
-    """(the ground, whether there is one for each pixel)."""
+def _terrain(asked: Asked, views: Views) -> list[tuple[Any, bool]]:
+    """For each part of what is seen (the ground, whether there is one for each pixel)."""
     import numpy as np
 
-    from jaxgeo.io.scene import ellipsoidal_heights
     from jaxgeo.terrain import ConstantHeight
 
     if asked.ground is None:
-        return read_terrain(asked.dem, asked.vertical_datum, asked.reading), False
+        return [(read_terrain(asked.dem, asked.vertical_datum, asked.reading), False)] * len(views.seen)
     if asked.ground == REPORTED:
-        heights = views.centre_heights
-        if heights is None or not np.isfinite(heights).any():
+        known = [seen.centre_heights for seen in views.seen if seen.centre_heights is not None]
+        if not any(np.isfinite(heights).any() for heights in known):
             raise UserError(f"--ground {REPORTED}: {views.where} reports no height of what its images show; give it.")
-        return ConstantHeight(np.asarray(heights)), True
+        heights = [np.nan if seen.centre_heights is None else seen.centre_heights for seen in views.seen]
+        pairs = zip(views.seen, heights, strict=True)
+        return [(ConstantHeight(np.broadcast_to(height, len(seen.uv))), True) for seen, height in pairs]
     try:
         height = float(asked.ground)
     except ValueError:
@@ -145,17 +227,28 @@ def _terrain(asked: Asked, views: Views) -> tuple[Any, bool]:
     if not math.isfinite(height):
         raise UserError(f"--ground {asked.ground!r}: expected a height in m, or {REPORTED!r}.")
     if asked.vertical_datum is None:
-        return ConstantHeight(np.asarray(height)), False
-    position = views.shots.pose.position
+        return [(ConstantHeight(np.asarray(height)), False)] * len(views.seen)
+    return [(_level(seen, height, said_datum(asked.vertical_datum)), True) for seen in views.seen]
+
+
+def _level(seen: Seen, height: float, datum: str | float) -> Any:
+    """Level ground below each pixel, at a height in m above a datum."""
+    import numpy as np
+
+    from jaxgeo.io.scene import ellipsoidal_heights
+    from jaxgeo.terrain import ConstantHeight
+
+    position = seen.shots.pose.position
     lon, lat = (np.rad2deg(np.asarray(angle)) for angle in (position.lon, position.lat))
-    datum = said_datum(asked.vertical_datum)
-    return ConstantHeight(ellipsoidal_heights(lon, lat, np.full(len(lon), height), datum)), True
+    return ConstantHeight(ellipsoidal_heights(lon, lat, np.full(len(lon), height), datum))
 
 
 def _inputs(asked: Asked) -> dict[str, Any]:
     """What was typed, in plain words."""
-    paths = {"file": asked.file, "scene": asked.scene, "shots": asked.shots}
+    paths = {"file": asked.files[0] if len(asked.files) == 1 else None, "scene": asked.scene, "shots": asked.shots}
     found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
+    if len(asked.files) > 1:
+        found["files"] = [str(path) for path in asked.files]
     found |= {"dem": list(asked.dem)} if asked.dem else {"ground": asked.ground}
     found |= {f"dem_{name}": value for name, value in asked.reading._asdict().items() if value is not None}
     if asked.vertical_datum is not None:
@@ -166,7 +259,8 @@ def _inputs(asked: Asked) -> dict[str, Any]:
 
 
 def _reads(asked: Asked) -> list[Any]:
-    named = [asked.file, asked.scene, asked.shots, asked.how.get("errors"), asked.how.get("interior")]
+    named = [*asked.files, asked.scene, asked.shots]
+    named += [asked.how.get(name) for name in ("errors", "interior", "positions")]
     files: list[Any] = [one for one in named if one is not None]
     camera = asked.how.get("camera")
     files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []

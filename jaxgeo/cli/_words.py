@@ -6,23 +6,34 @@ import contextlib
 import re
 import shlex
 from collections.abc import Iterator
+from typing import Any
 
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._refusals import is_refusal
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
 OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal"}
-_NAMES = "height_datum|vertical_datum|takeoff_height|image_size|upright|crs|camera|gimbal_deg|errors|interior|stream"
+# Options of readers that the command line has; others are Python's alone.
+READING = (
+    "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "crs", "camera", "gimbal_deg",
+    "positions", "errors", "interior",
+)  # fmt: skip
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a text, or several in parentheses, as Python has them
-_OPTION = re.compile(rf"\b({_NAMES})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
+_OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
+
+
+def typed(name: str) -> str:
+    """An option of a reader as it is typed."""
+    return "--" + OTHER_NAMES.get(name, name.replace("_", "-"))
 
 
 def as_typed(text: str) -> str:
     """A sentence that names options of a reader, with those of the command line."""
 
-    def typed(found: re.Match[str]) -> str:
-        option = "--" + OTHER_NAMES.get(found[1], found[1].replace("_", "-"))
+    def replaced(found: re.Match[str]) -> str:
+        option = typed(found[1])
         if found[2]:
             inside = found[2][1:-1]
             value = inside.replace(" ", "").replace('"', "") if found[2].startswith("(") else shlex.quote(inside)
@@ -32,7 +43,29 @@ def as_typed(text: str) -> str:
 
     for said, flag in FLAGS.items():
         text = text.replace(said, flag)
-    return _OPTION.sub(typed, text)
+    return _OPTION.sub(replaced, text)
+
+
+def reason_of(error: Exception) -> str:
+    """Why a file cannot be read, in a line and in the words of the command line."""
+    from jaxgeo.io.acquisitions.detect import WrongOption
+
+    if isinstance(error, WrongOption):
+        options = [typed(name) for name in error.takes if name in READING]
+        takes = f"it takes {', '.join(options)}" if options else "it takes no option of how it is read"
+        return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
+    return as_typed(" ".join(str(error).split())) or type(error).__name__
+
+
+def reason_not_read(unread: Any) -> str:
+    """Why one of many files could not be read; a fault of the program is called one."""
+    if is_refusal(unread.error):
+        return reason_of(unread.error)
+    name, reason = type(unread.error).__name__, " ".join(str(unread.error).split())
+    return (
+        f"{unread.path}: unexpected {name}{f' ({reason})' if reason else ''}: a fault of jaxgeo's, not of the file; "
+        f"see where with jaxgeo inspect {unread.path} --debug, and report it."
+    )
 
 
 _OF_DEM = {
@@ -43,6 +76,7 @@ _OF_DEM = {
     "vertical_datum": "vertical-datum",
 }
 _DEM_LIST = re.compile(r"\bnodata=\[([^\]]*)\]")
+_DEM_TUPLE = re.compile(r"\bbounds=\(([-\d., ]*)\)")
 _DEM_OPTION = re.compile(rf"\b({'|'.join(_OF_DEM)})=(\.\.\.)?\s?")
 _DEM_WORDS = (
     ("assume_wgs84=True", "--assume-wgs84"),
@@ -60,6 +94,7 @@ def dem_as_typed(text: str) -> str:
         return f"--{_OF_DEM[found[1]]}" + ("" if follows in ",:;." or not follows else " ")
 
     text = _DEM_LIST.sub(lambda found: " ".join(f"--nodata {one.strip()}" for one in found[1].split(",")), text)
+    text = _DEM_TUPLE.sub(lambda found: f"--dem-bounds {found[1].replace(' ', '')}", text)
     for word, option in _DEM_WORDS:
         text = text.replace(word, option)
     return _DEM_OPTION.sub(typed, text)
@@ -76,8 +111,10 @@ def dem_words_as_typed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def words_as_typed() -> Iterator[None]:
-    """Readers' mistakes with the options of the command line in place of Python's."""
+    """Readers' refusals with the options of the command line in place of Python's."""
     try:
         yield
     except (ValueError, ImportError) as error:
-        raise UserError(as_typed(str(error))) from error
+        if not is_refusal(error):
+            raise
+        raise UserError(reason_of(error)) from error

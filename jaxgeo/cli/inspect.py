@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from jaxgeo._destination import check_place, destination
 from jaxgeo.cli._acquisitions import (
@@ -17,6 +18,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -26,21 +28,22 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import FAULT, Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._exposure_rows import middles_of, rows_of, tags_of
+from jaxgeo.cli._file_views import read_files, tell_unread
 from jaxgeo.cli._inputs import keep_inputs
-from jaxgeo.cli._poses import pose_columns
-from jaxgeo.cli._poses import rows_of as as_rows
+from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._results import AsJson, asked, print_json
-from jaxgeo.cli._screen import number_table, working
-from jaxgeo.cli._words import as_typed, words_as_typed
+from jaxgeo.cli._screen import number_table
+from jaxgeo.cli._words import as_typed, reason_not_read
 
 SHOWN = 5  # exposures on the screen
 
 
 def inspect_command(
-    file: Annotated[
-        pathlib.Path,
-        typer.Argument(metavar="FILE", help="Drone image or folder, KLV, SBET, table, reconstruction, scene."),
+    files: Annotated[
+        list[pathlib.Path],
+        typer.Argument(metavar="FILE", help="Drone images or folders, KLV, SBET, table, reconstruction, scene."),
     ],
     height_datum: SourceDatum = None,
     takeoff_height: TakeoffHeight = None,
@@ -54,6 +57,7 @@ def inspect_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -69,6 +73,7 @@ def inspect_command(
 ) -> None:
     """What a file tells of exposures: cameras, poses, errors, and what its reader had to assume."""
     inputs = asked(locals())
+    inputs |= {"file": inputs.pop("files")[0]} if len(files) == 1 else {}
     with mistakes_told(debug):
         from jaxgeo._checks import enable_x64
 
@@ -76,7 +81,7 @@ def inspect_command(
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
             check_place("--output", output)
-            keep_inputs("--output", output, [*_files_in(file), errors, interior])
+            keep_inputs("--output", output, [*_files_in(files), errors, interior, positions])
         if tags and not as_json:
             raise UserError("--tags goes with --json.")
         enable_x64()
@@ -91,72 +96,47 @@ def inspect_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
-        with working("reading"):
-            found, unstated = _read(file, how)
+        found, unstated = _read(files, how)
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
             _write(output, found, rows)
+        tell_unread(found.unread)
         if as_json:
-            print_json("inspect", {"inputs": inputs, **_content(found, rows, unstated, tags)})
+            print_json("inspect", {"inputs": inputs, **_content(files, found, rows, unstated, tags)})
         else:
-            _show(found, rows, unstated)
+            _show(files, found, rows, unstated)
+        if any(not is_refusal(one.error) for one in found.unread):
+            raise typer.Exit(FAULT)
 
 
-def _files_in(file: pathlib.Path) -> list[pathlib.Path]:
-    return [file, *file.iterdir()] if file.is_dir() else [file]
+def _files_in(files: list[pathlib.Path]) -> list[pathlib.Path]:
+    return [*files, *(inside for one in files if one.is_dir() for inside in one.iterdir())]
 
 
-def _read(file: pathlib.Path, how: dict[str, Any]) -> tuple[Any, str | None]:
-    """(the acquisition, why its heights are not known): without a datum they are shown as the file has them."""
-    from jaxgeo.io.acquisitions import UnstatedDatum, read_acquisition
+def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[Any, str | None]:
+    """(the exposures, why their heights are not known): without a datum they are shown as the files have them."""
+    from jaxgeo.io.acquisitions import UnstatedDatum
 
     try:
-        with words_as_typed():
-            return read_acquisition(file, **how), None
+        return read_files(files, how), None
     except UserError as error:
         if not isinstance(error.__cause__, UnstatedDatum):
             raise
-        found = read_acquisition(file, **{**how, "height_datum": "ellipsoid"})
+        found = read_files(files, {**how, "height_datum": "ellipsoid"})
         assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # nobody said so
         return dataclasses.replace(found, assumed=assumed), str(error)
 
 
-def rows_of(found: Any) -> list[dict[str, Any]]:
-    """A row for each exposure, numbers in degrees and metres, None for what is not known."""
-    import numpy as np
-
-    from jaxgeo.io.acquisitions import compare_reported
-
-    names = [str(name) for name in found.names]
-    columns = {"name": names} | pose_columns(found.shots, None if found.sensor is None else found.sensor.gimbal.names)
-    if found.sensor is not None:
-        focal = np.asarray(found.sensor.camera.focal_px)
-        columns |= {"focal_u_px": focal[:, 0], "focal_v_px": focal[:, 1]}
-    if found.reported is not None:
-        centre = found.reported.centre
-        columns |= {"centre_lat_deg": np.rad2deg(centre.lat), "centre_lon_deg": np.rad2deg(centre.lon)}
-        columns |= {"centre_height_m": centre.height, "centre_range_m": found.reported.slant_range}
-        if found.sensor is not None:
-            off = compare_reported(found)
-            columns |= {"range_off_m": off.slant_range, "axis_off_east_m": off.east, "axis_off_north_m": off.north}
-            columns |= {"axis_off_azimuth_mrad": 1e3 * off.azimuth, "axis_off_elevation_mrad": 1e3 * off.elevation}
-            columns |= {"image_off_turn_deg": np.rad2deg(off.turn)}
-    return as_rows(columns)
-
-
 def _write(output: pathlib.Path, found: Any, rows: list[dict[str, Any]]) -> None:
     """A table of shots, with what its columns do not say: what heights and the gimbal's angles are measured from."""
-    from jaxgeo.io.tables import GIMBAL_REFERENCE, write_csv
+    from jaxgeo.io.tables import write_csv
 
-    more: dict[str, Any] = {"height_datum": "ellipsoid"}
-    if found.sensor is not None:
-        camera = found.sensor.camera
-        more |= {"u": 0.5 * (camera.width - 1), "v": 0.5 * (camera.height - 1)}
-        more |= {GIMBAL_REFERENCE: found.sensor.gimbal.reference}
-    rows = [row | more for row in rows]
+    more = {"height_datum": "ellipsoid"}
+    rows = [row | more | middle for row, middle in zip(rows, middles_of(found), strict=True)]
     with destination("--output", output) as stream:
         write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
 
@@ -167,11 +147,29 @@ def _text(name: str, value: Any) -> Any:
     return f"{value:.{10 if name.endswith('_deg') else 6 if name == 'time_s' else 4}f}"
 
 
-def _content(found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool) -> dict[str, Any]:
-    content = {"file": found.path, "form": found.form, "facts": dict(found.facts), "sensor": _sensor(found)}
-    content |= {"errors": _errors(found), "assumed": list(found.assumed), "height_datum_unstated": unstated}
-    content |= {"time_is_utc": found.time_is_utc, "exposures": rows}
-    return content | ({"tags": [dict(one) for one in found.tags]} if tags else {})
+def _content(
+    files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool
+) -> dict[str, Any]:
+    """What is told of all, and of each part: exposures of one structure, such as those of one camera."""
+    parts = [
+        {"form": one.form, "facts": dict(one.facts), "sensor": _sensor(one), "errors": _errors(one), "count": len(one)}
+        for one in found.parts
+    ]
+    first = {name: value for name, value in parts[0].items() if name != "count"}
+    content = {"file": _named(files, found), **first, "parts": parts, "assumed": list(found.assumed)}
+    content |= {"height_datum_unstated": unstated, "time_is_utc": all(one.time_is_utc for one in found.parts)}
+    content |= {"exposures": rows, "unread": [_unread(one) for one in found.unread]}
+    return content | ({"tags": tags_of(found)} if tags else {})
+
+
+def _named(files: list[pathlib.Path], found: Any) -> str:
+    if len(files) > 1:
+        return f"{files[0]} and {len(files) - 1} more"
+    return found.parts[0].path if not files[0].is_dir() else f"{files[0]}"
+
+
+def _unread(one: Any) -> dict[str, str]:
+    return {"name": one.name, "path": one.path, "reason": reason_not_read(one)}
 
 
 def _sensor(found: Any) -> dict[str, Any] | None:
@@ -209,28 +207,35 @@ def _errors(found: Any) -> dict[str, float]:
     return told
 
 
-def _show(found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
+def _show(files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
     console = Console(width=None if Console().is_terminal else 160, highlight=False)
-    count = len(rows)
-    console.print(f"[bold]{found.path}[/bold]: {found.form}, {count} exposure{'s' if count != 1 else ''}")
-    for name, value in found.facts.items():
-        console.print(f"  {name}: {value}", markup=False)
-    console.print(_sensor_line(found), markup=False)
+    count, unread = len(rows), len(found.unread)
+    for number, part in enumerate(found.parts):
+        title = f"[bold]{escape(_named(files, found))}[/bold]: " if not number else ""
+        console.print(f"{title}{part.form}, {_counted(len(part), 'exposure')}")
+        for name, value in part.facts.items():
+            console.print(f"  {name}: {value}", markup=False)
+        console.print(_sensor_line(part), markup=False)
+        words = [f"{name} {value:.4g}" for name, value in _errors(part).items()]
+        console.print("  errors: " + ("; ".join(words) if words else "none"), markup=False)
     console.print(number_table(rows[:SHOWN], _columns(rows)))
     if count > SHOWN:
         console.print(f"  ... and {count - SHOWN} more; --json and --output have them all", markup=False)
+    if unread:
+        console.print(f"  {_counted(unread, 'file')} could not be read; --json has the reason of each", markup=False)
     if "range_off_m" in rows[0]:
         console.print(_comparison(rows), markup=False)
-    told = _errors(found)
-    words = [f"{name} {value:.4g}" for name, value in told.items()]
-    console.print("errors: " + ("; ".join(words) if words else "none"), markup=False)
     if unstated is not None:
-        console.print("heights are shown as the file has them; what they are measured from must be said:", markup=False)
+        console.print("Vertical datum unknown: heights are as the file has them.", markup=False)
         console.print(f"  {as_typed(unstated)}", markup=False)
     if found.assumed:
         console.print("assumed:")
         for one in found.assumed:
             console.print(f"  - {as_typed(one)}", markup=False)
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:

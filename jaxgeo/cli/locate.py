@@ -17,6 +17,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -69,7 +70,7 @@ class Format(StrEnum):
 
 
 def locate_command(
-    file: Source = None,
+    files: Source = None,
     scene: SceneOption = None,
     shots: TableOfShots = None,
     pixel: Pixels = None,
@@ -117,6 +118,7 @@ def locate_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -170,12 +172,13 @@ def locate_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
         )
         asked = Asked(
-            file,
+            files or [],
             scene,
             shots,
             pixel or [],
@@ -243,13 +246,21 @@ def _locate(
         enable_x64()
         question = told_question(asked, accuracy, output)
         chosen = _format(output, output_format, asked.shots)
-        if chosen is Format.table or question.errors is not None:
+        counts: dict[str, int] = {}
+        if chosen is Format.table or question.has_errors or question.is_each:
             found = located(question, probability)
             rows = found.rows("--output", question)
-            _count(rows)
+            counts |= _counts(rows)
         else:
-            found, rows = None, _rows(question)
+            found, rows = None, _rows(question, counts)
+            if stream.isatty():  # bars on the same screen would break the rows
+                rows = list(rows)
+        if chosen is Format.table:
+            print_counts(counts, len(question.carried))
         _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
+        stream.flush()
+    if chosen is not Format.table:  # not within rows that a program is to read
+        print_counts(counts, len(question.carried))
     if found is not None:
         leave_without_a_fix(question, found)
 
@@ -259,7 +270,7 @@ def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], quest
     from jaxgeo.io.fix_files import check_fix_file
 
     crs, heights, _ = drawn
-    check_fix_file(output, crs, heights, question.shots.pose.position)
+    check_fix_file(output, crs, heights, question.position)
 
 
 def _finish(
@@ -287,8 +298,9 @@ def _finish(
             heights=heights,
             attributes=carried,
             mgrs=mgrs,
+            reasons=question.reasons,
         )
-    _count(rows)
+    print_counts(_counts(rows), len(rows))
     if as_json:
         print_json("locate", {"inputs": question.inputs, "assumed": question.assumed, "fixes": rows})
     leave_without_a_fix(question, found)
@@ -307,26 +319,24 @@ def _typed(question: Question) -> list[dict[str, Any]]:
 def _number(value: Any) -> float | None:
     import math
 
-    number = float(value)
+    number = math.nan if value is None else float(value)
     return number if math.isfinite(number) else None
 
 
-def _rows(question: Question) -> Iterator[dict[str, Any]]:
-    """Rows of fixes alone, as they are computed; the count of statuses goes to stderr."""
+def _rows(question: Question, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
+    """Rows of fixes alone, as they are computed; statuses are counted in `counts`."""
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    counts: dict[str, int] = {}
     for start, fixes in fixes_in_parts(question):
         for i, row in enumerate(fix_rows(fixes, height_msl(fixes)), start):
             counts[row["status"]] = counts.get(row["status"], 0) + 1
             yield {**question.carried[i], **row}
-    print_counts(counts, len(question.carried))
 
 
-def _count(rows: list[dict[str, Any]]) -> None:
+def _counts(rows: list[dict[str, Any]]) -> dict[str, int]:
     names = [row["status"] for row in rows]
-    print_counts({name: names.count(name) for name in names}, len(names))
+    return {name: names.count(name) for name in dict.fromkeys(names)}
 
 
 def _write_rows(rows: Any, question: Question, probability: float | None, output_format: Format, stream: Any) -> None:

@@ -14,6 +14,7 @@ from jaxgeo.cli._acquisitions import (
     InteriorFile,
     KeepDamaged,
     NoVelocities,
+    PositionsFile,
     SbetErrors,
     SourceCrs,
     SourceDatum,
@@ -62,7 +63,7 @@ def report_command(
         pathlib.Path,
         typer.Option("--output", "-o", metavar="FILE", help="Page to write (.html).", rich_help_panel=WRITING),
     ],
-    file: Source = None,
+    files: Source = None,
     scene: SceneOption = None,
     shots: TableOfShots = None,
     pixel: Pixels = None,
@@ -101,6 +102,7 @@ def report_command(
     errors: SbetErrors = None,
     no_velocities: NoVelocities = False,
     interior: InteriorFile = None,
+    positions: PositionsFile = None,
     title: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Title of the page; the scene's or the file's.", rich_help_panel=WRITING),
@@ -130,12 +132,13 @@ def report_command(
             interior,
             no_velocities,
             gimbal,
+            positions=positions,
         )
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
         )
         pixels, exposures = pixel or [], exposure or []
-        seen = (file, scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
+        seen = (files or [], scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
         asked = Asked(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
@@ -162,27 +165,15 @@ def _report(
     output, stream = where
     title, most = drawn
     with working("starting"):
-        from jaxgeo.report import Subject, Told, details_of, report_html
+        from jaxgeo.report import Told, details_of, report_html
     compile_quickly(asked.samples_of_field)
     enable_x64()
     question = told_question(asked, _errs(asked), output)
     found = located(question, probability)
-    subject = Subject(
-        question.sensor,
-        question.shots,
-        question.uv,
-        question.terrain,
-        question.errors,
-        found.fixes,
-        found.accuracy,
-        question.axes,
-        question.atmosphere,
-        probability,
-        question.carried,
-    )
+    subject = _subject(question, found, probability)
     with working("looking closer"):
         details = details_of(subject, most=most)
-    told = Told(title or _title(asked), _inputs(asked, question), question.assumed)
+    told = Told(title or _title(asked), _inputs(asked, question), [*question.assumed, *_unread(question)])
     with working("drawing"):
         stream.write(report_html(subject, told=told, details=details))
     rows = found.rows("report", question)
@@ -192,6 +183,42 @@ def _report(
         content = {"fixes": rows, "details": [detail.to_dict() for detail in details]}
         print_json("report", {"inputs": question.inputs, "assumed": question.assumed, **content})
     return question, found
+
+
+def _subject(question: Question, found: Located, probability: float) -> Any:
+    """What the page is of: the pixels whose file could be read."""
+    import jax
+    import numpy as np
+
+    from jaxgeo.report import Subject
+    from jaxgeo.sensor import Shot
+
+    first, rows = question.batches[0], question.read
+    shots, uv, axes, looks = first.shots, first.uv, first.axes, None
+    if len(question.batches) > 1:
+        given = [question.look(int(row)) for row in rows]
+        pose = jax.tree.map(lambda *leaves: np.stack(leaves), *(shot.pose for _, shot, _, _, _ in given))
+        shots, uv = Shot(pose, np.zeros((len(rows), 0))), np.stack([one[2] for one in given])
+        axes, looks = (0, *axes[1:]), given.__getitem__
+    here = found.part(rows)
+    return Subject(
+        first.sensor,
+        shots,
+        uv,
+        first.terrain,
+        first.errors,
+        here.fixes,
+        here.accuracy,
+        axes,
+        question.atmosphere,
+        probability,
+        [question.carried[row] for row in rows],
+        looks,
+    )
+
+
+def _unread(question: Question) -> list[str]:
+    return [f"Not read: {reason}" for reason in question.reasons or () if reason is not None]
 
 
 def _errs(asked: Asked) -> bool | None:
@@ -207,9 +234,10 @@ def _title(asked: Asked) -> str:
     """The title of the scene, or the name of what was read."""
     from jaxgeo.io.scene import read_scene
 
-    if asked.file is not None and asked.file.suffix.lower() != ".toml":
-        return f"What {asked.file.name} sees, and how sure that is"
-    path = asked.file if asked.file is not None else asked.scene
+    if not asked.is_scene:
+        more = f" and {len(asked.files) - 1} more" if len(asked.files) > 1 else ""
+        return f"What {asked.files[0].name}{more} sees, and how sure that is"
+    path = asked.scene_file
     assert path is not None
     return read_scene(path).title or f"What the camera of {path.name} sees, and how sure that is"
 

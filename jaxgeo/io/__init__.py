@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from jaxgeo.io.accuracy_map import write_accuracy_map
-from jaxgeo.io.acquisitions import Acquisition, UnstatedDatum, read_acquisition, with_usual_errors
+from jaxgeo.io.acquisitions import (
+    Acquisition,
+    AcquisitionSet,
+    UnstatedDatum,
+    read_acquisition,
+    read_acquisitions,
+    with_positions,
+    with_usual_errors,
+)
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
 from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
@@ -30,6 +38,7 @@ from jaxgeo.io.tie_points import TieRow, write_tie_points
 
 __all__ = [
     "Acquisition",
+    "AcquisitionSet",
     "BalProblem",
     "DemError",
     "DemFiles",
@@ -53,6 +62,7 @@ __all__ = [
     "locate_files",
     "open_dem",
     "read_acquisition",
+    "read_acquisitions",
     "read_bal",
     "read_dem",
     "read_dem_and_report",
@@ -68,6 +78,7 @@ __all__ = [
     "rectify_file",
     "samples_dataset",
     "undulation",
+    "with_positions",
     "with_usual_errors",
     "write_accuracy_map",
     "write_bal",

@@ -32,9 +32,9 @@ class Columns:
     def __contains__(self, name: str) -> bool:
         return name in self.called
 
-    def numbers(self, name: str, limits: Limits) -> np.ndarray:
+    def numbers(self, name: str, limits: Limits, *, unknown_too: bool = False) -> np.ndarray:
         """A column as floats; raises as `CsvTable.numbers`."""
-        return self.table.numbers(self.called[name], limits)
+        return self.table.numbers(self.called[name], limits, unknown_too=unknown_too)
 
     def names(self, name: str) -> np.ndarray:
         """A column of names; raises as `names_of`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -139,7 +140,7 @@ def _check_header(
     taken: Collection[str],
     hints: Mapping[str, str],
 ) -> None:
-    doubled = sorted({name for name in header if header.count(name) > 1})
+    doubled = sorted(name for name, count in Counter(header).items() if count > 1)
     if doubled:
         raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")
     missing = [name for name in needed if name not in header]

@@ -67,7 +67,7 @@ def _check_ring(name: str, chart: MapCRS, index: int, ring: np.ndarray, ground: 
         return
     unit = chart.flat.axis_info[0].unit_conversion_factor
     on_map, on_ground = (np.linalg.norm(np.roll(x, -1, axis=0) - x, axis=1) for x in (ring * unit, ground))
-    if np.any(on_map > MOST_STRETCHED * np.maximum(on_ground, 1.0)):
+    if not np.all(on_map <= MOST_STRETCHED * np.maximum(on_ground, 1.0)):
         raise ValueError(
             f"{name}: {chart.flat.name!r} tears the ellipse of fix {index} apart, or stretches it more than "
             f"{MOST_STRETCHED:g} times; choose a crs that is made for the place, or ellipses=False."

@@ -74,14 +74,16 @@ def figures_of(
     return _with_ellipses(name, told._replace(probability=level), radii_too=accuracy is None)
 
 
-def rows_of(fixes: Fix, figures: Figures | None) -> list[dict[str, Any]]:
+def rows_of(fixes: Fix, figures: Figures | None, reasons: Sequence[str | None] | None = None) -> list[dict[str, Any]]:
     """A row for each fix: columns of `FIX_COLUMNS`, the status as a sentence, and the figures; None if unknown.
 
-    Heights above mean sea level are those above EGM96, which comes with the package.
+    Heights above mean sea level are those above EGM96, which comes with the package. `reasons` stand in place of the
+    sentence of the status, where they are not None.
     """
     rows = []
     for i, own in enumerate(fix_rows(fixes, height_msl(fixes))):
-        row = {"index": i, **own, "status_text": Status[own["status"]].message}
+        reason = None if reasons is None else reasons[i]
+        row = {"index": i, **own, "status_text": Status[own["status"]].message if reason is None else reason}
         rows.append(row if figures is None else row | _figures_row(figures, i))
     return rows
 

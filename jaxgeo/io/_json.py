@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 import os
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from jaxgeo.io.errors import TableError
+
+LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
@@ -20,7 +22,7 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
     """
     try:
         with open(path, encoding="utf-8-sig") as file:
-            return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs))
+            return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such file of a {what}.") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -65,9 +67,10 @@ def size_of(where: str, content: Any, key: str) -> int:
     return int(value)
 
 
-def vectors_of(where: str, table: Mapping[str, Any], key: str) -> np.ndarray:
-    """Three numbers under a key of each entry of a table, (n, 3)."""
-    return np.array([_vector(where, name, entry, key) for name, entry in table.items()], np.float64).reshape(-1, 3)
+def vectors_of(where: str, table: Mapping[str, Any], key: str, largest: float) -> np.ndarray:
+    """Three numbers, none beyond `largest` of either sign, under a key of each entry of a table, (n, 3)."""
+    vectors = [_vector(where, name, entry, key, largest) for name, entry in table.items()]
+    return np.array(vectors, np.float64).reshape(-1, 3)
 
 
 def shown(value: Any) -> str:
@@ -76,21 +79,27 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def _vector(where: str, name: str, entry: Any, key: str) -> list[float]:
+def _vector(where: str, name: str, entry: Any, key: str, largest: float) -> list[float]:
     value = value_of(f"{where}, {name}", entry, key)
     if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
         raise TableError(f"{where}, {name}: {key} must be three finite numbers; got {shown(value)}.")
-    return value
+    if max(map(abs, value)) > largest:
+        raise TableError(f"{where}, {name}: {key} is {shown(value)}, beyond {largest:g}; the file is damaged.")
+    return [float(number) for number in value]
+
+
+def _integer(digits: str) -> int | float:
+    """A whole number; one of more digits than Python takes is infinite, which no value may be."""
+    return int(digits) if len(digits) < 400 else float(digits)
 
 
 def _single(path: str | os.PathLike[str], pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = next(name for name, count in Counter(name for name, _ in pairs).items() if count > 1)
         raise TableError(f"{path}: {twice!r} stands twice in one table.")
     return table
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST

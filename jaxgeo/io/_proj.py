@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
-import warnings
 from typing import Any
 
 import numpy as np
 import pyproj
 from pyproj.aoi import AreaOfInterest
 from pyproj.datadir import append_data_dir, get_user_data_dir  # pyright: ignore[reportPrivateImportUsage]
+from pyproj.exceptions import ProjError
 from pyproj.transformer import Transformer, TransformerGroup
+
+from jaxgeo.io._quietly import quietly
 
 DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
 
@@ -76,9 +78,11 @@ def _named(description: str) -> str:
 
 def _group(source: pyproj.CRS, target: pyproj.CRS, area: tuple[float, float, float, float] | None) -> TransformerGroup:
     aoi = None if area is None else AreaOfInterest(*area)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "best transformation is not available": `operation` reports it itself
-        return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=aoi)  # pyright: ignore[reportArgumentType]
+    try:
+        with quietly():  # "best transformation is not available": `operation` reports it itself
+            return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=aoi)  # pyright: ignore[reportArgumentType]
+    except ProjError as error:  # of a damaged definition
+        raise NoOperation(source.name, target.name, []) from error
 
 
 def how_to_get(missing: list[tuple[str, str, str]]) -> str:

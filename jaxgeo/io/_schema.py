@@ -21,7 +21,7 @@ HalfTurn = Annotated[float, Field(strict=True, ge=-180.0, le=180.0), Unit("deg")
 Millimetres = Annotated[float, Field(strict=True, gt=0.0), Unit("mm")]
 Micrometres = Annotated[float, Field(strict=True, gt=0.0), Unit("um")]
 Pixels = Annotated[float, Field(strict=True, gt=0.0), Unit("pixels")]
-Count = Annotated[int, Field(strict=True, gt=0), Unit("whole pixels")]
+Count = Annotated[int, Field(strict=True, gt=0, le=10_000_000), Unit("whole pixels")]
 Seconds = Annotated[float, _strict, Unit("s")]
 Height = Annotated[float, Field(strict=True, ge=-2000.0, le=2_000_000.0), Unit("m")]
 Hectopascals = Annotated[float, Field(strict=True, ge=100.0, le=1200.0), Unit("hPa")]

@@ -6,7 +6,6 @@ import bz2
 import io
 import os
 import pathlib
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo.io._quietly import heard
 from jaxgeo.io.errors import TableError
 
 
@@ -60,7 +60,7 @@ def read_bal(path: str | os.PathLike[str]) -> BalProblem:
     """
     text = _text(path)
     header = text.partition("\n")[0].split()
-    if len(header) != 3 or not all(word.isdecimal() and int(word) > 0 for word in header):
+    if len(header) != 3 or not all(word.isdecimal() and len(word) < 19 and int(word) > 0 for word in header):
         raise TableError(
             f"{path}, row 1: {' '.join(header)[:60]!r} are not the numbers of cameras, points and observations, three "
             f"whole numbers above zero."
@@ -116,13 +116,12 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 def _numbers(path: str | os.PathLike[str], text: str) -> np.ndarray:
     """All numbers of a file; a word that is none is looked for only where there is one."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # how NumPy tells that it stopped
+    with heard("jaxgeo", DeprecationWarning) as stopped:  # how NumPy tells that it stopped, of the line that asked
         try:
             values = np.fromstring(text, sep=" ")
-        except (DeprecationWarning, ValueError):
+        except ValueError:
             values = np.array([np.nan])
-    if np.all(np.isfinite(values)):
+    if not stopped and np.all(np.isfinite(values)):
         return values
     for line, row in enumerate(text.splitlines(), start=1):
         for word in row.split():

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import os
 import pathlib
+import threading
 import zipfile
+import zlib
 
 import numpy as np
 
@@ -16,7 +18,19 @@ from jaxgeo.io.windows import Window
 
 BLOCK = 256  # cells on a side
 MOST_AT_ONCE = 16  # blocks read in one go: a million posts
+_reading = threading.RLock()  # of all at once, since a lock of each would keep it from being pickled
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
+# What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
+_UNREADABLE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class Blocks:
@@ -49,7 +63,11 @@ class Blocks:
 
     def read(self, wanted: np.ndarray | None = None) -> None:
         """Look at the blocks of a mask (all by default) that have not been looked at, a million posts at a time."""
-        missing = ~self.is_read if wanted is None else wanted & ~self.is_read
+        with _reading:
+            self._read(~self.is_read if wanted is None else wanted & ~self.is_read)
+            self._save(at_least=0.25)
+
+    def _read(self, missing: np.ndarray) -> None:
         if not missing.any():
             return
         with OpenFiles() as files:
@@ -58,7 +76,6 @@ class Blocks:
                 for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
                     for start in range(0, run.size, MOST_AT_ONCE):
                         self._read_run(int(i), run[start : start + MOST_AT_ONCE], files)
-        self.save(at_least=0.25)
 
     def bounds(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[float, float, bool]:
         """(lowest, highest, whether there are voids) over blocks of rows i0..i1 and columns j0..j1, ends included.
@@ -80,6 +97,10 @@ class Blocks:
 
     def save(self, at_least: float = 0.0) -> None:
         """Write the file of bounds, if one was named, once the share of new blocks is more than `at_least`."""
+        with _reading:
+            self._save(at_least)
+
+    def _save(self, at_least: float) -> None:
         count = int(self.is_read.sum())
         is_enough = count == self.is_read.size or count - self._saved > at_least * self.is_read.size
         if self.cache is None or count == self._saved or not is_enough:
@@ -102,7 +123,7 @@ class Blocks:
                     return
                 for name in ("low", "high", "has_void", "is_read"):
                     getattr(self, name)[...] = held[name]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise DemError(
                 f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
             ) from error

@@ -71,7 +71,9 @@ def read_dem(
     `path_or_paths` is anything rasterio opens (a VRT too, if its sources are on its grid), or several tiles on one
     grid (they are not resampled; where several hold a post, the first that knows it is taken): a list, a folder, which
     stands for all rasters right inside it, or a pattern such as "tiles/**/*.tif". All of it comes into memory: for
-    more than that holds, see `open_dem`. Keyword options, each optional:
+    more than that holds, see `open_dem`. Columns may be spaced differently from tile to tile, as those of Copernicus
+    DEM and DTED are by latitude: they are joined without a step (`jaxgeo.io.zones`). What the sources of a VRT state of
+    unit, scale, voids and datum holds for the VRT. Keyword options, each optional:
 
     - `vertical_datum`: what the file's heights are measured from: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
       pyproj CRS, a constant undulation in m, or the path of a geoid grid. Needed unless the file's CRS says it.
@@ -133,6 +135,12 @@ def read_dem_and_report(
         bounds=bounds,
     )
     name, window = source.name, source.window
+    turn = source.mosaic.first.cols_per_turn
+    if turn is not None and window.shape[1] >= turn:
+        raise DemError(
+            f"{name}: its columns go all round the Earth, and rays that cross the seam where its ends meet would find "
+            f"no ground, or the wrong one. Read a part, which may lie across it, with bounds=(170, -60, -170, 60)."
+        )
     heights, void = source.heights(Window(0, 0, *window.shape), np.dtype(dtype))
     if void.all():
         raise DemError(

@@ -30,7 +30,7 @@ from jaxgeo.io._kml import Placemark, kml, kmz
 from jaxgeo.io._layers import Layer, geopackage
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
-from jaxgeo.io.geoid import EGM96
+from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
@@ -75,6 +75,7 @@ def write_fixes(
     attributes: Sequence[Mapping[str, Any]] | None = None,
     ellipses: bool = True,
     mgrs: bool = False,
+    reasons: Sequence[str | None] | None = None,
 ) -> None:
     """Fixes and how sure they are, written to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
 
@@ -98,6 +99,8 @@ def write_fixes(
       "circle" where only a radius is known; none for one without area. They lie in the horizontal CRS, in a layer
       `ellipses` (.gpkg), a second column of geometries (.parquet), features or placemarks of their own.
     - `mgrs`: also the square metre in the Military Grid Reference System (with the extra `gis`, as .parquet).
+    - `reasons`: for each fix None, or the sentence that stands in the column `status_text` in place of that of its
+      status: why there is none, such as that its file could not be read.
 
     The file appears when all is written. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
     that is unknown, is no map or does not reach, heights that cannot be named, and what does not belong to the fixes;
@@ -124,10 +127,10 @@ def write_fixes(
     fixes = _batch(target, fixes)
     with destination("fixes", target, binary=True) as stream:
         chart_of = _kml_crs if write in (_kml, _kmz) else map_crs
-        lat, lon, height = (np.asarray(x, np.float64) for x in fixes.position.to_degrees())
+        lat, lon, height = degrees_of(fixes.position)
         chart = chart_of(f"{target}", crs, heights, _extent(lon, lat))
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
-        rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs)
+        rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
         places = chart.points(f"{target}", lon, lat, height)
         outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
         carried = frozenset(str(name) for row in attributes or () for name in row)
@@ -139,7 +142,7 @@ def check_fix_file(path: str | os.PathLike[str], crs: Any, heights: Any, near: G
     """Raises as `write_fixes` would for this name, CRS and vertical datum, and fixes `near` a batch of points."""
     target = pathlib.Path(path)
     chart_of = _kml_crs if _writer(target) in (_kml, _kmz) else map_crs
-    lat, lon, _ = (np.asarray(x, np.float64) for x in near.to_degrees())
+    lat, lon, _ = degrees_of(near)
     chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
 
@@ -182,13 +185,15 @@ def _kml_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
 
 
 def _rows(
-    name: str, fixes: Fix, figures: Figures | None, attributes: Any, chart: MapCRS, mgrs: bool
+    name: str, fixes: Fix, figures: Figures | None, attributes: Any, chart: MapCRS, mgrs: bool, reasons: Any
 ) -> list[dict[str, Any]]:
-    own = rows_of(fixes, figures)
+    if reasons is not None and len(reasons) != len(fixes.status):
+        raise ValueError(f"{name}: reasons must be one, or None, for each of {len(fixes.status)} fixes.")
+    own = rows_of(fixes, figures, reasons)
     extra = checked_attributes(name, attributes, len(own), {*own[0], *TAKEN})
     squares: list[dict[str, Any]] = [{} for _ in own]
     if mgrs:
-        lat, lon, _ = (np.asarray(x) for x in fixes.position.to_degrees())
+        lat, lon, _ = degrees_of(fixes.position)
         squares = [{"mgrs": square} for square in mgrs_of(lat, lon)]
     datum = {"vertical_datum": chart.vertical_datum}
     return [
@@ -206,7 +211,7 @@ def _outlines(
     axes, azimuth, centre = figures.axes.copy(), figures.azimuth.copy(), figures.bias_enu[:, :2].copy()
     alone = np.isnan(axes[:, 0]) & np.isfinite(figures.circular)
     axes[alone], azimuth[alone], centre[alone] = figures.circular[alone, None], 0.0, 0.0
-    lat, lon, _ = (np.asarray(x) for x in fixes.position.to_degrees())
+    lat, lon, _ = degrees_of(fixes.position)
     lonlat = np.stack([lon, lat], axis=-1)
     polygons = ellipse_polygons(name, chart, lonlat, np.asarray(fixes.ecef), axes, azimuth, centre)
     return polygons, ["circle" if one else "ellipse" for one in alone]

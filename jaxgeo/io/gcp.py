@@ -89,7 +89,7 @@ def read_gcp_list(
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
     (line, projection), *rows = _lines(path)
     table = _table(path, rows)
-    crs, vertical = understood_crs(f"{path}, row {line}", _projection(projection))
+    crs, vertical = understood_crs(f"{path}, row {line}", projection_text(projection))
     numbers = {name: table.numbers(name, limits) for name, limits in LIMITS.items()}
     places = np.stack([numbers[name] for name in COLUMNS[:3]], axis=-1)
     names, of_point = _points(table, places)
@@ -123,7 +123,7 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
     return CsvTable(path, [*COLUMNS, "gcp_name"], [line for line, _ in rows], with_points(cells, WHITE))
 
 
-def _projection(text: str) -> str:
+def projection_text(text: str) -> str:
     """What PROJ calls the projection of the first line."""
     if text.upper() in ("WGS84", "EPSG:4326"):
         return "EPSG:4326"

@@ -34,8 +34,14 @@ def height_msl(position: Geodetic | Fix, datum: VerticalDatum = EGM96) -> np.nda
     """
     if isinstance(position, Fix):
         position = position.position
-    lat, lon, height = np.broadcast_arrays(*(np.asarray(part, np.float64) for part in position.to_degrees()))
+    lat, lon, height = np.broadcast_arrays(*degrees_of(position))
     return _apply(lat, lon, height, datum, inverse=True)
+
+
+def degrees_of(position: Geodetic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(lat, lon, height) in deg, deg, m, by NumPy: nothing is compiled for a batch of another length."""
+    lat, lon, height = (np.asarray(part, np.float64) for part in (position.lat, position.lon, position.height))
+    return np.asarray(np.rad2deg(lat)), np.asarray(np.rad2deg(lon)), height
 
 
 def _apply(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, datum: VerticalDatum, inverse: bool) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import pathlib
 import re
-import warnings
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,12 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from jaxgeo.io._proj import DATA
+from jaxgeo.io._quietly import quietly
+from jaxgeo.io._tiff import layout_mistake
 from jaxgeo.io.errors import VerticalDatumError
 
 WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
+MOST_COLUMNS = 1_000_000  # 1.3 arc seconds around the Earth
 EDGE = 1e-9  # deg; a place on the western edge is inside
 _HEIGHT_BANDS = ("geoid_undulation", "vertical_offset", "hydroid_height", "ellipsoidal_height_offset")
 _SHARES = np.array([0.02, 0.14, 0.26, 0.38, 0.49, 0.51, 0.62, 0.74, 0.86, 0.98])  # of rows and columns: all quadrants
@@ -36,6 +38,9 @@ def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
         raise VerticalDatumError(f"vertical_datum: the geoid grid {path} does not exist.")
     if any(character in str(path) for character in '",'):
         raise VerticalDatumError(f"vertical_datum: PROJ cannot take a path with a comma or a quote in it: {path}")
+    mistake = layout_mistake(path)
+    if mistake:
+        raise VerticalDatumError(f"vertical_datum: the geoid grid {path} is damaged: {mistake}.")
     try:
         transformer = _look_up(path, "+over", "+step +proj=axisswap +order=1,2,-3 " if depths else "")
     except ProjError as error:
@@ -106,8 +111,7 @@ def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) 
 
 def _posts(path: pathlib.Path) -> Posts:
     """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
-    with rasterio.Env(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(), quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(path) as data:
                 parts = data.subdatasets or [str(path)]
@@ -129,6 +133,8 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
     with rasterio.open(name) as data:
         bands = [text in _HEIGHT_BANDS for text in data.descriptions]
         band = bands.index(True) + 1 if any(bands) else 1
+        if data.width > MOST_COLUMNS:
+            raise VerticalDatumError(f"vertical_datum: the geoid grid {name} has {data.width} columns; it is damaged.")
         rows, cols = (np.unique(np.round(_SHARES * (n - 1)).astype(int)) for n in data.shape)
         cols = np.union1d(cols, [0, data.width - 1])
         whole_rows = [Window(0, int(row), data.width, 1) for row in rows]  # pyright: ignore[reportCallIssue]
@@ -145,8 +151,7 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
 
 def _first_longitude(path: pathlib.Path) -> float:
     """Of the grid's first column, deg; -180 where no header says it, which the check of its posts then refuses."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(path) as data:
                 step = abs(data.transform.a)

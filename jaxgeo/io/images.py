@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import operator
 import os
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import rasterio
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import ImageError
 from jaxgeo.sensor.camera import AbstractCamera
 
@@ -35,7 +36,7 @@ def read_image(path: str | os.PathLike[str], bands: Bands = None) -> tuple[np.nd
     a palette, and an image of which nothing is known; `FileNotFoundError`.
     """
     name = os.fspath(path)
-    with opened(name) as data:
+    with opened(name) as data, refused_as(ImageError, name, "it"):
         return read_bands(name, data, chosen_bands(name, data, bands))
 
 
@@ -67,11 +68,10 @@ def opened(name: str) -> rasterio.DatasetReader:
         raise FileNotFoundError(f"{name}: no such file.")
     if is_plain and os.path.isdir(name):
         raise ImageError(f"{name}: this is a folder; give the image in it.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):
         try:
             return rasterio.open(name)
-        except RasterioError as error:
+        except GDAL_ERRORS as error:
             raise ImageError(f"{name}: not an image that GDAL can open, or a damaged one: {error}") from error
 
 
@@ -106,13 +106,9 @@ def read_bands(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
     part = _part(window) if window else "it"
-    try:
+    with refused_as(ImageError, name, part):
         values = data.read(list(bands), window=window)
         known = _known(data, window)
-    except RasterioError as error:
-        raise ImageError(
-            f"{name}: {part} cannot be read; the file is damaged or cut short: {error.__cause__ or error}"
-        ) from error
     if values.dtype.kind == "f":
         finite = np.isfinite(values)
         _check_bands(name if window is None else f"{name}: {_part(window)}", bands, finite)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyproj
+from pyproj.exceptions import ProjError
 
 from jaxgeo.earth import WGS84
 from jaxgeo.io._proj import NoOperation, operation, unit_normals
@@ -130,7 +131,10 @@ def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[flo
     row, col = (u.ravel() for u in np.meshgrid(np.linspace(0, shape[0] - 1, 9), np.linspace(0, shape[1] - 1, 9)))
     x, y = a * col + b * row + c, d * col + e * row + f
     if not crs.is_geographic:
-        x, y = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+        try:
+            x, y = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+        except ProjError:  # of a damaged definition
+            return None
     x, y = x[np.isfinite(x)], y[np.isfinite(y)]
     if not x.size or not y.size or np.ptp(x) > 180.0:
         return None

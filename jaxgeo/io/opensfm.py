@@ -16,6 +16,7 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
+from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._json import number_of, read_json, shown, size_of, table_of, value_of, vectors_of
 from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
@@ -26,6 +27,7 @@ from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR, R_ned_from_map
 
 TOPOCENTRIC = "topocentric"
 WHOLE_METRES = 1e-4  # m
+LARGEST_TURN, LARGEST_DISTANCE = 1e3, 1e9  # rad of a rotation vector, m in the world of a file
 
 # Keys of the focal lengths, the principal point and the coefficients of each projection, as OpenSfM writes them.
 PROJECTIONS = {
@@ -111,9 +113,10 @@ def read_opensfm(
     for name, shot in shots.items():
         if value_of(f"{where}, shots, {name}", shot, "camera") not in cameras:
             raise TableError(f"{where}, shots, {name}: camera {shot['camera']!r} is not among the file's cameras.")
-    vectors = [vectors_of(f"{where}, shots", shots, key) for key in ("rotation", "translation")]
+    limits = {"rotation": LARGEST_TURN, "translation": LARGEST_DISTANCE}
+    vectors = [vectors_of(f"{where}, shots", shots, key, largest) for key, largest in limits.items()]
     centres, R_world_from_camera = (np.asarray(x) for x in _from_world(*vectors))
-    xyz = vectors_of(f"{where}, points", points, "coordinates")
+    xyz = vectors_of(f"{where}, points", points, "coordinates", LARGEST_DISTANCE)
     reference, world = None, (centres, R_world_from_camera, xyz)
     if content.get("reference_lla") is not None:
         reference, world = _placed(where, content["reference_lla"], world, height_datum, crs)
@@ -177,6 +180,9 @@ def _placed(
     lat, lon, altitude = (number_of(where, lla, key) for key in ("latitude", "longitude", "altitude"))
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise TableError(f"{where}: latitude {lat:g}, longitude {lon:g} deg are not on the Earth.")
+    low, high, _ = POSE_COLUMNS["height_m"]
+    if not low <= altitude <= high:
+        raise TableError(f"{where}: altitude {altitude:g} m is outside [{low:g}, {high:g}] m.")
     if height_datum is None:
         raise TableError(
             f"{where}: what altitudes are measured from is not in the file, and a guess may be off by 100 m. Pass "

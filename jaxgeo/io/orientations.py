@@ -42,8 +42,9 @@ class Orientations:
     `pose` holds n entries: geodetic positions of the perspective centres and attitudes of the body, that has the
     camera in `Mount.nadir()` with `Gimbal.fixed()`. `camera` are names of cameras (n,), `sigma` (n, 6) standard
     deviations of north, east and down in m and of heading, pitch and roll in rad, `time` (n,) in s; each None if
-    unknown. `assumed` are sentences about what a reader took for granted. Raises `ValueError` for fields that do not
-    fit each other and for an image that is there twice.
+    unknown. `assumed` are sentences about what a reader took for granted; `of_camera` says that the angles are the
+    camera's own, and no aircraft's. Raises `ValueError` for fields that do not fit each other and for an image that is
+    there twice.
     """
 
     names: np.ndarray
@@ -52,6 +53,7 @@ class Orientations:
     sigma: np.ndarray | None = None
     time: np.ndarray | None = None
     assumed: tuple[str, ...] = ()
+    of_camera: bool = False
 
     def __post_init__(self) -> None:
         check_is(self.pose, Pose, "pose", "One Pose, whose fields hold an entry for each image.")
@@ -83,7 +85,7 @@ class Orientations:
         """Some of the images, by index or flag."""
         camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
         pose = jax.tree.map(lambda x: x[rows], self.pose)
-        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed)
+        return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
 
 
 def read_orientations(
@@ -144,7 +146,8 @@ def read_orientations(
         raise TableError(f"{path}: {error}") from error
     camera = columns.names("camera") if "camera" in columns else None
     time = columns.numbers("time_s", TIME) if "time_s" in columns else None
-    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)))
+    of_camera = "omega_deg" in numbers or (crs is not None and "x_m" in numbers)
+    return Orientations(names, pose, camera, sigma, time, (*told, *_of_program(columns)), of_camera)
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
@@ -176,10 +179,7 @@ def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
     is_geographic = _is_geographic(path, crs)
     why = ""
     if crs is None and in_map and not on_earth:
-        name = columns.called.get("x_m", columns.called.get("y_m", ""))
-        raise TableError(
-            f'{path}: {name} is of a map, and the file does not say which: pass crs=..., for example crs="EPSG:32616".'
-        )
+        raise TableError(which_map(columns))
     if crs is not None and on_earth and not in_map and not is_geographic:
         why = f" {columns.called.get('lat_deg', columns.called.get('lon_deg'))} is on the Earth: leave crs= out."
     if crs is None or (is_geographic and not in_map):
@@ -188,6 +188,22 @@ def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
         wanted = MAP_COLUMNS | angle_columns(columns, first="opk")
     columns.require(["image", *wanted], ALIASES, why)
     return wanted
+
+
+def which_map(columns: Columns) -> str:
+    """That nobody says in which map a table is, with an example that fits its numbers."""
+    called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
+    cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
+    what, example = "of a map", "EPSG:32616"
+    if len(cells) == 2 and _in_degrees(*cells):
+        what, example = "in deg", "EPSG:4326"
+    told = f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS; give it: "
+    return f'{told}crs="{example}".'
+
+
+def _in_degrees(x: np.ndarray, y: np.ndarray) -> bool:
+    """Whether coordinates look like longitudes and latitudes in deg."""
+    return bool(np.all(np.abs(x) <= 360.0) and np.all(np.abs(y) <= 90.0))
 
 
 def _sigma(columns: Columns) -> np.ndarray | None:
@@ -235,6 +251,13 @@ def positions_of(
     x, y, z = (numbers[name] for name in (("x_m", "y_m", "z_m") if in_map else ("lon_deg", "lat_deg", "height_m")))
     if horizontal.is_geographic:
         _check_degrees(columns, horizontal, x, y)
+    elif _in_degrees(x, y):
+        raise columns.table.wrong(
+            0,
+            columns.called["x_m"],
+            f"({x[0]:.10g}, {y[0]:.10g}) look like longitude and latitude in deg, but crs is {horizontal.name!r}; if "
+            f'they are, give crs="EPSG:4326".',
+        )
     grid = MapGrid.about(path, horizontal, x, y)
     lon, lat = grid.to_lonlat(x, y)
     convergence = np.where(np.isfinite(lat), 0.0, np.nan) if horizontal.is_geographic else grid.convergence(x, y)

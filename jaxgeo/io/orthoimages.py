@@ -9,11 +9,11 @@ import numpy as np
 import pyproj
 import rasterio
 from pyproj.exceptions import CRSError
-from rasterio.errors import RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo._checks import require_x64
+from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io.errors import DemError, ImageError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.images import Bands, chosen_bands, opened, read_bands
@@ -63,7 +63,7 @@ def read_orthoimage_and_report(
     """An orthoimage, and how it was read; arguments and errors as for `read_orthoimage`."""
     require_x64()
     name = os.fspath(path)
-    with opened(name) as data:
+    with opened(name) as data, refused_as(ImageError, name, "its header"):
         chosen = chosen_bands(name, data, bands)
         raster = _raster_of_file(name, data)
         try:
@@ -87,7 +87,7 @@ def read_orthoimage_and_report(
 def raster_of_file(path: str | os.PathLike[str]) -> MapRaster:
     """The raster of a file on a map. Raises `ImageError` for one that is on none; `FileNotFoundError`."""
     name = os.fspath(path)
-    with opened(name) as data:
+    with opened(name) as data, refused_as(ImageError, name, "its header"):
         return _raster_of_file(name, data)
 
 
@@ -107,7 +107,7 @@ def _raster_of_file(name: str, data: rasterio.DatasetReader) -> MapRaster:
         )
     try:
         crs = horizontal_part(pyproj.CRS.from_wkt(data.crs.to_wkt()))
-    except (CRSError, RasterioError) as error:
+    except (CRSError, *GDAL_ERRORS) as error:
         raise ImageError(f"{name}: PROJ does not understand the file's CRS: {error}") from error
     if not (crs.is_geographic or crs.is_projected):
         raise ImageError(f"{name}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import glob
 import os
 import pathlib
-import warnings
 from collections.abc import Sequence
 
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import DemError
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -40,8 +40,7 @@ def expanded(paths: Paths) -> list[str]:
 def files_behind(path: str | os.PathLike[str]) -> list[str]:
     """The file of a raster, and those that GDAL reads with it: sources of a VRT, world files, masks."""
     name = os.fspath(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(name) as data:
                 return [name, *data.files]

@@ -149,7 +149,7 @@ def offset_on(first: Tile, tile: Tile) -> tuple[int, int]:
         )
     steps, others = np.array(first.affine[:6]).reshape(2, 3), np.array(tile.affine[:6]).reshape(2, 3)
     drift = np.linalg.solve(steps[:, :2], others[:, :2] - steps[:, :2]) * max(tile.shape)
-    if np.abs(drift).max() > MISALIGNED:
+    if not np.abs(drift).max() <= MISALIGNED:
         raise DemError(
             f"{tile.path}: its posts are spaced {_spacing(tile)}, those of {first.path} {_spacing(first)}; tiles must "
             f"share one grid (they are not resampled). Read them apart, or warp them to one grid first."
@@ -157,7 +157,7 @@ def offset_on(first: Tile, tile: Tile) -> tuple[int, int]:
     col, row = np.linalg.solve(steps[:, :2], others[:, 2] - steps[:, 2])
     if first.cols_per_turn is not None:
         col -= first.cols_per_turn * np.round((col + (tile.shape[1] - first.shape[1]) / 2.0) / first.cols_per_turn)
-    if max(abs(row - round(row)), abs(col - round(col))) > MISALIGNED:
+    if not max(abs(row - np.round(row)), abs(col - np.round(col))) <= MISALIGNED:
         raise DemError(
             f"{tile.path}: its first post falls at row {row:.3f}, column {col:.3f} of the grid of {first.path}; tiles "
             f"must share one grid (they are not resampled). Read them apart, or warp them to one grid first."

@@ -5,10 +5,12 @@ The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import pathlib
+import threading
 import tomllib
 from typing import Any
 
@@ -24,19 +26,26 @@ from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._mistakes import explain
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
-from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
+from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
 from jaxgeo.io.scene_errors import model_of_table
-from jaxgeo.io.vertical import LARGEST_UNDULATION, height_shift
+from jaxgeo.io.vertical import LARGEST_UNDULATION, HeightShift, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
+MOST_LINES = 20  # mistakes of a file that are told
 _Numbers = np.ndarray | list[float]
 
 
-class SceneError(ValueError):
-    """A scene file that cannot be read; the message names the file and every key that is wrong."""
+class SceneError(RefusedFile):
+    """A scene file that cannot be read; the message names the file and every key that is wrong, a line for each."""
+
+    def __init__(self, message: str = "") -> None:
+        lines = str(message).split("\n")
+        more = [f"... and {len(lines) - MOST_LINES} more mistakes."] if len(lines) > MOST_LINES else []
+        super().__init__("")
+        self.args = ("\n".join([*map(one_line, lines[:MOST_LINES]), *more]),)
 
 
 class Scene(Record):
@@ -123,7 +132,7 @@ def _read_toml(path: pathlib.Path) -> dict[str, Any]:
         raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
     except OSError as error:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # tomllib's own, of UTF-8, of numbers too long, of lists too deep
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 
@@ -245,7 +254,7 @@ def ellipsoidal_heights(
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
-    shift = height_shift(datum, stated)
+    shift = height_shift(datum, stated) if stated is not None or datum is None else _shift(datum)
     result = np.full(height.shape, np.nan)
     if known.any():
         result[known] = shift.to_ellipsoid(lon[known], lat[known], height[known])
@@ -255,6 +264,18 @@ def ellipsoidal_heights(
             f"height_datum = {datum!r} is not defined at {lat[lost][0]:.6f} deg, {lon[lost][0]:.6f} deg (lat, lon)."
         )
     return result
+
+
+def _shift(datum: str | float) -> HeightShift:
+    """The shift of a datum; of one that is no file it is found once, which takes PROJ longer than many points."""
+    if isinstance(datum, str) and not os.path.exists(datum):
+        return _shift_of(datum, threading.get_ident())  # a transformer belongs to its thread
+    return height_shift(datum)
+
+
+@functools.lru_cache(maxsize=8)
+def _shift_of(datum: str, thread: int) -> HeightShift:
+    return height_shift(datum)
 
 
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:

@@ -169,7 +169,7 @@ def _camera_changes(
     if not _same(before.focal_px, after.focal_px):
         across, down = np.asarray(after.focal_px, np.float64)
         key = "focal_px" if camera.focal_px is not None else "focal_length_mm"
-        if abs(across - down) > SAME * across:
+        if not abs(across - down) <= SAME * across:
             raise _no_key(source, "focal_px that differs along columns and rows", f"[camera] {key} is one number")
         yield ("camera", key), round(across * pitch_px, DECIMALS_OF_LENGTHS)
     if not _same(before.principal_px, after.principal_px):

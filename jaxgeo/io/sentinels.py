@@ -128,6 +128,34 @@ IMAGE = (
 )
 
 
+def is_blank(*values: Any) -> bool:
+    """Whether every value is an empty cell."""
+    return all(isinstance(value, str) and not value.strip() for value in values)
+
+
+# Fields of DJI's video subtitles (SRT), in small letters.
+SUBTITLES = (
+    Sentinel("position", ("latitude", "longitude"), all_zero, _POSITION),
+    Sentinel("height", ("abs_alt",), all_zero, "a receiver without a height writes zero"),
+    Sentinel("camera angles", ("gb_yaw", "gb_pitch", "gb_roll"), all_zero, _ANGLES),
+)
+# Columns of AirData's flight logs, in small letters and without their units.
+AIRDATA = (
+    Sentinel("position", ("latitude", "longitude"), all_zero, _POSITION),
+    Sentinel("position", ("latitude", "longitude"), is_blank, "the cells are empty"),
+    Sentinel("position", ("gpslevel",), all_zero, "level 0 is no signal"),
+    Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), all_zero, _ANGLES),
+    Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), is_blank, "the cells are empty"),
+)
+# Fields of DJI's marks of photos (Timestamp.MRK).
+MARKS = (
+    Sentinel("position", ("Q",), all_zero, "0 is no solution"),
+    Sentinel("position", ("Lat", "Lon"), all_zero, _POSITION),
+    Sentinel("position errors", ("sigma north", "sigma east", "sigma up"), all_zero, "they were not estimated"),
+    Sentinel("time", ("week", "time of week"), all_zero, "a receiver without time writes zeros"),
+)
+
+
 def _parts(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)
 
@@ -177,4 +205,10 @@ KLV = (
     ),
 )
 
-SENTINELS: dict[str, tuple[Sentinel, ...]] = {"image": IMAGE, "KLV": KLV}
+SENTINELS: dict[str, tuple[Sentinel, ...]] = {
+    "image": IMAGE,
+    "KLV": KLV,
+    "subtitles": SUBTITLES,
+    "AirData": AIRDATA,
+    "marks": MARKS,
+}

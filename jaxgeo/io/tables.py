@@ -15,6 +15,7 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
+from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.status import Status
@@ -112,7 +113,7 @@ def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
 
     `height_msl` are heights above mean sea level in m, if known.
     """
-    lat, lon, height = (np.asarray(x) for x in fix.position.to_degrees())
+    lat, lon, height = degrees_of(fix.position)
     angles = [np.rad2deg(x) for x in (fix.incidence_ellipsoid, fix.incidence_surface, fix.slope)]
     unknown = np.full(height.shape, np.nan)
     columns = [lat, lon, height, unknown if height_msl is None else height_msl, np.asarray(fix.slant_range), *angles]

@@ -7,23 +7,25 @@ import dataclasses
 import functools
 import os
 import pathlib
-import warnings
 
 import numpy as np
 import pyproj
 import rasterio
 from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._quietly import quietly
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
 from jaxgeo.io.vrt_facts import inherit
 
 MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
+MOST_PER_TURN = 2**31  # columns in 360 degrees; a spacing of less than 2 cm in longitude goes round nowhere
 MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
 _NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
 
@@ -68,7 +70,7 @@ class Tile:
             return None
         turn = 2.0 * np.pi / self.map_unit
         cols = abs(turn / self.affine.a)
-        return round(cols) if abs(cols - round(cols)) < MISALIGNED else None
+        return round(cols) if cols < MOST_PER_TURN and abs(cols - round(cols)) < MISALIGNED else None
 
 
 class OpenFiles:
@@ -110,16 +112,11 @@ def stamp_of(path: str) -> tuple[int, int] | None:
 def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
     """Values as stored, without scale and offset, and voids, of a window of one file. Raises `DemError` if damaged."""
     data = files[tile.path]
-    try:
+    with refused_as(DemError, tile.path, f"rows {window.row_off} to {window.row_off + window.height}"):
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
         if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
             unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
-    except RasterioIOError as error:
-        raise DemError(
-            f"{tile.path}: rows {window.row_off} to {window.row_off + window.height} cannot be read; the file is "
-            f"damaged or cut short: {error.__cause__ or error}"
-        ) from error
     for mark in tile.marks:
         unknown |= values == mark
     if values.dtype.kind == "f":
@@ -132,18 +129,17 @@ def _opened(path: str) -> rasterio.DatasetReader:
     """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
     if is_local(path) and not pathlib.Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)  # refused below, in words
+    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
         try:
             return rasterio.open(path)
-        except RasterioError as error:
+        except GDAL_ERRORS as error:
             raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
 
 
 @functools.lru_cache(maxsize=65_536)
 def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
     del stamp  # part of the key only: another time or size is another file
-    with _opened(path) as data:
+    with _opened(path) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
             known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
             raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
@@ -200,7 +196,7 @@ def _centred(corner: Affine) -> Affine:
 def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
     try:
         crs = _crs_of(data.crs.to_wkt())
-    except (CRSError, RasterioError) as error:
+    except (CRSError, *GDAL_ERRORS) as error:
         raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
     flat = horizontal_part(crs)
     if not (flat.is_geographic or flat.is_projected):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from xml.etree import ElementTree
 
@@ -69,7 +70,7 @@ def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
             f"or between them. {NAME_TILES}, or write it to a file first, with a method of your choice "
             f"(gdalwarp -r bilinear)."
         )
-    shape = int(root.get("rasterYSize", "0")), int(root.get("rasterXSize", "0"))
+    shape = tuple(int(_number(path, key, root.get(key, "0"))) for key in ("rasterYSize", "rasterXSize"))
     element = next((found for found in root.findall("VRTRasterBand") if found.get("band", "1") == str(band)), None)
     if element is None or element.get("subClass") == "VRTRawRasterBand":
         return None
@@ -78,7 +79,7 @@ def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
     found = tuple(_source(path, one, folder) for one in element if one.tag in _COPYING)
     if not found:
         raise DemError(f"{path}: band {band} of this VRT has no source, so that it holds no heights.")
-    return VrtBand(shape, found, element.find("Scale") is not None or element.find("Offset") is not None)
+    return VrtBand((shape[0], shape[1]), found, element.find("Scale") is not None or element.find("Offset") is not None)
 
 
 def check_files_exist(path: str, sources: VrtBand) -> None:
@@ -146,16 +147,30 @@ def _source(path: str, element: ElementTree.Element, folder: str) -> VrtSource:
     file = "" if name is None or not name.text else name.text
     if name is not None and name.get("relativeToVRT") == "1":
         file = os.path.join(folder, file)
-    if not band.isdigit():
+    if not (band.isdecimal() and len(band) < 10):
         raise DemError(f"{path}: it takes {band!r} of its source {file} for heights. {NAME_TILES}.")
     ratio, offset, nodata = (element.findtext(tag) for tag in ("ScaleRatio", "ScaleOffset", "NODATA"))
-    scaling = None if ratio is None and offset is None else (float(ratio or 1.0), float(offset or 0.0))
-    taken, put = _rect(element.find("SrcRect")), _rect(element.find("DstRect"))
+    scaling = None
+    if ratio is not None or offset is not None:
+        scaling = _number(path, "ScaleRatio", ratio or "1"), _number(path, "ScaleOffset", offset or "0")
+    taken, put = (_rect(path, element.find(tag)) for tag in ("SrcRect", "DstRect"))
     uses_mask = element.findtext("UseMaskBand", "").lower() == "true" or element.tag == "NoDataFromMaskSource"
-    return VrtSource(file, int(band), taken, put, scaling, None if nodata is None else float(nodata), uses_mask)
+    void = None if nodata is None else _number(path, "NODATA", nodata, finite=False)
+    return VrtSource(file, int(band), taken, put, scaling, void, uses_mask)
 
 
-def _rect(element: ElementTree.Element | None) -> tuple[float, ...] | None:
+def _rect(path: str, element: ElementTree.Element | None) -> tuple[float, ...] | None:
     if element is None:
         return None
-    return tuple(float(element.get(key, "nan")) for key in ("xOff", "yOff", "xSize", "ySize"))
+    return tuple(_number(path, key, element.get(key, "")) for key in ("xOff", "yOff", "xSize", "ySize"))
+
+
+def _number(path: str, name: str, text: str, *, finite: bool = True) -> float:
+    """A number in the XML of a VRT. Raises `DemError` for what is none, or is to be finite and is not."""
+    try:
+        number = float(text)
+        if math.isfinite(number) or not finite:
+            return number
+    except ValueError:
+        pass
+    raise DemError(f"{path}: {name} of this VRT is {text!r}, which is no number. Write it anew (gdalbuildvrt).")

@@ -31,7 +31,7 @@ from jaxgeo.register.tie_errors import (
 from jaxgeo.register.ties import PaddedTies
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
-from jaxgeo.status import Status
+from jaxgeo.status import Status, seen_beside
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
@@ -109,7 +109,7 @@ def equations_about(
 
     derivatives, (uv, statuses, p_ecef) = jax.jacfwd(images, has_aux=True)(jnp.zeros(count + 5))
     by_error, by_surface, by_enu = jnp.split(derivatives, [count, count + 2], axis=2)
-    has_image = (statuses == Status.hit) | (statuses == Status.outside_image)
+    has_image = seen_beside(statuses, uv) == Status.hit
     seen = ties.used & has_image
     residuals = jnp.where(ties.used[:, None], jnp.where(seen[:, None], ties.uv - uv, jnp.inf), 0.0)
 

@@ -16,11 +16,12 @@ def alike(residuals: Float[np.ndarray, "n 2"], places: Float[np.ndarray, "n 2"])
     nearest neighbours than by chance.
 
     Moran (1950), "Notes on continuous stochastic phenomena": his I, of both components together, with its mean and
-    variance for independent normal values after Cliff and Ord (1981), "Spatial processes". 0 for few ties.
+    variance for independent normal values after Cliff and Ord (1981), "Spatial processes".
+    NaN for fewer than `FEWEST` ties, of which nothing is told.
     """
     count = len(residuals)
     if count < FEWEST:
-        return 0.0
+        return float("nan")
     nearest = scipy.spatial.KDTree(places).query(places, NEIGHBOURS + 1)[1][:, 1:]
     weights = np.zeros((count, count))
     weights[np.arange(count)[:, None], nearest] = 1.0

@@ -17,10 +17,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Int8
 
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
 from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
@@ -90,7 +89,7 @@ class Rectifier:
         time: ArrayLike | None = None,
         atmosphere: Atmosphere | None = None,
     ) -> None:
-        check_terrain(terrain, FIRST_HIT)
+        check_mapped_terrain(terrain)
         check_is(grid, AbstractGrid, "grid")
         check_is(interpolation, AbstractInterpolation, "interpolation")
         sensor, motion, moment = observation(sensor, shot, time)

@@ -12,11 +12,10 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is, require_x64
-from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register.alike import alike
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
@@ -52,7 +51,8 @@ class Limits(Record):
     standard deviations, below which it is not believed. Passes go on until ties move by less than `settled` cells, for
     `most_passes`; `most_residual` cells is the standard deviation to which ties must fit the pose. Ties that fit worse
     than their errors, by a factor of more than `misfit`, must do so independently of their neighbours: by `alike`
-    standard deviations of chance more, something is wrong that is no noise, and would make the pose seem too sure.
+    standard deviations of chance more, something is wrong that is no noise, and would make the pose seem too sure; so
+    it may be if the ties are too few to tell.
     """
 
     false_alarms: float = 1e-6
@@ -162,7 +162,7 @@ def register(
     if block < SIDES[0]:
         raise ValueError(f"block must be {SIDES[0]} cells or more: smaller ones tell nothing; got {block!r}.")
     sensor, motion, moment = observation(sensor, shot, time)
-    check_terrain(terrain, FIRST_HIT)
+    check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
     look = Look(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
@@ -237,6 +237,8 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         found, tie_errors = _updated(given, ties, done.cell)
         if not bool(found.ok):
             return ended(Outcome.not_settled)
+        if plan.is_last and not np.isfinite(float(found.sigma0_ties)):
+            return ended(Outcome.few_agree)  # the pose can follow them all: nothing is left to check it
         if _beyond(found, limits):
             return ended(Outcome.beyond_prior)
         if plan.is_last and not _fits(given, ties, found, tie_errors, done.cell, limits):
@@ -271,8 +273,8 @@ def _least_errors(given: _Given, cell: float) -> TieErrors:
 
 
 def _fits(given: _Given, ties: TiePoints, found: Update, tie_errors: TieErrors, cell: float, limits: Limits) -> bool:
-    """Whether what the ties are off the pose is small, and noise."""
-    if float(tie_errors.registration) > limits.most_residual * cell:
+    """Whether what the ties are off the pose is small, and noise; not of ties that are too few to tell."""
+    if not float(tie_errors.registration) <= limits.most_residual * cell:
         return False
     if _tie_sigma(ties, tie_errors) <= limits.misfit * _tie_sigma(ties, _least_errors(given, cell)):
         return True
@@ -289,7 +291,7 @@ def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
     """Whether the blocks of a pass agree as they should; that it is no chance the first shows, which searches far."""
     if len(done.matches.outcome) < limits.least_blocks:
         return Outcome.too_small
-    if is_first and done.false_alarms > limits.false_alarms:
+    if is_first and not done.false_alarms <= limits.false_alarms:
         return Outcome.no_agreement
     if done.agreeing < limits.least_blocks or done.agreeing < limits.least_share * done.offered:
         return Outcome.few_agree
@@ -299,9 +301,9 @@ def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
 
 
 def _beyond(found: Update, limits: Limits) -> bool:
-    """Whether the navigation erred by more than it says it may."""
+    """Whether the navigation erred by more than it says it may, or nothing can be told of that."""
     freedom = int(np.count_nonzero(np.diagonal(np.asarray(found.prior.covariance)) > 0.0))
-    return bool(scipy.stats.chi2.sf(float(found.chi_square_prior), freedom) < limits.beyond_prior)
+    return freedom > 0 and not scipy.stats.chi2.sf(float(found.chi_square_prior), freedom) >= limits.beyond_prior
 
 
 def _moved(given: _Given, error: np.ndarray) -> Look:

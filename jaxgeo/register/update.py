@@ -10,10 +10,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is, concrete
-from jaxgeo._doors import check_terrain, checked_air, observation
+from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.locate import FIRST_HIT
 from jaxgeo.register._equations import Problem
 from jaxgeo.register._solution import Solution, solved
 from jaxgeo.register.posterior import Update
@@ -71,7 +70,7 @@ def update(
     to ten of its standard deviations: nothing would tell a wrong one.
     """
     sensor, shot, moment = observation(sensor, shot, time)
-    check_terrain(terrain, FIRST_HIT)
+    check_mapped_terrain(terrain)
     ties = checked_ties(ties)
     tie_errors = checked_tie_errors(tie_errors, ties)
     check_is(loss, AbstractLoss, "loss")

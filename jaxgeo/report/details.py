@@ -17,7 +17,7 @@ from jaxgeo.locate import locate
 from jaxgeo.plot.sightline import Section, section_under
 from jaxgeo.report.subject import Subject
 from jaxgeo.status import Status
-from jaxgeo.terrain import Dem
+from jaxgeo.terrain import ConstantHeight, Dem
 from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Trust, budget, compare
 from jaxgeo.uncertainty.compare import FIGURES
 
@@ -123,6 +123,8 @@ def _section(subject: Subject, index: int, ray: Ray, terrain: Any) -> Section | 
             return section_under(ray, terrain, atmosphere=subject.atmosphere)
         except ValueError:  # the line is plumb, or never over the terrain
             return None
+    if not isinstance(terrain, ConstantHeight):
+        return None  # it is not level, and there is no grid to draw
     return _level_section(subject, index, ray.through(subject.atmosphere))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +29,8 @@ class Subject:
     `axes`, for (sensor, shots, uv, terrain, errors), has 0 where there is one for each pixel and None where one is for
     all. `errors` are sources or an `ErrorModel`, None if it is not known how the world errs; `accuracy` is then None
     too, as it is where no pixel has a fix. `labels` tell of each pixel what it is: a `name`, or columns of a table.
+    `looks` gives what `look` does where exposures have no common structure, such as those of several cameras; `sensor`
+    and `errors` are then those of the first.
     """
 
     sensor: Sensor
@@ -42,6 +44,7 @@ class Subject:
     atmosphere: Atmosphere | None = None
     probability: float = 0.9
     labels: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+    looks: Callable[[int], tuple[Any, ...]] | None = None
 
     @classmethod
     def of(
@@ -81,6 +84,9 @@ class Subject:
 
     def look(self, index: int) -> tuple[Any, Any, Any, Any, Any]:
         """(sensor, shot, pixel, terrain, errors) of one pixel."""
+        if self.looks is not None:
+            sensor, shot, uv, terrain, errors = self.looks(index)
+            return sensor, shot, uv, terrain, errors
         given = (self.sensor, self.shots, self.uv, self.terrain, self.errors)
         own: Any = tuple(
             jax.tree.map(lambda leaf: np.asarray(leaf)[index], one) if axis == 0 else one

@@ -21,7 +21,7 @@ from jaxgeo.sensor._reach import FreeAxes, nearest_readings
 from jaxgeo.sensor.gimbal import Readings
 from jaxgeo.sensor.platform import Pose, Shot, Station
 from jaxgeo.sensor.sensor import Sensor, Sight
-from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
 
 class LineOfSight(Record):
@@ -144,7 +144,7 @@ def _aim(
     found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
     outcome = status_where(reached, Status.hit, Status.outside_gimbal_range.code)
     outcome = status_where(~is_valid, Status.invalid_input, first_failure(status, outcome))
-    known = is_valid & ((status == Status.hit) | (status == Status.outside_image))
+    known = is_valid & (status == Status.hit)
     readings = jnp.where(reached, found, jax.lax.stop_gradient(best))
     return Aimed(jnp.where(known, readings, jnp.nan), jnp.where(known, miss, jnp.nan), outcome)
 
@@ -252,7 +252,7 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
     if uv is None:
         return axis, Status.hit.code
     direction, status = sensor.camera.ray(uv)
-    status = status_where(status == Status.outside_image, Status.hit, status)
+    status = seen_beside(status, direction)
     return jnp.where(status == Status.hit, direction, axis), status
 
 

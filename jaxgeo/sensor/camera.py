@@ -19,7 +19,7 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Pixel, PixelField, Scalar, ScalarLike, StatusCode, Vector3
 from jaxgeo._typing import Numbers as CrowdNumbers
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
-from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.status import Status, status_where
 
 IMAGE_PLANE = 1e-12  # directions this close (rad) to a right angle with the axis count as behind the camera
 
@@ -43,14 +43,16 @@ class AbstractCamera(Record):
     def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
         """Unit direction in the camera frame that a pixel sees.
 
-        `outside_image` comes with its direction; with any other status but `hit` the direction is NaN.
+        `outside_image` comes with its direction, or NaN where the lens has none so far out; with any other status but
+        `hit` the direction is NaN.
         """
 
     @abc.abstractmethod
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         """Pixel of a point or direction in the camera frame, of any length.
 
-        `outside_image` comes with its pixel; with any other status but `hit` the pixel is NaN.
+        `outside_image` comes with its pixel, or NaN where the lens has none so far out; with any other status but `hit`
+        the pixel is NaN.
         """
 
     @abc.abstractmethod
@@ -69,6 +71,11 @@ class AbstractCamera(Record):
         """
         uv, status = self.project(p_camera)
         return uv, self.time_of(uv) - time, status
+
+    def cause(self, uv: Pixel, status: StatusCode) -> StatusCode:
+        """The status of `image_at`, or the better reason why there is no pixel, by where the point is about."""
+        del uv
+        return status
 
     def axis(self) -> Vector3:
         """The direction in the camera frame that is meant where no pixel is named: the optical axis."""
@@ -162,7 +169,7 @@ class FrameCamera(AbstractCamera):
         failed = status != Status.hit
         v = jnp.stack([ideal[0], ideal[1], jnp.ones_like(ideal[0])])
         direction = jnp.where(failed, jnp.nan, v / safe_norm(v))
-        return direction, first_failure(status, self._inside_status(uv))
+        return direction, status_where(valid & ~self.inside(uv), Status.outside_image, status)
 
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         camera, p = as_float64((self, p_camera), "camera.project(p_camera)")
@@ -173,8 +180,9 @@ class FrameCamera(AbstractCamera):
         ideal = p[:2] / p[2]
         in_field = camera.distortion.in_field(ideal)
         uv = camera.principal_px + camera.focal_px * camera.distortion.distort(jnp.where(in_field, ideal, 0.0))
-        status = self._inside_status(uv)
-        status = status_where(~in_field, Status.outside_distortion_field, status)
+        edge = camera.principal_px + camera.focal_px * camera.distortion.nearest_image(ideal)
+        status = status_where(~in_field, Status.outside_distortion_field, Status.hit.code)
+        status = status_where(~self.inside(jnp.where(in_field, uv, edge)), Status.outside_image, status)
         status = status_where(~ahead, Status.behind_camera, status)
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(ahead & in_field, uv, jnp.nan), status
@@ -196,20 +204,22 @@ class FrameCamera(AbstractCamera):
         focal, principal = jnp.asarray(self.focal_px), jnp.asarray(self.principal_px)
         u, v = principal[0] + focal[0] * right, principal[1] + focal[1] * down
         inside = (u >= -0.5) & (u <= self.width - 0.5) & (v >= -0.5) & (v <= self.height - 0.5)
-        status = jnp.where(inside, Status.hit.code, Status.outside_image.code)
-        status = jnp.where(in_field, status, Status.outside_distortion_field.code)
+        status = jnp.where(in_field, Status.hit.code, Status.outside_distortion_field.code)
+        status = jnp.where(inside, status, Status.outside_image.code)
         status = jnp.where(ahead, status, Status.behind_camera.code)
         known = ahead & in_field
         u, v = jnp.where(known, u, jnp.nan), jnp.where(known, v, jnp.nan)
         return u, v, jnp.where(valid, status, Status.invalid_input.code)
 
     def _distorted(self, right: CrowdNumbers, down: CrowdNumbers) -> tuple[CrowdNumbers, CrowdNumbers, Flags]:
-        """(directions in the image plane as the lens bends them, whether they lie in its field)."""
+        """(directions in the image plane as the lens bends them, whether they lie in its field); of those that do not,
+        the image nearest to them."""
 
         def one(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Flag]:
             ideal = jnp.stack([x, y])
             in_field = self.distortion.in_field(ideal)
             bent = self.distortion.distort(jnp.where(in_field, ideal, 0.0))
+            bent = jnp.where(in_field, bent, self.distortion.nearest_image(ideal))
             return bent[0], bent[1], in_field
 
         x, y, in_field = jax.vmap(one)(right.reshape(-1), down.reshape(-1))
@@ -232,9 +242,6 @@ class FrameCamera(AbstractCamera):
             half = 0.5 * size * jnp.eye(2)[axis]
             angles.append(safe_angle(self.ray(middle - half)[0], self.ray(middle + half)[0]))
         return angles[0], angles[1]
-
-    def _inside_status(self, uv: Pixel) -> StatusCode:
-        return status_where(~self.inside(uv), Status.outside_image, Status.hit.code)
 
 
 def inside_image(uv: PixelLike, width: int, height: int) -> Flag:

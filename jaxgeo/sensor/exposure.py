@@ -16,7 +16,7 @@ from jaxgeo.sensor._legs import Legs
 from jaxgeo.sensor.platform import Shot
 from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
-from jaxgeo.status import Status, first_failure, status_where
+from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
 FEWEST, MOST = 65, 257  # times at which an exposure is looked through for those that see a point: two a record
 CANDIDATES = 3  # of those times, which are settled
@@ -87,7 +87,8 @@ def image_of_point(
     sight = _sight(scene, moment)
     uv, _, status = _image(scene, sight, moment)
     status = status_where(~valid, Status.invalid_input, first_failure(unseen, status))
-    has_image = (status == Status.hit) | (status == Status.outside_image)
+    has_image = seen_beside(status, uv) == Status.hit
+    status = sensor.camera.cause(uv, status)
     return jnp.where(has_image, uv, jnp.nan), status, jnp.where(valid, sight.centre, jnp.nan)
 
 

@@ -62,6 +62,12 @@ class AbstractScanningCamera(AbstractCamera):
         """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
         return inside_image(uv, self.width, self.height)
 
+    def cause(self, uv: Pixel, status: StatusCode) -> StatusCode:
+        """The status of a point with `outside_image` for one beyond the lens's field that lies beside the image, by
+        where it is about."""
+        beside = (status == Status.outside_distortion_field) & ~self.inside(uv)
+        return status_where(beside, Status.outside_image, status)
+
     def _on_image(self, uv: Pixel, status: StatusCode) -> StatusCode:
         """The status of the optics, but for its image that of the whole."""
         seen = (status == Status.hit) | (status == Status.outside_image)
@@ -238,7 +244,7 @@ class SweepCamera(AbstractLineCamera):
             row = row - jnp.where(jnp.isfinite(step), step, 0.0)
         uv, _, status = camera._image(p, row)
         has_image = (status == Status.hit) | (status == Status.outside_image)
-        return jnp.where(has_image, uv, jnp.nan), status
+        return jnp.where(has_image, uv, jnp.nan), camera.cause(uv, status)
 
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
         camera, p, time = as_float64((self, p_camera, time), "camera.image_at(p_camera, time)")
@@ -270,6 +276,8 @@ def _on_line(optics: FrameCamera, p: Vector3) -> tuple[Pixel, StatusCode]:
     """
     uv, status = optics.project(p)
     known = jnp.all(jnp.isfinite(uv))
+    beyond = (status == Status.outside_image) & ~known  # the whole image may be larger than that of the optics
+    status = status_where(beyond, Status.outside_distortion_field, status)
     p = jnp.where(known | ~jnp.all(jnp.isfinite(p)), jnp.array([0.0, 0.0, 1.0]), p)
     away = jnp.any(p != 0.0)
     across, ahead = jnp.where(away, p[:2], 0.0), jnp.where(away, p[2], 1.0)

@@ -17,7 +17,7 @@ from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.sensor.camera import AbstractCamera, Numbers, PixelLike, Vector3Like
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Mount, Pose, Shot, Station
-from jaxgeo.status import Status, status_where
+from jaxgeo.status import Status, seen_beside, status_where
 
 if TYPE_CHECKING:
     from jaxgeo.sensor.trajectory import Trajectory
@@ -90,8 +90,8 @@ class Sensor(Record):
     def ray_ecef(self, shot: Shot, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
         """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
 
-        The direction is given with `hit` and `outside_image` and NaN otherwise; with `invalid_input` (anything that is
-        not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
+        The direction is given with `hit`, and with `outside_image` where the lens has one, and NaN otherwise; with
+        `invalid_input` (anything that is not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
         """
         valid, sensor, shot, uv = made_safe(self, shot, uv)
         return sensor.ray_from(sensor.sight(shot), uv, valid)
@@ -99,7 +99,7 @@ class Sensor(Record):
     def ray_from(self, sight: Sight, uv: Pixel, valid: Flag) -> tuple[Vector3, Vector3, StatusCode]:
         """`ray_ecef` of numbers that are finite, from where the camera is; `valid` says whether they all were."""
         direction_camera, status = self.camera.ray(uv)
-        usable = valid & ((status == Status.hit) | (status == Status.outside_image))
+        usable = valid & (seen_beside(status, direction_camera) == Status.hit)
         direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
         origin, direction = sight.centre, turned(sight.R_ecef_from_camera, direction_camera)
         status = status_where(~valid, Status.invalid_input, status)

@@ -4,6 +4,7 @@ from jaxgeo.terrain.constant import ConstantHeight
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.field import AbstractField, ConstantField, LineField, SumField
 from jaxgeo.terrain.grid import AbstractGrid, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
+from jaxgeo.terrain.height_function import HeightFunction
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search import (
     AbstractSearch,
@@ -46,6 +47,7 @@ __all__ = [
     "FirstHit",
     "FittedGrid",
     "GeographicGrid",
+    "HeightFunction",
     "HeightsBetween",
     "ImprovedLiteral",
     "ImprovedSecant",

@@ -11,6 +11,7 @@ from jaxgeo._checks import as_float64, check_is
 from jaxgeo._numerics import finite_or, value_and_slope
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
+from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.field import AbstractField, ConstantField, checked_field
@@ -18,6 +19,7 @@ from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search.base import AbstractSearch
 
 CLOSE_ENOUGH = 1e-6  # m of height
+ROUNDS = 3  # to the height on another ellipsoid than WGS 84
 NEWTON_STEPS = 40  # a ray close to the horizon halves its way with each at first
 
 
@@ -58,6 +60,19 @@ class ConstantHeight(AbstractTerrain):
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
         del cell
         return self.ellipsoid.normal_and_height(p_ecef)[1] - self._height()
+
+    def height_at(self, position: Geodetic) -> Scalar:
+        """Height of the surface in m at a latitude and longitude (the height of `position` is ignored)."""
+        position = as_float64(position, "position")
+        height = jnp.zeros_like(position.lat)
+        for _ in range(ROUNDS):
+            p_ecef = WGS84.to_ecef(Geodetic(lat=position.lat, lon=position.lon, height=height))
+            height = height - self.clearance(p_ecef, jnp.zeros(2, jnp.int32))
+        return height
+
+    def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
+        above = -self.clearance(p_ecef, jnp.zeros(2, jnp.int32))
+        return above, jnp.isfinite(above)
 
     def made_safe(self) -> tuple[ConstantHeight, Flag]:
         height = self._height()

@@ -263,6 +263,16 @@ class Dem(AbstractTerrain):
         safe = jnp.where(is_known, rowcol, cell.astype(jnp.float64))
         return jnp.where(is_known, self.surface(safe, cell), jnp.nan)
 
+    def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
+        rowcol, height = self.over(p_ecef)
+        cell = self.cell_of(rowcol)
+        _, is_void = self.patch(cell)
+        is_known = self.contains(rowcol) & ~is_void
+        return jnp.where(is_known, self.surface(jnp.where(is_known, rowcol, 0.0), cell) - height, 0.0), is_known
+
+    def spacing(self) -> Scalar:
+        return jnp.sqrt(jnp.prod(self.grid.cell_size()))
+
     def normal_at(self, position: Geodetic) -> Vector3:
         """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as in `height_at`."""
         position = as_float64(position, "position")

@@ -5,10 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField, StatusField, Vector3
+from jaxgeo.earth.ellipsoid import WGS84
+from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 
 if TYPE_CHECKING:
@@ -32,7 +35,11 @@ class Bracket(Record):
 
 
 class AbstractTerrain(Record):
-    """A surface that rays can meet."""
+    """A surface that rays can meet.
+
+    A subclass gives the five abstract methods. The others follow from them, and are overridden where the terrain knows
+    its heights in a quicker way: `accuracy` and its like probe the ground through `ground_above`.
+    """
 
     @abstractmethod
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
@@ -53,3 +60,23 @@ class AbstractTerrain(Record):
     @abstractmethod
     def safe_ray(self) -> Ray:
         """A ray whose clearance is finite with a slope of -1, to stand in for rays that have no answer."""
+
+    def height_at(self, position: Geodetic) -> Scalar:
+        """Height of the ground in m at a latitude and longitude (the height of `position` is ignored).
+
+        That of the highest surface there, where a plumb line of sight from above meets it; NaN where it meets none.
+        """
+        from jaxgeo.terrain.plumb import height_by_plumb_line  # which knows the searches, and they this module
+
+        return height_by_plumb_line(self, position)
+
+    def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
+        """(height in m of the ground over an ECEF point, negative if it lies below; whether it is known there)."""
+        position = WGS84.to_geodetic(p_ecef)
+        height = self.height_at(position)
+        is_known = jnp.isfinite(height)
+        return jnp.where(is_known, height - position.height, 0.0), is_known
+
+    def spacing(self) -> Scalar | None:
+        """Length in m below which the ground is smooth, as between the posts of a grid; None if there is none known."""
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.sampled import CHUNK, Sampled, Sampling, sampled_at
-from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
+from jaxgeo.uncertainty.verdict import FEW, GRAZING, SAME_GROUND, Signs, Trust, surveyed, trust_of
 
 SAMPLES = 20_000
 RANDOM = Random()
@@ -72,9 +73,10 @@ def accuracy(
     What lies about the fix is looked at first, without a sample: the slope of the facet against that of the footprint,
     the profile of the ground along the look with its ridges and unseen gaps, edges and voids within reach. If linear
     propagation over the facet agrees with them, that is the answer; if not, but that over the footprint does, that one;
-    if neither can be trusted, `count` samples are drawn (with `key`, `jax.random.key(0)` if left out; `draws` and
-    `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a probability outside (0, 1) and where there
-    is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and `assess`.
+    if neither can be trusted, or the ground cannot be probed, `count` samples are drawn (with `key`,
+    `jax.random.key(0)` if left out; `draws` and `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a
+    probability outside (0, 1) and where there is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and
+    `assess`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -124,12 +126,28 @@ def reason(signs: Signs, trust: Trust) -> str:
         return f"The ground is as good as a plane as far as the errors reach: {figures}."
     if trust is Trust.footprint:
         return f"The slope under the fix is not that of the ground about it: {figures}."
-    if fails > 0.0 and fails >= jumps:
-        return f"{fails:.2g} % of the lines of sight come down nowhere, or beyond what is known: {figures}."
-    if jumps > 0.0:
-        off = float(signs.clearance)
-        return f"{jumps:.2g} % of the lines of sight jump to other ground, the nearest {off:.2g} sigmas off: {figures}."
+    obstacle = _obstacle(signs, fails, jumps)
+    if obstacle is not None:
+        return f"{obstacle}: {figures}."
     return (
         f"The ground is no plane within the errors' reach: {figures}; LE90 {float(signs.facet_up):.3g}, "
         f"{float(signs.footprint_up):.3g} and {float(signs.profile_up):.3g} m."
     )
+
+
+def _obstacle(signs: Signs, fails: float, jumps: float) -> str | None:
+    """What forbids linear propagation however well figures agree, if anything does; `fails` and `jumps` in %."""
+    off, known, grazing = float(signs.off), float(signs.known), float(signs.grazing)
+    if not off <= SAME_GROUND:
+        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere at the fix"
+        return f"The ground that is probed from above lies {where}, so that nothing is known of it"
+    if fails + jumps > 100.0 * FEW and fails >= jumps:
+        return f"{fails:.2g} % of the lines of sight come down nowhere, or beyond what is known"
+    if fails + jumps > 100.0 * FEW:
+        clearance = float(signs.clearance)
+        return f"{jumps:.2g} % of the lines of sight jump to other ground, the nearest {clearance:.2g} sigmas off"
+    if known != 1.0:
+        return f"In {100.0 * (1.0 - known):.2g} % of the footprint the ground is not known"
+    if not grazing > GRAZING:
+        return f"The line of sight grazes the surface, at {1e3 * grazing:.2g} mrad"
+    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,11 +24,12 @@ from jaxgeo.uncertainty.assess import Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.places import Request, in_parts, joined, requested, taken, with_bar
+from jaxgeo.uncertainty.places import Request, requested, with_bar
 from jaxgeo.uncertainty.sampled import CHUNK, Sampling, sampled_at
 from jaxgeo.uncertainty.verdict import Signs, Trust
 
 BLOCK = 128  # fixes judged at once
+FEW = 16  # or so many, if there are not more: each size is compiled once, and a new number of fixes is none
 SAMPLES = 20_000
 RANDOM = Random()
 NAMES = ("sensor", "shot", "uv", "terrain", "errors")
@@ -94,10 +95,10 @@ def accuracy_of_each(
     number = _length(world)
     first, model = world.at(0)
     checked_model(model, first)  # for mistakes
-    parts = in_parts(world.lanes, request.block, "how sure that is", progress)
+    parts = _blocks(world.lanes, number, request.block, progress)
     answers = [_judged(part, world.shared, world.axes, search, atmosphere, request.probability) for part in parts]
-    aims, told, figures = joined(answers, number)
-    is_linear = (told.trust == Trust.facet) | (told.trust == Trust.footprint)
+    aims, told, figures = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:number]), *answers)
+    is_linear = np.isin(told.trust, [Trust.facet, Trust.footprint])
     circular, linear, spherical = _with_samples(figures, told.trust, aims, world, request, progress)
     return AccuracyOfEach(
         fix=aims.fix,
@@ -106,8 +107,8 @@ def accuracy_of_each(
         linear=linear,
         spherical=spherical,
         trust=told.trust,
-        cov_enu=jnp.where(is_linear[:, None, None], told.cov_enu, jnp.nan),
-        bias_enu=jnp.where(is_linear[:, None], told.bias_enu, jnp.nan),
+        cov_enu=jnp.asarray(np.where(is_linear[:, None, None], told.cov_enu, np.nan)),
+        bias_enu=jnp.asarray(np.where(is_linear[:, None], told.bias_enu, np.nan)),
         signs=told.signs,
         count=request.count,
     )
@@ -133,7 +134,7 @@ class _World(NamedTuple):
 
     def at(self, index: int) -> tuple[Look, ErrorModel]:
         """One of the exposures, and its errors."""
-        own = jax.tree.map(lambda leaf: jnp.asarray(leaf)[index], self.lanes)
+        own = _lane(self.lanes, index)
         return _look(_whole(own, self.shared, self.axes), self.search, self.air)
 
 
@@ -157,6 +158,20 @@ def _length(world: _World) -> int:
         found = ", ".join(f"{name} {length}" for length, name in lengths.items()) or "no batch at all"
         raise ValueError(f"batches must have one length, 1 or more; got {found} (in_axes {world.axes!r}).")
     return next(iter(lengths))
+
+
+def _lane(lanes: Any, index: int | np.ndarray) -> Any:
+    """One entry of batches, or several, taken by NumPy: nothing is compiled for batches of another length."""
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), lanes)
+
+
+def _blocks(lanes: Any, count: int, most: int, progress: bool) -> Iterator[Any]:
+    """Batches in blocks of one of few sizes; the last entry fills up the last block."""
+    host = jax.tree.map(np.asarray, lanes)
+    size = next((size for size in (1, FEW) if count <= size < most), most)
+    starts = range(0, count, size)
+    for start in with_bar(starts, len(starts), "how sure that is", progress):
+        yield _lane(host, np.minimum(np.arange(start, start + size), count - 1))
 
 
 def _whole(own: tuple[Any, ...], shared: tuple[Any, ...], axes: tuple[int | None, ...]) -> tuple[Any, ...]:
@@ -202,7 +217,7 @@ def _with_samples(
     level = float(request.probability)
     for number in with_bar(index.tolist(), index.size, "sampling", progress):
         look, model = world.at(number)
-        drawn = sampled_at(look, model, request.search, sampling, taken(aims, jnp.asarray(number)))
+        drawn = sampled_at(look, model, request.search, sampling, _lane(aims, number))
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         for radius, door in zip(radii, doors, strict=True):
             radius[number] = door(level).value

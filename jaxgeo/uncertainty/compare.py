@@ -137,7 +137,7 @@ def compare(
         validity: tuple[str, ...] = tuple(map(_validity, values, quantiles, [digits] * len(values)))
         rows.append(Row(name, values, validity))
     beyond = np.zeros(drawn.count, bool)
-    if profile is not None and drawn.errors_enu is not None:
+    if drawn.errors_enu is not None:
         ahead = np.asarray(aim.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
         beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))

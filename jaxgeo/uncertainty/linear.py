@@ -25,6 +25,7 @@ from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, alo
 
 Swept = Float[Array, "3 axes"]
 FACET = Facet()
+LEAST_KNOWN = 0.5  # of a footprint: a plane through less known ground stands for nothing
 # Under `jit` what is no covariance, that of no fix, gives NaN in place of an exception.
 _circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
 
@@ -34,7 +35,8 @@ class Propagation(Record):
 
     `jacobian` (3, axes) in m of east, north, up at the fix for one rad, m, px, s, K or Pa of each axis of the error
     vector; `cov_error` the errors' covariance; `cov_enu` that of the fix in m2, with `bias_enu` the mean of its errors
-    in m (zero but for the slope of a footprint). Where there is no fix all are NaN, and `fix.status` says why.
+    in m (zero but for the slope of a footprint). Where there is no fix all are NaN, and `fix.status` says why; so
+    they are where less than half of the ground of a footprint is known (`surface.known`).
     """
 
     fix: Fix
@@ -123,7 +125,7 @@ def swept_over(look: Look, aim: Aim, model: ErrorModel, sweep: Sweep, slope: Abs
         jacobian = spread.on(surface, aim.direction_enu)
         along = aim.direction_enu / along_plane(surface.normal, aim.direction_enu)
         bias, extra = along * surface.above, jnp.outer(along, along) * surface.roughness**2
-    known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731
+    known = lambda x: jnp.where(aim.fix.found & (surface.known >= LEAST_KNOWN), x, jnp.nan)  # noqa: E731
     cov_enu = jacobian @ cov_error @ jacobian.T + extra
     return Propagation(aim.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, aim, model)
 

@@ -25,7 +25,7 @@ from jaxgeo.locate import FIRST_HIT, has_point, located_anywhere, met_by, touche
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.sensor.platform import Pose, Station
-from jaxgeo.status import Status, counts_as_fix, status_where
+from jaxgeo.status import Status, counts_as_fix, seen_beside
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
@@ -163,7 +163,7 @@ class Look(Record):
             origin, direction = self.sensor.line(Station.of(self.motion), direction_camera)
         else:
             origin, direction, status = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
-        return Sightline(Ray(origin, direction), status_where(status == Status.outside_image, Status.hit, status))
+        return Sightline(Ray(origin, direction), seen_beside(status, direction))
 
     @property
     def pose(self) -> Pose:

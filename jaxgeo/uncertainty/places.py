@@ -29,7 +29,6 @@ from jaxgeo.uncertainty.verdict import Signs, Trust
 
 T = TypeVar("T")
 SAME_GROUND = 0.1  # m by which the fix of a place's pixel may be off it
-NEAREST_HEIGHT = 3  # rounds to the height of a terrain that is no `Dem`
 _linear_figures = jax.jit(linear_figures)
 
 
@@ -228,10 +227,8 @@ def ground_at(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geode
         status = status_where(inside, Status.hits_void, Status.leaves_terrain.code)
         status = status_where(jnp.isfinite(height), Status.hit, status)
     else:
-        height, status = level.height, Status.hit.code
-        for _ in range(NEAREST_HEIGHT):
-            point = WGS84.to_ecef(Geodetic(lat=level.lat, lon=level.lon, height=height))
-            height = height - terrain.clearance(point, jnp.zeros(2, jnp.int32))
+        height = terrain.height_at(level)
+        status = status_where(jnp.isfinite(height), Status.hit, Status.hits_void.code)
     status = jnp.where(is_place, status, Status.invalid_input.code)
     height = jnp.where(status == Status.hit, height, jnp.nan)
     return Geodetic(lat=level.lat, lon=level.lon, height=height), status

@@ -11,7 +11,7 @@ from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._typing import Numbers, Scalar, Vector3
-from jaxgeo.terrain import Dem
+from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.look import FARTHER, Aim, Sweep
 
 NODES = 512  # places before the fix, and as many behind it
@@ -22,6 +22,9 @@ HALVINGS = 60
 FLAT = 1e-3  # level part of a direction: a steeper line of sight has no profile
 LEAST = 1e-9  # m: a standard deviation of nothing
 GAP = 1.0  # of a cell: unseen ground that is longer is a gap, beyond which lines of sight jump
+FINEST = 0.5  # of the errors' reach along the look: the same where the ground has no cells
+FARTHEST = 30.0  # of that reach: how far the ground is probed at least
+FLATTEST = 0.02  # fall of a line of sight by which its reach over level ground is told
 
 Places = Float[Array, " places"]
 Levels = Float[Array, " levels"]
@@ -42,7 +45,8 @@ class Profile(NamedTuple):
     (infinite where it does not), `across_sigma` and `up_sigma` what is left of chance to the side and in height.
     `jumps` is the share that comes down beyond a gap of unseen ground, `fails` that which comes down nowhere;
     `clearance` is how many sigmas off the nearest line of sight is that does either. `unseen` is how much ground is out
-    of sight up to each of `places`, m, and `cell` the length of a cell.
+    of sight up to each of `places`, m, `gap` the longest unseen ground that counts for nothing, and `off` how far the
+    ground probed at the fix lies from it, infinite where it is unknown.
     """
 
     ahead: Levels
@@ -55,12 +59,13 @@ class Profile(NamedTuple):
     clearance: Scalar
     places: Places
     unseen: Places
-    cell: Scalar
+    gap: Scalar
+    off: Scalar
 
     def jumped(self, ahead: Float[Array, "..."]) -> Bool[Array, "..."]:
         """Whether points so far ahead of the fix, m, lie beyond a gap of unseen ground."""
         between = jnp.interp(ahead, self.places, self.unseen) - self.unseen[NODES]
-        return jnp.abs(between) > GAP * self.cell
+        return jnp.abs(between) > self.gap
 
     def circular_error(self, probability: float) -> Scalar:
         """Radius in m on the level plane within which the fix falls with a probability; infinite if too many fail."""
@@ -93,31 +98,40 @@ class Profile(NamedTuple):
         return jnp.where(1.0 - self.fails >= probability, radius, jnp.inf)
 
 
-def profile_of(dem: Dem, aim: Aim, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3) -> Profile:
+def profile_of(
+    terrain: AbstractTerrain, aim: Aim, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
+) -> Profile:
     """The profile of a look over a terrain, whose derivatives by its errors are known; without derivatives itself.
 
     An error of the line of sight, or of the terrain's height, lifts the one over the other by as many sigmas all the
     way; across the look the ground rises as the plane of a `normal` (its last component 1) does.
     """
-    dem, aim, sweep, cov_error, normal = jax.lax.stop_gradient((dem, aim, sweep, cov_error, normal))
+    terrain, aim, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, aim, sweep, cov_error, normal))
     level = jnp.sqrt(aim.direction_enu[0] ** 2 + aim.direction_enu[1] ** 2)
     plumb = level < FLAT
     along = jnp.where(plumb, jnp.array([1.0, 0.0]), aim.direction_enu[:2] / jnp.where(plumb, 1.0, level))
     level = jnp.maximum(level, FLAT)
     fall = -aim.direction_enu[2] / level
-    ground, cell = _ground(dem, aim, level)
-
     to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
     turn = (to_lift(sweep.farther) - to_lift(sweep.line)) / FARTHER
     to_side = jnp.stack([-along[1], along[0]])
     aside = to_side @ sweep.line[:2]
     rise_aside = -(normal[:2] @ to_side) * aside
-    lift = (to_lift(sweep.line) - sweep.ground - rise_aside)[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
+    lift_at_fix = to_lift(sweep.line) - sweep.ground - rise_aside
+    spacing = terrain.spacing()
+    if spacing is None:
+        facet, level_ground = (_sigma(x, cov_error) for x in (along @ sweep.facet[:2], lift_at_fix))
+        nearest = jnp.minimum(facet, level_ground / jnp.maximum(fall, FLATTEST))
+        places, gap = _by_errors(nearest, aim.distance)
+    else:
+        places, gap = _by_spacing(spacing), GAP * spacing
+    ground, off = _ground(terrain, aim, level, places)
+    lift = lift_at_fix[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
     sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
 
     levels = ndtri((jnp.arange(LEVELS) + 0.5) / LEVELS)
     ahead, rise, fell, unseen = _first_met(ground, ground.above / sigma, levels)
-    jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > GAP * cell)
+    jumped = fell & (jnp.abs(jnp.interp(ahead, ground.ahead, unseen) - unseen[NODES]) > gap)
     at_fix = lift[NODES] / sigma[NODES]
     across, across_sigma = _given_lift(aside, at_fix, cov_error)
     up, up_sigma = _given_lift(sweep.ground + rise_aside, at_fix, cov_error)
@@ -132,27 +146,38 @@ def profile_of(dem: Dem, aim: Aim, sweep: Sweep, cov_error: Float[Array, "axes a
         clearance=jnp.min(jnp.where(jumped | ~fell, jnp.abs(levels), jnp.inf)),
         places=ground.ahead,
         unseen=unseen,
-        cell=cell,
+        gap=gap,
+        off=off,
     )
 
 
-def _ground(dem: Dem, aim: Aim, level: Scalar) -> tuple[Ground, Scalar]:
-    """The ground along a line of sight, close about its fix and looser and looser away from it; a cell's length."""
-    cell = jnp.sqrt(jnp.prod(dem.grid.cell_size()))
-    aside = NEAREST * cell * (GROWTH ** jnp.arange(1, NODES + 1) - 1.0) / (GROWTH - 1.0)
-    ahead = jnp.concatenate([-aside[::-1], jnp.zeros(1), aside])
+def _ground(terrain: AbstractTerrain, aim: Aim, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
+    """The ground along a line of sight at places ahead of its fix; and how far it there lies off the fix, m."""
     direction = aim.R_ecef_from_enu @ aim.direction_enu
+    at = lambda ahead: aim.p_ecef + direction * (ahead / level)  # noqa: E731
+    above, known = jax.vmap(lambda ahead: terrain.ground_above(at(ahead)))(places)
+    off = jnp.where(known[NODES], jnp.abs(above[NODES]), jnp.inf)
+    return Ground(places, above.at[NODES].set(0.0), known & (places > -aim.distance * level)), off
 
-    def above_ray(ahead: Scalar) -> tuple[Scalar, Bool[Array, ""]]:
-        rowcol, height = dem.over(aim.p_ecef + direction * (ahead / level))
-        inside = dem.contains(rowcol)
-        place = jnp.where(inside, rowcol, 0.0)
-        cell = dem.cell_of(place)
-        _, is_void = dem.patch(cell)
-        return dem.surface(place, cell) - height, inside & ~is_void
 
-    above, known = jax.vmap(above_ray)(ahead)
-    return Ground(ahead, above.at[NODES].set(0.0), known & (ahead > -aim.distance * level)), cell
+def _by_spacing(spacing: Scalar) -> Places:
+    """Places before and behind a fix for ground of a known spacing, m: close about it, looser away from it."""
+    return _both_ways(NEAREST * spacing * (GROWTH ** jnp.arange(1, NODES + 1) - 1.0) / (GROWTH - 1.0))
+
+
+def _by_errors(sigma: Scalar, distance: Scalar) -> tuple[Places, Scalar]:
+    """The same by how far errors move a fix along the look, out to the camera; and the gap that counts, m."""
+    sigma = jnp.maximum(sigma, LEAST)
+    reach = jnp.maximum(distance, FARTHEST * sigma)
+    return _both_ways(sigma * jnp.sinh(jnp.arange(1, NODES + 1) / NODES * jnp.arcsinh(reach / sigma))), FINEST * sigma
+
+
+def _both_ways(aside: Float[Array, " half"]) -> Places:
+    return jnp.concatenate([-aside[::-1], jnp.zeros(1), aside])
+
+
+def _sigma(moved: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]) -> Scalar:
+    return jnp.sqrt(jnp.maximum(moved @ cov_error @ moved, 0.0))
 
 
 def _first_met(ground: Ground, excess: Places, levels: Levels) -> tuple[Levels, Levels, Bool[Array, " levels"], Places]:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._record import Record
-from jaxgeo._typing import Flag, Scalar, Vector3
-from jaxgeo.terrain import AbstractTerrain, Dem
+from jaxgeo._typing import Scalar, Vector3
+from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.look import Aim
 
 Points = Float[Array, "points 2"]
@@ -85,8 +85,7 @@ class Footprint(AbstractSlope):
     """
 
     def surface(self, terrain: AbstractTerrain, aim: Aim, facet: Vector3, spread: Spread) -> Surface:
-        if not isinstance(terrain, Dem):
-            return _plane(facet)
+        del facet
         surface = _plane(jnp.array([0.0, 0.0, 1.0]))
         for _ in range(ROUNDS):
             swept = spread.on(surface, aim.direction_enu)
@@ -99,12 +98,13 @@ def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
     return jnp.minimum(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
 
 
-def fitted_plane(dem: Dem, aim: Aim, cov: Float[Array, "2 2"]) -> Surface:
+def fitted_plane(terrain: AbstractTerrain, aim: Aim, cov: Float[Array, "2 2"]) -> Surface:
     """The plane through a terrain over an ellipse (m2, east and north) about a fix; without derivatives."""
-    dem, aim, cov = jax.lax.stop_gradient((dem, aim, cov))
+    terrain, aim, cov = jax.lax.stop_gradient((terrain, aim, cov))
     root = _wide_root(cov)
     places = _even_places()
-    heights, known = jax.vmap(lambda place: ground_above(dem, aim, root @ place))(places)
+    level = lambda place: aim.p_ecef + aim.R_ecef_from_enu[:, :2] @ (root @ place)  # noqa: E731
+    heights, known = jax.vmap(lambda place: terrain.ground_above(level(place)))(places)
     weight = known.astype(jnp.float64)
     design = jnp.concatenate([jnp.ones((len(places), 1)), places], axis=1)
     normal_matrix = design.T @ (weight[:, None] * design) + 1e-9 * jnp.eye(3)
@@ -114,16 +114,6 @@ def fitted_plane(dem: Dem, aim: Aim, cov: Float[Array, "2 2"]) -> Surface:
     share = jnp.mean(weight)
     roughness = jnp.sqrt(jnp.sum(weight * residual**2) / jnp.maximum(jnp.sum(weight), 1.0))
     return Surface(jnp.stack([-slope[0], -slope[1], jnp.asarray(1.0)]), above, roughness, share)
-
-
-def ground_above(dem: Dem, aim: Aim, place: Float[Array, "2"]) -> tuple[Scalar, Flag]:
-    """(height in m of the terrain over the level plane of a fix, at a place east and north of it; if it is known)."""
-    p_ecef = aim.p_ecef + aim.R_ecef_from_enu[:, :2] @ place
-    rowcol, height = dem.over(p_ecef)
-    cell = dem.cell_of(rowcol)
-    _, is_void = dem.patch(cell)
-    is_known = dem.contains(rowcol) & ~is_void
-    return jnp.where(is_known, dem.surface(jnp.where(is_known, rowcol, 0.0), cell) - height, 0.0), is_known
 
 
 def _plane(normal: Vector3) -> Surface:

@@ -11,7 +11,6 @@ from jaxtyping import Array, Int
 
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
-from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty.linear import FACET, Propagation, swept_over
 from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics import circular_error, linear_error
@@ -23,7 +22,11 @@ FOOTPRINT = Footprint()
 # Set on made-up terrain, judged on other terrain (benchmarks/verdict.py).
 AGREEMENT = 0.1  # of a logarithm: circular errors that differ by more do not agree
 AGREEMENT_UP = 0.15  # the same of linear errors
+NOTHING = (
+    1e-3  # of the circular error: linear errors smaller than this, of level ground that is sure, count for nothing
+)
 FEW = 0.01  # of chance: more lines of sight that jump or fail show in a figure at 90 %
+SAME_GROUND = 0.1  # m: ground that is probed farther from the fix than this is not what the line of sight met
 GRAZING = 0.01  # sine of the angle between ray and surface
 
 
@@ -34,7 +37,8 @@ class Signs(NamedTuple):
     `facet`, `footprint` and `profile` are circular errors by the slope under the fix, by that of its footprint, and
     over the profile of the ground along the look; `facet_up`, `footprint_up` and `profile_up` linear errors. `jumps`
     and `fails` are shares of chance, `clearance` how many sigmas off they begin; `grazing` is the sine of the angle
-    between ray and surface, `known` the share of the footprint over known ground.
+    between ray and surface, `known` the share of the footprint over known ground, `off` how far in m the ground probed
+    at the fix lies from it: infinite if it is unknown there.
     """
 
     facet: Scalar
@@ -48,17 +52,18 @@ class Signs(NamedTuple):
     clearance: Scalar
     grazing: Scalar
     known: Scalar
+    off: Scalar
 
 
 @portable
 class Surveyed(NamedTuple):
     """The signs of a fix, and what they were read from: linear propagation over its facet and its footprint, and the
-    profile of the ground, where it has one."""
+    profile of the ground."""
 
     signs: Signs
     facet: Propagation
     footprint: Propagation
-    profile: Profile | None
+    profile: Profile
 
 
 @eqx.filter_jit
@@ -67,15 +72,11 @@ def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
     model = model.at(look, aim)
     sweep = model.sweep(look, aim)
     facet, footprint = (swept_over(look, aim, model, sweep, slope) for slope in (FACET, FOOTPRINT))
-    zero, one = jnp.asarray(0.0), jnp.asarray(1.0)
     grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
     cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # both at once: what inverts the integral is compiled once
     bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
     facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
     facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
-    if not isinstance(look.terrain, Dem):
-        signs = Signs(facet_ce, facet_ce, facet_ce, facet_le, facet_le, facet_le, zero, zero, one / zero, grazing, one)
-        return Surveyed(signs, facet, footprint, None)
     profile = profile_of(look.terrain, aim, sweep, facet.cov_error, footprint.surface.normal)
     signs = Signs(
         facet_ce,
@@ -89,6 +90,7 @@ def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
         profile.clearance,
         grazing,
         footprint.surface.known,
+        profile.off,
     )
     return Surveyed(signs, facet, footprint, profile)
 
@@ -109,14 +111,16 @@ class Trust(enum.IntEnum):
 def trust_of(signs: Signs) -> Int[Array, ""]:
     """Which method the signs trust, as a `Trust`; under `vmap` for many fixes."""
     calm = (signs.jumps + signs.fails <= FEW) & (signs.known == 1.0) & (signs.grazing > GRAZING)
+    calm &= signs.off <= SAME_GROUND
+    least = NOTHING * signs.profile
     facet = _agree(signs.facet, signs.profile, AGREEMENT) & _agree(signs.facet, signs.footprint, AGREEMENT)
-    facet &= _agree(signs.facet_up, signs.profile_up, AGREEMENT_UP)
+    facet &= _agree(signs.facet_up + least, signs.profile_up + least, AGREEMENT_UP)
     footprint = _agree(signs.footprint, signs.profile, AGREEMENT)
-    footprint &= _agree(signs.footprint_up, signs.profile_up, AGREEMENT_UP)
+    footprint &= _agree(signs.footprint_up + least, signs.profile_up + least, AGREEMENT_UP)
     code = jnp.where(calm & footprint, Trust.footprint.value, Trust.samples.value)
     return jnp.where(calm & facet, Trust.facet.value, code)
 
 
 def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
-    """Whether two figures differ by no more than is trusted; those that are infinite or NaN do."""
+    """Whether two figures differ by no more than is trusted; those that are infinite, zero or NaN do not agree."""
     return jnp.abs(jnp.log(one / other)) <= tolerance

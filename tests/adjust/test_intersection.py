@@ -365,7 +365,7 @@ def failing():
         (same, jnp.stack([UVS[0]] * RAYS), ALL, Status.weak_intersection),
         (same, UVS[:1] + 1e-3 * NOISE, ALL, Status.weak_intersection),
         (apart, UVS, ALL, Status.behind_camera),
-        (SHOTS, beside, ALL, Status.outside_distortion_field),
+        (SHOTS, beside, ALL, Status.outside_image),
     ]
     shots, uvs, use, statuses = zip(*cases, strict=True)
     return stacked(list(shots)), jnp.stack(uvs), jnp.asarray(np.stack(use)), statuses

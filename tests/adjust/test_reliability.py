@@ -106,6 +106,9 @@ def test_rows_of_several_blunders_are_those_of_the_block_given(good: Adjustment)
         block = with_blunder(block, row, np.array([0.0, size]))
     _, out = without_blunders(block, alpha=1e-5)
     assert sorted(b.row for b in out) == rows
+    with pytest.warns(RuntimeWarning, match="1 blunders are taken out, as many as most=1 allows, and more are left"):
+        _, some = without_blunders(block, alpha=1e-5, most=1)
+    assert [b.row for b in some] == [out[0].row]
     assert all(b.image == block.observations.image[b.row] for b in out)
     assert all(b.point == block.observations.point[b.row] for b in out)
 

@@ -33,7 +33,7 @@ from jaxgeo import (
 from jaxgeo.coverage import Exposure, footprint, ground_sampling
 from jaxgeo.coverage.exposure import own_map, seen_at
 from jaxgeo.coverage.footprint import FINEST
-from jaxgeo.terrain import TangentGrid
+from jaxgeo.terrain import HeightFunction, TangentGrid
 
 FOCAL = 4000.0  # px
 SIZE = 800
@@ -284,9 +284,14 @@ def test_on_level_ground_a_pixel_is_its_angle_over_the_cosine(outer, heading):
     assert float(found.area) == pytest.approx(along * across, rel=1e-9)
 
 
-@pytest.mark.parametrize("terrain", ["level", pytest.param("rough", marks=pytest.mark.slow)])
+WAVES = HeightFunction(lambda place: 20.0 * jnp.sin(2e4 * place.lat), -20.0, 20.0, lipschitz=0.07)
+OVER = {"level": (GROUND, 50.0), "waves": (WAVES, 50.0), "rough": (DEM, None)}
+
+
+@pytest.mark.parametrize("terrain", ["level", *(pytest.param(x, marks=pytest.mark.slow) for x in ("rough", "waves"))])
 def test_a_pixel_s_size_is_that_of_differences(terrain):
-    ground, image = (GROUND, shot(50.0, pitch=4.0)) if terrain == "level" else (DEM, OVER_RIDGE)
+    ground, outer = OVER[terrain]
+    image = OVER_RIDGE if outer is None else shot(outer, pitch=4.0)
     for uv in (MIDDLE, np.array([30.0, 700.0]), np.array([-0.5, SIZE - 0.5])):
         found = ground_sampling(SENSOR, image, uv, ground)
         assert found.fix.ok

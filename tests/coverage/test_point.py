@@ -366,7 +366,7 @@ def test_what_cannot_be_asked_has_a_status_and_leaves_the_others():
         ),
     )
     found, *_ = asked(sensor, spoilt)
-    expected = {1: Status.invalid_input, 2: Status.invalid_input, 3: Status.outside_distortion_field}
+    expected = {1: Status.invalid_input, 2: Status.invalid_input, 3: Status.outside_image}
     for lane, status in expected.items():
         assert found.status[lane] == status
         assert np.all(np.isnan(found.readings[lane]))

@@ -1,4 +1,8 @@
-"""Problems of bundle adjustment in the large: the published cost, the formula, and files that are cut or wrong."""
+"""Problems of bundle adjustment in the large: the published cost, the formula, and files that are cut or wrong.
+
+Held against: a problem of Bundle Adjustment in the Large as it is published, its cost as Ceres Solver prints it, and
+the formula of the camera written out with SciPy's rotations.
+"""
 
 from __future__ import annotations
 

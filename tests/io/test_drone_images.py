@@ -1,4 +1,9 @@
-"""Drone images: rays along the angles written, cameras by other libraries' formula, heights never guessed, refusals."""
+"""Drone images: rays along the angles written, cameras by other libraries' formula, heights never guessed, refusals.
+
+Held against: images of a DJI drone as it wrote them (the block Miaoli of OpenDroneMap's data), positions of EXIF as
+GDAL reads them, lenses by OpenCV, tags as DJI, Skydio, Parrot and Autel publish or write them, and EXIF as GDAL puts it
+into a TIFF file.
+"""
 
 from __future__ import annotations
 

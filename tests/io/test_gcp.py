@@ -1,4 +1,7 @@
-"""Ground control of OpenDroneMap: places by PROJ, points by their names or places, pixels by their origin."""
+"""Ground control of OpenDroneMap: places by PROJ, points by their names or places, pixels by their origin.
+
+Held against: `gcp_list.txt` as OpenDroneMap's documentation lays it out, and PROJ.
+"""
 
 from __future__ import annotations
 

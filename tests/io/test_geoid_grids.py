@@ -1,9 +1,14 @@
-"""Geoid grids by their path: read as their own posts say, from wherever their longitudes start, or refused."""
+"""Geoid grids by their path: read as their own posts say, from wherever their longitudes start, or refused.
+
+Held against: RAF20 as IGN publishes it, EGM96 of PROJ's own data, and PROJ's look-up at the posts of grids that GDAL
+writes as GTX and GeoTIFF.
+"""
 
 from __future__ import annotations
 
 import pathlib
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +20,7 @@ from support.rasters import hills, write
 
 from jaxgeo.io import VerticalDatumError, read_dem, undulation
 from jaxgeo.io._proj import DATA
+from jaxgeo.io._tiff import layout_mistake
 from jaxgeo.io.geoid_grid import check_grids_of
 from jaxgeo.io.vertical import height_shift
 
@@ -148,3 +154,36 @@ def test_proj_by_itself_reads_a_repeated_meridian_one_column_off(tmp_path: pathl
     except ProjError as error:
         pytest.skip(str(error))
     assert by_proj.transform(HAWAII[1], HAWAII[0], 0.0)[2] == pytest.approx(23.1145, abs=1e-3)
+
+
+PROFILES = [{}, {"BIGTIFF": "YES"}, {"ENDIANNESS": "BIG"}, {"tiled": True, "blockxsize": 16, "blockysize": 16}]
+
+
+def of_profile(path: pathlib.Path, **profile: Any) -> pathlib.Path:
+    posts = np.linspace(40.0, 50.0, 21 * 21, dtype=np.float32).reshape(21, 21)
+    transform = rasterio.Affine(0.1, 0, 3.95, 0, -0.1, 46.05)
+    made: dict[str, Any] = {"driver": "GTiff", "dtype": "float32", "count": 1, "height": 21, "width": 21}
+    with rasterio.open(path, "w", crs="EPSG:4326", transform=transform, **made, **profile) as sink:
+        sink.write(posts, 1)
+    return path
+
+
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+def test_a_tiff_whose_blocks_have_no_size_never_reaches_proj(tmp_path: pathlib.Path, profile: dict[str, Any]) -> None:
+    """PROJ divides by the sizes of blocks, of strips or tiles, and the whole process ends where they are zero."""
+    path = of_profile(tmp_path / "geoid.tif", **profile)
+    assert layout_mistake(path) == ""
+    assert 40.0 < undulation(45.0, 5.0, path) < 50.0
+    content = path.read_bytes()
+    order, is_big = ("<" if content[:2] == b"II" else ">"), "BIGTIFF" in profile
+    names = {256: "ImageWidth", 257: "ImageLength"}
+    names |= {322: "TileWidth", 323: "TileLength"} if "tiled" in profile else {278: "RowsPerStrip"}
+    for tag, name in names.items():
+        entry = min(content.find(struct.pack(order + "HH", tag, kind), 8) % len(content) for kind in (3, 4))
+        changes = {entry + (12 if is_big else 8): bytes(4), entry + 4: bytes(4), entry + 2: struct.pack(order + "H", 2)}
+        for at, new in changes.items():  # the value zero, no value, a text
+            path.write_bytes(content[:at] + new + content[at + len(new) :])
+            with pytest.raises(
+                VerticalDatumError, match=f"geoid.tif is damaged: its tag {name} is no number above zero"
+            ):
+                undulation(45.0, 5.0, path)

@@ -1,4 +1,8 @@
-"""Image points: what is written reads back, and what cannot be meant is refused with row, image and point."""
+"""Image points: what is written reads back, and what cannot be meant is refused with row, image and point.
+
+The format is our own, CSV, described in `read_image_points`; its layouts are those of `test_table_layouts`. Held
+against: rows written by hand, apart from our writer.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Images: what is read, where there is an image at all, and what is said of files that are none."""
+"""Images: what is read, where there is an image at all, and what is said of files that are none.
+
+Held against: rasters that GDAL writes in several formats, and a frame of NGI, South Africa, as it was published.
+"""
 
 from __future__ import annotations
 

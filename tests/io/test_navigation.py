@@ -1,4 +1,8 @@
-"""Navigation records: what the file says is what the trajectory does, and what it cannot mean is refused in words."""
+"""Navigation records: what the file says is what the trajectory does, and what it cannot mean is refused in words.
+
+The format is our own, CSV, described in `docs/howto/navigation.md`; its layouts are those of `test_table_layouts`. Held
+against: rows written by hand, and what NumPy makes of them.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Opening terrain that stays on disk: what is read and when, what is kept, and what is refused."""
+"""Opening terrain that stays on disk: what is read and when, what is kept, and what is refused.
+
+Held against: what `read_dem` gives of the same files (see `test_read_dem`). The file of kept bounds is our own, an
+`.npz` of NumPy; it is checked, and made anew where it is another's.
+"""
 
 from __future__ import annotations
 

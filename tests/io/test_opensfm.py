@@ -1,4 +1,8 @@
-"""Reconstructions of OpenSfM: cameras by its formula, worlds level at a reference or in a grid, refusals by key."""
+"""Reconstructions of OpenSfM: cameras by its formula, worlds level at a reference or in a grid, refusals by key.
+
+Held against: the reconstruction of the block Miaoli as OpenDroneMap wrote it, OpenSfM's published camera models written
+out in NumPy, and PROJ.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Orientations of a block: exact places, the grid's own north, other programs' tables, and what is refused in words."""
+"""Orientations of a block: exact places, the grid's own north, other programs' tables, and what is refused in words.
+
+Held against: PROJ's positions, convergence and scale; the orientations of a block of IGN, France, whose tie points fit;
+tables that OpenDroneMap wrote of the block Miaoli; and for other programs see `test_program_tables`.
+"""
 
 from __future__ import annotations
 
@@ -203,7 +207,7 @@ SIX = "sigma_north_m,sigma_east_m,sigma_down_m,sigma_heading_deg,sigma_pitch_deg
 ONE = f"image,x,y,z,o,p,k,{SIX}\na,833143,6298117,9,0,0,0,1,0,1,1,1,1\n"
 MAP: dict[str, Any] = {"crs": "EPSG:2154"}
 REFUSED = {
-    "no crs": (LAMBERT, {}, ["x_m is of a map, and the file does not say which: pass crs="]),
+    "no crs": (LAMBERT, {}, ["x_m is of a map, and the file does not say in which CRS; give it: crs="]),
     "crs too much": (EARTH, MAP, [r"no column x_m \(or x, x/east\)", "lat_deg is on the Earth: leave crs= out"]),
     "missing": (LAMBERT.replace("kappa_deg", "kapa"), MAP, [r"no column kappa_deg \(or kappa, k\); found image, x_m"]),
     "no image": (EARTH.replace("image", "photo"), {}, [r"no column image \(or filename, nom\)"]),

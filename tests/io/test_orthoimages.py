@@ -1,4 +1,8 @@
-"""Orthoimages: read where they lie, written and read back alike, and made from images in files."""
+"""Orthoimages: read where they lie, written and read back alike, and made from images in files.
+
+Held against: positions by pyproj on five kinds of map, rasters that GDAL writes, and an orthoimage of NGI, South
+Africa.
+"""
 
 from __future__ import annotations
 

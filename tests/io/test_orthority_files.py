@@ -1,4 +1,8 @@
-"""Parameter files of Orthority: its own cameras see what ours see, the Earth's curvature apart; refusals by key."""
+"""Parameter files of Orthority: its own cameras see what ours see, the Earth's curvature apart; refusals by key.
+
+Held against: the cameras of the Python package orthority itself, where it is installed, and the parameter files of a
+block of NGI, South Africa, as Orthority's documentation describes them.
+"""
 
 from __future__ import annotations
 

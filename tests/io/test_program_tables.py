@@ -144,12 +144,14 @@ def test_a_crs_with_a_vertical_part_says_what_heights_are_above(tmp_path: pathli
 @pytest.mark.parametrize(
     "header, row, options, words",
     [
-        ("imageName X Y Z Omega Phi Kappa", "a 1 2 3 0 0 0", {}, "X is of a map, and the file does not say which"),
+        ("imageName X Y Z Omega Phi Kappa", "a 751000 4020000 3 0 0 0", {}, 'X is of a map.*crs="EPSG:32616"'),
+        ("#F=N Y X Z K W P", "a 36.3 -84.2 900.0 30 -60 0", {}, 'X is in deg.*crs="EPSG:4326"'),
+        ("#F=N Y X Z K W P", "a 36.3 -84.2 900.0 30 -60 0", {"crs": UTM}, "look like longitude and latitude in deg"),
         (LAYOUTS["metashape reference"][0], "a,751000,4020000,9,0,0,0", {"crs": "EPSG:32617"}, "the file says that"),
-        ("a.JPG 751000.12 4020000.34 900 0.5 -1.2 89.3", "b.JPG 7 4 9 0 0 0", {"crs": UTM}, "first row holds numbers"),
+        ("a.JPG 751000.12 4020000.34 900.5 0.5 -1.2 89.3", "b.JPG 7 4 9 0 0 0", {}, "first row holds numbers"),
         ("#F=N Y X Z K W P", "a 0.0 0 900.0 30 -60 0", {"crs": "EPSG:4326"}, "latitude and longitude are zero"),
-        ("#F=N X Y Z", "a 1 2 3", {"crs": UTM}, r"no column omega_deg \(or omega, o\)"),
-        ("image x y z omega phi", "a 1 2 3 4 5", {"crs": UTM}, r"no column kappa_deg \(or kappa, k\)"),
+        ("#F=N X Y Z", "a 1000 2 3", {"crs": UTM}, r"no column omega_deg \(or omega, o\)"),
+        ("image x y z omega phi", "a 1000 2 3 4 5", {"crs": UTM}, r"no column kappa_deg \(or kappa, k\)"),
         ("image x y z yaw pitch", "a 1 2 3 4 5", {"crs": UTM}, "no column roll_deg"),
     ],
 )  # fmt: skip

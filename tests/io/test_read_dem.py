@@ -1,4 +1,8 @@
-"""Reading elevation files: real ones and made-up ones, on every kind of map, whole, in windows and in tiles."""
+"""Reading elevation files: real ones and made-up ones, on every kind of map, whole, in windows and in tiles.
+
+Held against: nine public elevation models as their publishers wrote them (SRTM `.hgt`, lidar, ASTER, national grids),
+whose posts rasterio and pyproj put and read apart from the reader (`lonlat_by_pyproj`).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ from rasterio.transform import Affine
 from support.rasters import DEGREE, hills, write
 
 from jaxgeo.earth import Geodetic
-from jaxgeo.io import DemReport, example_dem, read_dem, read_dem_and_report
+from jaxgeo.io import DemError, DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.terrain import Dem, FittedGrid, GeographicGrid, TransverseMercatorGrid
 
 REAL = {
@@ -246,6 +250,21 @@ def test_a_global_file_is_cut_across_its_own_edge(tmp_path: pathlib.Path, west: 
     lon = west + np.array([-3.5, -0.5, 0.5, 3.5])
     expected = posts[75, [356, 359, 0, 3]]
     np.testing.assert_allclose(heights_at(dem, places(lon, np.full(4, 14.5))), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("repeated", [0, 1])
+def test_a_grid_round_the_earth_is_read_in_parts(tmp_path: pathlib.Path, repeated: int) -> None:
+    """Its ends meet at a seam that rays cannot cross; a part may lie across it, also where the last column repeats."""
+    posts = 500.0 + np.arange(180.0)[:, None] + 100.0 * np.sin(np.radians(np.arange(360.0 + repeated)))[None, :]
+    path = write(tmp_path / "dem.tif", posts, affine=Affine(1.0, 0, -180.0, 0, -1.0, 90.0))
+    for bounds in (None, (-180, -90, 180, 90)):
+        with pytest.raises(DemError, match=r"all round the Earth, .* with bounds=\(170, -60, -170, 60\)"):
+            read_dem(path, vertical_datum=0, bounds=bounds)
+    dem = read_dem(path, vertical_datum=0, bounds=(170, -60, -170, 60))
+    lon = np.array([179.5, 180.0, -179.5])
+    found = heights_at(dem, places(lon, np.full(3, 0.5)))
+    expected = [posts[89, 359], (posts[89, 359] + posts[89, 0]) / 2, posts[89, 0]]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
 def test_bounds_of_the_whole_earth_are_the_whole_file(tmp_path: pathlib.Path) -> None:

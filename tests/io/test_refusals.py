@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +15,8 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from support.rasters import DEGREE, hills, write
 
-from jaxgeo.io import DemError, VerticalDatumError, read_dem
+from jaxgeo.io import DemError, ImageError, TableError, VerticalDatumError, read_dem
+from jaxgeo.io.scene import SceneError
 
 HERE = Affine(DEGREE, 0, 5.0, 0, -DEGREE, 45.0)
 LAMBERT = "+proj=lcc +lat_1=45 +lat_2=46 +lat_0=45.5 +lon_0=3 +ellps=GRS80"
@@ -46,6 +48,30 @@ def with_gcps(path: pathlib.Path) -> pathlib.Path:
         sink.gcps = (gcps, "EPSG:4326")
         sink.write(hills((5, 6)), 1)
     return path
+
+
+LONG = "(" * 50_000
+
+
+@pytest.mark.parametrize("kind", [DemError, VerticalDatumError, TableError, ImageError])
+def test_a_refusal_is_one_line_however_strange_what_it_quotes(kind: type[Exception]) -> None:
+    """Advice at its end stays; names of files keep their spaces and letters."""
+    assert str(kind("a  \u00e4 b.tif: row 2\n  is wrong.\r\nUse\x1b[31m another.")) == (
+        "a  \u00e4 b.tif: row 2 is wrong. Use\\x1b[31m another."
+    )
+    long = str(kind(f"a.csv, row 2, column u: '{LONG}' is not a number; expected pixels."))
+    assert long.startswith("a.csv, row 2, column u: '((((")
+    assert long.endswith("' is not a number; expected pixels.")
+    assert len(long) < 1100
+    assert str(pickle.loads(pickle.dumps(kind(long)))) == long
+
+
+def test_a_scene_error_has_a_line_for_each_mistake() -> None:
+    assert str(SceneError("a.toml: one.\na.toml: two.")) == "a.toml: one.\na.toml: two."
+    many = str(SceneError("\n".join(f"a.toml: {k} {LONG}" for k in range(1000)))).splitlines()
+    assert len(many) == 21
+    assert many[-1] == "... and 980 more mistakes."
+    assert max(map(len, many)) < 1100
 
 
 def plain(**changes: Any) -> Callable[[pathlib.Path], pathlib.Path]:

@@ -1,4 +1,8 @@
-"""Scene files: what they mean, and what is said about every mistake in them."""
+"""Scene files: what they mean, and what is said about every mistake in them.
+
+The format is our own, TOML, described in `docs/howto/navigation.md`. Held against: PROJ
+(convergence), EGM96 undulations, and values worked out by hand from the keys.
+"""
 
 from __future__ import annotations
 

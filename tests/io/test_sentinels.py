@@ -54,6 +54,24 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair("0", "0.0238", "drone-dji:RtkStdHgt"),
         pair("0", "50", "drone-dji:RtkFlag"),
     ],
+    "subtitles": [
+        pair(0.0, 0.5, "latitude", "longitude"),
+        pair(0.0, 900.0, "abs_alt"),
+        pair(0.0, 0.5, "gb_yaw", "gb_pitch", "gb_roll"),
+    ],
+    "AirData": [
+        pair("0.0", "0.5", "latitude", "longitude"),
+        pair("", "36.3", "latitude", "longitude"),
+        pair("0", "4", "gpslevel"),
+        pair("0", "0.5", "gimbal_heading", "gimbal_pitch", "gimbal_roll"),
+        pair(" ", "30", "gimbal_heading", "gimbal_pitch", "gimbal_roll"),
+    ],
+    "marks": [
+        pair("0", "50", "Q"),
+        pair(0.0, 0.5, "Lat", "Lon"),
+        pair(0.0, 0.01, "sigma north", "sigma east", "sigma up"),
+        pair(0.0, 2312.0, "week", "time of week"),
+    ],
     "KLV": [
         pair(0, 1, "Precision Time Stamp (us)"),
         pair(0.0, 4.2e-8, "Sensor Latitude (deg)", "Sensor Longitude (deg)"),

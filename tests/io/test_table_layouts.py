@@ -1,6 +1,6 @@
 """Tables as other programs save them: separators, decimal commas, comments and encodings, the same in every reader.
 
-Held against what Excel and LibreOffice save (semicolons and decimal commas in German and French, "Unicode text" in
+Held against: what Excel and LibreOffice save (semicolons and decimal commas in German and French, "Unicode text" in
 UTF-16 with tabs, `sep=;`), and against the headers of Metashape, RealityCapture and MicMac, which are comments.
 """
 

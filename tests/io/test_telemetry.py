@@ -10,7 +10,6 @@ from __future__ import annotations
 import pathlib
 import sys
 from collections.abc import Callable
-from fractions import Fraction
 from typing import Any
 
 import jax
@@ -21,13 +20,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.klv_packets import KEY, TIME_US, cell, local_set, synchronous, usual, whole
+from support.transport_streams import muxed
 
 from jaxgeo.io import TableError, VerticalDatumError, undulation
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.acquisitions.reported import compare_reported
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
-from jaxgeo.sensor import Sensor
+from jaxgeo.sensor import FrameCamera, Sensor
 
 ABOVE_ELLIPSOID = (5, 6, 7, 13, 14, 16, 17, 18, 19, 20, 21, 23, 24, 75, 78)
 MADE = local_set(usual(*ABOVE_ELLIPSOID))
@@ -166,6 +166,35 @@ def without(*tags: int) -> dict[int, bytes]:
     return {tag: raw for tag, raw in usual(*ABOVE_ELLIPSOID).items() if tag not in tags}
 
 
+class Pairs(dict):
+    """Items that may stand twice, for `local_set`: (tag, value) pairs in their order."""
+
+    def __init__(self, *pairs: tuple[int, bytes]) -> None:
+        self.pairs = pairs
+
+    def items(self) -> Any:
+        return self.pairs
+
+
+def test_only_what_is_used_can_refuse(file: File) -> None:
+    """Repeated, unknown and misshapen items that are not needed change nothing; of one that is, the last counts."""
+    usual_items = tuple(without().items())
+    strange = [
+        (3, b"one"),
+        (3, b"two"),
+        (8, b"too long"),
+        (200, bytes(300)),
+        (48, b"\xff\x80"),
+        (102, b"\x00"),
+        (2**21, b""),
+    ]
+    plain, odd = (read_telemetry(file(local_set(Pairs(*pairs)))) for pairs in (usual_items, (*strange, *usual_items)))
+    jax.tree.map(np.testing.assert_array_equal, (plain.sensor, plain.shots), (odd.sensor, odd.shots))
+    assert odd.facts["Mission ID"] == "two"
+    twice = read_telemetry(file(local_set(Pairs(*usual_items, (5, usual(5, tag_5=77.0)[5])))))
+    np.testing.assert_allclose(degrees(twice.shots.pose.heading), 77.0, atol=3e-3)
+
+
 def at(seconds: float, packet: dict[int, bytes]) -> dict[int, bytes]:
     """A packet, some seconds after the first."""
     return packet | {2: (TIME_US + round(1e6 * seconds)).to_bytes(8, "big")}
@@ -214,6 +243,30 @@ def test_a_field_of_view_from_target_width_and_slant_range(file: File) -> None:
     for unknown in ({21: bytes(4)}, {22: bytes(2)}):  # no range, no width
         with pytest.raises(TableError, match=r"for want of field of view \(tags 16, 17, or target width 22 or 96"):
             read_telemetry(file(told | unknown))
+
+
+def test_a_camera_that_is_given_stands_for_the_field_of_view(file: File) -> None:
+    """As it is advised where the packets tell none; and in its place where they do."""
+    path = file(without(16, 17, 21))
+    with pytest.raises(
+        TableError, match=r'for want of field of view.* Give the camera: camera="focal=8\.8mm,pitch=2\.41um"'
+    ):
+        read_telemetry(path)
+    for words, size, focal in (
+        ("focal=25mm,pitch=5um", (1920, 1080), 5000.0),
+        ("focal=25mm,sensor=10mm", None, 3200.0),  # of 1280 pixels
+        ("focal=900px,size=640x480", None, 900.0),
+    ):
+        found = read_telemetry(path, camera=words, image_size=size)
+        assert found.sensor is not None
+        camera: Any = found.sensor.camera
+        np.testing.assert_allclose(camera.focal_px, focal, rtol=1e-12)
+        assert (camera.width, camera.height) == (size or ((640, 480) if "size" in words else (1280, 720)))
+        assert any("camera is the one given" in one for one in found.assumed)
+    whole_field = read_telemetry(file(MADE), camera=FrameCamera.from_pixels(focal_px=700.0, width=1280, height=720))
+    np.testing.assert_allclose(whole_field.sensor.camera.focal_px, 700.0)  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+    with pytest.raises(TableError, match=r"telemetry names no cameras, so camera='day' is none of it\. Give camera="):
+        read_telemetry(path, camera="day")
 
 
 @pytest.mark.parametrize(
@@ -479,28 +532,6 @@ def test_transport_streams_are_told_by_their_content() -> None:
     assert is_transport_stream((packet + bytes(16)) * 5)
     assert not is_transport_stream(MADE * 5)
     assert not is_transport_stream(packet)
-
-
-def muxed(path: pathlib.Path, *streams: list[bytes], video: bool = True) -> pathlib.Path:
-    """A transport stream of pieces of KLV, one list for each data stream, with a video of 64 x 48 pixels."""
-    av = pytest.importorskip("av")
-    with av.open(str(path), "w", format="mpegts") as container:
-        images = container.add_stream("mpeg2video", rate=25) if video else None
-        if images is not None:
-            images.width, images.height, images.pix_fmt = 64, 48, "yuv420p"
-        data = [container.add_data_stream("klv") for _ in streams]
-        for k in range(max(len(pieces) for pieces in streams)):
-            if images is not None:
-                frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")
-                frame.pts = k
-                container.mux(images.encode(frame))
-            for stream, pieces in zip(data, streams, strict=True):
-                piece = av.Packet(pieces[k])
-                piece.stream, piece.time_base, piece.pts, piece.dts = stream, Fraction(1, 25), k, k
-                container.mux(piece)
-        if images is not None:
-            container.mux(images.encode(None))
-    return path
 
 
 @pytest.mark.parametrize("kind", ["asynchronous", "synchronous", "in cells, not declared"])

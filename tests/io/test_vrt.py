@@ -1,6 +1,6 @@
 """VRTs: what their sources state is kept or compared, and one that resamples or computes is refused.
 
-Held against files that GDAL itself writes (`rasterio.shutil.copy`, `WarpedVRT`, `vrt://`), and against VRTs laid out as
+Held against: files that GDAL itself writes (`rasterio.shutil.copy`, `WarpedVRT`, `vrt://`), and VRTs laid out as
 `gdalbuildvrt` writes them, which drops units and vertical CRS.
 """
 
@@ -14,6 +14,7 @@ import pyproj
 import pytest
 import rasterio
 import rasterio.shutil
+from rasterio.enums import Resampling
 from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 from support.rasters import DEGREE, hills, write
@@ -238,7 +239,7 @@ def test_a_vrt_that_warps_is_refused(tmp_path: pathlib.Path, resampling: str) ->
     a, _ = tiles(tmp_path)
     with (
         rasterio.open(a) as data,
-        WarpedVRT(data, crs="EPSG:32631", resampling=rasterio.enums.Resampling[resampling]) as warped,
+        WarpedVRT(data, crs="EPSG:32631", resampling=Resampling[resampling]) as warped,
     ):
         rasterio.shutil.copy(warped, tmp_path / "warped.vrt", driver="VRT")
     with pytest.raises(DemError, match=r"warped\.vrt: this VRT \(VRTWarpedDataset\) resamples as it is read.*Name"):

@@ -167,7 +167,7 @@ def test_a_status_of_the_camera_is_the_status_of_the_ray():
     assert status == Status.outside_image
     assert np.all(np.isfinite(direction))
     origin, direction, status = ray(sensor, shot, np.array([1e5, 100.0]))
-    assert status == Status.outside_distortion_field
+    assert status == Status.outside_image
     assert np.all(np.isfinite(origin))
     assert np.all(np.isnan(direction))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pathlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,7 +87,7 @@ def field_of_view(across: float, down: float, width: int = 1280) -> Callable[[Ac
 
     def check(found: Acquisition) -> None:
         assert found.sensor is not None
-        camera = found.sensor.camera
+        camera: Any = found.sensor.camera
         assert camera.width == width
         half = 0.5 * np.array([camera.width, camera.height])
         fields = 2.0 * np.degrees(np.arctan(half / np.asarray(camera.focal_px)))

@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
 from jaxgeo.io.acquisitions.detect import read_acquisition
+from jaxgeo.io.acquisitions.dji_subtitles import read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
+from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.orthority import read_orthority, read_orthority_cameras
+from jaxgeo.io.acquisitions.positions import with_positions
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum, for_each
 from jaxgeo.io.acquisitions.reported import Comparison, compare_reported
 from jaxgeo.io.acquisitions.sbet import SbetRecords, read_sbet
+from jaxgeo.io.acquisitions.several import AcquisitionSet, Unread, read_acquisitions
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.usual_errors import with_usual_errors
 
 __all__ = [
     "Acquisition",
+    "AcquisitionSet",
     "Comparison",
     "Reported",
     "SbetRecords",
+    "Unread",
     "UnstatedDatum",
     "acquisition_of_opensfm",
     "acquisition_of_orientations",
     "compare_reported",
     "for_each",
     "read_acquisition",
+    "read_acquisitions",
+    "read_airdata",
+    "read_dji_subtitles",
     "read_drone_images",
+    "read_metashape_cameras",
     "read_orthority",
     "read_orthority_cameras",
     "read_sbet",
     "read_telemetry",
+    "with_positions",
     "with_usual_errors",
 ]

@@ -6,12 +6,13 @@ import io
 import math
 import os
 import re
-import warnings
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxgeo.io._csv import Limits
+from jaxgeo.io._quietly import heard, quietly
 from jaxgeo.io.errors import ImageError, TableError
 from jaxgeo.io.sentinels import IMAGE, is_undefined, sentinel_of
 
@@ -28,8 +29,18 @@ PREFIXES = {
 EXIF_PARTS = {0x8769: "TAGS", 0x8825: "GPSTAGS"}  # directories of EXIF, and Pillow's tables of their names
 PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pillow has names of its own for them
 XML_PACKET, GDAL_METADATA, DNG_VERSION = 700, 42112, 50706
+GDAL_EXIF = "GDAL_METADATA"  # the name of that tag among the entries
+FORMATS = ("JPEG", "MPO", "TIFF")
+TRIED = ("JPEG", "TIFF", "PNG", "GIF", "BMP", "PPM")  # the last four are named when they are refused; MPO is a JPEG
+HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+(\s+0x[0-9a-fA-F]+)*")
+# What Pillow raises over damaged directories: it indexes, converts and seeks as they say.
+PILLOW_ERRORS = (
+    OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
+    ZeroDivisionError, RuntimeError, struct.error,
+)  # fmt: skip
 LONGEST_TEXT = 2000  # characters of a tag that are kept
 NOT_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow; some makers write them
+BLOCK = 65_536  # bytes of a file that are looked through at a time
 
 
 @dataclass(frozen=True)
@@ -119,43 +130,70 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
         raise FileNotFoundError(f"{name}: there is no such image.")
     cut = "the file is damaged or cut short"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # so Pillow tells of directories that end before their time
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # no pixel is decoded
-            with Image.open(name) as image:
-                _check_kind(name, image)
-                values = _exif(image)
-                packet = _packet(image)
-                width, height = image.size
-                if not _is_whole(image):
-                    raise ImageError(f"{name}: {cut}: its pixels end before their time.")
-    except (ImageError, TableError):
-        raise
+        no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
+        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name, formats=TRIED) as image:
+            raw = _raw(image)
     except UnidentifiedImageError as error:
         raise ImageError(f"{name}: not an image, or {cut}; expected JPEG or TIFF.") from error
-    except Exception as error:  # Pillow raises whatever a damaged directory leads it to
+    except (*PILLOW_ERRORS, Image.DecompressionBombError) as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
-    found, repeated = _xmp(name, packet)
-    return ImageTags(name, width, height, values | found, repeated)
+    _check_kind(name, raw)
+    if told or not raw.is_whole:  # so Pillow tells of directories that end before their time
+        raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
+    found, repeated = _xmp(name, raw.packet)
+    return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)
 
 
-def _check_kind(name: str, image: Any) -> None:
-    if image.format not in ("JPEG", "MPO", "TIFF"):
-        raise ImageError(f"{name}: {image.format} images are not read; expected JPEG or TIFF, as the drone wrote it.")
-    if image.format == "TIFF" and DNG_VERSION in image.tag_v2:
+class _Raw(NamedTuple):
+    """What Pillow reads of a file: its format, size, entries of EXIF by name, XMP, and if it reaches to its end."""
+
+    kind: str
+    is_dng: bool
+    size: tuple[int, int]
+    entries: dict[str, Any]
+    packet: bytes
+    is_whole: bool
+
+
+def _raw(image: Any) -> _Raw:
+    """All that is asked of Pillow, which raises whatever a damaged directory leads it to: `PILLOW_ERRORS`."""
+    is_read = image.format in FORMATS
+    is_dng = image.format == "TIFF" and DNG_VERSION in image.tag_v2
+    if not is_read or is_dng:
+        return _Raw(image.format, is_dng, image.size, {}, b"", True)
+    return _Raw(image.format, False, image.size, _entries(image), _packet(image), _is_whole(image))
+
+
+def _check_kind(name: str, raw: _Raw) -> None:
+    if raw.kind not in FORMATS:
+        raise ImageError(f"{name}: {raw.kind} images are not read; expected JPEG or TIFF, as the drone wrote it.")
+    if raw.is_dng:
         raise ImageError(f"{name}: DNG files are not read: what opens is a preview. Take the JPEG of the same shot.")
 
 
 def _is_whole(image: Any) -> bool:
     """Whether a file reaches as far as its pixels."""
     if image.format != "TIFF":
-        return b"\xff\xd9" in image.fp.read()  # the end of an image, which cannot be within what is coded
+        return _ends_in(image.fp, b"\xff\xd9")  # the end of an image, which cannot be within what is coded
     size = os.fstat(image.fp.fileno()).st_size
     pairs = [(image.tag_v2.get(at, ()), image.tag_v2.get(count, ())) for at, count in ((273, 279), (324, 325))]
     return all(at + count <= size for ats, counts in pairs for at, count in zip(ats, counts, strict=True))
 
 
-def _exif(image: Any) -> dict[str, Any]:
+def _ends_in(file: Any, mark: bytes) -> bool:
+    """Whether a mark stands somewhere after the place where a file is read; looked for from its end, where it is."""
+    start, end = file.tell(), file.seek(0, os.SEEK_END)
+    while end > start:
+        first = max(start, end - BLOCK)
+        file.seek(first)
+        if mark in file.read(end - first + len(mark) - 1):  # a mark may lie across two blocks
+            return True
+        end = first
+    return False
+
+
+def _entries(image: Any) -> dict[str, Any]:
+    """The entries of EXIF by their names in Pillow's tables; GDAL's metadata of a TIFF file under its number."""
     from PIL import ExifTags
 
     exif = image.getexif()
@@ -164,17 +202,28 @@ def _exif(image: Any) -> dict[str, Any]:
     for part, table in EXIF_PARTS.items():
         names = getattr(ExifTags, table) | (PIXEL_DIMENSIONS if table == "TAGS" else {})
         found |= {names.get(key, f"0x{key:04x}"): value for key, value in exif.get_ifd(part).items()}
-    if "DateTimeOriginal" not in found and GDAL_METADATA in exif:
-        found |= _gdal_exif(str(exif[GDAL_METADATA]))
-    found = {name: _plain(value) for name, value in found.items() if name not in ("XMLPacket", "0xa480")}
+    return found | ({GDAL_EXIF: str(exif[GDAL_METADATA])} if GDAL_METADATA in exif else {})
+
+
+def _exif(name: str, entries: dict[str, Any]) -> dict[str, Any]:
+    """The entries of EXIF as texts, numbers and tuples; raises as `read_tags`."""
+    metadata = entries.pop(GDAL_EXIF, "")
+    if metadata and "DateTimeOriginal" not in entries:
+        entries = entries | _gdal_exif(name, metadata)
+    found = {name: _plain(value) for name, value in entries.items() if name not in ("XMLPacket", "0xa480")}
     return {f"EXIF:{name}": value for name, value in found.items() if value is not None}
 
 
-def _gdal_exif(metadata: str) -> dict[str, Any]:
-    """EXIF as GDAL writes it: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text."""
-    from defusedxml.ElementTree import fromstring
+def _gdal_exif(path: str, metadata: str) -> dict[str, Any]:
+    """EXIF as GDAL writes it: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text. Raises `TableError`."""
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, fromstring
 
-    items = {item.get("name", ""): item.text or "" for item in fromstring(metadata, forbid_dtd=True).iter("Item")}
+    try:
+        root = fromstring(metadata, forbid_dtd=True)
+    except (ParseError, DefusedXmlException) as error:
+        raise TableError(f"{path}, tag {GDAL_METADATA}: not the XML that GDAL writes: {error}.") from error
+    items = {item.get("name", ""): item.text or "" for item in root.iter("Item")}
     found: dict[str, Any] = {}
     for name, text in items.items():
         if not name.startswith("EXIF_"):
@@ -182,7 +231,7 @@ def _gdal_exif(metadata: str) -> dict[str, Any]:
         value: Any = text
         if text.startswith("("):
             value = tuple(part.strip("()") for part in text.split(") ("))
-        elif text.startswith("0x"):
+        elif HEXADECIMAL.fullmatch(text):
             value = tuple(int(part, 16) for part in text.split())
         name = name.removeprefix("EXIF_").replace("SubSec", "Subsec")
         found[name] = value[0] if isinstance(value, tuple) and len(value) == 1 else value

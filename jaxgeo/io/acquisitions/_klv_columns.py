@@ -156,10 +156,13 @@ def _fields_of_view(
     return (across, down), origin, age
 
 
-def lacking(columns: Columns) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
-    """By what an exposure needs, in words: which packets lack it, and the tags that would tell it."""
+def lacking(columns: Columns, fields_too: bool) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
+    """By what an exposure needs, in words: which packets lack it, and the tags that would tell it.
+
+    `fields_too`: whether the camera hangs on the field of view.
+    """
     unknown = {name: ~np.isfinite(column) for name, column in columns.items()}
-    return {
+    needed = {
         "time (tag 2)": (unknown["time"], (2,)),
         "position of the sensor (tags 13, 14)": (unknown["lat"] | unknown["lon"], (13, 14)),
         "height of the sensor (tags 15, 75 or 104)": (unknown["height"] & unknown["height_msl"], (15, 75, 104)),
@@ -173,3 +176,4 @@ def lacking(columns: Columns) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
             (16, 17, 22, 96, 21),
         ),
     }
+    return needed if fields_too else {what: one for what, one in needed.items() if not what.startswith("field of view")}

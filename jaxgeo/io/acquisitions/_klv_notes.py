@@ -11,6 +11,7 @@ import numpy as np
 from jaxgeo.io.acquisitions._klv_columns import DERIVED, HELD, LONGEST_HELD, Columns, Numbers, Values, lacking
 from jaxgeo.io.acquisitions.klv import Packet
 from jaxgeo.io.acquisitions.st0601 import label
+from jaxgeo.io.given_camera import FORMS
 
 TEXTS = (3, 4, 10, 11, 12, 59, 65)  # tags for people
 
@@ -30,20 +31,21 @@ def damage(found: Sequence[Packet], kept: bool) -> list[str]:
     ]
 
 
-def left_out(numbers: Numbers, values: Values, count: int) -> list[str]:
+def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> list[str]:
     """How many packets were left out for want of what, and why it is unknown where it is there."""
     notes = []
-    for what, (which, tags) in lacking(numbers.columns).items():
+    for what, (which, tags) in lacking(numbers.columns, fields_too).items():
         if not which.any():
             continue
         rows = np.flatnonzero(which)
         found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
         hits = [found[tag][row] for tag in tags for row in found[tag] if which[row]]
         reasons = list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
-        if 5 in tags and any(64 in values[row] for row in rows):
+        if 5 in tags and any(64 in values[int(row)] for row in rows):
             reasons.append("the magnetic heading (tag 64) is there, but not the declination that makes it a true one")
         why = "".join(f"; {reason}" for reason in reasons[:3])
-        notes.append(f"{which.sum()} of {count} packets were left out for want of {what}{why}.")
+        advice = f" Give the camera: {FORMS}." if 16 in tags else ""
+        notes.append(f"{which.sum()} of {count} packets were left out for want of {what}{why}.{advice}")
     return notes
 
 
@@ -52,7 +54,12 @@ def _unitless(name: str) -> str:
 
 
 def assumed(
-    numbers: Numbers, values: Values, datum: str | float | None, guessed_size: tuple[int, int] | None, upright: bool
+    numbers: Numbers,
+    values: Values,
+    datum: str | float | None,
+    guessed_size: tuple[int, int] | None,
+    upright: bool,
+    is_given: bool,
 ) -> list[str]:
     """What packets do not say and was taken for granted."""
     columns = numbers.columns
@@ -74,13 +81,14 @@ def assumed(
         )
     if not upright and not np.isfinite(columns["turn"]).all():
         notes.append("The roll of the sensor (tag 20) is not told everywhere: zero, the top of the image up.")
-    notes += _fields_of_view(numbers)
+    notes += ["The camera is the one given, not that of the packets."] if is_given else _fields_of_view(numbers)
     if not any(136 in one for one in values):
         notes.append(
             "Times are taken as UTC; by newer editions of the standard they would count leap seconds, which tag 136 "
             "would tell."
         )
-    notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
+    if not is_given:
+        notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
     sigmas = "are in tag 102, which is not read" if any(102 in one for one in values) else "are not in the packets"
     notes.append(f"Accuracies {sigmas}: no errors are given.")
     return notes

@@ -25,7 +25,10 @@ from jaxgeo.uncertainty.sources import AbstractSource, Attitude, Position
 
 Cameras: TypeAlias = Mapping[str, FrameCamera]
 
-CHOICES = 'Pass height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m, a geoid file.'
+CHOICES = (
+    'Pass height_datum="ellipsoid" (WGS 84), height_datum="EPSG:5773" (EGM96 mean sea level), an undulation in m, or '
+    "the path of a geoid grid."
+)
 NO_ERRORS = "How large errors are is not in the file."
 NO_TIMES = "When images were taken is not in the file; their time is 0."
 CAPTURE_TIME = "Times are the file's capture_time, in s since 1970 by the camera's clock, of an unknown time zone."
@@ -127,6 +130,7 @@ def acquisition_of_orientations(
         shots=shots_of(table.pose, table.time),
         sources=stated_sources(table.sigma),
         assumed=tuple(assumed),
+        of_camera=table.of_camera,
         facts={"images": f"{len(table)}"} | ({} if of_map is None else {"map": understood_crs(path, of_map)[0].name}),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -14,10 +14,15 @@ from jaxgeo.io._dialect import header_of
 from jaxgeo.io._orientation_columns import ALIASES, KNOWN
 from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
+from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
+from jaxgeo.io.acquisitions.airdata import read_airdata
 from jaxgeo.io.acquisitions.blocks import acquisition_of_opensfm, acquisition_of_orientations
+from jaxgeo.io.acquisitions.dji_subtitles import CUE, read_dji_subtitles
 from jaxgeo.io.acquisitions.drone_images import read_drone_images
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
+from jaxgeo.io.acquisitions.metashape import read_metashape_cameras
 from jaxgeo.io.acquisitions.orthority import read_orthority
+from jaxgeo.io.acquisitions.positions import with_table
 from jaxgeo.io.acquisitions.record import Acquisition, for_each
 from jaxgeo.io.acquisitions.sbet import read_sbet
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
@@ -32,6 +37,16 @@ RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
 
+class WrongOption(TableError):
+    """An option that the reader of a `kind` of file does not take; `takes` are those that it does."""
+
+    def __init__(self, path: str, kind: str, name: str, takes: tuple[str, ...]) -> None:
+        super().__init__(
+            f"{path}: this is a {kind}, and {name} is no option of it; options are {', '.join(takes) or 'none'}."
+        )
+        self.path, self.kind, self.name, self.takes = path, kind, name, takes
+
+
 class Form(NamedTuple):
     """A kind of file: its name in words, how it is told by its path and first bytes, its reader, what that takes."""
 
@@ -43,12 +58,14 @@ class Form(NamedTuple):
 
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """The exposures of a file, whatever it is: a drone's image or a folder of them, KLV telemetry (raw or in an MPEG
-    transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, a scene.
+    transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, cameras of
+    Metashape (XML), subtitles of DJI's videos, flight logs of AirData, a scene.
 
-    `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height`, `camera`,
-    `gimbal_deg` (drone images); `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the
-    name of one of several (orientations, parameters, reconstructions), or a lens or file as for images (orientations);
-    `cameras` (orientations); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
+    `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
+    images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
+    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several
+    (orientations, parameters, reconstructions), or a lens or file as for images (telemetry, orientations, logs);
+    `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
     (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
     an option that its reader does not take; `FileNotFoundError`; and as the readers.
 
@@ -65,15 +82,27 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     """
     form = form_of(path)
     given = {name: value for name, value in how.items() if value is not None}
+    return reader_of(form, given)(path, **checked_options(path, form, given))
+
+
+def reader_of(form: Form, given: Mapping[str, Any]) -> Callable[..., Acquisition]:
+    """The reader of a kind of file; parameters of Orthority look like a table but for the option `interior`."""
+    if form is ORTHORITY_OR_TABLE:
+        return (ORTHORITY if "interior" in given else ORIENTATIONS).read
+    return form.read
+
+
+def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options, all of which the reader takes. Raises `WrongOption`."""
     if form is ORTHORITY_OR_TABLE:
         form = ORTHORITY if "interior" in given else ORIENTATIONS
     for name in given:
         if name not in form.takes:
-            known = ", ".join(form.takes) or "none"
-            raise TableError(f"{path}: this is a {form.name}, and {name} is no option of it; options are {known}.")
+            raise WrongOption(os.fspath(path), form.name, name, form.takes)
     if "cameras" in form.takes and not is_a_name(given.get("camera", "")):
-        given["cameras"] = whole_camera(given.pop("camera"))
-    return form.read(path, **given)
+        others = {name: value for name, value in given.items() if name != "camera"}
+        return others | {"cameras": whole_camera(given["camera"])}
+    return given
 
 
 def form_of(path: str | os.PathLike[str]) -> Form:
@@ -94,7 +123,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
         if form.is_one(place, head):
             return form
     kinds = ", ".join(dict.fromkeys(form.name for form in FORMS))
-    raise TableError(f"{path}: by its content it is none of what is read: {kinds}.")
+    raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
 
 def _of_scene(path: pathlib.Path) -> Acquisition:
@@ -117,6 +146,29 @@ def _of_scene(path: pathlib.Path) -> Acquisition:
 
 def _of_sbet(path: pathlib.Path, **how: Any) -> Acquisition:
     return read_sbet(path, **how).acquisition()
+
+
+def _of_images(path: str | os.PathLike[str], *, positions: Any = None, crs: Any = None, **how: Any) -> Acquisition:
+    """Drone images, perhaps with the positions of a table in place of their own: heights are then the table's."""
+    if positions is None:
+        if crs is not None:
+            raise TableError(f"{path}: crs= is of a table of positions; give it too, positions=, or leave crs= out.")
+        return read_drone_images(path, **how)
+    if how.get("takeoff_height") is None:
+        table = read_positions(positions, height_datum=how.get("height_datum"), crs=crs)
+        how |= {"height_datum": "ellipsoid"} if table.has_heights else {}
+        return with_table(read_drone_images(path, **how), table)
+    table = read_positions(positions, height_datum="ellipsoid", crs=crs)
+    if table.has_heights:
+        raise TableError(f"{path}: the heights are those of {positions}; leave takeoff_height= out.")
+    return with_table(read_drone_images(path, **how), table)
+
+
+def _of_positions(path: str | os.PathLike[str], **how: Any) -> Acquisition:
+    raise TableError(
+        f"{path}: these are positions of images, without angles or a camera; give the images, with this file as "
+        f'positions="{path}".'
+    )
 
 
 def _of_orthority(exterior: pathlib.Path, *, interior: Any = None, **how: Any) -> Acquisition:
@@ -151,6 +203,30 @@ def _is_reconstruction(path: pathlib.Path, head: bytes) -> bool:
     return starts and path.suffix.lower() == ".json" and _is_text(head) and b'"FeatureCollection"' not in head
 
 
+def _is_positions(path: pathlib.Path, head: bytes) -> bool:
+    text = text_of(head, is_cut=True)
+    return text is not None and form_of_positions(text) is not None
+
+
+def _is_subtitles(path: pathlib.Path, head: bytes) -> bool:
+    text = text_of(head, is_cut=True)
+    return text is not None and CUE.search(text) is not None and ("latitude" in text.lower() or "GPS" in text)
+
+
+def _is_flight_log(path: pathlib.Path, head: bytes) -> bool:
+    """Whether the header is that of AirData's: angles of the gimbal or the compass, with their unit."""
+    text = text_of(head, is_cut=True)
+    if text is None or not text.strip():
+        return False
+    words = {name.strip(" '\"").lower() for name in header_of(text, {"latitude", "longitude"})}
+    return {"latitude", "longitude"} <= words and bool({"gimbal_heading(degrees)", "compass_heading(degrees)"} & words)
+
+
+def _is_metashape(path: pathlib.Path, head: bytes) -> bool:
+    text = text_of(head, is_cut=True)
+    return text is not None and text.lstrip()[:1] == "<" and "<document" in text and "<chunk" in text
+
+
 def _is_table(path: pathlib.Path, head: bytes) -> bool:
     """Whether the header, which may be a comment, names columns of positions and angles."""
     text = text_of(head, is_cut=True)
@@ -175,10 +251,11 @@ def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
     return bool(np.all(np.isfinite(first)) and np.all(turns))
 
 
-TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream")
+TELEMETRY = ("height_datum", "image_size", "upright", "keep_damaged", "stream", "camera")
 PLACED = ("height_datum", "crs", "camera")
-IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg")
-DRONE_IMAGES = Form("drone image", _is_image, read_drone_images, IMAGES_TAKE)
+IMAGES_TAKE = ("height_datum", "takeoff_height", "camera", "gimbal_deg", "positions", "crs")
+DRONE_IMAGES = Form("drone image", _is_image, _of_images, IMAGES_TAKE)
+FLIGHT_LOG = ("height_datum", "takeoff_height", "camera", "cameras")
 ORTHORITY = Form("parameter file of Orthority", _has(b"FeatureCollection"), _of_orthority, (*PLACED, "interior"))
 ORIENTATIONS = Form("table of orientations", _is_table, acquisition_of_orientations, (*PLACED, "cameras"))
 ORTHORITY_OR_TABLE = ORIENTATIONS._replace(takes=(*ORIENTATIONS.takes, "interior"))
@@ -186,6 +263,10 @@ FORMS = (
     DRONE_IMAGES,
     Form("MISB ST 0601 telemetry", _is_telemetry, read_telemetry, TELEMETRY),
     Form("scene file", _is_scene, _of_scene, ()),
+    Form("subtitle file of DJI", _is_subtitles, read_dji_subtitles, FLIGHT_LOG),
+    Form("flight log of AirData", _is_flight_log, read_airdata, FLIGHT_LOG),
+    Form("camera file of Metashape", _is_metashape, read_metashape_cameras, ("height_datum", "camera")),
+    Form("file of positions", _is_positions, _of_positions, (*IMAGES_TAKE, "cameras")),
     ORTHORITY,
     Form("reconstruction of OpenSfM", _is_reconstruction, acquisition_of_opensfm, (*PLACED, "part")),
     ORTHORITY_OR_TABLE,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -45,6 +46,7 @@ TYPES = {
 }
 UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # of opencv: thin prism and tilted sensor
 FORM = "parameter file of Orthority"
+DEEPEST = 20  # lists and tables within each other
 LARGEST_ANGLE = 2.0 * np.pi
 
 
@@ -159,7 +161,7 @@ def _of_geojson(
         raise TableError(f"{path}: features must be a list of images; got {shown(features)}.")
     tags = [value_of(f"{path}, features[{k}]", feature, "properties") for k, feature in enumerate(features)]
     names = [str(value_of(f"{path}, features[{k}]", one, "filename")) for k, one in enumerate(tags)]
-    twice = [name for name in names if names.count(name) > 1] if len(set(names)) < len(names) else []
+    twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise TableError(f"{path}: image {twice[0]} is there twice.")
     taken_by = _taken_by(path, cameras, names, [one.get("camera") for one in tags])
@@ -282,13 +284,16 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
     try:
         text = pathlib.Path(path).read_text(encoding="utf-8-sig")
+        depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise TableError(f"{path}: lists in lists, deeper than any parameter file has them.")
             if isinstance(event, yaml.AliasEvent):
                 raise TableError(
                     f"{path}, line {event.start_mark.line + 1}: references (*) are not read; write it out."
                 )
-        _refuse_doubles(path, yaml.compose(text, Loader=yaml.SafeLoader))
-        return yaml.safe_load(text)
+        written, content = yaml.compose(text, Loader=yaml.SafeLoader), yaml.safe_load(text)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such interior parameter file.") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -297,14 +302,16 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         if isinstance(error, TableError):
             raise
         raise TableError(f"{path}: not a YAML file: {' '.join(str(error).split())}.") from error
+    _refuse_doubles(path, written)
+    return content
 
 
 def _refuse_doubles(path: Any, node: Any) -> None:
     """Raises `TableError` for a key that stands twice in one table of a YAML file."""
     pairs = node.value if node is not None and node.id == "mapping" else []
-    seen = [key.value for key, _ in pairs if isinstance(key.value, str)]
-    for name in seen:
-        if seen.count(name) > 1:
-            raise TableError(f"{path}: {name!r} stands twice in one table.")
+    seen = Counter(key.value for key, _ in pairs if isinstance(key.value, str))
+    twice = [name for name, count in seen.items() if count > 1]
+    if twice:
+        raise TableError(f"{path}: {twice[0]!r} stands twice in one table.")
     for _, value in pairs:
         _refuse_doubles(path, value)

@@ -43,6 +43,8 @@ class Acquisition:
     - `assumed`: each thing that the file does not say and the reader took for granted, as a sentence.
     - `facts`: what the file says, in words for people: name and value.
     - `reported`: what the file says of the ground, for comparison.
+    - `of_camera`: whether the poses without a sensor are the camera's own, as those of a body that has it in
+      `Mount.nadir()` with `Gimbal.fixed()`: then of a scene the camera alone belongs to them.
     - `tags`: all that was found for each exposure, by the file's own names, those unknown to the reader too.
     """
 
@@ -57,6 +59,7 @@ class Acquisition:
     reported: Reported | None = None
     tags: tuple[Mapping[str, Any], ...] = ()
     time_is_utc: bool = False
+    of_camera: bool = False
 
     def __post_init__(self) -> None:
         check_is(self.shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import pathlib
 
@@ -10,21 +9,20 @@ import numpy as np
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions._klv_camera import camera_of, sensor_of, size_of, usual_size
 from jaxgeo.io.acquisitions._klv_columns import Columns, lacking, numbers_of
 from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out
 from jaxgeo.io.acquisitions.klv import LEADING, UAS_LOCAL_SET, other_sets, packets
-from jaxgeo.io.acquisitions.record import Acquisition, Reported, for_each
+from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.acquisitions.st0601 import decode, label
 from jaxgeo.io.acquisitions.transport_stream import HEAD, is_transport_stream, read_transport_stream
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.geoid import EGM96
 from jaxgeo.io.scene import ellipsoidal_heights
-from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor import FrameCamera, Pose, Shot
 from jaxgeo.sensor.camera import check_size
-from jaxgeo.sensor.distortion import NoDistortion
 
 FORM = "MISB ST 0601 telemetry"
-USUAL_SIZES = ((1280, 720), (640, 480), (1280, 1024), (1024, 1024))  # one for each ratio of sides, in pixels
 
 
 def read_telemetry(
@@ -35,6 +33,7 @@ def read_telemetry(
     upright: bool = False,
     keep_damaged: bool = False,
     stream: int | None = None,
+    camera: FrameCamera | str | os.PathLike[str] | None = None,
 ) -> Acquisition:
     """The exposures of a file of KLV packets, or of an MPEG transport stream that carries them, told by its content.
 
@@ -51,6 +50,8 @@ def read_telemetry(
       them so do not always tell it. `compare_reported` shows whether reported corners are turned.
     - `keep_damaged`: packets with a wrong checksum too, if their items can be told apart.
     - `stream`: index of the data stream, where a transport stream has several.
+    - `camera`: the camera in place of the fields of view in the packets, of one focal length throughout: a
+      `FrameCamera`, a camera file, or a lens in words, "focal=25mm,pitch=3.45um" (`jaxgeo.io.given_camera`).
 
     Raises `TableError` for a file without packets or without one that can be used, saying why; `VerticalDatumError`;
     `FileNotFoundError`; `ImportError` for a transport stream without PyAV; `RuntimeError` with 64-bit floats off.
@@ -58,6 +59,7 @@ def read_telemetry(
     require_x64()
     if image_size is not None:
         image_size = check_size(image_size[0], "image width"), check_size(image_size[1], "image height")
+    given = camera_of(path, camera)
     data, of_video = _content(pathlib.Path(path), stream)
     found = list(packets(data))
     if not found:
@@ -65,8 +67,8 @@ def read_telemetry(
     sound = [(k, one) for k, one in enumerate(found) if not one.damage or (keep_damaged and one.items)]
     values = [decode(one.items) for _, one in sound]
     numbers = numbers_of(values)
-    usable = ~np.any([which for which, _ in lacking(numbers.columns).values()], axis=0)
-    notes = [*damage(found, keep_damaged), *left_out(numbers, values, len(found))]
+    usable = ~np.any([which for which, _ in lacking(numbers.columns, given is None).values()], axis=0)
+    notes = [*damage(found, keep_damaged), *left_out(numbers, values, len(found), given is None)]
     if not usable.any():
         raise TableError(f"{path}: none of its {len(found)} packets makes an exposure. {' '.join(notes)}")
     values, numbers = [one for one, use in zip(values, usable, strict=True) if use], numbers.of(usable)
@@ -77,13 +79,14 @@ def read_telemetry(
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
-    size = image_size or of_video or _usual_size(columns)
-    notes += assumed(numbers, values, height_datum, None if image_size or of_video else size, upright)
+    known_size = image_size or of_video or size_of(given)
+    size = known_size or usual_size(columns)
+    notes += assumed(numbers, values, height_datum, None if known_size else size, upright, given is not None)
     return Acquisition(
         path=os.fspath(path),
         form=FORM,
         names=np.array([k for (k, _), use in zip(sound, usable, strict=True) if use]).astype(str),
-        sensor=_sensor(columns, size),
+        sensor=sensor_of(path, columns, size, given),
         shots=shots,
         assumed=tuple(notes),
         facts=facts(values, columns, len(found)),
@@ -148,24 +151,3 @@ def _level_turn(columns: Columns) -> np.ndarray:
 
 def _centre(columns: Columns, datum: str | float | None) -> Geodetic:
     return Geodetic(lat=columns["centre_lat"], lon=columns["centre_lon"], height=_heights(columns, "centre_", datum))
-
-
-def _sensor(columns: Columns, size: tuple[int, int]) -> Sensor:
-    """The camera along the x axis of a head turned by azimuth, elevation and roll, in this order, in the body."""
-    count = len(columns["time"])
-    half = np.array(size) / 2.0
-    focal = half / np.tan(0.5 * np.stack([columns["field_across"], columns["field_down"]], axis=-1))
-    focal = np.where(np.isfinite(focal), focal, focal[:, ::-1])  # square pixels where one field is not told
-    principal = np.broadcast_to(half - 0.5, (count, 2))
-    camera = FrameCamera(focal, principal, for_each(NoDistortion(), count), *size)
-    turn = 2.0 * np.pi
-    limits = np.array([[-turn, turn], [-np.pi, np.pi], [-np.pi, np.pi]])
-    gimbal = Gimbal.three_axis(limits=limits, reference="body")
-    return Sensor(camera, for_each(gimbal, count), for_each(Mount.forward(), count))
-
-
-def _usual_size(columns: Columns) -> tuple[int, int]:
-    across, down = columns["field_across"], columns["field_down"]
-    ratios = np.tan(0.5 * across) / np.tan(0.5 * down)
-    ratio = np.median(ratios[np.isfinite(ratios)]) if np.isfinite(ratios).any() else 16.0 / 9.0
-    return min(USUAL_SIZES, key=lambda size: abs(math.log(size[0] / size[1] / ratio)))

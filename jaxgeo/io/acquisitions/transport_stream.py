@@ -39,7 +39,8 @@ def read_transport_stream(path: str | os.PathLike[str], stream: int | None = Non
         with av.open(os.fspath(path)) as container:
             data = _data_streams(container)
             video = container.streams.video
-            size = (int(video[0].width), int(video[0].height)) if video else None
+            codec = video[0].codec_context if video else None  # None where FFmpeg knows no decoder
+            size = (int(codec.width), int(codec.height)) if codec is not None else None
     except av.FFmpegError as error:
         raise TableError(f"{path}: FFmpeg cannot read this as a transport stream: {error.strerror}.") from error
     chosen = _chosen(path, data, stream)

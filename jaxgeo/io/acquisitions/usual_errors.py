@@ -13,6 +13,7 @@ ATTITUDE = (0.3, 0.1, 0.1)  # deg heading, pitch, roll: a small inertial system
 READINGS = 0.1  # deg: encoders of a gimbal on such a system
 LEVEL = {"yaw": 1.0}  # deg, of a gimbal against the level and north, as drones have: its yaw hangs on a compass
 LEVEL_ELSE = 0.5  # deg: its other angles
+OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose holds the angles of such a gimbal
 
 
 def with_usual_errors(found: Acquisition) -> Acquisition:
@@ -20,7 +21,8 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
 
     Each is told in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down) of the
     position; of a gimbal against the level, 1 deg of yaw and 0.5 deg of the rest; else 0.3, 0.1 and 0.1 deg of heading,
-    pitch and roll, and 0.1 deg of each reading of a gimbal. A file that states errors of angles is believed about all.
+    pitch and roll (of drones' logs, whose poses are their gimbals', 1, 0.5 and 0.5 deg), and 0.1 deg of each reading of
+    a gimbal. A file that states errors of angles is believed about all.
     """
     made = usual_errors_of(found)
     added = tuple(for_each(source, len(found)) for source, _ in made)
@@ -46,7 +48,7 @@ def _angles(found: Acquisition) -> list[tuple[AbstractSource, str]]:
     is_level = gimbal is not None and gimbal.reference == "level"
     made: list[tuple[AbstractSource, str]] = []
     if not is_level:
-        heading, pitch, roll = ATTITUDE
+        heading, pitch, roll = (LEVEL["yaw"], LEVEL_ELSE, LEVEL_ELSE) if found.form in OF_DRONES else ATTITUDE
         told = f"Attitudes err by {heading:g}, {pitch:g}, {roll:g} deg (heading, pitch, roll)."
         made.append((Attitude.from_degrees(heading=heading, pitch=pitch, roll=roll), told))
     if gimbal is not None and gimbal.names:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,6 +38,13 @@ class AbstractDistortion(Record):
     @abc.abstractmethod
     def in_field(self, ideal: PlanePoint) -> Flag:
         """Whether ideal image coordinates lie in the field; no derivative."""
+
+    def nearest_image(self, ideal: PlanePoint) -> PlanePoint:
+        """About where in the image the field ends towards ideal coordinates beyond it, distorted; no derivative.
+
+        By default where the point would be without the lens, which is right for one that bends little.
+        """
+        return jax.lax.stop_gradient(ideal)
 
     @abc.abstractmethod
     def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:

@@ -87,6 +87,13 @@ class BrownConrady(AbstractDistortion):
 
         return jnp.all(jax.vmap(distortion._unfolded)(segment(ideal)))
 
+    def nearest_image(self, ideal: PlanePoint) -> PlanePoint:
+        distortion, ideal = jax.lax.stop_gradient((self, ideal))
+        points = segment(ideal)
+        folded = jnp.argmin(jax.vmap(distortion._unfolded)(points))  # the first that is
+        last = jnp.where(folded > 0, points[jnp.maximum(folded - 1, 0)], 0.0)
+        return distortion.distort(last)
+
     def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
         lens, distorted = as_float64((self, distorted), "undistort")
         frozen, target = jax.lax.stop_gradient((lens, distorted))

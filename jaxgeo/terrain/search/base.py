@@ -54,18 +54,24 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     the margins. A bent ray lies below the straight one, by the more the farther: the ceiling is raised by as much as at
     the end.
     """
-    bottom, to_bottom, sinks = _inflated_chord(ray, dem.floor - FLOOR_MARGIN)
+    start, end, exists, sinks = reach_between(ray, dem.floor, dem.ceiling)
+    centre_up, farthest = dem.grid_reach()
+    is_near, from_near = (is_towards(p, centre_up, farthest) for p in (ray.at(start), ray.origin))
+    return Reach(start, end, exists, is_near, from_near, sinks)
+
+
+def reach_between(ray: Ray, floor: Scalar, ceiling: Scalar) -> tuple[Scalar, Scalar, Flag, Flag]:
+    """(start, end, exists, sinks) of `reach_of`, for ground between two heights in m."""
+    bottom, to_bottom, sinks = _inflated_chord(ray, floor - FLOOR_MARGIN)
     fall = 0.0
     if ray.bending is not None:
         last = jnp.where(sinks & (bottom >= to_bottom), bottom - to_bottom, jnp.maximum(bottom, 0.0) + BEYOND)
         shift = ray.bending.shift(last)
         fall = jnp.sqrt(dot(shift, shift))
-    middle, to_top, meets = _inflated_chord(ray, dem.ceiling + CEILING_MARGIN + fall)
-    start, exit_, floor = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
-    sinks = sinks & (floor >= 0.0)
-    centre_up, farthest = dem.grid_reach()
-    is_near, from_near = (is_towards(p, centre_up, farthest) for p in (ray.at(start), ray.origin))
-    return Reach(start, jnp.where(sinks, floor, exit_), meets & (exit_ > 0.0), is_near, from_near, sinks)
+    middle, to_top, meets = _inflated_chord(ray, ceiling + CEILING_MARGIN + fall)
+    start, exit_, lowest = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
+    sinks = sinks & (lowest >= 0.0)
+    return start, jnp.where(sinks, lowest, exit_), meets & (exit_ > 0.0), sinks
 
 
 def _inflated_chord(ray: Ray, height: Scalar) -> tuple[Scalar, Scalar, Flag]:

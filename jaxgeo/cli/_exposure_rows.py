@@ -1,0 +1,68 @@
+"""Exposures of files as rows of a table, those of all cameras in the order of the files."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jaxgeo.cli._poses import pose_columns
+from jaxgeo.cli._poses import rows_of as as_rows
+
+
+def rows_of(found: Any) -> list[dict[str, Any]]:
+    """A row for each exposure, in the order of the files; None for what is not known, or no column of its camera."""
+    by_place = {
+        int(place): row
+        for part, places in zip(found.parts, found.places, strict=True)
+        for place, row in zip(places, _rows_of_part(part), strict=True)
+    }
+    names = dict.fromkeys(name for row in by_place.values() for name in row)
+    return [{name: by_place[place].get(name) for name in names} for place in sorted(by_place)]
+
+
+def _rows_of_part(found: Any) -> list[dict[str, Any]]:
+    """A row for each exposure, numbers in degrees and metres, None for what is not known."""
+    import numpy as np
+
+    from jaxgeo.io.acquisitions import compare_reported
+
+    names = [str(name) for name in found.names]
+    columns = {"name": names} | pose_columns(found.shots, None if found.sensor is None else found.sensor.gimbal.names)
+    if found.sensor is not None:
+        focal = np.asarray(found.sensor.camera.focal_px)
+        columns |= {"focal_u_px": focal[:, 0], "focal_v_px": focal[:, 1]}
+    if found.reported is not None:
+        centre = found.reported.centre
+        columns |= {"centre_lat_deg": np.rad2deg(centre.lat), "centre_lon_deg": np.rad2deg(centre.lon)}
+        columns |= {"centre_height_m": centre.height, "centre_range_m": found.reported.slant_range}
+        if found.sensor is not None:
+            off = compare_reported(found)
+            columns |= {"range_off_m": off.slant_range, "axis_off_east_m": off.east, "axis_off_north_m": off.north}
+            columns |= {"axis_off_azimuth_mrad": 1e3 * off.azimuth, "axis_off_elevation_mrad": 1e3 * off.elevation}
+            columns |= {"image_off_turn_deg": np.rad2deg(off.turn)}
+    return as_rows(columns)
+
+
+def middles_of(found: Any) -> list[dict[str, Any]]:
+    """The middle of each image as its pixel, and what its gimbal's angles are against, in the order of the files."""
+    from jaxgeo.io.tables import GIMBAL_REFERENCE
+
+    by_place: dict[int, dict[str, Any]] = {}
+    for part, places in zip(found.parts, found.places, strict=True):
+        own: dict[str, Any] = {}
+        if part.sensor is not None:
+            camera = part.sensor.camera
+            own = {"u": 0.5 * (camera.width - 1), "v": 0.5 * (camera.height - 1)}
+            own |= {GIMBAL_REFERENCE: part.sensor.gimbal.reference}
+        by_place |= dict.fromkeys(map(int, places), own)
+    names = dict.fromkeys(name for own in by_place.values() for name in own)
+    return [{name: by_place[place].get(name) for name in names} for place in sorted(by_place)]
+
+
+def tags_of(found: Any) -> list[dict[str, Any]]:
+    """All tags of each exposure, in the order of the files."""
+    by_place = {
+        int(place): dict(tags)
+        for part, places in zip(found.parts, found.places, strict=True)
+        for place, tags in zip(places, part.tags or [{}] * len(part), strict=True)
+    }
+    return [by_place[place] for place in sorted(by_place)]

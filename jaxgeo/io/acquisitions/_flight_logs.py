@@ -1,0 +1,190 @@
+"""Records of drones that tell a position and how the camera was turned against north and level, as exposures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxgeo._checks import check_is
+from jaxgeo.earth import Geodetic
+from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io.acquisitions.blocks import CHOICES
+from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
+from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.scene import ellipsoidal_heights
+from jaxgeo.io.sentinels import Sentinel, sentinel_of
+from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_FORWARD, R_HEAD_FROM_CAMERA_NADIR
+
+QUANTITIES = ("position", "height", "camera angles")
+LIMITS = {
+    "lat": (-90.0, 90.0, "deg"),
+    "lon": (-180.0, 180.0, "deg"),
+    "altitude": POSE_COLUMNS["height_m"],
+    "above_takeoff": POSE_COLUMNS["height_m"],
+    "yaw": (-360.0, 360.0, "deg"),
+    "pitch": (-180.0, 180.0, "deg"),
+    "roll": (-180.0, 180.0, "deg"),
+}
+ANGLES = "Angles of the camera are against level and true north, as its gimbal has them."
+
+
+@dataclass(frozen=True)
+class LogRecord:
+    """One record: `values` by the file's names, with which `sentinel_of` is asked, and the numbers of `LIMITS`.
+
+    Angles in deg: yaw from true north, pitch above the horizon, roll; heights in m; None where the file has none.
+    `time` in s, NaN if unknown. `where` names the record in messages.
+    """
+
+    name: str
+    where: str
+    values: Mapping[str, Any]
+    numbers: Mapping[str, float | None]
+    time: float
+
+
+def acquisition_of_records(
+    path: str | os.PathLike[str],
+    form: str,
+    records: Sequence[LogRecord],
+    sentinels: tuple[Sentinel, ...],
+    *,
+    height_datum: str | float | None,
+    takeoff_height: float | None,
+    cameras: FrameCamera | None,
+    camera: str | None,
+    facts: Mapping[str, str],
+    assumed: Sequence[str] = (),
+    time_is_utc: bool = False,
+) -> Acquisition:
+    """Exposures of records; those of which position, height or angles are unknown are left out, and counted.
+
+    Without `cameras` they have no sensor; a camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
+    Raises `UnstatedDatum` if neither `height_datum` nor `takeoff_height` is given; `TableError` for a value out of
+    range, and where no record is left.
+    """
+    if cameras is not None:
+        check_is(cameras, FrameCamera, "cameras")
+    if camera is not None:
+        raise TableError(f"{path}: camera={camera!r} is asked for, but the file names no cameras.")
+    for record in records:
+        _check_range(path, record)
+    height_name = "above_takeoff" if takeoff_height is not None else "altitude"
+    known, told = _known(path, records, sentinels, height_name)
+    columns = {
+        name: np.array([record.numbers[name] for record in known], np.float64)
+        for name in ("lat", "lon", height_name, "yaw", "pitch", "roll")
+    }
+    height, of_heights = _heights(path, columns, known[0], height_datum, takeoff_height)
+    position = Geodetic(lat=np.deg2rad(columns["lat"]), lon=np.deg2rad(columns["lon"]), height=height)
+    pose = Pose(position, *nadir_attitude(*(np.deg2rad(columns[name]) for name in ("yaw", "pitch", "roll"))))
+    times = np.array([record.time for record in known])
+    timed = bool(np.all(np.isfinite(times)))
+    count = len(known)
+    sensor = None if cameras is None else for_each(Sensor(cameras, Gimbal.fixed(), Mount.nadir()), count)
+    return Acquisition(
+        path=os.fspath(path),
+        form=form,
+        names=np.array([record.name for record in known]),
+        sensor=sensor,
+        shots=Shot(pose, np.zeros((count, 0)), times if timed else np.zeros(count)),
+        assumed=(*of_heights, ANGLES, *assumed, *([] if timed else ["Times are not in the file; they are 0."]), *told),
+        facts={"records": f"{count} of {len(records)}", **facts},
+        tags=tuple(dict(record.values) for record in known),
+        time_is_utc=time_is_utc and timed,
+        of_camera=True,
+    )
+
+
+def nadir_attitude(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(heading, pitch, roll) of the body that has in `Mount.nadir()` the camera of a gimbal with these angles; rad.
+
+    The gimbal's are against north and level, of a camera that looks ahead at zero: Rz(yaw) Ry(pitch) Rx(roll).
+    """
+    turn = np.asarray(R_HEAD_FROM_CAMERA_FORWARD) @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T  # a right angle of pitch
+    R = _R_from_yaw_pitch_roll(yaw, pitch, roll) @ turn
+    upright = np.hypot(R[:, 0, 0], R[:, 1, 0]) < 1e-9  # heading and roll turn about one axis
+    heading = np.where(upright, np.arctan2(-R[:, 0, 1], R[:, 1, 1]), np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    leaning = np.where(upright, 0.0, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
+    nose = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
+    level = roll == 0.0  # exact, and without a jump where the camera looks ahead
+    return tuple(np.where(level, *pair) for pair in ((yaw, heading), (pitch + 0.5 * np.pi, nose), (0.0, leaning)))  # type: ignore[return-value]
+
+
+def _R_from_yaw_pitch_roll(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    (cy, sy), (cp, sp), (cr, sr) = ((np.cos(angle), np.sin(angle)) for angle in (yaw, pitch, roll))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _check_range(path: Any, record: LogRecord) -> None:
+    for name, (low, high, unit) in LIMITS.items():
+        value = record.numbers.get(name)
+        if value is not None and not low <= value <= high:
+            raise TableError(f"{path}, {record.where}: {name} {value:g} is outside [{low:g}, {high:g}] {unit}.")
+
+
+def _known(
+    path: Any, records: Sequence[LogRecord], sentinels: tuple[Sentinel, ...], height: str
+) -> tuple[list[LogRecord], list[str]]:
+    """(the records that say all that is needed, what was left out and why)."""
+    needed = {"position": ("lat", "lon"), "height": (height,), "camera angles": ("yaw", "pitch", "roll")}
+    known, left = [], dict[str, int]()
+    for record in records:
+        reasons = [_unknown(record, quantity, needed[quantity], sentinels) for quantity in QUANTITIES]
+        why = next(filter(None, reasons), "")
+        if why:
+            left[why] = left.get(why, 0) + 1
+        else:
+            known.append(record)
+    told = [f"{count} of {len(records)} records are left out: {why}." for why, count in left.items()]
+    if not known:
+        raise TableError(f"{path}: no record tells where the camera was and how it was turned: {'; '.join(left)}.")
+    return known, told
+
+
+def _unknown(record: LogRecord, quantity: str, needed: Sequence[str], sentinels: tuple[Sentinel, ...]) -> str:
+    """Why a quantity of a record is unknown; empty if it is known."""
+    row = sentinel_of(sentinels, quantity, record.values)
+    if row is not None:
+        return f"{quantity} unknown ({', '.join(row.fields)}: {row.reason})"
+    missing = any(record.numbers.get(name) is None for name in needed)
+    return f"{quantity} missing" if missing else ""
+
+
+def _heights(
+    path: Any, columns: Mapping[str, np.ndarray], first: LogRecord, datum: str | float | None, takeoff: float | None
+) -> tuple[np.ndarray, list[str]]:
+    """(heights in m above the ellipsoid, what was taken for granted)."""
+    if takeoff is not None:
+        if datum is not None:
+            raise TableError(f"{path}: height_datum= and takeoff_height= both say what heights are; give one.")
+        if not np.isfinite(takeoff):
+            raise TableError(f"{path}: takeoff_height= must be finite, in m above the ellipsoid.")
+        return takeoff + columns["above_takeoff"], [f"Heights are above a take-off at {takeoff:g} m, by the barometer."]
+    if datum is None:
+        above = first.numbers.get("above_takeoff")
+        shown = f"{first.numbers['altitude']:g} m" + ("" if above is None else f", {above:g} m above the take-off")
+        choice = "" if above is None else (
+            "; or takeoff_height=, the height of the point of take-off in m above the ellipsoid, to which the heights "
+            "above it are added"
+        )  # fmt: skip
+        raise UnstatedDatum(
+            f"{path}: it is not said what its altitude is measured from (the first is {shown}), and a guess may be off "
+            f"by 100 m. {CHOICES.removesuffix('.')}{choice}."
+        )
+    try:
+        return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []
+    except VerticalDatumError as error:  # there it is an option of `read_dem`
+        raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
+    except OutsideDatum as error:
+        raise TableError(f"{path}: {error}") from error

@@ -1,0 +1,71 @@
+"""The camera of telemetry: by the fields of view in the packets, or as the caller gives it."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+
+from jaxgeo.io.acquisitions._klv_columns import Columns
+from jaxgeo.io.acquisitions.record import for_each
+from jaxgeo.io.errors import TableError
+from jaxgeo.io.given_camera import FORMS, Lens, frame_camera, given_camera, resized
+from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor
+from jaxgeo.sensor.distortion import NoDistortion
+
+USUAL_SIZES = ((1280, 720), (640, 480), (1280, 1024), (1024, 1024))  # one for each ratio of sides, in pixels
+
+
+def camera_of(path: Any, camera: FrameCamera | str | os.PathLike[str] | None) -> FrameCamera | Lens | None:
+    """The camera that a caller gives in place of fields of view. Raises `TableError` for a name, and as it is given."""
+    given = None if camera is None else given_camera(camera)
+    if isinstance(given, str):
+        raise TableError(f"{path}: telemetry names no cameras, so camera={given!r} is none of it. Give {FORMS}.")
+    return given
+
+
+def size_of(given: FrameCamera | Lens | None) -> tuple[int, int] | None:
+    """The size of the images in pixels by a camera that is given."""
+    return (given.width, given.height) if isinstance(given, FrameCamera) else given.size if given else None
+
+
+def usual_size(columns: Columns) -> tuple[int, int]:
+    """A size of images in pixels by the ratio of the fields of view; of 16 to 9 where only one is known."""
+    across, down = columns["field_across"], columns["field_down"]
+    ratios = np.tan(0.5 * across) / np.tan(0.5 * down)
+    ratio = np.median(ratios[np.isfinite(ratios)]) if np.isfinite(ratios).any() else 16.0 / 9.0
+    return min(USUAL_SIZES, key=lambda size: abs(math.log(size[0] / size[1] / ratio)))
+
+
+def sensor_of(path: Any, columns: Columns, size: tuple[int, int], given: FrameCamera | Lens | None) -> Sensor:
+    """The camera along the x axis of a head turned by azimuth, elevation and roll, in this order, in the body."""
+    count = len(columns["time"])
+    camera = _told(columns, size) if given is None else for_each(_given(path, given, size), count)
+    turn = 2.0 * np.pi
+    limits = np.array([[-turn, turn], [-np.pi, np.pi], [-np.pi, np.pi]])
+    gimbal = Gimbal.three_axis(limits=limits, reference="body")
+    return Sensor(camera, for_each(gimbal, count), for_each(Mount.forward(), count))
+
+
+def _told(columns: Columns, size: tuple[int, int]) -> FrameCamera:
+    """The cameras of n packets by their fields of view."""
+    half = np.array(size) / 2.0
+    focal = half / np.tan(0.5 * np.stack([columns["field_across"], columns["field_down"]], axis=-1))
+    focal = np.where(np.isfinite(focal), focal, focal[:, ::-1])  # square pixels where one field is not told
+    count = len(focal)
+    principal = np.broadcast_to(half - 0.5, (count, 2))
+    return FrameCamera(focal, principal, for_each(NoDistortion(), count), *size)
+
+
+def _given(path: Any, given: FrameCamera | Lens, size: tuple[int, int]) -> FrameCamera:
+    if isinstance(given, Lens):
+        return frame_camera(given, *size, given.size[0] if given.size else None)
+    camera = resized(given, *size)
+    if camera is None:
+        raise TableError(
+            f"{path}: camera= has {given.width} x {given.height} pixels, and the images are of another shape, "
+            f"{size[0]} x {size[1]}."
+        )
+    return camera

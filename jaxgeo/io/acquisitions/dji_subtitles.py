@@ -1,0 +1,117 @@
+"""Subtitles of DJI's videos (.SRT): a record of telemetry for each frame, as exposures."""
+
+from __future__ import annotations
+
+import calendar
+import os
+import re
+
+from jaxgeo._checks import require_x64
+from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions._flight_logs import LogRecord, acquisition_of_records
+from jaxgeo.io.acquisitions.record import Acquisition
+from jaxgeo.io.errors import TableError
+from jaxgeo.io.sentinels import SUBTITLES
+from jaxgeo.sensor import FrameCamera
+
+FORM = "subtitle file of DJI"
+FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?![\d:])")
+CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+")
+TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?")
+SPELLINGS = {"longtitude": "longitude"}  # of some firmware
+NAMES = {
+    "lat": "latitude",
+    "lon": "longitude",
+    "above_takeoff": "rel_alt",
+    "yaw": "gb_yaw",
+    "pitch": "gb_pitch",
+    "roll": "gb_roll",
+}
+MOST_FRAMES = 1e9
+ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
+
+
+def read_dji_subtitles(
+    path: str | os.PathLike[str],
+    *,
+    height_datum: str | float | None = None,
+    takeoff_height: float | None = None,
+    cameras: FrameCamera | None = None,
+    camera: str | None = None,
+) -> Acquisition:
+    """The frames of a DJI video by its subtitles: `[latitude: ..] [longitude: ..] [rel_alt: .. abs_alt: ..] [gb_yaw: ..
+    gb_pitch: .. gb_roll: ..]`, named by their numbers.
+
+    The angles are those of the camera against level and true north; the pose is that of a body with the camera in
+    `Mount.nadir()` and `Gimbal.fixed()`. Records without a position (latitude and longitude zero), a height or angles
+    are left out, and counted in `assumed`. Times are by the drone's clock, whose time zone is not said.
+
+    - `height_datum`: what `abs_alt` is measured from, as in scene files.
+    - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `rel_alt` is added.
+    - `cameras`: the camera of the video, of the size of its frames; without it exposures have no sensor.
+    - `camera`: the name of one of several; there is none in such a file.
+
+    Raises `UnstatedDatum`; `TableError` for a file without records or without angles, and values out of range;
+    `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    """
+    require_x64()
+    records = [_record(index, block) for index, block in enumerate(_blocks(path))]
+    if not any(all(name in record.values for name in ANGLES) for record in records):
+        raise TableError(
+            f"{path}: there are no angles of the camera (gb_yaw, gb_pitch, gb_roll), which not every drone writes; "
+            f"AirData's CSV of the same flight has them."
+        )
+    focal = {str(record.values["focal_len"]) for record in records if record.values.get("focal_len")}
+    return acquisition_of_records(
+        path,
+        FORM,
+        records,
+        SUBTITLES,
+        height_datum=height_datum,
+        takeoff_height=takeoff_height,
+        cameras=cameras,
+        camera=camera,
+        facts={"focal length as written": ", ".join(sorted(focal)[:3])} if focal else {},
+        assumed=("Times are by the drone's clock, whose time zone is not said.",),
+    )
+
+
+def _blocks(path: str | os.PathLike[str]) -> list[str]:
+    """The text of each cue. Raises `TableError` for none."""
+    found: list[list[str]] = []
+    for line in read_text(path, FORM).splitlines():
+        if CUE.search(line):
+            found.append([])
+        elif found:
+            found[-1].append(line)
+    if not found:
+        raise TableError(f"{path}: there are no subtitles (a line such as 00:00:00,000 --> 00:00:00,033).")
+    return [" ".join(lines) for lines in found]
+
+
+def _record(index: int, block: str) -> LogRecord:
+    text = re.sub(r"<[^>]*>", " ", block)
+    fields = {SPELLINGS.get(name.lower(), name.lower()): value for name, value in FIELD.findall(text)}
+    values = {name: float(value) if "/" not in value else value for name, value in fields.items()}
+    numbers = {ours: _number(values.get(theirs)) for ours, theirs in NAMES.items()}
+    numbers["altitude"] = _number(values.get("abs_alt", values.get("altitude")))
+    stamp = TIME.search(text)
+    frame = _number(values.get("framecnt"))
+    name = str(index + 1 if frame is None or frame > MOST_FRAMES else int(frame))
+    return LogRecord(name, f"subtitle {index + 1}", values, numbers, _seconds(stamp))
+
+
+def _number(value: object) -> float | None:
+    return value if isinstance(value, float) else None
+
+
+def _seconds(stamp: re.Match[str] | None) -> float:
+    """Seconds since 1970 by the clock of the file; NaN without a date, and for one of zeros."""
+    if stamp is None:
+        return float("nan")
+    *parts, fraction = stamp.groups()
+    year, month, day, hour, minute, second = map(int, parts)
+    if not (year > 1970 and 1 <= month <= 12 and 1 <= day <= 31):
+        return float("nan")
+    whole = calendar.timegm((year, month, day, hour, minute, second))
+    return whole + float(f"0.{fraction or 0}")

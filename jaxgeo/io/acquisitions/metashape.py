@@ -1,0 +1,214 @@
+"""Cameras as Agisoft Metashape exports them in XML: transforms of a block and calibrations, as exposures."""
+
+from __future__ import annotations
+
+import os
+import re
+import xml.etree.ElementTree as ET
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from jaxgeo._checks import require_x64
+from jaxgeo.earth import Geodetic
+from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io._text import read_text
+from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
+from jaxgeo.io.acquisitions.record import Acquisition
+from jaxgeo.io.errors import TableError
+from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
+from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
+
+MOST_PIXELS = 10_000_000  # of the side of an image, and of a focal length
+FORM = "camera file of Metashape"
+UNREAD = ("b2", "k4", "p3", "p4")  # of its calibrations: skew and higher terms of the lens
+IDENTITY = (np.eye(3), np.zeros(3), 1.0)
+RADII = (6.3e6, 1e8)  # m from the centre of the Earth, where cameras can be
+
+
+def read_metashape_cameras(
+    path: str | os.PathLike[str], *, height_datum: str | float | None = None, camera: str | None = None
+) -> Acquisition:
+    """The aligned cameras of a `cameras.xml` of Metashape, each with its calibration, by their labels.
+
+    A camera's transform takes (right, down, forward) into the chunk, the component's and the chunk's take that to
+    geocentric coordinates of WGS 84, so that heights are above the ellipsoid. The principal point lies (cx, cy) pixels
+    from the middle of the image; p1 and p2 are OpenCV's p2 and p1.
+
+    - `height_datum`: "ellipsoid", if anything: geocentric coordinates have no other heights.
+    - `camera`: takes the images of the sensor with that label alone; those of one record are of one size.
+
+    Raises `TableError` for a chunk without a transform to the Earth, sensors that are no frame cameras, terms of the
+    lens that are not read (b2, k4, p3, p4), no aligned camera, sensors of several sizes; `FileNotFoundError`;
+    `RuntimeError` with 64-bit floats off.
+    """
+    require_x64()
+    if height_datum not in (None, "ellipsoid"):
+        raise TableError(f"{path}: geocentric coordinates are heights above the ellipsoid; leave height_datum= out.")
+    chunk = _chunk(path)
+    sensors = {one.get("id", ""): one for one in chunk.iter("sensor")}
+    aligned = [one for one in chunk.iter("camera") if one.find("transform") is not None]
+    if not aligned:
+        raise TableError(f"{path}: no camera is aligned (has a transform).")
+    whole = _similarity(path, chunk)
+    components = {one.get("id", ""): _similarity(path, one) for one in chunk.iter("component")}
+    labels = [one.get("label", one.get("id", "")) for one in aligned]
+    taken_by = np.array([_label(path, sensors, one) for one in aligned])
+    rows = rows_of(path, taken_by, camera)
+    used = {str(taken_by[row]): sensors[aligned[row].get("sensor_id", "")] for row in rows}
+    cameras = {name: _camera(path, name, sensor) for name, sensor in used.items()}
+    check_one_size(path, cameras, taken_by[rows])
+    poses = []
+    for row in rows:
+        R, centre = _transform(path, aligned[row])
+        for R_up, shift, scale in (components.get(aligned[row].get("component_id", ""), IDENTITY), whole):
+            R, centre = R_up @ R, shift + scale * (R_up @ centre)
+        poses.append((R, centre))
+    R_ecef_from_camera, centres = map(np.array, zip(*poses, strict=True))
+    _check_on_earth(path, centres)
+    unaligned = sum(one.find("transform") is None for one in chunk.iter("camera"))
+    told = [f"{unaligned} cameras are not aligned and are left out."] if unaligned else []
+    return Acquisition(
+        path=os.fspath(path),
+        form=FORM,
+        names=np.array([labels[row] for row in rows]),
+        sensor=sensor_of(cameras, taken_by[rows]),
+        shots=shots_of(_pose(R_ecef_from_camera, centres)),
+        assumed=("The geocentric coordinates of the chunk are taken to be of WGS 84.", NO_ERRORS, NO_TIMES, *told),
+        facts={"images": f"{len(rows)} of {len(aligned) + unaligned}", "cameras": ", ".join(cameras)},
+    )
+
+
+def _chunk(path: str | os.PathLike[str]) -> ET.Element:
+    text = read_text(path, FORM)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise TableError(f"{path}: XML with definitions of its own (DOCTYPE) is not read.")
+    try:
+        root = ET.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
+    except ET.ParseError as error:
+        raise TableError(f"{path}: not an XML file, or cut off: {error}.") from error
+    chunk = root if root.tag == "chunk" else root.find("chunk")
+    if chunk is None:
+        raise TableError(f"{path}: there is no <chunk>, so it is no {FORM}.")
+    return chunk
+
+
+def _numbers(where: str, element: ET.Element | None, count: int) -> np.ndarray:
+    text = "" if element is None or element.text is None else element.text
+    try:
+        found = np.array([float(word) for word in text.split()])
+    except ValueError:
+        found = np.zeros(0)
+    if len(found) != count or not np.all(np.isfinite(found)):
+        raise TableError(f"{where}: expected {count} numbers; got {text.strip()[:60]!r}.")
+    return found
+
+
+def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a matrix that is one but for its digits."""
+    left, values, right = np.linalg.svd(matrix)
+    if np.any(np.abs(values - 1.0) > 1e-3) or np.linalg.det(left @ right) < 0.0:
+        raise TableError(f"{where}: it is no rotation.")
+    return left @ right
+
+
+def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray, float]:
+    """(rotation, translation, scale) of the <transform> in a chunk or component; none there is the identity."""
+    where, transform = f"{path}, transform of {element.tag} {element.get('label', '')}", element.find("transform")
+    if transform is None or len(transform) == 0:
+        return IDENTITY
+    parts = {name: transform.find(name) for name in ("rotation", "translation", "scale")}
+    R = np.eye(3) if parts["rotation"] is None else _numbers(where, parts["rotation"], 9).reshape(3, 3)
+    shift = np.zeros(3) if parts["translation"] is None else _numbers(where, parts["translation"], 3)
+    scale = 1.0 if parts["scale"] is None else float(_numbers(where, parts["scale"], 1)[0])
+    if scale <= 0.0:
+        raise TableError(f"{where}: the scale {scale:g} is not above zero.")
+    return _rotation(where, R), shift, scale
+
+
+def _check_on_earth(path: Any, centres: np.ndarray) -> None:
+    """Raises `TableError` where cameras have no place on the Earth, as in a block that is not georeferenced."""
+    radius = np.linalg.norm(centres, axis=1)
+    if np.any((radius < RADII[0]) | (radius > RADII[1])):
+        raise TableError(
+            f"{path}: there is no transform to the Earth, so its cameras have no place there (the first is "
+            f"{radius[0]:.6g} m from its centre); georeference the chunk in Metashape and export again."
+        )
+    height = np.asarray(pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)[2])
+    low, high, _ = POSE_COLUMNS["height_m"]
+    wrong = (height < low) | (height > high)
+    if np.any(wrong):
+        raise TableError(
+            f"{path}: a camera is {height[np.argmax(wrong)]:.6g} m above the ellipsoid, outside [{low:g}, {high:g}] m."
+        )
+
+
+def _transform(path: Any, camera: ET.Element) -> tuple[np.ndarray, np.ndarray]:
+    """(rotation of right, down, forward; centre) of a camera in its component."""
+    where = f"{path}, camera {camera.get('label', '')}"
+    matrix = _numbers(where, camera.find("transform"), 16).reshape(4, 4)
+    return _rotation(where, matrix[:3, :3]), matrix[:3, 3]
+
+
+def _label(path: Any, sensors: dict[str, ET.Element], camera: ET.Element) -> str:
+    sensor = sensors.get(camera.get("sensor_id", ""))
+    if sensor is None:
+        raise TableError(f"{path}, camera {camera.get('label', '')}: there is no sensor {camera.get('sensor_id')!r}.")
+    return sensor.get("label") or f"sensor {sensor.get('id')}"
+
+
+def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
+    where = f"{path}, sensor {name}"
+    kinds = {sensor.get("type", "frame")} | {one.get("type", "frame") for one in sensor.findall("calibration")}
+    if kinds != {"frame"}:
+        raise TableError(f"{where}: it is of type {', '.join(sorted(kinds))}; only frame cameras are read.")
+    adjusted = sensor.find("calibration[@class='adjusted']")
+    calibration = adjusted if adjusted is not None else sensor.find("calibration")
+    if calibration is None:
+        raise TableError(f"{where}: there is no calibration.")
+    size = calibration.find("resolution")
+    size = sensor.find("resolution") if size is None else size
+    try:
+        width, height = (int((size.attrib if size is not None else {})[key]) for key in ("width", "height"))
+    except (KeyError, ValueError):
+        width = height = 0
+    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
+        raise TableError(f"{where}: there is no resolution of whole numbers above zero, width and height.")
+    written = [one for one in calibration if one.text and one.text.strip()]
+    terms = {one.tag.lower(): float(_numbers(f"{where}, {one.tag}", one, 1)[0]) for one in written}
+    turned = [key for key in UNREAD if terms.get(key, 0.0) != 0.0]
+    if turned:
+        raise TableError(f"{where}: {turned[0]} is not zero; it is not read. Optimise the cameras without it.")
+    if "f" not in terms:
+        raise TableError(f"{where}: there is no focal length f in its calibration, as of versions from 1.3 on.")
+    focal = terms["f"] + terms.get("b1", 0.0), terms["f"]
+    if not 0.0 < min(focal) <= max(focal) < MOST_PIXELS:
+        raise TableError(f"{where}: its focal length f is {terms['f']:g} pixels, with b1 {focal[0]:g}; it is none.")
+    lens = BrownConrady(
+        k1=terms.get("k1", 0.0), k2=terms.get("k2", 0.0), k3=terms.get("k3", 0.0),
+        p1=terms.get("p2", 0.0), p2=terms.get("p1", 0.0),
+    )  # fmt: skip
+    is_perfect = not any(terms.get(key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2"))
+    return FrameCamera.from_pixels(
+        focal_px=focal,
+        width=width,
+        height=height,
+        principal_px=((width - 1.0) / 2.0 + terms.get("cx", 0.0), (height - 1.0) / 2.0 + terms.get("cy", 0.0)),
+        distortion=None if is_perfect else lens,
+    )
+
+
+def _pose(R_ecef_from_camera: np.ndarray, centres: np.ndarray) -> Pose:
+    """Poses of bodies that have the cameras in `Mount.nadir()`."""
+    lon, lat, height = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)
+    lon, lat = np.deg2rad(lon), np.deg2rad(lat)
+    sin, cos = np.sin, np.cos
+    north = np.stack([-sin(lat) * cos(lon), -sin(lat) * sin(lon), cos(lat)], axis=-1)
+    east = np.stack([-sin(lon), cos(lon), np.zeros_like(lon)], axis=-1)
+    down = np.stack([-cos(lat) * cos(lon), -cos(lat) * sin(lon), -sin(lat)], axis=-1)
+    R_ned_from_ecef = np.stack([north, east, down], axis=-2)
+    R = R_ned_from_ecef @ R_ecef_from_camera @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T
+    pitch = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
+    position = Geodetic(lat=lat, lon=lon, height=height)
+    return Pose(position, np.arctan2(R[:, 1, 0], R[:, 0, 0]), pitch, np.arctan2(R[:, 2, 1], R[:, 2, 2]))

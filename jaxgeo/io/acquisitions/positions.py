@@ -1,0 +1,187 @@
+"""Better positions for images: those of a table in place of those in the images, joined by name, number or time."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from typing import Any
+
+import jax
+import numpy as np
+import pyproj
+
+from jaxgeo._checks import check_is, require_x64
+from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions._position_tables import PositionTable, read_positions
+from jaxgeo.io.acquisitions.record import Acquisition
+from jaxgeo.io.errors import TableError
+from jaxgeo.uncertainty.sources import Position
+
+NUMBER = re.compile(r"(?<!\d)(\d{4})(?!\d)")  # of a photo in its name: DJI_0001.JPG, DJI_20230615124530_0001_V.JPG
+FAR = 1000.0  # m between an image's own position and that of the table: another flight
+LATE = 1.0  # s between an image and its mark, where they are joined by time
+SPREAD = 10.0  # s by which the differences of their clocks may vary, where they are joined by number
+EARTH_RADIUS = 6.371e6  # m
+
+
+def with_positions(
+    found: Acquisition,
+    path: str | os.PathLike[str],
+    *,
+    height_datum: str | float | None = None,
+    crs: str | int | pyproj.CRS | None = None,
+) -> Acquisition:
+    """Exposures with the positions of a file in place of their own, and with its errors of position.
+
+    Read are the `geo.txt` of OpenDroneMap, its report `shots.geojson`, DJI's `Timestamp.MRK`, and tables with the
+    columns of `read_orientations` for names and positions, `sigma_north_m`, `sigma_east_m`, `sigma_down_m` among them.
+    Names are compared with their ending and without, in any case of letters; marks belong to the images by the four
+    digits in their names, else by time in UTC. Exposures that the file does not have are left out, and named in
+    `assumed`. Where it has no heights, those of the exposures stay.
+
+    - `height_datum`: what the file's heights are measured from, where it does not say it itself, as marks do.
+    - `crs`: the map of its positions, where it has them in one and does not say in which.
+
+    Raises `UnstatedDatum`; `TableError` if the file has none of the exposures, and for a position more than 1 km from
+    that in the image; as the readers.
+    """
+    require_x64()
+    check_is(found, Acquisition, "found")
+    return with_table(found, read_positions(path, height_datum=height_datum, crs=crs))
+
+
+def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
+    """The same with positions that have been read."""
+    rows, by = _joined(found, table)
+    kept = np.flatnonzero(rows >= 0)
+    if not len(kept):
+        raise TableError(_none_joined(found, table))
+    _check_clocks(found, table, kept, rows[kept])
+    _check_near(found, table, kept, rows[kept])
+    pick = rows[kept]
+    own = jax.tree.map(lambda leaf: np.asarray(leaf)[kept], (found.sensor, found.shots, found.sources, found.reported))
+    sensor, shots, sources, reported = own
+    height = table.position.height[pick] if table.has_heights else shots.pose.position.height
+    position = Geodetic(lat=table.position.lat[pick], lon=table.position.lon[pick], height=height)
+    shots = dataclasses.replace(shots, pose=dataclasses.replace(shots.pose, position=position))
+    others = tuple(source for source in sources if not isinstance(source, Position))
+    if table.sigma is not None:
+        others = (jax.tree.map(np.asarray, jax.vmap(Position)(table.sigma[pick])), *others)
+    return dataclasses.replace(
+        found,
+        names=found.names[kept],
+        sensor=sensor,
+        shots=shots,
+        sources=others,
+        reported=reported,
+        tags=tuple(found.tags[k] for k in kept) if found.tags else (),
+        assumed=(*_of_images(found, table), *table.assumed, *_told(found, table, kept, pick)),
+        facts={**found.facts, "positions": f"{table.form}, {len(kept)} of {len(found)} images, by {by}"},
+    )
+
+
+def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
+    """(row of the table of each exposure, -1 where it has none; by what they were joined)."""
+    if table.names is not None:
+        return _by_name(found, [str(name) for name in table.names]), "name"
+    assert table.numbers is not None
+    numbers = [NUMBER.findall(os.path.basename(name)) for name in found.names]
+    if all(numbers):
+        row_of = {int(number): row for row, number in enumerate(table.numbers)}
+        rows = np.array([row_of.get(int(one[-1]), -1) for one in numbers])
+        used = rows[rows >= 0]
+        if len(set(used.tolist())) < len(used):
+            raise TableError(f"{table.path}: two images have the number of one photo; join one flight at a time.")
+        return rows, "number"
+    return _by_time(found, table), "time"
+
+
+def _by_name(found: Acquisition, names: list[str]) -> np.ndarray:
+    rows = np.full(len(found), -1)
+    for form in (str, lambda name: os.path.basename(name).lower(), _stem):
+        keys: dict[str, list[int]] = {}
+        for row, name in enumerate(names):
+            keys.setdefault(form(name), []).append(row)
+        for k, name in enumerate(found.names):
+            matches = keys.get(form(str(name)), [])
+            if rows[k] < 0 and len(matches) == 1:
+                rows[k] = matches[0]
+    return rows
+
+
+def _stem(name: str) -> str:
+    """A name without its folder and the ending of an image, in small letters."""
+    return re.sub(r"\.(jpe?g|tiff?|png|dng)$", "", os.path.basename(name).lower())
+
+
+def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
+    if table.time is None or not found.time_is_utc:
+        raise TableError(
+            f"{table.path}: photos are told by number and time, but {found.path} has no numbers of four digits in its "
+            f"names, and no times in UTC."
+        )
+    apart = np.abs(np.asarray(found.shots.time)[:, None] - table.time[None, :])
+    nearest = np.argmin(apart, axis=1)
+    return np.where(apart[np.arange(len(nearest)), nearest] <= LATE, nearest, -1)
+
+
+def _check_clocks(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> None:
+    """Raises `TableError` where images and marks of equal numbers are not of one flight, by their times."""
+    times = np.asarray(found.shots.time)[kept]
+    if table.time is None or len(kept) < 2 or not np.all(times > 0.0):
+        return
+    difference = times - table.time[rows]
+    if np.ptp(difference) > SPREAD:
+        raise TableError(
+            f"{table.path}: times of images and marks differ by {difference.min():.0f} to {difference.max():.0f} s, so "
+            f"they are not of one flight; give the marks of the images' own folder."
+        )
+
+
+def _check_near(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> None:
+    own = found.shots.pose.position
+    lat, lon = np.asarray(own.lat)[kept], np.asarray(own.lon)[kept]
+    north = EARTH_RADIUS * (table.position.lat[rows] - lat)
+    turn = np.remainder(table.position.lon[rows] - lon + np.pi, 2.0 * np.pi) - np.pi
+    distance = np.hypot(north, EARTH_RADIUS * np.cos(lat) * turn)
+    if np.any(distance > FAR):
+        k = int(np.argmax(distance))
+        raise TableError(
+            f"{table.path}: the position of {found.names[kept[k]]} lies {distance[k] / 1e3:.1f} km from that in the "
+            f"image; are they of one flight, and longitude and latitude in this order?"
+        )
+
+
+def _none_joined(found: Acquisition, table: PositionTable) -> str:
+    there: Any = table.names if table.names is not None else table.numbers
+    return (
+        f"{table.path}: it has none of the images: they are {_some(found.names)}, and it has "
+        f"{_some(np.asarray(there).astype(str))}."
+    )
+
+
+def _of_images(found: Acquisition, table: PositionTable) -> list[str]:
+    """What was taken for granted of the images, without what was said of the positions that are replaced."""
+    gone = ["How well the positions"] + (["Heights are"] if table.has_heights else [])
+    return [one for one in found.assumed if not one.startswith(tuple(gone))]
+
+
+def _told(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> list[str]:
+    told = [] if table.has_heights else [f"{os.path.basename(table.path)} has no heights: those of the images stay."]
+    if table.sigma is None:
+        told.append(f"How well the positions are known is not said by {os.path.basename(table.path)}.")
+    missing = [str(name) for k, name in enumerate(found.names) if k not in set(kept.tolist())]
+    if missing:
+        told.append(
+            f"{len(missing)} of {len(found)} images are not in {os.path.basename(table.path)} and are left out: "
+            f"{_some(np.array(missing))}."
+        )
+    spare = len(np.asarray(table.position.lat)) - len(set(rows.tolist()))
+    if spare:
+        told.append(f"{spare} rows of {os.path.basename(table.path)} are of no image here.")
+    return told
+
+
+def _some(names: np.ndarray) -> str:
+    return ", ".join(names[:5].tolist()) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,0 +1,255 @@
+"""Exposures of several files and folders: arrays by structure, and the files that could not be read with the reason."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pathlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions.detect import Form, WrongOption, checked_options, form_of, reader_of
+from jaxgeo.io.acquisitions.drone_images import ENDINGS
+from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum
+from jaxgeo.io.acquisitions.sentences import told_once
+from jaxgeo.io.errors import ImageError, TableError, VerticalDatumError
+
+Path = str | os.PathLike[str]
+
+
+class Unread(NamedTuple):
+    """A file that could not be read: its path, the exception of its reader, its place among all exposures."""
+
+    path: str
+    error: Exception
+    place: int
+
+    @property
+    def name(self) -> str:
+        """The name of the file."""
+        return os.path.basename(self.path)
+
+    @property
+    def reason(self) -> str:
+        """Why, in a line."""
+        return " ".join(str(self.error).split()) or type(self.error).__name__
+
+
+@dataclasses.dataclass(frozen=True)
+class AcquisitionSet:
+    """Exposures of several files: `parts`, each with arrays of one structure, such as of one camera.
+
+    - `places`: for each part an array (n,): where its exposures stand among all, in the order of the files.
+    - `unread`: files that could not be read; each has a place of its own.
+    - `assumed`: sentences as in `Acquisition`, each once, with the number of files that it holds for if not for all.
+    """
+
+    parts: tuple[Acquisition, ...]
+    places: tuple[np.ndarray, ...]
+    unread: tuple[Unread, ...] = ()
+    assumed: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """Number of exposures and of files that could not be read."""
+        return sum(len(part) for part in self.parts) + len(self.unread)
+
+    def with_parts(self, change: Callable[[Acquisition], Acquisition]) -> AcquisitionSet:
+        """The set with each part changed, and parts put together that now have one structure."""
+        parts, places = merged([change(part) for part in self.parts], self.places)
+        return dataclasses.replace(self, parts=parts, places=places)
+
+
+def read_acquisitions(
+    paths: Path | Sequence[Path], *, progress: Callable[[int, int], object] | None = None, **how: Any
+) -> AcquisitionSet:
+    """The exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop the others.
+
+    `paths` and the options `how` are those of `read_acquisition`; a folder stands for the JPEG and TIFF images in it.
+    Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
+    another. An option applies to the files whose reader takes it. `progress` is called with the number of files read
+    and that of all.
+
+    Raises, as they concern all files: `WrongOption` for an option that no file's reader takes; `UnstatedDatum` and
+    `VerticalDatumError`; `FileNotFoundError` for a path that is not there; `ImageError` for a folder without images.
+
+    >>> import os, tempfile
+    >>> from jaxgeo.demo import drone_image
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> image = drone_image(os.path.join(folder.name, "a.jpg"), columns=64).path
+    >>> with open(os.path.join(folder.name, "b.jpg"), "wb") as file:
+    ...     size = file.write(b"no image")
+    >>> found = jaxgeo.io.read_acquisitions(folder.name, height_datum="EPSG:5773")
+    >>> print([str(name) for part in found.parts for name in part.names], [one.name for one in found.unread])
+    ['a.jpg'] ['b.jpg']
+    >>> folder.cleanup()
+    """
+    files, left_out = files_of(paths)
+    forms = [_form(file) for file in files]
+    _check_options(files, forms, how)
+    found: list[Acquisition] = []
+    starts: list[int] = []
+    unread: list[Unread] = []
+    place = 0
+    for number, (file, form) in enumerate(zip(files, forms, strict=True), 1):
+        one = form if isinstance(form, Exception) else _read(file, form, how)
+        if isinstance(one, Exception):
+            unread.append(Unread(file, one, place))
+            place += 1
+        else:
+            found.append(one)
+            starts.append(place)
+            place += len(one)
+        if progress is not None:
+            progress(number, len(files))
+    told = told_once([one.assumed for one in found], "file")
+    found = _with_distinct_names(found)
+    places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
+    parts, where = merged(found, places)
+    return AcquisitionSet(parts, where, tuple(unread), (*told, *left_out))
+
+
+def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
+    """(files, each once, those of a folder by name; a sentence on what else is in each folder).
+
+    Raises `FileNotFoundError`; `ImageError` for a folder without images.
+    """
+    names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not names:
+        raise TableError("paths: no file is named.")
+    found: dict[str, str] = {}
+    told = []
+    for name in [os.fspath(one) for one in names]:
+        if not os.path.exists(name):
+            raise FileNotFoundError(f"{name}: there is no such file.")
+        inside, others = _in_folder(name) if os.path.isdir(name) else ([name], [])
+        for file in inside:
+            found.setdefault(os.path.realpath(file), file)
+        if others:
+            endings = ", ".join(sorted({pathlib.Path(one).suffix.lower() or "no ending" for one in others})[:5])
+            count = f"{len(others)} other file{'s' if len(others) != 1 else ''}"
+            told.append(f"{name}: only its JPEG and TIFF images are read; {count} ({endings}) left out.")
+    return list(found.values()), told
+
+
+def merged(
+    found: Sequence[Acquisition], places: Sequence[np.ndarray]
+) -> tuple[tuple[Acquisition, ...], tuple[np.ndarray, ...]]:
+    """(acquisitions, places) with those of one structure put together, in the order of their first ones."""
+    groups: dict[Any, list[int]] = {}
+    for i, one in enumerate(found):
+        leaves, structure = jax.tree.flatten((one.sensor, one.shots, one.sources))
+        groups.setdefault((structure, one.of_camera, tuple(np.shape(leaf)[1:] for leaf in leaves)), []).append(i)
+    parts = tuple(_joined([found[i] for i in group]) for group in groups.values())
+    return parts, tuple(np.concatenate([places[i] for i in group]) for group in groups.values())
+
+
+def _form(file: str) -> Form | Exception:
+    try:
+        return form_of(file)
+    except (TableError, OSError) as error:
+        return error
+
+
+def _check_options(files: Sequence[str], forms: Sequence[Form | Exception], how: Mapping[str, Any]) -> None:
+    """Raises `WrongOption` for an option that no file's reader takes."""
+    known = {form.name: form for form in forms if isinstance(form, Form)}
+    takes = tuple(dict.fromkeys(one for form in known.values() for one in form.takes))
+    for name in [name for name, value in how.items() if value is not None]:
+        if known and name not in takes:
+            shown = files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+            raise WrongOption(shown, " or ".join(known), name, takes)
+
+
+def _read(file: str, form: Form, how: Mapping[str, Any]) -> Acquisition | Exception:
+    """The exposures of a file, or why it cannot be read."""
+    own = {name: value for name, value in how.items() if value is not None and name in form.takes}
+    try:
+        return reader_of(form, own)(file, **checked_options(file, form, own))
+    except (UnstatedDatum, VerticalDatumError, MemoryError):
+        raise
+    except Exception as error:  # a fault in one file does not stop the others; who shows it tells it from a refusal
+        return error
+
+
+def _in_folder(name: str) -> tuple[list[str], list[str]]:
+    """(images, other files) of a folder by name, hidden ones left out. Raises `ImageError` where no image is in it."""
+    inside = sorted(one for one in pathlib.Path(name).iterdir() if not one.name.startswith("."))
+    images = [str(one) for one in inside if one.suffix.lower() in ENDINGS and not one.is_dir()]
+    if images:
+        return images, [str(one) for one in inside if one.is_file() and str(one) not in set(images)]
+    below = next((one for one in inside if one.is_dir() and _has_images(one)), None)
+    hint = f" Images are in the folder {below}: name that." if below is not None else ""
+    raise ImageError(f"{name}: there are no images in this folder ({', '.join(ENDINGS)}).{hint}")
+
+
+def _has_images(folder: pathlib.Path) -> bool:
+    try:
+        return any(one.suffix.lower() in ENDINGS for one in folder.iterdir())
+    except OSError:
+        return False
+
+
+def _with_distinct_names(found: list[Acquisition]) -> list[Acquisition]:
+    """Names of exposures as they are if all differ; else with the path of their file."""
+    names = [name for one in found for name in one.names]
+    if len(set(names)) == len(names):
+        return found
+    return [dataclasses.replace(one, names=np.array(_names_with_path(one))) for one in found]
+
+
+def _names_with_path(one: Acquisition) -> list[str]:
+    return [one.path] if len(one) == 1 else [f"{one.path}/{name}" for name in one.names]
+
+
+def _joined(found: list[Acquisition]) -> Acquisition:
+    """Acquisitions of one structure as one."""
+    first = found[0]
+    if len(found) == 1:
+        return first
+    trees = [(one.sensor, one.shots, one.sources) for one in found]
+    sensor, shots, sources = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(x) for x in leaves]), *trees)
+    has_tags = any(one.tags for one in found)
+    return Acquisition(
+        path=f"{first.path} and {len(found) - 1} more",
+        form=" and ".join(dict.fromkeys(one.form for one in found)),
+        names=np.concatenate([one.names for one in found]),
+        sensor=sensor,
+        shots=shots,
+        sources=sources,
+        assumed=told_once([one.assumed for one in found], "file"),
+        facts=_facts(found),
+        reported=_reported(found),
+        tags=tuple(tags for one in found for tags in (one.tags or [{}] * len(one))) if has_tags else (),
+        time_is_utc=all(one.time_is_utc for one in found),
+        of_camera=first.of_camera,
+    )
+
+
+def _facts(found: list[Acquisition]) -> dict[str, str]:
+    """Each fact once; where it differs from file to file, the first of its values and how many others there are."""
+    names = dict.fromkeys(name for one in found for name in one.facts)
+    told = {}
+    for name in names:
+        values = list(dict.fromkeys(one.facts[name] for one in found if name in one.facts))
+        more = len(values) - 1
+        told[name] = values[0] + (f"; and {more} other value{'s' if more != 1 else ''} in other files" if more else "")
+    return told
+
+
+def _reported(found: list[Acquisition]) -> Reported | None:
+    """What the files report of the ground, NaN for those that do not."""
+    if all(one.reported is None for one in found):
+        return None
+    rows = []
+    for one in found:
+        if one.reported is None:
+            rows.append(np.full((4, len(one)), np.nan))
+        else:
+            centre = one.reported.centre
+            rows.append(np.stack([centre.lat, centre.lon, centre.height, one.reported.slant_range]))
+    lat, lon, height, slant_range = np.concatenate(rows, axis=1)
+    return Reported(Geodetic(lat=lat, lon=lon, height=height), slant_range)

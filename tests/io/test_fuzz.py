@@ -1,0 +1,122 @@
+"""Every reader on damaged, cut and strange files: a refusal in one line or an answer; no traceback, no hang, no 2 GB.
+
+A few mutants of each reader are read always, 2000 with `--slow`; `pytest -s --slow tests/io/test_fuzz.py` prints for
+each reader how many were refused and how many gave an answer.
+"""
+
+from __future__ import annotations
+
+import ast
+import pathlib
+import sys
+from typing import Any
+
+import pytest
+
+from tests.support.fuzzed_readers import READERS
+from tests.support.fuzzing import Reader, read_mutants
+
+FEW, MANY = 25, 2000
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="bounds memory and time as Linux does")
+rows = pytest.mark.parametrize("reader", [pytest.param(reader, id=reader.name) for reader in READERS])
+
+
+def check(reader: Reader, folder: pathlib.Path, numbers: range) -> None:
+    found = read_mutants(reader, folder, numbers)
+    print(f"{reader.name}: {found}")
+    wrong = "\n".join(f"mutants {which[:5]} ({len(which)}): {what}" for what, which in found.wrong.items())
+    assert not found.wrong, f"{reader.name}: {found}\n{wrong}"
+    assert found.refused + found.answered == len(numbers)
+    assert found.refused > 0
+
+
+@rows
+def test_a_few_mutants_are_refused_in_a_line_or_read(reader: Reader, tmp_path: pathlib.Path) -> None:
+    check(reader, tmp_path, range(FEW))
+
+
+@pytest.mark.slow
+@rows
+def test_many_mutants_are_refused_in_a_line_or_read(reader: Reader, tmp_path: pathlib.Path) -> None:
+    check(reader, tmp_path, range(FEW, FEW + MANY))
+
+
+TESTS = pathlib.Path(__file__).parent
+
+
+@pytest.mark.parametrize("tests", sorted({reader.tests for reader in READERS}))
+def test_each_format_was_held_against_what_others_wrote_or_published(tests: str) -> None:
+    """Said in the first words of the file of its tests: no format is tested against our own writer alone."""
+    words = ast.get_docstring(ast.parse((TESTS / f"test_{tests}.py").read_text(encoding="utf-8"))) or ""
+    _, _, against = " ".join(words.split()).partition("Held against: ")
+    assert len(against.split()) > 4, words
+
+
+def test_no_reader_catches_everything() -> None:
+    """What a decoder raises is caught by its name: `except Exception` would tell a mistake of our own as damage."""
+    for path in (TESTS.parents[1] / "jaxgeo" / "io").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ExceptHandler):
+                caught = ast.unparse(node.type) if node.type else "everything"
+                assert caught not in ("everything", "Exception", "BaseException"), f"{path}:{node.lineno}"
+
+
+class Bug(ValueError):
+    """A mistake of our own, within a reader."""
+
+
+# Functions of our own within readers: an error in them is none of the file, and is never told as one.
+INNER = {
+    "DEM, GeoTIFF": ("jaxgeo.io.tiles._centred", "jaxgeo.io.heights._ellipsoidal"),
+    "DEM, VRT": ("jaxgeo.io.vrt._rect",),
+    "geoid grid, GTX": ("jaxgeo.io.geoid_grid._is_within",),
+    "image": ("jaxgeo.io.images._known", "jaxgeo.io.images._colours"),
+    "orthoimage": ("jaxgeo.io.orthoimages._raster_of_file",),
+    "drone image, JPEG": (
+        "jaxgeo.io.acquisitions._image_tags._plain",
+        "jaxgeo.io.acquisitions._image_tags._check_kind",
+        "jaxgeo.io.acquisitions._image_tags._leaves",
+    ),
+    "KLV": (
+        "jaxgeo.io.acquisitions.telemetry.decode",
+        "jaxgeo.io.acquisitions.telemetry._heights",
+        "jaxgeo.io.acquisitions.telemetry.sensor_of",
+    ),
+    "transport stream": ("jaxgeo.io.acquisitions.transport_stream._chosen",),
+    "SBET": ("jaxgeo.io.acquisitions.sbet.wrapped", "jaxgeo.io.acquisitions._wander._displacement"),
+    "smrmsg": ("jaxgeo.io.acquisitions._smrmsg.clock_of",),
+    "orientations": ("jaxgeo.io.orientations._poses", "jaxgeo.io.orientations.ellipsoidal_heights"),
+    "orientations in a map": ("jaxgeo.io.orientations.poses_of_opk",),
+    "reconstruction of OpenSfM": ("jaxgeo.io.opensfm._camera", "jaxgeo.io.opensfm.ellipsoidal_heights"),
+    "cameras of Metashape": ("jaxgeo.io.acquisitions.metashape._camera",),
+    "subtitles of DJI": ("jaxgeo.io.acquisitions._flight_logs.ellipsoidal_heights",),
+    "positions of images": ("jaxgeo.io.acquisitions._position_tables.form_of_positions",),
+    "exposures of Orthority": ("jaxgeo.io.acquisitions.orthority._poses_in_map",),
+    "navigation": ("jaxgeo.io.navigation.poses_of",),
+    "ground control": ("jaxgeo.io.gcp.ellipsoidal_heights",),
+    "image points": ("jaxgeo.io.image_points.refuse_doubles",),
+    "BAL": ("jaxgeo.io.bal._indices",),
+}
+CASES = [(name, place) for name, places in INNER.items() for place in places]
+
+
+@pytest.mark.parametrize("name, place", CASES)
+def test_an_error_of_our_own_is_never_told_as_one_of_the_file(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, name: str, place: str
+) -> None:
+    reader = next(reader for reader in READERS if reader.name == name)
+    path = tmp_path / f"sound{reader.ending}"
+    path.write_bytes(reader.seeds(tmp_path)[0])
+    reader.read(path)  # what it keeps beside, made while all is well
+    path.touch()
+    called = []
+
+    def fails(*_: Any, **__: Any) -> Any:
+        called.append(place)
+        raise Bug("a mistake of our own")
+
+    monkeypatch.setattr(place, fails)
+    with pytest.raises(Bug, match="a mistake of our own"):
+        reader.read(path)
+    assert called

@@ -1,0 +1,159 @@
+"""Terrain of a user's own has the accuracy that its samples have: it is probed, and never taken for a plane unseen."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgeo import ConstantHeight, Geodetic, Pose, Shot
+from jaxgeo.studies.scenes import tangent_dem
+from jaxgeo.terrain.plumb import height_by_plumb_line
+from jaxgeo.uncertainty import (
+    Footprint,
+    Trust,
+    accuracy,
+    accuracy_map,
+    accuracy_of_each,
+    accuracy_of_pixels,
+    assess,
+    compare,
+    propagate,
+    sample,
+    sources,
+)
+from jaxgeo.uncertainty.accuracy import reason
+from jaxgeo.uncertainty.verdict import Signs, trust_of
+from tests.support.terrains import Bridge, Tin, Unknown, tin_along
+from tests.uncertainty.test_verdict import CASES, CENTRE, KEY, MODEL, SENSOR, SIZE, SPACING, UV, ground, shot_at
+
+NORTH = SPACING * (SIZE // 2 - np.arange(SIZE))[::-1]
+
+
+def tin(kind: str, like: type[Tin] = Tin) -> Tin:
+    """The ground of `test_verdict` in triangles: the same heights, level from west to east."""
+    return like(tin_along(CENTRE, NORTH, ground(kind)[::-1, 0]).corners)
+
+
+@jax.jit
+def told(shot, terrain):
+    return assess(SENSOR, shot, UV, terrain, MODEL)
+
+
+@pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
+def test_the_method_fits_the_triangles(kind: str, rows_ahead: float, expected: Trust) -> None:
+    one = told(shot_at(rows_ahead), tin(kind))
+    assert Trust(int(one.trust)) is expected, one.signs
+    assert float(one.signs.known) == 1.0
+    assert float(one.signs.off) < 1e-6  # m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
+def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: float, expected: Trust) -> None:
+    scene = (SENSOR, shot_at(rows_ahead), UV, tin(kind), MODEL)
+    result = accuracy(*scene, key=KEY, count=4096)
+    assert result.trust is expected, str(result)
+    drawn = sample(*scene, key=jax.random.key(9), count=4096)
+    for door, figure in (("circular_error", result.circular), ("linear_error", result.linear)):
+        truth = getattr(drawn, door)(0.9)
+        assert 0.93 * truth.low <= figure <= 1.07 * truth.high, (str(result), truth)
+    if expected is Trust.footprint:
+        linear = propagate(*scene, slope=Footprint())
+        assert float(linear.circular_error(0.9)) == pytest.approx(result.circular, rel=1e-9)
+        assert float(linear.circular_error(0.9)) > 1.5 * float(propagate(*scene).circular_error(0.9))
+
+
+@pytest.mark.slow
+def test_every_door_tells_the_crest_of_triangles() -> None:
+    kind, rows_ahead, expected = CASES[-1]
+    terrain, shot = tin(kind), shot_at(rows_ahead)
+    alone = accuracy(SENSOR, shot, UV, terrain, MODEL, key=KEY, count=2048)
+    shots = jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * 2), shot)
+    options = {"key": KEY, "count": 2048}
+    each = accuracy_of_each(SENSOR, shots, np.array([UV, UV]), terrain, MODEL, **options)
+    pixels = accuracy_of_pixels(SENSOR, shot, np.array([UV]), terrain, MODEL, **options)
+    place = jax.tree.map(lambda x: jnp.asarray(x)[None], alone.fix.position)
+    on_map = accuracy_map(SENSOR, shot, terrain, MODEL, place, **options)
+    for found in (each, pixels, on_map):
+        assert set(np.asarray(found.trust).tolist()) == {expected.value}
+        np.testing.assert_allclose(found.circular, alone.circular, rtol=1e-6)
+    np.testing.assert_allclose(on_map.position.height, alone.fix.position.height, rtol=0, atol=1e-6)
+    assert compare(SENSOR, shot, UV, terrain, MODEL, key=KEY, count=2048).jumped > 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "like, because",
+    [(Bridge, r"probed from above lies 50 m from the fix"), (Unknown, r"probed from above lies nowhere at the fix")],
+)
+def test_ground_that_cannot_be_probed_is_sampled_and_the_reason_said(like: type[Tin], because: str) -> None:
+    scene = (SENSOR, shot_at(0.0), UV, tin("plain", like), MODEL)
+    result = accuracy(*scene, key=KEY, count=1024)
+    assert result.trust is Trust.samples
+    assert result.circular == pytest.approx(62.0, rel=0.1)
+    assert because in result.because
+    footprint = float(propagate(*scene, slope=Footprint()).circular_error(0.9))
+    assert math.isnan(footprint) == (like is Unknown)
+
+
+SURE = Signs(10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 0.0, 0.0, math.inf, 0.5, 1.0, 0.0)
+REASONS = [
+    ({}, Trust.facet, "as good as a plane"),
+    ({"facet": 5.0}, Trust.footprint, "not that of the ground about it"),
+    ({"profile": 20.0}, Trust.samples, "no plane within the errors' reach"),
+    ({"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4}, Trust.facet, "as good as a plane"),
+    ({"profile_up": math.nan}, Trust.samples, "no plane"),
+    ({"profile": math.inf}, Trust.samples, "no plane"),
+    ({"jumps": 0.02, "clearance": 1.5}, Trust.samples, "jump to other ground, the nearest 1.5 sigmas off"),
+    ({"jumps": 0.004, "profile": 20.0}, Trust.samples, "no plane"),
+    ({"fails": 0.3}, Trust.samples, "30 % of the lines of sight come down nowhere"),
+    ({"known": 0.75}, Trust.samples, "In 25 % of the footprint the ground is not known"),
+    ({"known": math.nan}, Trust.samples, "the ground is not known"),
+    ({"grazing": 0.005}, Trust.samples, "grazes the surface, at 5 mrad"),
+    ({"grazing": math.nan}, Trust.samples, "grazes"),
+    ({"off": 12.0}, Trust.samples, "lies 12 m from the fix"),
+    ({"off": math.inf}, Trust.samples, "lies nowhere at the fix"),
+    ({"off": math.nan}, Trust.samples, "lies nowhere at the fix"),
+]
+
+
+@pytest.mark.parametrize("change, expected, words", REASONS)
+def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(change, expected: Trust, words: str) -> None:
+    signs = SURE._replace(**change)
+    trust = Trust(int(trust_of(jax.tree.map(jnp.asarray, signs))))
+    assert trust is expected
+    assert words in reason(signs, trust)
+
+
+def test_a_plumb_line_finds_the_heights_of_any_terrain() -> None:
+    north = np.array([-611.0, -40.0, 0.0, 7.0, 815.0])
+    lat = np.rad2deg(CENTRE.lat) + north / (math.radians(1.0) * 6.367e6)
+    places = Geodetic.from_degrees(lat=lat, lon=np.full(5, 8.0), height=np.zeros(5))
+    narrow = tin_along(CENTRE, NORTH, ground("crest")[::-1, 0], half_width=300.0)  # m: its chords sag by 7 mm
+    found = jax.jit(jax.vmap(narrow.height_at))(places)
+    np.testing.assert_allclose(found, np.interp(north, NORTH, ground("crest")[::-1, 0]), rtol=0, atol=0.02)
+    beside = Geodetic.from_degrees(lat=47.5, lon=8.0, height=0.0)
+    assert np.isnan(narrow.height_at(beside))
+    dem = tangent_dem(ground("crest"), SPACING, CENTRE)
+    plumb = jax.jit(jax.vmap(lambda place: height_by_plumb_line(dem, place)))(places)
+    np.testing.assert_allclose(plumb, jax.vmap(dem.height_at)(places), rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_an_earth_that_curves_away_is_no_plane() -> None:
+    """Lines of sight close above the horizon: those that err upwards meet no ground at all."""
+    camera = Geodetic.from_degrees(lat=46.0, lon=8.0, height=3000.0)
+    shot = Shot(Pose(camera, 0.0, math.radians(-2.1), 0.0))
+    errors = (sources.Attitude.from_degrees(heading=0.02, pitch=0.3, roll=0.02),)
+    scene = (SENSOR, shot, UV, ConstantHeight(0.0), errors)
+    result = accuracy(*scene, key=KEY, count=4096)
+    drawn = sample(*scene, key=jax.random.key(9), count=4096)
+    assert drawn.found < 0.9 * drawn.count
+    assert float(result.signs.grazing) > 0.015
+    assert result.trust is Trust.samples, str(result)
+    assert math.isinf(result.circular)
+    assert "come down nowhere" in result.because
