@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 import jaxgeo
 from jaxgeo.cli import app
+from jaxgeo.cli._errors import interior_errors
 from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84
 from jaxgeo.io import read_acquisition, with_usual_errors
@@ -241,3 +242,23 @@ def test_usual_errors_are_told_and_stated_ones_kept(image: pathlib.Path) -> None
     again = with_usual_errors(usual)
     assert again.assumed == usual.assumed
     assert jax.tree.structure(again.sources) == jax.tree.structure(usual.sources)
+
+
+@pytest.mark.parametrize("lanes", [None, 2])
+def test_focal_length_and_principal_point_err_apart(lanes: int | None) -> None:
+    """What is not typed stays as the file states it, for each image, or does not err."""
+    where, pixels = pathlib.Path("scene.toml"), np.array([80.0, 20.0, 20.0])
+    sigma = pixels if lanes is None else np.tile(pixels, (lanes, 1))
+    make = sources.InteriorOrientation
+    stated = make(sigma) if lanes is None else jax.vmap(make)(sigma)
+    for focal, principal, given, expected in [
+        ("5px", None, stated, [5.0, 20.0, 20.0]),
+        (None, "2,3px", stated, [80.0, 2.0, 3.0]),
+        ("0.012mm", "0.024mm", stated, [5.0, 10.0, 10.0]),
+        ("5px", None, None, [5.0, 0.0, 0.0]),
+        (None, "2px", None, [0.0, 2.0, 2.0]),
+    ]:
+        found = interior_errors(focal, principal, where, 0.0024, given)
+        shape = sigma.shape if given is stated else (3,)
+        np.testing.assert_allclose(found.sigma, np.broadcast_to(expected, shape), rtol=1e-12)
+    assert interior_errors("0px", "0px", where, None, stated) is None

@@ -185,8 +185,7 @@ def interior_errors(
     `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said. None where nothing is left.
     Raises `UserError`.
     """
-    import dataclasses
-
+    import equinox as eqx
     import numpy as np
 
     from jaxgeo.uncertainty.sources import InteriorOrientation
@@ -194,13 +193,15 @@ def interior_errors(
     sigma = np.zeros(3) if stated is None else np.array(stated.sigma)
     if focal is not None:
         form = "a length with its unit, 5px or 0.05mm (the principal point has --principal-sigma)"
-        sigma[..., 0] = _in_pixels("--focal-sigma", focal, 1, form, where, pixel_pitch)
+        sigma[..., :1] = _in_pixels("--focal-sigma", focal, 1, form, where, pixel_pitch)
     if principal is not None:
         form = "a length with its unit, 5px or 0.05mm, or two: COLUMN,ROW with the unit behind, 5,3px"
         sigma[..., 1:] = _in_pixels("--principal-sigma", principal, 2, form, where, pixel_pitch)
     if not np.any(sigma):
         return None
-    return InteriorOrientation(sigma) if stated is None else dataclasses.replace(stated, sigma=sigma)
+    if stated is None:
+        return InteriorOrientation(sigma)
+    return eqx.tree_at(lambda source: source.sigma, stated, sigma)  # which may have an entry for each image
 
 
 def _in_pixels(

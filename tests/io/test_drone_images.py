@@ -636,9 +636,8 @@ def test_a_camera_by_text_name_and_file(image, tmp_path: pathlib.Path) -> None:
     named = read(image(BARE, name="c.jpg", exif=less_exif(CAMERA, 0x920A)), camera="Mavic Pro")
     assert named.facts["focal length"].endswith("(table of cameras: Mavic Pro)")
     assert [one.label for one in named.sources] == ["position", "interior orientation"]
-    np.testing.assert_allclose(
-        read(small, camera="focal=4.73mm,pitch=1.58um").sensor.camera.focal_px[0, 0], 4730 / 1.58
-    )
+    alone: Any = read(small, camera="focal=4.73mm,pitch=1.58um").sensor
+    np.testing.assert_allclose(alone.camera.focal_px[0, 0], 4730 / 1.58)
 
 
 def less_exif(tags: dict[int, Any], *keys: int) -> dict[int, Any]:
