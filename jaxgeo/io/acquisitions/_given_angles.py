@@ -66,6 +66,6 @@ def by_hand(tags: ImageTags) -> str:
     top = "to the north" if heading is None else f"along the heading of the aircraft, {heading:g} deg"
     yaw = "0" if heading is None else f'"{AIRCRAFT}"'
     return (
-        f"Or give yaw, pitch and roll of the camera in deg; of one that looked straight down, its top {top}: "
+        f"Give yaw, pitch and roll of the camera in deg; of one that looked straight down, its top {top}: "
         f"gimbal_deg=({yaw}, -90, 0)."
     )
