@@ -61,10 +61,14 @@ def views_of_files(asked: Asked) -> Views:
     """The pixels asked for of each exposure; a row for each file that could not be read. Raises as `read_files`."""
     import numpy as np
 
-    by_scene = asked.scene is not None and _are_images(asked.files)
+    from jaxgeo.uncertainty import sources
+
+    by_scene = asked.scene is not None and _are_images(asked.files, asked.scene)
     found = read_files(asked.files, _with_camera_of_scene(asked) if by_scene else asked.how)
     assumed, of_reader = _apart([as_typed(one) for one in found.assumed], asked)
     found, atmosphere, held, of_errors = _with_cameras(found, asked, by_scene)
+    if by_scene and any(sources.InteriorOrientation in map(type, part.sources) for part in found.parts):
+        assumed = [one for one in assumed if not one.startswith(WITHOUT_ERROR)]
     where = {int(place): (k, i) for k, part in enumerate(found.places) for i, place in enumerate(part)}
     unread = {one.place: one for one in found.unread}
     pixels = [pixels_of(asked.pixels, part.exposure(0)[0].camera) for part in found.parts]
@@ -72,7 +76,7 @@ def views_of_files(asked: Asked) -> Views:
     lanes: list[list[tuple[int, int]]] = [[] for _ in found.parts]  # (row, exposure) of each part
     carried: list[dict[str, Any]] = []
     reasons: dict[int, Any] = {}
-    for place in _chosen(found, asked.exposures, len(found)):
+    for place in _chosen(found, asked.exposures, sorted([*where, *unread])):
         if place in unread:
             reasons[len(carried)] = unread[place]
             carried.append(_row(_name(unread[place], found), math.nan, None, None, has_times))
@@ -82,6 +86,8 @@ def views_of_files(asked: Asked) -> Views:
         for u, v in pixels[part].tolist():
             lanes[part].append((len(carried), index))
             carried.append(_row(str(acquisition.names[index]), acquisition.shots.time[index], u, v, has_times))
+    if reasons and not any(lanes):
+        raise UserError(reason_not_read(next(iter(reasons.values()))))
     seen = [_seen(*one) for one in zip(found.parts, lanes, pixels, strict=True) if one[1]]
     where_from = asked.named if len(asked.files) > 1 else f"{asked.files[0]}"
     return Views(
@@ -105,11 +111,33 @@ def _apart(assumed: list[str], asked: Asked) -> tuple[list[str], list[str]]:
     return others, of_errors
 
 
-def _are_images(files: Sequence[pathlib.Path]) -> bool:
-    """Whether all files are drone images, or folders of them, whose lens a scene may give."""
-    from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, form_of
+WITHOUT_ERROR = "The camera is taken as it is given, without error"  # what a reader says that got a camera alone
 
-    return all(form_of(file) is DRONE_IMAGES for file in files)
+
+def _are_images(files: Sequence[pathlib.Path], scene: pathlib.Path) -> bool:
+    """Whether all files are drone images, or folders of them, which take the camera of a scene and no more of it.
+
+    Raises `UserError` for a mixture. Files of no known kind are left to the reader.
+    """
+    from jaxgeo.io.acquisitions.detect import DRONE_IMAGES
+
+    kinds = {form is DRONE_IMAGES for form in map(_form, files) if form is not None}
+    if len(kinds) > 1:
+        raise UserError(
+            f"--scene {scene}: drone images take its camera alone, the other files all of it; locate them apart."
+        )
+    return kinds == {True}
+
+
+def _form(file: pathlib.Path) -> Any:
+    """What kind of file it is, or None."""
+    from jaxgeo.io.acquisitions.detect import form_of
+    from jaxgeo.io.errors import TableError
+
+    try:
+        return form_of(file)
+    except (TableError, OSError):
+        return None
 
 
 def _with_camera_of_scene(asked: Asked) -> dict[str, Any]:
@@ -130,10 +158,10 @@ def _row(name: str, time: Any, u: float | None, v: float | None, has_times: bool
     return {"name": name, **told, "u": u, "v": v}
 
 
-def _chosen(found: Any, names: list[str], count: int) -> list[int]:
+def _chosen(found: Any, names: list[str], places: list[int]) -> list[int]:
     """Places of the exposures with names, all without. Raises `UserError`."""
     if not names:
-        return list(range(count))
+        return places
     known: dict[str, int] = {}
     for part, places in zip(found.parts, found.places, strict=True):
         known |= {str(name): int(place) for name, place in zip(part.names, places, strict=True)}
@@ -166,9 +194,11 @@ def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, l
 
     bare = [part for part in found.parts if part.sensor is None]
     if asked.scene is not None and not bare and not by_scene:
-        raise UserError(f"--scene {asked.scene}: {asked.named} has a camera of its own; leave the scene out.")
+        if found.unread:  # among which may be what the scene is for
+            raise UserError(reason_not_read(found.unread[0]))
+        raise UserError(f"--scene {asked.scene}: {asked.named}: there is a camera in it already; leave the scene out.")
     if bare and asked.scene is None:
-        raise UserError(_without_a_camera(bare[0], asked))
+        found = _without_bare(found, asked)
     scene = None if asked.scene is None else read_scene(asked.scene)
     stated = () if scene is None or scene.errors is None else scene.errors.sources
     held: list[str] = []
@@ -179,7 +209,8 @@ def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, l
         if part.sensor is None:
             part, beside = _seen_by(part, scene, asked.scene, held), _of_scene(part, stated)
         elif by_scene:
-            part = _with_lens_errors(part, stated)
+            part = _with_lens_errors(part, stated, scene.sensor.camera)
+            held.append(f"Of {asked.scene} the camera is taken, with the errors of its lens, and nothing else.")
         part, told = _with_errors(part, beside, asked)
         usual.extend([told] * len(part))
         return part
@@ -189,12 +220,42 @@ def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, l
     return found, air, list(dict.fromkeys(held)), list(told_once(usual, "exposure"))
 
 
-def _with_lens_errors(found: Any, stated: tuple[Any, ...]) -> Any:
-    """Exposures with the errors of the lens that a scene states, whose camera took them."""
+def _without_bare(found: Any, asked: Asked) -> Any:
+    """The exposures with a camera; files without one cannot be located. Raises `UserError` if none has one."""
+    from jaxgeo.io.acquisitions.several import Unread
+    from jaxgeo.io.errors import TableError
+
+    unread, kept = [], []
+    for part, places in zip(found.parts, found.places, strict=True):
+        if part.sensor is not None:
+            kept.append((part, places))
+            continue
+        try:
+            raise TableError(_without_a_camera(part, asked))
+        except TableError as error:
+            unread.append(Unread(part.path, error, int(places[0])))
+    if not kept:
+        raise UserError(str(unread[0].error))
+    parts, places = zip(*kept, strict=True)
+    return dataclasses.replace(found, parts=parts, places=places, unread=(*found.unread, *unread))
+
+
+def _with_lens_errors(found: Any, stated: tuple[Any, ...], camera: Any) -> Any:
+    """Exposures with the errors of the lens that a scene states for its `camera`, in pixels of their own images."""
+    import numpy as np
+
     from jaxgeo.io.acquisitions import for_each
     from jaxgeo.uncertainty import sources
 
-    lens = tuple(one for one in stated if isinstance(one, sources.InteriorOrientation | sources.Distortion))
+    own = found.sensor.camera
+    across, down = own.width / camera.width, own.height / camera.height
+    lens = tuple(
+        dataclasses.replace(one, sigma=np.asarray(one.sigma) * np.array([across, across, down]))
+        if isinstance(one, sources.InteriorOrientation)
+        else one
+        for one in stated
+        if isinstance(one, sources.InteriorOrientation | sources.Distortion)
+    )
     return dataclasses.replace(found, sources=(*found.sources, *for_each(lens, len(found))))
 
 

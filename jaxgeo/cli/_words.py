@@ -12,11 +12,11 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._refusals import is_refusal
 
 # Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
-OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal"}
+OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities"}
 # Options of readers that the command line has; others are Python's alone.
 READING = (
-    "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "crs", "camera", "gimbal_deg",
-    "positions", "errors", "interior",
+    "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
+    "gimbal_deg", "positions", "errors", "interior",
 )  # fmt: skip
 # Options of a reader with a value that is a flag of its own on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}

@@ -69,6 +69,9 @@ class Format(StrEnum):
     geojson = "geojson"
 
 
+OF_FORMAT = {Format.table: (".csv",), Format.csv: (".csv",), Format.geojson: (".geojson", ".json")}
+
+
 def locate_command(
     files: Source = None,
     scene: SceneOption = None,
@@ -211,6 +214,8 @@ def _is_file(output: pathlib.Path | None, asked: Format | None) -> bool:
             f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(ENDINGS)}, or say --format "
             f"table, csv or geojson."
         )
+    if asked is not None and output.suffix.lower() in ENDINGS and output.suffix.lower() not in OF_FORMAT[asked]:
+        raise UserError(f"--format {asked.value} does not go with --output {output}; leave one of them out.")
     return asked is None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextvars
 import dataclasses
 import functools
 import os
@@ -24,6 +25,7 @@ from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
 from jaxgeo.io.vrt_facts import inherit
 
+_INSIDE: contextvars.ContextVar[tuple[str, ...]] = contextvars.ContextVar("VRTs that are being read", default=())
 MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
 MOST_PER_TURN = 2**31  # columns in 360 degrees; a spacing of less than 2 cm in longitude goes round nowhere
 MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
@@ -175,7 +177,15 @@ def _with_sources(tile: Tile, xml: str) -> Tile:
     if vrt is None:
         return tile
     check_files_exist(tile.path, vrt)
-    headers = [read_header(source.file, source.band) for source in vrt.sources]
+    inside = (*_INSIDE.get(), os.path.realpath(tile.path))
+    for source in vrt.sources:
+        if os.path.realpath(source.file) in inside:
+            raise DemError(f"{tile.path}: this VRT has itself among its sources ({source.file}); make it anew.")
+    token = _INSIDE.set(inside)
+    try:
+        headers = [read_header(source.file, source.band) for source in vrt.sources]
+    finally:
+        _INSIDE.reset(token)
     for source, header in zip(vrt.sources, headers, strict=True):
         check_on_grid(tile.path, vrt, source, header.shape)
     behind = [file for header in headers for file in (header.path, *header.sources) if is_local(file)]

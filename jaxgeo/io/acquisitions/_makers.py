@@ -116,7 +116,7 @@ def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
     prefixes = sorted({name.partition(":")[0] for name in tags.values} - {"EXIF"})
     raise TableError(
         f"{tags.path}: nothing says how the camera was turned; expected one of {known}; found XMP of "
-        f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it (editors drop such tags), or give them. "
+        f"{', '.join(prefixes) or 'no kind'}. Take the file as the drone wrote it (editors drop such tags). "
         f"{by_hand(tags)}"
     )
 
