@@ -31,8 +31,8 @@ class Record(eqx.Module):
         for name, value in vars(self).items():
             if isinstance(value, jax.Array) and value.dtype in (jnp.float32, jnp.complex64):
                 raise RuntimeError(
-                    f"{type(self).__name__}.{name} has dtype {value.dtype}, since JAX is set to 32 bits, in which a "
-                    f"position on the Earth is uncertain by half a metre. {_TURN_ON}"
+                    f"{type(self).__name__}.{name} has dtype {value.dtype}, but jaxgeo needs 64-bit floats: JAX is set "
+                    f"to 32 bits, in which a position on the Earth is uncertain by half a metre. {_TURN_ON}"
                 )
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:

@@ -115,13 +115,14 @@ def test_of_a_scene_the_camera_alone_belongs_to_angles_of_the_camera(tmp_path: p
     scene.write_text(SCENE, encoding="utf-8")
     how = {"height_datum": "ellipsoid"} | ({} if name.endswith("SRT") else {"crs": "EPSG:32616"})
     sigmas = Sigmas(*[None] * 6)
-    asked = Asked(tmp_path / name, scene, None, [], [], [], "300", None, False, how, sigmas)
+    asked = Asked([tmp_path / name], scene, None, [], [], [], "300", None, False, how, sigmas)
     question = read_question(asked, with_errors=False)
     assert question.readings == ()
-    assert question.sensor.gimbal.names == ()
+    sensor = question.batches[0].sensor
+    assert sensor.gimbal.names == ()
     assert any("without gimbal and mount" in one for one in question.assumed)
     camera = read_scene(scene).sensor.camera
-    np.testing.assert_array_equal(np.asarray(question.sensor.camera.focal_px)[0], camera.focal_px)
+    np.testing.assert_array_equal(np.asarray(sensor.camera.focal_px)[0], camera.focal_px)
 
 
 def test_positions_alone_say_how_they_are_used(tmp_path: pathlib.Path, monkeypatch) -> None:

@@ -209,8 +209,8 @@ def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, l
         if part.sensor is None:
             part, beside = _seen_by(part, scene, asked.scene, held), _of_scene(part, stated)
         elif by_scene:
-            part = _with_lens_errors(part, stated, scene.sensor.camera)
-            held.append(f"Of {asked.scene} the camera is taken, with the errors of its lens, and nothing else.")
+            part = _with_lens_errors(part, stated, scene.sensor.camera)  # pyright: ignore[reportOptionalMemberAccess]
+            held.append(f"Of {asked.scene} the camera, the errors of its lens and its air are taken, and nothing else.")
         part, told = _with_errors(part, beside, asked)
         usual.extend([told] * len(part))
         return part

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -79,6 +80,22 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
         assumed=(*_of_images(found, table), *table.assumed, *_told(found, table, kept, pick)),
         facts={**found.facts, "positions": f"{table.form}, {len(kept)} of {len(found)} images, by {by}"},
     )
+
+
+def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
+    """Raises `TableError` where images that were read one by one and a table are not of one flight, by their times, or
+    where two images have one number."""
+    shots = jax.tree.map(
+        lambda *each: np.concatenate([np.asarray(one) for one in each]), *[one.shots for one in images]
+    )
+    names = np.concatenate([one.names for one in images])
+    utc = all(one.time_is_utc for one in images)
+    found = Acquisition(
+        path=images[0].path, form=images[0].form, names=names, sensor=None, shots=shots, time_is_utc=utc
+    )
+    rows, _ = _joined(found, table)
+    kept = np.flatnonzero(rows >= 0)
+    _check_clocks(found, table, kept, rows[kept])
 
 
 def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:

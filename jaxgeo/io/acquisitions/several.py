@@ -12,8 +12,10 @@ import jax
 import numpy as np
 
 from jaxgeo.earth import Geodetic
-from jaxgeo.io.acquisitions.detect import Form, WrongOption, checked_options, form_of, reader_of
+from jaxgeo.io.acquisitions._position_tables import read_positions
+from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, WrongOption, checked_options, form_of, reader_of
 from jaxgeo.io.acquisitions.drone_images import ENDINGS
+from jaxgeo.io.acquisitions.positions import check_one_flight
 from jaxgeo.io.acquisitions.record import Acquisition, Reported, UnstatedDatum
 from jaxgeo.io.acquisitions.sentences import told_once
 from jaxgeo.io.errors import ImageError, TableError, VerticalDatumError
@@ -69,12 +71,12 @@ def read_acquisitions(
     """The exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop the others.
 
     `paths` and the options `how` are those of `read_acquisition`; a folder stands for the JPEG and TIFF images in it.
-    Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
+    With `positions` an image that the file does not have is unread. Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
     another. An option applies to the files whose reader takes it. `progress` is called with the number of files read
     and that of all.
 
     Raises, as they concern all files: `WrongOption` for an option that no file's reader takes; `UnstatedDatum` and
-    `VerticalDatumError`; `FileNotFoundError` for a path that is not there; `ImageError` for a folder without images.
+    `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a path that is not there; `ImageError` for a folder without images.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -90,6 +92,7 @@ def read_acquisitions(
     files, left_out = files_of(paths)
     forms = [_form(file) for file in files]
     _check_options(files, forms, how)
+    kinds = dict(zip(files, forms, strict=True))
     found: list[Acquisition] = []
     starts: list[int] = []
     unread: list[Unread] = []
@@ -105,6 +108,10 @@ def read_acquisitions(
             place += len(one)
         if progress is not None:
             progress(number, len(files))
+    images = [one for one in found if kinds[one.path] is DRONE_IMAGES]
+    if how.get("positions") is not None and len(images) > 1:
+        datum = how.get("height_datum") or "ellipsoid"
+        check_one_flight(images, read_positions(how["positions"], height_datum=datum, crs=how.get("crs")))
     told = told_once([one.assumed for one in found], "file")
     found = _with_distinct_names(found)
     places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
