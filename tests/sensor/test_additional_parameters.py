@@ -258,7 +258,7 @@ def test_a_camera_says_so_and_its_gradients_stay_finite():
     camera = FrameCamera.from_pixels(focal_px=1000.0, width=2001, height=2001, distortion=FOLDING)
     uv = np.array([[1000.0, 1200.0], [1000.0, 1900.0], [1e9, 0.0], [np.nan, 0.0]])
     points = np.array([[0.1, 0.1, 1.0], [0.5, 0.0, 1.0], [1e9, 0.0, 1.0], [np.nan, 0.0, 1.0]])
-    expected = [Status.hit] + 2 * [Status.outside_distortion_field] + [Status.invalid_input]
+    expected = [Status.hit, Status.outside_distortion_field, Status.outside_image, Status.invalid_input]
     assert list(np.asarray(rays(camera, uv)[1])) == expected
     assert list(np.asarray(pixels(camera, points)[1])) == expected
 
