@@ -204,7 +204,7 @@ def interior_errors(
 
 
 def _in_pixels(
-    option: str, text: str, count: int, form: str, where: pathlib.Path, pixel_pitch: float | None
+    option: str, text: str, count: int, form: str, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> list[float]:
     """Lengths on the detector in pixels. Raises `UserError`."""
     unit = text.strip()[-2:]

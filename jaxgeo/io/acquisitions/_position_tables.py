@@ -95,7 +95,7 @@ def _of_marks(path: Any, height_datum: Any, crs: Any) -> PositionTable:
         if found is None:
             raise TableError(f"{path}, row {number}: not a mark of a photo: {shown(line.strip())}.")
         photo, tow, week, _, _, _, *rest = found.groups()
-        values = dict(zip(MARK_FIELDS, map(float, (week, tow, *rest)), strict=True))
+        values: dict[str, float] = dict(zip(MARK_FIELDS, map(float, (week, tow, *rest)), strict=True))
         if sentinel_of(MARKS, "position", values):
             unknown.append(photo)
             continue

@@ -91,7 +91,9 @@ def _blocks(path: str | os.PathLike[str]) -> list[str]:
 
 def _record(index: int, block: str) -> LogRecord:
     text = re.sub(r"<[^>]*>", " ", block)
-    fields = {SPELLINGS.get(name.lower(), name.lower()): value for name, value in FIELD.findall(text)}
+    fields: dict[str, str] = {
+        SPELLINGS.get(name.lower()) or name.lower(): value for name, value in FIELD.findall(text)
+    }
     values = {name: float(value) if "/" not in value else value for name, value in fields.items()}
     numbers = {ours: _number(values.get(theirs)) for ours, theirs in NAMES.items()}
     numbers["altitude"] = _number(values.get("abs_alt", values.get("altitude")))
