@@ -276,6 +276,7 @@ MISTAKES = [
     ([*PLAN[:-1], "no/such/folder/plan.csv", "--overlap", "0.9"], ["no/such/folder"]),
     ([*FOOTPRINT, "--output", "x.shp"], [".shp is not one that is known"]),
     ([*FOOTPRINT, "--output", "no/such/folder/x.gpkg"], ["no/such/folder"]),
+    ([*FOOTPRINT, "--output", "x.gpkg", "--crs", "EPSG:999999"], ["does not know the crs 'EPSG:999999'"]),
     ([*FOOTPRINT, "--tolerance", "0"], ["--tolerance 0", "above 0 m"]),
 ]
 

@@ -60,6 +60,7 @@ NUMPY_FILES = {
     "adjust/starts.py": "the same",
     "adjust/unknowns.py": "choices by name, outside any trace",
     "adjust/weakness.py": "puts directions into words",
+    "coverage/_too_short.py": "looks at a flight before a plan of it is compiled, outside any trace",
     "coverage/clock.py": "nodes of a quadrature, and checks of concrete records",
     "coverage/flight.py": "flags of records, outside any trace",
     "coverage/footprint.py": "puts places into an outline until it is dense enough, outside any trace",

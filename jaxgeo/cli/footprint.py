@@ -103,6 +103,7 @@ def _footprint(
     """(numbers of each footprint, the footprints), written if there is an output."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
+    from jaxgeo.io.footprints import check_footprint_file
     from jaxgeo.io.scene import read_scene
 
     compile_quickly()
@@ -114,6 +115,8 @@ def _footprint(
     else:
         batch, carried = shots_of(scene, scene_path, shots_path, height_datum)
         shots = list(single(batch))
+    if output is not None:
+        check_footprint_file(output, crs, _attributes(carried), len(shots))
     terrain = read_terrain(*ground)
     outlines, rows = [], []
     for index, shot in enumerate(track(shots, "outlining")):

@@ -102,10 +102,10 @@ def _point(
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "pointing")
-    terrain = read_terrain(*ground) if ground[0] else None
-    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     if not scene.sensor.gimbal.names:
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
+    terrain = read_terrain(*ground) if ground[0] else None
+    aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     with working("compiling and pointing"):
         found = point(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
     return scene.sensor.gimbal.names, found, aim

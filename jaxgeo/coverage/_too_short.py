@@ -65,8 +65,8 @@ def no_ground(time: float) -> ValueError:
 
 def _refuse_unseen(corners: np.ndarray, along: Along, times: np.ndarray) -> None:
     """Raise `ValueError` for a moment at which neither side of the image along the flight comes down to any ground."""
-    seen = np.isfinite(corners).all(axis=2)
-    lost = np.logical_and.reduce([~(seen[:, i] & seen[:, j]) for i, j in SIDES[along]])
+    seen: np.ndarray = np.all(np.isfinite(corners), axis=2)
+    lost = ~np.logical_or(*(seen[:, i] & seen[:, j] for i, j in SIDES[along]))
     if lost.any():
         raise no_ground(float(times[int(np.argmax(lost))]))
 

@@ -101,6 +101,15 @@ def write_footprints(
         stream.write(encoded(f"{target}", driver, "footprints", features, names, chart.crs))
 
 
+def check_footprint_file(
+    path: str | os.PathLike[str], crs: Any, attributes: Sequence[Mapping[str, Any]] | None, count: int
+) -> None:
+    """Raises as `write_footprints` would for this name, CRS and attributes, before the footprints are made."""
+    target = pathlib.Path(path)
+    _checked_attributes(target, attributes, count)
+    _checked_map(target, crs, _driver(target), [])
+
+
 def _seen(footprint: Footprint) -> _Seen:
     """What is written of a footprint. The last place is repeated, so that few lengths are compiled."""
     count = len(np.asarray(footprint.uv))
@@ -172,7 +181,7 @@ def _checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Se
 
 def _extent(seen: Sequence[_Seen]) -> tuple[float, float, float, float] | None:
     """(west, south, east, north) in deg, about the first place that is seen."""
-    lon, lat, _ = np.concatenate([one.places[one.found] for one in seen]).T
+    lon, lat, _ = np.concatenate([np.zeros((0, 3)), *(one.places[one.found] for one in seen)]).T
     if not lat.size:
         return None
     beside = np.remainder(lon - lon[0] + 180.0, 360.0) - 180.0

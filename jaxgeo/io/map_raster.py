@@ -74,11 +74,16 @@ def raster_of(
     """
     if crs is None and bounds is not None:
         raise ValueError(f"{name}: bounds={bounds!r} are in the unit of a CRS; name it with crs=.")
-    area = _area(name, sensor, shot, terrain, how) if bounds is None else None
-    flat = checked_crs(name, crs) if crs is not None else _usual_crs(*_middle(area))
-    edges = _bounds_of(name, flat, area) if bounds is None else _checked_bounds(name, bounds)
-    usual = None if resolution is not None else terrain_spacing(name, terrain) if spacing is None else spacing()
-    size = _checked_resolution(name, resolution) if usual is None else _in_unit(usual, flat, edges)
+    asked = None if crs is None else checked_crs(name, crs)  # before lines of sight are located
+    edges = None if bounds is None else _checked_bounds(name, bounds)
+    size = None if resolution is None else _checked_resolution(name, resolution)
+    usual = terrain_spacing(name, terrain) if size is None and spacing is None else None
+    area = _area(name, sensor, shot, terrain, how) if edges is None else None
+    flat = _usual_crs(*_middle(area)) if asked is None else asked
+    edges = _bounds_of(name, flat, area) if edges is None else edges
+    if size is None:
+        usual = spacing() if spacing is not None else usual
+        size = _in_unit(usual, flat, edges)  # pyright: ignore[reportArgumentType]
     (west, south, east, north), (across, down) = edges, size
     if usual is None:
         _check_resolution_is_not_too_fine(name, resolution, (north - south) / down, (east - west) / across)

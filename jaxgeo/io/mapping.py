@@ -17,7 +17,9 @@ from jaxgeo.io._proj import NoOperation, operation, unit_normals
 from jaxgeo.io.errors import DemError
 from jaxgeo.terrain.grid import AbstractGrid
 
+LEAST_DRIFT, MOST_DRIFT = 1e-6, 0.1  # m between a place on a map and what PROJ makes of it there and back
 Affine6 = tuple[float, float, float, float, float, float]
+OTHER_BODY = 0.01  # of the semi-axes; ellipsoids and spheres of the Earth lie within 0.4 % of each other
 XY = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -59,7 +61,11 @@ class FileMap:
 
 @dataclasses.dataclass(frozen=True)
 class MapError:
-    """Largest differences between a grid and PROJ over a fresh set of posts: there in m and cells, and back in m."""
+    """Largest differences between a grid and PROJ over a fresh set of posts: there in m and cells, and back in m.
+
+    There is the worse of two: by the places that PROJ gives posts, and by the posts that PROJ gives those places, which
+    on some maps it does not bring back to where they were.
+    """
 
     metres: float
     cells: float
@@ -83,6 +89,7 @@ def file_map(
     3000 m, well within its stated accuracy.
     """
     geographic = crs.geodetic_crs
+    check_is_earth(name, crs)
     if assume_wgs84 and geographic is not None:
         if crs.is_geographic:
             return FileMap(affine, shape, crs, _keep, _keep, "taken as WGS 84 by the caller")
@@ -97,7 +104,22 @@ def file_map(
                 f"off by hundreds of metres. If the file's datum is WGS 84 in all but name, pass assume_wgs84=True."
             ) from error
         horizontal = str(found)
-    return FileMap(affine, shape, crs, found.transformer.transform, _true_inverse(found.transformer), horizontal)
+    forward = _true_projection(crs, affine, shape, found.transformer.transform)
+    return FileMap(affine, shape, crs, forward, _true_inverse(found.transformer, forward), horizontal)
+
+
+def check_is_earth(name: str, crs: pyproj.CRS) -> None:
+    """Raise `DemError` for a map of another body than the Earth, by the size of its ellipsoid."""
+    body = crs.ellipsoid
+    if body is None:
+        return
+    sizes = body.semi_major_metre / WGS84.a, body.semi_minor_metre / WGS84.b
+    if max(abs(size - 1.0) for size in sizes) > OTHER_BODY:
+        raise DemError(
+            f"{name}: the map {crs.name!r} is of a body with semi-axes of {body.semi_major_metre:.0f} and "
+            f"{body.semi_minor_metre:.0f} m, which is not the Earth ({WGS84.a:.0f} and {WGS84.b:.0f} m). Only maps of "
+            f"the Earth are read."
+        )
 
 
 def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
@@ -111,6 +133,9 @@ def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
         return MapError(np.inf, np.inf, np.inf)
     found, back = _both_ways(grid, jnp.asarray(normals), jnp.asarray(rowcol))
     cells = np.abs(np.asarray(found) - rowcol)
+    if not mapping.crs.is_geographic:
+        again = np.stack(mapping.rowcol(*mapping.lonlat(rowcol[:, 0], rowcol[:, 1])), axis=-1)
+        cells = np.fmax(cells, np.abs(np.asarray(found) - again))
     size = np.asarray(grid.cell_size())
     metres = np.linalg.norm(cells * size, axis=1).max()
     return MapError(
@@ -142,7 +167,36 @@ def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[flo
     return float(west), float(np.clip(y.min(), -90, 90)), float(east), float(np.clip(y.max(), -90, 90))
 
 
-def _true_inverse(transformer: pyproj.Transformer) -> XY:
+def _true_projection(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], to_lonlat: XY) -> XY:
+    """`to_lonlat`, mended where PROJ's way back from a map is off its way there, which is the map's formula.
+
+    By up to some mm in equal-area maps, whose inverse PROJ takes from a short series.
+    """
+    if crs.is_geographic or crs.geodetic_crs is None:
+        return to_lonlat
+    projection = pyproj.Transformer.from_crs(crs.geodetic_crs, crs, always_xy=True)
+    unit = crs.axis_info[0].unit_conversion_factor
+
+    def drift(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        again = projection.transform(*projection.transform(x, y, direction="INVERSE"))
+        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+            off = np.stack([again[0] - x, again[1] - y])
+        return tuple(np.where(np.isfinite(off), off, 0.0))
+
+    a, b, c, d, e, f = affine
+    row, col = (u.ravel() for u in np.meshgrid(np.linspace(0, shape[0] - 1, 9), np.linspace(0, shape[1] - 1, 9)))
+    off = np.abs(drift(a * col + b * row + c, d * col + e * row + f)).max() * unit
+    if not LEAST_DRIFT < off < MOST_DRIFT:  # more is no matter of rounding: places that the map shows twice
+        return to_lonlat
+
+    def mended(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        off_x, off_y = drift(x, y)
+        return to_lonlat(x - off_x, y - off_y)
+
+    return mended
+
+
+def _true_inverse(transformer: pyproj.Transformer, forward: XY) -> XY:
     """The inverse of `transformer.transform`, which PROJ's own is only to millimetres between two ellipsoids.
 
     There PROJ takes the height as zero on either side; the posts lie where the way to WGS 84 puts them.
@@ -150,7 +204,7 @@ def _true_inverse(transformer: pyproj.Transformer) -> XY:
 
     def inverse(lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y = transformer.transform(lon, lat, direction="INVERSE")
-        again = transformer.transform(x, y)
+        again = forward(x, y)
         with np.errstate(invalid="ignore"):  # infinite where the map does not reach
             off_lon, off_lat = (lon - again[0] + 180.0) % 360.0 - 180.0, lat - again[1]
             off = np.maximum(np.abs(off_lon) * np.cos(np.radians(lat)), np.abs(off_lat))

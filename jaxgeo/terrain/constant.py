@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._numerics import finite_or, value_and_slope
+from jaxgeo._numerics import dot, finite_or, value_and_slope
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField, Vector3
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 from jaxgeo.earth.geodetic import Geodetic
@@ -16,7 +16,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.field import AbstractField, ConstantField, checked_field
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
-from jaxgeo.terrain.search.base import AbstractSearch
+from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch
 
 CLOSE_ENOUGH = 1e-6  # m of height
 ROUNDS = 3  # to the height on another ellipsoid than WGS 84
@@ -50,8 +50,11 @@ class ConstantHeight(AbstractTerrain):
             near, _, meets = self.ellipsoid.ranges_to_height(ray.origin, ray.direction, height)
         else:
             near, meets = _bent_range(self.ellipsoid, ray, height)
-        below = self.ellipsoid.normal_and_height(ray.origin)[1] < height
-        ahead = meets & (near >= 0.0) & ~below
+        up, above = self.ellipsoid.normal_and_height(ray.origin)
+        above = above - height
+        below, on_ground = above < -ON_GROUND, jnp.abs(above) <= ON_GROUND
+        near = jnp.where(on_ground, 0.0, near)
+        ahead = jnp.where(on_ground, dot(up, ray.direction) < 0.0, meets & (near >= 0.0) & ~below)
         status = status_where(ahead, Status.hit, Status.rises_away.code)
         status = status_where(below, Status.camera_below_terrain, status)
         distance = jnp.where(ahead, near, 0.0)

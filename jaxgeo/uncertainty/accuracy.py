@@ -98,14 +98,15 @@ def accuracy(
         raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
+    sampling = Sampling(jax.random.key(0) if key is None else key, count, draws, chunk=chunk)
+    sampling.check()
     aim = look.aim(search)
     aim.require_fix()
     signs, facet, footprint, _ = surveyed(look, aim, model)
     trust = Trust(int(trust_of(signs)))
     because = reason(signs, trust)
     if trust is Trust.samples:
-        key = jax.random.key(0) if key is None else key
-        drawn = sampled_at(look, model, search, Sampling(key, count, draws, chunk=chunk), aim)
+        drawn = sampled_at(look, model, search, sampling, aim)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         circular, linear, spherical = (door(probability).value for door in doors)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)

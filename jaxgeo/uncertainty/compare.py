@@ -119,8 +119,9 @@ def compare(
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
     look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
-    aim = look.aim(search)
     sampling = Sampling(key, count, draws, keep=True, chunk=chunk, devices=devices, progress=progress)
+    sampling.check()
+    aim = look.aim(search)
     drawn = sampled_at(look, model, search, sampling, aim)
     _, facet, footprint, profile = surveyed(look, aim, model)
     methods = {

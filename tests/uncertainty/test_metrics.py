@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -309,3 +311,36 @@ def test_quantile_is_an_order_statistic():
     np.testing.assert_allclose(m.sample_rms(np.array([3.0, 4.0])), np.sqrt(12.5))
     with pytest.raises(ValueError, match="at least one"):
         m.sample_quantile(np.zeros(0), 0.5)
+
+
+@pytest.mark.parametrize("left, close", [(1e-4, 1e-12), (1e-6, 1e-10), (1e-8, 1e-8), (1e-10, 1e-6)])
+def test_near_one_radii_have_the_digits_that_are_promised(left: float, close: float) -> None:
+    """Against mpmath, of round errors in the plane and in space, a flat one in the plane, and along a line."""
+    import mpmath as mp
+
+    with mp.workdps(40):
+        rest = mp.mpf(1) - mp.mpf(1.0 - left)
+        line = mp.sqrt(2) * mp.erfinv(1 - rest)
+        plane = mp.sqrt(-2 * mp.log(rest))
+        space = mp.findroot(
+            lambda r: mp.erfc(r / mp.sqrt(2)) + mp.sqrt(2 / mp.pi) * r * mp.exp(-r * r / 2) - rest, plane + 0.3
+        )
+        line, plane, space = float(line), float(plane), float(space)
+    level = 1.0 - left
+    assert float(m.circular_error(np.eye(2), level)) == pytest.approx(plane, rel=close)
+    assert float(m.circular_error(np.diag([9.0, 0.0]), level)) == pytest.approx(3.0 * line, rel=close)
+    assert float(m.spherical_error(np.eye(3), level)) == pytest.approx(space, rel=close)
+    assert float(m.linear_error(1.0, level)) == pytest.approx(line, rel=close)
+
+
+@pytest.mark.parametrize("radius", [lambda p: m.circular_error(np.eye(2), p), lambda p: m.linear_error(1.0, p)])
+def test_beyond_them_a_probability_is_refused(radius: Any) -> None:
+    with pytest.raises(ValueError, match=r"at most 1 - 1e-10, up to which a radius has digits; got 1 - 1e-12"):
+        radius(1.0 - 1e-12)
+    assert np.isnan(jax.jit(radius)(1.0 - 1e-12))
+
+
+def test_an_error_ellipse_prints_its_numbers() -> None:
+    assert str(m.error_ellipse(np.diag([9.0, 1.0]))) == "semi-axes 3 and 1 m, the longer at 90 deg clockwise from north"
+    several = str(m.error_ellipse(np.stack([np.diag([9.0, 1.0]), np.diag([1.0, 4.0])])))
+    assert several == "semi-axes [3 2] and [1 1] m, the longer at [90 0] deg clockwise from north"

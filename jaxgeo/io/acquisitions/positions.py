@@ -85,13 +85,16 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
 def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
     """Raises `TableError` where images that were read one by one and a table are not of one flight, by their times, or
     where two images have one number."""
-    shots = jax.tree.map(
-        lambda *each: np.concatenate([np.asarray(one) for one in each]), *[one.shots for one in images]
-    )
-    names = np.concatenate([one.names for one in images])
-    utc = all(one.time_is_utc for one in images)
-    found = Acquisition(
-        path=images[0].path, form=images[0].form, names=names, sensor=None, shots=shots, time_is_utc=utc
+    each = [one.shots for one in images]
+    found = dataclasses.replace(
+        images[0],
+        names=np.concatenate([one.names for one in images]),
+        sensor=None,
+        shots=jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *each),
+        sources=(),
+        reported=None,
+        tags=(),
+        time_is_utc=all(one.time_is_utc for one in images),
     )
     rows, _ = _joined(found, table)
     kept = np.flatnonzero(rows >= 0)

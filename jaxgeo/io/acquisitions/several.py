@@ -71,12 +71,13 @@ def read_acquisitions(
     """The exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop the others.
 
     `paths` and the options `how` are those of `read_acquisition`; a folder stands for the JPEG and TIFF images in it.
-    With `positions` an image that the file does not have is unread. Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
-    another. An option applies to the files whose reader takes it. `progress` is called with the number of files read
-    and that of all.
+    Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
+    another. An option applies to the files whose reader takes it; with `positions`, an image that the file does not
+    have is unread. `progress` is called with the number of files read and that of all.
 
     Raises, as they concern all files: `WrongOption` for an option that no file's reader takes; `UnstatedDatum` and
-    `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a path that is not there; `ImageError` for a folder without images.
+    `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a path that is not
+    there; `ImageError` for a folder without images.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.interface import Bracket
 
 CEILING_MARGIN = 1.0  # m above the highest ground, so that a search starts clearly above the surface
+ON_GROUND = 1e-6  # m; a ray that begins nearer to the ground begins on it, whatever the sign of the rounding
 FLOOR_MARGIN = 1.0  # m below the lowest ground, so that it ends clearly below
 BEYOND = 200_000.0  # m behind the lowest point of a bent ray that does not sink to the floor when straight
 
@@ -94,8 +95,13 @@ def is_towards(p_ecef: Vector3, up: Vector3, cosine: Scalar) -> Flag:
 
 
 def is_buried(ray: Ray, dem: Dem) -> Flag:
-    """Whether the ray begins over the grid and below its known surface."""
+    """Whether the ray begins over the grid and below its known surface, by more than rounding."""
+    return above_ground(ray, dem) < -ON_GROUND
+
+
+def above_ground(ray: Ray, dem: Dem) -> Scalar:
+    """How far in m above the known surface a ray begins; infinitely far, where none is known below it."""
     rowcol, height = dem.over(ray.origin)
     cell = dem.cell_of(rowcol)
     _, is_void = dem.patch(cell)
-    return dem.contains(rowcol) & ~is_void & (height < dem.surface(rowcol, cell))
+    return jnp.where(dem.contains(rowcol) & ~is_void, height - dem.surface(rowcol, cell), jnp.inf)

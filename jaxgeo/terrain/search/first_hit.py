@@ -11,11 +11,12 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Int
 
 from jaxgeo._numerics import newton_or_half, safe_sqrt
-from jaxgeo._typing import Scalar
+from jaxgeo._typing import Flags, Scalar
+from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, Reach, is_buried, reach_of
+from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch, Reach, above_ground, reach_of
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.crowd import Walker, walk_all
 from jaxgeo.terrain.search.ground import Ground, fits_together
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
+LIFT = 2.0 * ON_GROUND  # m; far less than the room for the polish, which takes it off again
 ROOM = 2e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
 ROOT_STEPS = 3  # and one more on the exact map
 SLACK = 1e-7  # of the piece of track: far more than rounding moves a root, far less than is left to the polish
@@ -143,16 +145,20 @@ def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem | Ground, dem_
 
 def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
     reach = ground.each(reach_of, rays)
-    walker, track = walk_all(rays, reach, ground, beam)
-    brackets = ground.each(_as_bracket, walker, track, reach)
     begins_low = reach.exists & reach.is_near & (reach.start == 0.0)
 
-    def with_buried() -> Bracket:
-        buried = begins_low & ground.each(is_buried, rays)
-        status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
-        return eqx.tree_at(lambda b: b.status, brackets, status)
+    def at_ground() -> tuple[Array, Flags]:
+        above = ground.each(above_ground, rays)
+        on_ground = begins_low & (jnp.abs(above) <= ON_GROUND)
+        up = jax.vmap(lambda p_ecef: WGS84.normal_and_height(p_ecef)[0])(rays.origin)
+        lifted = rays.origin + LIFT * up  # so that it is seen on which side of the ground it goes on
+        return jnp.where(on_ground[:, None], lifted, rays.origin), begins_low & (above < -ON_GROUND)
 
-    return jax.lax.cond(jnp.any(begins_low), with_buried, lambda: brackets)
+    origin, buried = jax.lax.cond(jnp.any(begins_low), at_ground, lambda: (rays.origin, begins_low & False))
+    walker, track = walk_all(eqx.tree_at(lambda ray: ray.origin, rays, origin), reach, ground, beam)
+    brackets = ground.each(_as_bracket, walker, track, reach)
+    status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
+    return eqx.tree_at(lambda b: b.status, brackets, status)
 
 
 def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket:

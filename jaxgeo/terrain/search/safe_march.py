@@ -13,7 +13,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import FLOOR_MARGIN, reach_between
+from jaxgeo.terrain.search.base import FLOOR_MARGIN, ON_GROUND, reach_between
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.height_function import HeightFunction
@@ -62,7 +62,7 @@ def safe_march(ray: Ray, terrain: HeightFunction) -> Bracket:
     start, end, exists, sinks = reach_between(ray, low, high)
     end = jnp.where(exists, end, start)
     first = _place(ray, terrain, start)
-    buried = (start == 0.0) & (first.clearance < 0.0)
+    buried = (start == 0.0) & (first.clearance < -ON_GROUND)
     news = jnp.full((), ON_THE_WAY, jnp.int8)
     news = status_where(jnp.isnan(first.ground), Status.hits_void, news)
     news = status_where(~_within(first.ground, low, high), Status.invalid_input, news)

@@ -12,6 +12,7 @@ from jaxgeo._typing import Flag, Numbers, Scalar
 from jaxgeo.uncertainty.metrics._ball import Frame, bends_of, eigen, frame_of, in_ball, slopes_of, spread
 
 MOST_STEPS = 100
+HIGHEST = 1.0 - 1e-10  # probability, beyond which what is left to 1 is no longer told by a sum of float64
 CLOSE = 1e-13  # of the radius
 ROUNDING = 1e-12  # of the largest entry: what a covariance may lack to be symmetric or positive
 
@@ -19,10 +20,10 @@ ROUNDING = 1e-12  # of the largest entry: what a covariance may lack to be symme
 def radius_of(cov: Numbers, probability: Scalar, mean: Numbers) -> Scalar:
     """The radius about the origin that holds N(mean, cov) with the probability; |mean| for a covariance of zero.
 
-    NaN where the covariance is none or the probability lies outside (0, 1).
+    NaN where the covariance is none or the probability lies outside (0, `HIGHEST`].
     """
     size, is_point, shape, place = _unit(cov, mean)
-    inside = (probability > 0.0) & (probability < 1.0)
+    inside = (probability > 0.0) & (probability <= HIGHEST)
     radius = size * _unit_radius(frame_of(shape, place), shape, place, jnp.where(inside, probability, 0.5))
     return jnp.where(inside & is_covariance(cov), jnp.where(is_point, safe_norm(mean), radius), jnp.nan)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from jaxgeo._checks import concrete
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
@@ -19,6 +20,18 @@ class ErrorEllipse(Record):
     major: Numbers
     minor: Numbers
     azimuth: Numbers
+
+    def __str__(self) -> str:
+        numbers = [concrete(x) for x in (self.major, self.minor, jnp.round(jnp.rad2deg(self.azimuth), 6))]
+        shown = [_shown(x.tolist()) for x in numbers if x is not None]
+        if len(shown) < len(numbers):  # traced
+            return repr(self)
+        return "semi-axes {} and {} m, the longer at {} deg clockwise from north".format(*shown)
+
+
+def _shown(numbers: Any) -> str:
+    """A number, or numbers in lists, with six digits."""
+    return f"[{' '.join(map(_shown, numbers))}]" if isinstance(numbers, list) else f"{numbers:.6g}"
 
 
 def error_ellipse(cov: Any, probability: Any = None) -> ErrorEllipse:

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete
 from jaxgeo._typing import Numbers
-from jaxgeo.uncertainty.metrics._radius import ROUNDING, chance_within, radius_of
+from jaxgeo.uncertainty.metrics._radius import HIGHEST, ROUNDING, chance_within, radius_of
 
 
 def _for_crowds(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callable[..., Numbers]:
@@ -40,10 +40,12 @@ def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
     `cov` (..., 2, 2) in m² along any two axes at right angles; `bias` (..., 2) in m along the same, zero by default:
     the error is N(bias, cov), and the circle lies about zero error, not about its mean. Leading axes broadcast. Not an
     approximation: the integral is inverted, to about 1e-12 of the radius, from round to flat errors and near or far
-    biases. Derivatives of every order by all three hold for equal axes, for a flat covariance and for no bias; at a
-    covariance of zero the radius is |bias|, and its derivative by the covariance, which is infinite, is given as zero.
-    Raises `ValueError` for a probability outside (0, 1), a covariance that is none, infinities and NaN; traced, the
-    radius is NaN then.
+    biases; near one, where little is left of the probability, to 1e-10 at 1 - 1e-6, 1e-8 at 1 - 1e-8 and 1e-6 at
+    1 - 1e-10, the highest that is taken. Derivatives of every order by all three hold for equal axes, for a flat
+    covariance and for no bias; at a covariance of zero the radius is |bias|, and its derivative by the covariance,
+    which is infinite, is given as zero.
+    Raises `ValueError` for a probability that is not above 0 and at most 1 - 1e-10, a covariance that is none,
+    infinities and NaN; traced, the radius is NaN then.
 
     >>> print(f"{jaxgeo.circular_error(np.eye(2), 0.9):.4f}")
     2.1460
@@ -103,7 +105,13 @@ def _as_line(variance: Any, other: Any, bias: Any) -> tuple[Any, Any, Any]:
 
 def _radius(cov: Any, probability: Any, bias: Any, d: int) -> Numbers:
     cov, bias = covariance(cov, d), bias_of(bias, d)
-    return _radii(cov, check_probability(probability), bias)
+    level = check_probability(probability)
+    known = concrete(level)
+    if known is not None and np.any(known > HIGHEST):
+        raise ValueError(
+            f"probability must be at most 1 - 1e-10, up to which a radius has digits; got 1 - {1.0 - known.max():.3g}."
+        )
+    return _radii(cov, level, bias)
 
 
 def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:
