@@ -365,3 +365,19 @@ def test_told_once_keeps_order_and_counts() -> None:
     assert told_once([["A.", "B."], ["B."], []], "file") == ("A. (1 of 3 files)", "B. (2 of 3 files)")
     assert told_once([["By 1."], ["By 2."]], "file") == ("By 1. (2 of 2 files, other numbers in some)",)
     assert told_once([], "file") == ()
+
+
+LENS = "[camera]\nwidth = {}\nheight = {}\nfocal_px = {}\n[errors]\nfocal_px = {}\nprincipal_px = {}\n"
+
+
+def test_errors_of_a_lens_of_a_scene_are_those_of_the_image_at_its_size(flight: pathlib.Path) -> None:
+    """The same camera and the same relative errors, written for images of another size, give the same CE90."""
+    found = []
+    for factor in (1.0, 4.0):
+        scene = flight.parent / f"lens{factor:g}.toml"
+        size = [factor * value for value in (64, 48, 60.0, 0.6, 0.3)]
+        scene.write_text(LENS.format(int(size[0]), int(size[1]), *size[2:]) + '[gimbal]\nkind = "fixed"\n')
+        result = run("locate", flight / "b.jpg", "--scene", scene, *GROUND, "--pixel", "5,5", "--json")
+        assert result.exit_code == 0, result.output
+        found.append(json.loads(result.stdout)["fixes"][0]["ce90_m"])
+    assert found[0] == pytest.approx(found[1], rel=1e-3)

@@ -230,7 +230,7 @@ def test_positions_on_the_command_line(folder: pathlib.Path) -> None:
     result = run("inspect", folder, "--positions", path, "--height-datum", "ellipsoid", "--json")
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
-    assert [one["name"] for one in told["unread"]] == ["b.jpg"]
+    assert [one["name"] for one in told["unread"]] == ["DJI_0002.JPG"]
     assert "it has none of the images" in told["unread"][0]["reason"]
     assert [row["lat_deg"] for row in told["exposures"]] == [pytest.approx(36.3)]
     assert told["errors"]["position: down, m"] == 0.03
