@@ -33,7 +33,7 @@ DJI = {
     "drone-dji:CalibratedFocalLength": "3666.67",
 }
 MARK = "{}\t362830.112\t[2312]\t   12,N\t   -3,E\t  190,V\t{},Lat\t{},Lon\t900.000,Ellh\t0.0101, 0.0102, 0.0203\t{},Q"
-# As a Matrice with a P1 wrote it.
+# A line as it stands in a public test of a reader of such files.
 MARK_P1 = (
     "1\t400373.488877\t[2264]\t-40,N\t0,E\t86,V\t44.42824637,Lat\t1.26196331,Lon\t359.494,Ellh\t"
     "0.028, 0.031, 0.055\t16,Q"
