@@ -134,7 +134,7 @@ MISTAKES = {
     ),
     "pixel without a ray": (
         lambda: LENS_ON_FRAME.looking_at(POSE, POINT, uv=np.array([1e7, 0.0])),
-        "Pixel uv cannot be put on the point. The pixel or point lies outside the field",
+        "Pixel uv cannot be put on the point. The pixel, or the image of the point, lies outside the image",
     ),
     "pose not finite": (
         lambda: NARROW.looking_at(Pose(POSE.position, np.nan, 0.0, 0.0), POINT),
