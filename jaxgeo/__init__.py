@@ -14,6 +14,12 @@ Examples in docstrings take for granted that `jaxgeo` and `numpy as np` are impo
 
 from __future__ import annotations
 
+from jaxgeo import _interruption
+
+if _interruption.is_command():
+    _interruption.heed()  # before JAX is imported
+
+# isort: split
 import importlib
 from typing import TYPE_CHECKING, Any
 

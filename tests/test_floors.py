@@ -9,7 +9,8 @@ import pytest
 
 # In order from the ground up. Rooms on one floor do not import each other.
 FLOORS = [
-    ["_typing", "_checks", "_elementary", "_numerics", "_record", "status", "least_squares", "_destination"],
+    ["_interruption"],
+    ["_typing", "_checks", "_elementary", "_numerics", "_record", "status", "least_squares", "_destination", "_partial"],
     ["earth", "rotations"],
     ["sensor", "terrain"],
     ["fix"],
@@ -31,6 +32,7 @@ MAY_TALK = {frozenset(pair) for pair in [("_typing", room) for room in FLOORS[0]
     frozenset({"_checks", "_numerics"}),
     frozenset({"status", "_checks"}),
     frozenset({"_record", "_checks"}),
+    frozenset({"_destination", "_partial"}),
     frozenset({"earth", "rotations"}),
 }
 

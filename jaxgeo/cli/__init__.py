@@ -10,17 +10,12 @@ writes a file that appears when it is whole; exit codes are those of `_common.py
 
 from __future__ import annotations
 
-import _thread
-import os
-import signal
-import sys
-import threading
 from typing import Annotated, Any
 
 import typer
 
+from jaxgeo._interruption import run
 from jaxgeo.cli._commands import Commands
-from jaxgeo.cli._common import INTERRUPTED
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._results import version
 from jaxgeo.cli.demo import demo_command
@@ -35,14 +30,13 @@ from jaxgeo.cli.register import register_command
 from jaxgeo.cli.report import report_command
 from jaxgeo.cli.study import studies
 
-AGAIN = 0.02  # s after which a wish to stop is told once more
-
 EPILOG = """[bold]Exit codes[/bold]
     0  done
     1  done, but without an answer: no fix, not registered, no picture
     2  a mistake of yours, told in one line
    70  a fault of jaxgeo's; --debug shows where
   130  interrupted
+  143  terminated
 
 Results go to stdout, messages and progress to stderr. --json prints one JSON object.
 Help on a command, with examples: [bold]jaxgeo locate --help[/bold]"""
@@ -92,30 +86,6 @@ _add("demo", demo_command)
 app.add_typer(studies, name="study")
 
 
-def _heed_signals() -> None:
-    """A wish to stop ends a command in order, also where a callback of the compiler's would swallow it."""
-    usual = sys.unraisablehook
-
-    def heed(what: Any) -> None:
-        if what.exc_type is not None and issubclass(what.exc_type, KeyboardInterrupt):
-            threading.Timer(AGAIN, _thread.interrupt_main).start()  # where it is not swallowed
-        else:
-            usual(what)
-
-    sys.unraisablehook = heed
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
-
-
 def main() -> None:
     """Entry point of the command `jaxgeo`."""
-    _heed_signals()
-    try:
-        app()
-    except SystemExit as end:
-        if end.code == INTERRUPTED:  # XLA's threads are still compiling, and would crash on an orderly way out
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(INTERRUPTED)
-        raise
+    run(app)
