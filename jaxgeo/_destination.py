@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
-import secrets
 import shutil
 import sys
 from collections.abc import Iterable, Iterator
 from typing import Any
+
+from jaxgeo._partial import partial_file
 
 SCREEN = pathlib.Path("-")
 
@@ -32,16 +33,12 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
     else:
         check_place(option, output)
         target = output.resolve()  # a link stays a link
-        partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
-        stream = _opened(option, output, partial, binary)
-        try:
-            with stream:
+        with partial_file(target) as partial:
+            with _opened(option, output, partial, binary) as stream:
                 yield stream
             if target.exists():
                 shutil.copymode(target, partial)
             partial.replace(target)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def is_device(output: pathlib.Path) -> bool:

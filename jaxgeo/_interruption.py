@@ -9,6 +9,7 @@ therefore waits for the signal, and ends the process if the main thread has not 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import select
@@ -84,11 +85,7 @@ def run(command: Callable[[], Any]) -> NoReturn:
     except BaseException:  # of which the signal may be the cause by way of a callback
         if _state.number is None:
             raise
-    if _state.number is not None or code == EXIT_CODE + signal.SIGINT:
-        _flush()
-        # Threads of XLA that are still compiling would crash on an orderly way out.
-        os._exit(code if _state.number is None else EXIT_CODE + _state.number)
-    sys.exit(code)
+    _leave(code if _state.number is None else EXIT_CODE + _state.number)
 
 
 @contextlib.contextmanager
@@ -161,7 +158,17 @@ def _end() -> NoReturn:
     os._exit(EXIT_CODE + (_state.number or signal.SIGINT))
 
 
-def _flush() -> None:
+def _leave(code: Any) -> NoReturn:
+    """End the process without taking the interpreter apart.
+
+    That takes up to a second with JAX loaded, in which Python handles no signals; and threads of XLA that are still
+    compiling after a signal would crash.
+    """
+    if not isinstance(code, int | None):
+        sys.exit(code)
+    if _state.number is None:
+        atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
+    os._exit(code or 0)

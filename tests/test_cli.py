@@ -7,7 +7,7 @@ import io
 import json
 import os
 import pathlib
-import runpy
+import subprocess
 import sys
 import threading
 from types import SimpleNamespace
@@ -351,9 +351,7 @@ def test_help_says_what_demo_does_without_matplotlib() -> None:
     assert "exit code is 1" in text
 
 
-def test_the_package_is_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(sys, "argv", ["jaxgeo", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module("jaxgeo", run_name="__main__")
-    assert ended.value.code == 0
-    assert "locate" in capsys.readouterr().out
+def test_the_package_is_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "jaxgeo", "--help"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert "locate" in done.stdout

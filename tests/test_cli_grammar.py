@@ -9,10 +9,8 @@ import json
 import os
 import pathlib
 import re
-import signal
 import subprocess
 import sys
-import time
 import types
 from types import SimpleNamespace
 
@@ -455,22 +453,6 @@ def test_what_goes_wrong_is_one_line(folder, monkeypatch, error, code: int, word
     assert ("Traceback" in result.stderr) == is_shown
     assert is_shown or len(lines) == 1
     assert {path.name for path in pathlib.Path().iterdir()} == before
-
-
-def test_an_interruption_that_a_callback_swallows_comes_again(monkeypatch, request) -> None:
-    from jaxgeo.cli import _heed_signals
-
-    told: list[object] = []
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where the tests run in the background
-    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
-    monkeypatch.setattr(signal, "signal", lambda *_: None)  # those of the tests stay
-    _heed_signals()
-    sys.unraisablehook(SimpleNamespace(exc_type=KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        time.sleep(5.0)
-    sys.unraisablehook(SimpleNamespace(exc_type=ValueError))
-    assert [one.exc_type for one in told] == [ValueError]
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:

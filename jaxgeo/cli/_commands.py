@@ -38,7 +38,8 @@ class Commands(TyperGroup):
             return super().main(**given, **extra)
         try:
             code = super().main(**given, **extra)
-            sys.stdout.flush()
+            if sys.stdout is not None:  # it may have been closed
+                sys.stdout.flush()
         except MistakeOfUse as error:
             if type(error).__name__ != "NoArgsIsHelpError":  # what it has to say is on the screen
                 tell(in_a_line(error))

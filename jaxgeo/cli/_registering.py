@@ -6,12 +6,13 @@ import contextlib
 import math
 import os
 import pathlib
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
+from jaxgeo._interruption import undone_if_stopped
+from jaxgeo._partial import hidden_name, left_over
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import (
     DEM_SIGMA,
@@ -25,6 +26,7 @@ from jaxgeo.cli._errors import (
 from jaxgeo.cli._inputs import numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
+OLD = ".old"
 DEM_CORRELATION = 500.0  # m, where nobody says over which distance they err alike
 LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
 PICTURED = 1024  # cells along a side of what a picture shows, at most
@@ -136,18 +138,26 @@ def prepared_folder(folder: pathlib.Path, inputs: Iterable[str | os.PathLike[str
 def new_results(folder: pathlib.Path) -> Iterator[None]:
     """What an earlier registration left in a folder is gone when new results are all written, so that nothing of it
     seems to be new; where they cannot be written, it comes back."""
-    aside = folder / f".jaxgeo-{secrets.token_hex(4)}.old"
+    for one in left_over(folder, OLD):
+        _put_back(one, folder)
+    aside = hidden_name(folder / FILES[0], OLD)
     aside.mkdir()
-    _move(folder, aside)
-    try:
-        yield
-    except BaseException:
+    with undone_if_stopped(lambda: _put_back(aside, folder)):
+        _move(folder, aside)
+        try:
+            yield
+        except BaseException:
+            _put_back(aside, folder)
+            raise
+    shutil.rmtree(aside)
+
+
+def _put_back(aside: pathlib.Path, folder: pathlib.Path) -> None:
+    if aside.exists():
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
         _move(aside, folder)
         aside.rmdir()
-        raise
-    shutil.rmtree(aside)
 
 
 def _move(source: pathlib.Path, target: pathlib.Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import secrets
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,6 +13,7 @@ import rasterio.shutil
 from rasterio.errors import RasterioError
 
 from jaxgeo._checks import check_is
+from jaxgeo._partial import partial_file
 from jaxgeo.earth import Geodetic
 from jaxgeo.io.map_raster import MapRaster, checked_target, map_of, raster_of
 from jaxgeo.io.windows import Bounds
@@ -83,25 +83,22 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
     rows, cols = raster.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 4, "height": rows, "width": cols, "nodata": np.nan}
     profile |= {"crs": raster.crs.to_wkt(), "transform": raster.transform, "compress": "deflate"}
-    partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
-    optimised = partial.with_suffix(".cog.partial")
     percent = f"{100.0 * found.probability:g}"
     try:
-        with rasterio.open(partial, "w", **profile) as sink:
-            sink.write(bands)
-            sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
-            sink.units = ("m", "m", "", "")
-            sink.update_tags(**_tags(found))
-        if cog:
-            rasterio.shutil.copy(partial, optimised, driver="COG", **COG)
-            optimised.replace(target)
-        else:
-            partial.replace(target)
+        with partial_file(target) as partial:
+            with rasterio.open(partial, "w", **profile) as sink:
+                sink.write(bands)
+                sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
+                sink.units = ("m", "m", "", "")
+                sink.update_tags(**_tags(found))
+            if cog:
+                optimised = partial.with_name(f"{partial.name}.cog")
+                rasterio.shutil.copy(partial, optimised, driver="COG", **COG)
+                optimised.replace(target)
+            else:
+                partial.replace(target)
     except (OSError, RasterioError) as error:
         raise OSError(f"{target}: the map cannot be written here: {error}") from error
-    finally:
-        for left in (partial, optimised):
-            left.unlink(missing_ok=True)
 
 
 def _tags(found: AccuracyMap) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pathlib
 import threading
 import zipfile
@@ -11,6 +10,7 @@ import zlib
 
 import numpy as np
 
+from jaxgeo._partial import partial_file
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source
 from jaxgeo.io.tiles import OpenFiles, stamp_of
@@ -105,12 +105,12 @@ class Blocks:
         is_enough = count == self.is_read.size or count - self._saved > at_least * self.is_read.size
         if self.cache is None or count == self._saved or not is_enough:
             return
-        beside = self.cache.with_name(f"{self.cache.name}.{os.getpid()}.part")
         try:
-            with beside.open("wb") as stream:
-                fields = {name: getattr(self, name) for name in ("low", "high", "has_void", "is_read")}
-                np.savez_compressed(stream, identity=np.array(self._identity()), **fields)
-            beside.replace(self.cache)
+            with partial_file(self.cache) as beside:
+                with beside.open("wb") as stream:
+                    fields = {name: getattr(self, name) for name in ("low", "high", "has_void", "is_read")}
+                    np.savez_compressed(stream, identity=np.array(self._identity()), **fields)
+                beside.replace(self.cache)
         except OSError as error:
             raise DemError(f"{self.cache}: the bounds of {self.source.name} cannot be written here: {error}") from error
         self._saved = count

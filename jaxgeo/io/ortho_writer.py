@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
-import secrets
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,6 +16,7 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from jaxgeo._checks import check_is
+from jaxgeo._partial import partial_file
 from jaxgeo.io.map_raster import MOST_WRITTEN, MapRaster, checked_target, is_too_large, map_of
 from jaxgeo.io.mapping import measure
 from jaxgeo.register.orthoimage import Orthoimage
@@ -57,10 +58,12 @@ class OrthoWriter:
         self.nodata = _checked_nodata(f"{self.target}", self.dtype, nodata)
         self._tags = {"SOFTWARE": "jaxgeo"} | {key: f"{value}" for key, value in (tags or {}).items()}
         self._descriptions = None if descriptions is None else tuple(descriptions)
-        self._partial = self.target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
+        self._partial = self.target  # while it is open, the file that will take its place
+        self._opened = contextlib.ExitStack()
         self._sink: Any = None
 
     def __enter__(self) -> OrthoWriter:
+        self._partial = self._opened.enter_context(partial_file(self.target))
         try:
             with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
                 self._sink = rasterio.open(self._partial, "w", **self._profile())
@@ -149,18 +152,15 @@ class OrthoWriter:
         if not self.cog:
             self._partial.replace(self.target)
             return
-        copy = self._partial.with_suffix(".cog")
+        copy = self._partial.with_name(f"{self._partial.name}.cog")
         predictor = "FLOATING_POINT" if self.dtype.kind == "f" else "STANDARD"
         options = {"COMPRESS": "DEFLATE", "PREDICTOR": predictor, "BLOCKSIZE": 2 * BLOCK, "BIGTIFF": "IF_SAFER"}
-        try:
-            rasterio.shutil.copy(self._partial, copy, driver="COG", OVERVIEW_RESAMPLING="AVERAGE", **options)
-            copy.replace(self.target)
-        finally:
-            copy.unlink(missing_ok=True)
+        rasterio.shutil.copy(self._partial, copy, driver="COG", OVERVIEW_RESAMPLING="AVERAGE", **options)
+        copy.replace(self.target)
 
     def _drop(self) -> None:
         self._sink = None
-        self._partial.unlink(missing_ok=True)
+        self._opened.close()
 
     def _failure(self, error: Exception) -> OSError:
         reason = f"{error}".replace(self._partial.name, self.target.name)
