@@ -36,15 +36,18 @@ class Record(eqx.Module):
                 )
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _loaded, (type(self), _packed(dict(vars(self))))
+        return _loaded, (type(self), packed(dict(vars(self))))
 
 
 def portable(cls: type[T]) -> type[T]:
-    """Class decorator: a `NamedTuple` or dataclass that is pickled as a `Record` is."""
-    if issubclass(cls, tuple):
-        cls.__reduce__ = lambda self: (_loaded_tuple, (type(self), _packed(list(self))))  # pyright: ignore
+    """Class decorator: a `NamedTuple` or dataclass that is pickled as a `Record` is, or an error that takes more than
+    its message when it is made, which a worker process could not hand back."""
+    if issubclass(cls, BaseException):
+        cls.__reduce__ = lambda self: (_loaded_error, (type(self), self.args, dict(vars(self))))
+    elif issubclass(cls, tuple):
+        cls.__reduce__ = lambda self: (_loaded_tuple, (type(self), packed(list(self))))  # pyright: ignore
     else:
-        cls.__reduce__ = lambda self: (_loaded, (type(self), _packed(dict(vars(self)))))  # pyright: ignore
+        cls.__reduce__ = lambda self: (_loaded, (type(self), packed(dict(vars(self)))))  # pyright: ignore
     return cls
 
 
@@ -58,19 +61,19 @@ class _JaxArray:
 _TURN_ON = "Call jaxgeo.enable_x64() at the start of the program, or set JAX_ENABLE_X64=1."
 
 
-def _packed(value: Any) -> Any:
+def packed(value: Any) -> Any:
     """A field, or a container of plain Python in one, with arrays of JAX as NumPy arrays; records pack themselves."""
     if isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer):
         is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         return value if is_key else _JaxArray(np.asarray(value))
-    return _walked(_packed, value)
+    return _walked(packed, value)
 
 
-def _unpacked(value: Any) -> Any:
+def unpacked(value: Any) -> Any:
     if isinstance(value, _JaxArray):
         # A process that was forked from one in which JAX runs may not call it: public functions say so.
         return value.values if is_forked_from_jax() else jnp.array(value.values)
-    return _walked(_unpacked, value)
+    return _walked(unpacked, value)
 
 
 def _walked(each: Callable[[Any], Any], value: Any) -> Any:
@@ -96,7 +99,7 @@ def _check_loading(cls: type) -> None:
 
 def _loaded(cls: type[T], state: dict[str, Any]) -> T:
     _check_loading(cls)
-    return _filled(cls, _unpacked(state))
+    return _filled(cls, unpacked(state))
 
 
 def _filled(cls: type[T], state: dict[str, Any]) -> T:
@@ -108,4 +111,10 @@ def _filled(cls: type[T], state: dict[str, Any]) -> T:
 
 def _loaded_tuple(cls: type[T], items: list[Any]) -> T:
     _check_loading(cls)
-    return tuple.__new__(cls, _unpacked(items))  # pyright: ignore
+    return tuple.__new__(cls, unpacked(items))  # pyright: ignore
+
+
+def _loaded_error(cls: type[T], args: tuple[Any, ...], state: dict[str, Any]) -> T:
+    error = cls.__new__(cls, *args)
+    vars(error).update(state)
+    return error

@@ -12,6 +12,7 @@ import sys
 import time
 
 import pytest
+from support import interrupted
 from support.drone_image_files import packet, write_image
 from test_cli_folders import DJI, GROUND
 
@@ -29,7 +30,7 @@ def flight(tmp_path_factory) -> pathlib.Path:
 
 def started(flight: pathlib.Path, output: pathlib.Path) -> subprocess.Popen:
     line = [sys.executable, "-m", "jaxgeo", "locate", str(flight), *GROUND, "-o", str(output)]
-    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return interrupted.started(line, stdout=subprocess.PIPE)
 
 
 @pytest.mark.slow
@@ -63,7 +64,7 @@ def test_a_stopped_command_leaves_the_output_as_it_was(
             assert process.poll() is None
     os.kill(process.pid, getattr(signal, name))
     _, told = process.communicate(timeout=60)
-    assert process.returncode == (-signal.SIGKILL if name == "SIGKILL" else 130)
+    assert process.returncode == {"SIGINT": 130, "SIGTERM": 143, "SIGKILL": -signal.SIGKILL}[name]
     assert output.read_text() == "as it was"
     assert list(tmp_path.iterdir()) == [output]
     assert "Traceback" not in told

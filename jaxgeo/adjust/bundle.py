@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo._record import portable
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
@@ -26,6 +27,7 @@ SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the d
 NEAREST = 50  # steps that bring a free network to where it started
 
 
+@portable
 class NotConverged(RuntimeError):
     """The iterations did not come to an end: `log` tells how they went."""
 
@@ -39,6 +41,7 @@ class NotConverged(RuntimeError):
         )
 
 
+@portable
 class BehindCamera(ValueError):
     """Points that lie behind a camera that saw them, or beyond the field of its lens: `rows` of the observations."""
 

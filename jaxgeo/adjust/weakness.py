@@ -11,6 +11,7 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 from jaxtyping import Array, Float
 
+from jaxgeo._record import portable
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored
 from jaxgeo.adjust.datum import MOTIONS
@@ -47,6 +48,7 @@ class Direction:
         return self.words
 
 
+@portable
 class DeficientBlock(ValueError):
     """The block does not hold some unknowns: `directions` say which."""
 

@@ -149,7 +149,7 @@ def new_results(folder: pathlib.Path) -> Iterator[None]:
         except BaseException:
             _put_back(aside, folder)
             raise
-    shutil.rmtree(aside)
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def _put_back(aside: pathlib.Path, folder: pathlib.Path) -> None:

@@ -13,6 +13,7 @@ from pyproj.datadir import append_data_dir, get_user_data_dir  # pyright: ignore
 from pyproj.exceptions import ProjError
 from pyproj.transformer import Transformer, TransformerGroup
 
+from jaxgeo._record import portable
 from jaxgeo.io._quietly import quietly
 
 DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
@@ -38,6 +39,7 @@ class Operation:
         return f"{self.name} ({accuracy}{note})"
 
 
+@portable
 class NoOperation(ValueError):
     """PROJ has no operation, or none whose grids are here: `missing` lists (operation, grid file, address)."""
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import pathlib
 import threading
 import zipfile
 import zlib
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from jaxgeo.io.windows import Window
 BLOCK = 256  # cells on a side
 MOST_AT_ONCE = 16  # blocks read in one go: a million posts
 _reading = threading.RLock()  # of all at once, since a lock of each would keep it from being pickled
+FIELDS = ("low", "high", "has_void", "is_read")
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
 # What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
 _UNREADABLE = (
@@ -108,21 +111,30 @@ class Blocks:
         try:
             with partial_file(self.cache) as beside:
                 with beside.open("wb") as stream:
-                    fields = {name: getattr(self, name) for name in ("low", "high", "has_void", "is_read")}
-                    np.savez_compressed(stream, identity=np.array(self._identity()), **fields)
+                    np.savez_compressed(stream, **self.known())  # pyright: ignore[reportArgumentType]
                 beside.replace(self.cache)
         except OSError as error:
             raise DemError(f"{self.cache}: the bounds of {self.source.name} cannot be written here: {error}") from error
         self._saved = count
 
+    def known(self) -> dict[str, np.ndarray]:
+        """The bounds that are known, and of which files, for `take`."""
+        return {"identity": np.array(self._identity()), **{name: getattr(self, name) for name in FIELDS}}
+
+    def take(self, held: Mapping[str, np.ndarray]) -> bool:
+        """Take over what is `known` elsewhere, if it is of the same files in the same state; whether it was."""
+        if str(held["identity"]) != self._identity():
+            return False
+        for name in FIELDS:
+            getattr(self, name)[...] = held[name]
+        return True
+
     def _load(self, cache: pathlib.Path) -> None:
         """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
         try:
             with np.load(cache) as held:
-                if str(held["identity"]) != self._identity():
+                if not self.take(held):
                     return
-                for name in ("low", "high", "has_void", "is_read"):
-                    getattr(self, name)[...] = held[name]
         except _UNREADABLE as error:
             raise DemError(
                 f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
@@ -132,7 +144,10 @@ class Blocks:
     def _identity(self) -> str:
         """Says which files, of which time and size, and how they were understood."""
         source = self.source
-        files = [(t.path, t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources]) for t in source.mosaic.tiles]
+        files = [
+            (os.path.abspath(t.path), t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources])
+            for t in source.mosaic.tiles
+        ]
         rest = (source.mosaic.corners.tolist(), source.shift.name, source.unit, repr(source.nodata), self.size)
         return hashlib.sha256(repr((files, rest)).encode()).hexdigest()
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import pathlib
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +20,7 @@ from jaxgeo.io.dem import build_dem
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, check_nodata_used, open_source
-from jaxgeo.io.paths import Paths
+from jaxgeo.io.paths import Paths, absolute
 from jaxgeo.io.sightlines import BESIDE, Sightlines, sightlines
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import VerticalDatum
@@ -77,7 +79,21 @@ def open_dem(
     if void_ceiling is not None and not np.isfinite(void_ceiling):
         raise DemError(f"{source.name}: void_ceiling must be a finite height in m; got {void_ceiling!r}.")
     blocks = Blocks(source, height_range, None if cache is None else pathlib.Path(cache))
-    return DemFiles(source, blocks, None if void_ceiling is None else float(void_ceiling), np.dtype(dtype))
+    files = DemFiles(source, blocks, None if void_ceiling is None else float(void_ceiling), np.dtype(dtype))
+    files._opened_by = functools.partial(
+        open_dem,
+        absolute(path_or_paths),
+        vertical_datum=_with_full_name(vertical_datum),
+        height_range=height_range,
+        cache=None if cache is None else absolute(cache),
+        band=band,
+        nodata=nodata,
+        height_unit=height_unit,
+        void_ceiling=void_ceiling,
+        dtype=files.dtype,
+        assume_wgs84=assume_wgs84,
+    )
+    return files
 
 
 class DemFiles:
@@ -86,7 +102,13 @@ class DemFiles:
     It answers first hits through `corridor`, or for crowds of rays through `intersect_files` and `locate_files`: as the
     whole mosaic in one `Dem` would, but only what the rays can touch is ever in memory. What it keeps is the lowest and
     highest post of every block of 256 x 256 cells that was asked for, and the sizes of the windows it has made.
+
+    In another process (it can be pickled, and so can be an argument of what a worker does) the files are opened again,
+    by their full names, with the bounds that are known here; so they must be there too, or loading raises
+    `FileNotFoundError`.
     """
+
+    _opened_by: Callable[[], DemFiles]
 
     def __init__(self, source: Source, blocks: Blocks, void_ceiling: float | None, dtype: np.dtype) -> None:
         self.source = source
@@ -99,6 +121,9 @@ class DemFiles:
         self.grid: AbstractGrid | None = None
         with contextlib.suppress(DemError):  # too large for one fitted map: every window gets its own
             self.grid = make_grid(source.name, source.mapping)[0]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopened, (self._opened_by, self.blocks.known(), self._sizes)
 
     def __repr__(self) -> str:
         rows, cols = self.shape
@@ -294,3 +319,17 @@ class DemFiles:
         if self.grid is not None:
             return self.grid.window(jnp.asarray(float(window.row)), jnp.asarray(float(window.col)))
         return make_grid(self.source.name, mapping)[0]
+
+
+def _with_full_name(datum: VerticalDatum) -> VerticalDatum:
+    """A vertical datum, which may be the path of a geoid grid."""
+    if isinstance(datum, pathlib.Path) or (isinstance(datum, str) and os.path.isfile(datum)):
+        return absolute(datum)  # pyright: ignore[reportReturnType]
+    return datum
+
+
+def _reopened(opened_by: Callable[[], DemFiles], known: dict[str, Any], sizes: list[tuple[int, int]]) -> DemFiles:
+    files = opened_by()
+    files.blocks.take(known)
+    files._sizes = list(sizes)
+    return files

@@ -6,7 +6,7 @@ import contextlib
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import rasterio
@@ -61,6 +61,12 @@ class OrthoWriter:
         self._partial = self.target  # while it is open, the file that will take its place
         self._opened = contextlib.ExitStack()
         self._sink: Any = None
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            f"{self.target}: an OrthoWriter has its file open and cannot be copied or sent to another process. Return "
+            f"the windows from the workers and write them here, or let each worker write a file of its own."
+        )
 
     def __enter__(self) -> OrthoWriter:
         self._partial = self._opened.enter_context(partial_file(self.target))

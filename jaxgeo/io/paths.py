@@ -37,6 +37,15 @@ def expanded(paths: Paths) -> list[str]:
     return files
 
 
+def absolute(paths: Paths) -> Paths:
+    """The same files, folders or patterns by names that also serve in another working folder."""
+    if not isinstance(paths, str | os.PathLike):
+        return [os.fspath(absolute(path)) for path in paths]  # pyright: ignore[reportArgumentType]
+    name = os.fspath(paths)
+    full = name if "://" in name or name.startswith("/vsi") else os.path.abspath(name)
+    return full if isinstance(paths, str) else pathlib.Path(full)
+
+
 def files_behind(path: str | os.PathLike[str]) -> list[str]:
     """The file of a raster, and those that GDAL reads with it: sources of a VRT, world files, masks."""
     name = os.fspath(path)

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._record import portable
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.register.flattening import flattened
 from jaxgeo.register.orthoimage import Orthoimage
@@ -17,6 +18,7 @@ from jaxgeo.register.outcome import Outcome
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
 
+@portable
 class Stopped(Exception):
     """A registration that cannot go on."""
 

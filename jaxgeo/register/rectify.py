@@ -18,7 +18,7 @@ from jaxtyping import Array, Int8
 
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._doors import check_mapped_terrain, checked_air, observation
-from jaxgeo._record import Record
+from jaxgeo._record import Record, packed, unpacked
 from jaxgeo.earth import Atmosphere
 from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
 from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
@@ -72,7 +72,10 @@ class Rectified(Record):
 
 
 class Rectifier:
-    """Rectifies an image onto any part of a grid, tile by tile; arguments and errors as for `rectify`."""
+    """Rectifies an image onto any part of a grid, tile by tile; arguments and errors as for `rectify`.
+
+    In another process (it can be pickled) it is made again from the same arguments.
+    """
 
     def __init__(
         self,
@@ -89,6 +92,9 @@ class Rectifier:
         time: ArrayLike | None = None,
         atmosphere: Atmosphere | None = None,
     ) -> None:
+        how = {"interpolation": interpolation, "mask_hidden": mask_hidden, "hidden_tolerance": hidden_tolerance}
+        how |= {"time": time, "atmosphere": atmosphere}
+        self._made_of = (sensor, shot, values, known, terrain, grid), how
         check_mapped_terrain(terrain)
         check_is(grid, AbstractGrid, "grid")
         check_is(interpolation, AbstractInterpolation, "interpolation")
@@ -102,6 +108,9 @@ class Rectifier:
         self._open_sight = OpenSight.of(self.view) if mask_hidden else None
         self._mask_hidden = mask_hidden
         self._tolerance = jnp.asarray(as_float64(hidden_tolerance, "hidden_tolerance"))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, packed(self._made_of)
 
     def tile(self, row: int, col: int, shape: tuple[int, int]) -> Tile:
         """The cells from (row, col) of the grid on, `shape` = (rows, cols) of them."""
@@ -170,6 +179,10 @@ class Rectifier:
                 if k not in found:
                     found[k] = halved_pixels(*self._image) if k == 1 else _halved(found[k - 1])
             return found[level]
+
+
+def _made_again(given: tuple[Any, ...], how: dict[str, Any]) -> Rectifier:
+    return Rectifier(*unpacked(given), **unpacked(how))
 
 
 def rectify(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxgeo._record import portable
 from jaxgeo.io._dialect import header_of
 from jaxgeo.io._orientation_columns import ALIASES, KNOWN
 from jaxgeo.io._text import text_of
@@ -37,6 +38,7 @@ RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
 
+@portable
 class WrongOption(TableError):
     """An option that the reader of a `kind` of file does not take; `takes` are those that it does."""
 
