@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -11,8 +13,9 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax._src import xla_bridge
 
-from jaxgeo._checks import is_forked_from_jax, is_x64
+from jaxgeo._checks import enable_x64, is_forked_from_jax, is_x64
 
 T = TypeVar("T")
 
@@ -21,8 +24,9 @@ class Record(eqx.Module):
     """A frozen record, a pytree of its fields. Subclasses declare fields as an `equinox.Module` does.
 
     Pickling (and so `copy`, `multiprocessing`, joblib, Dask) carries arrays as NumPy arrays of their own dtype. Loading
-    one where JAX computes in 32 bits raises `RuntimeError`, and so does making one there from an array that JAX has
-    rounded already: `jnp.asarray` does so without a word.
+    one where JAX computes in 32 bits raises `RuntimeError`, but in a worker process in which JAX has computed nothing
+    yet, where it turns on 64-bit floats, as they are on where the record was made. Making one from an array that JAX
+    has rounded already raises too: `jnp.asarray` rounds without a word.
     """
 
     def __check_init__(self) -> None:
@@ -88,17 +92,42 @@ def _walked(each: Callable[[Any], Any], value: Any) -> Any:
     return value
 
 
-def _check_loading(cls: type) -> None:
-    if not is_x64():
-        raise RuntimeError(
-            f"a jaxgeo {cls.__name__} cannot be loaded while JAX is set to 32 bits: its positions would be off by "
-            f"up to half a metre. {_TURN_ON} Worker processes need it before their first record: call enable_x64() "
-            f"in the parent before they start, or pass initializer=jaxgeo.enable_x64 to the pool."
-        )
+def check_loading(cls: type) -> None:
+    """Raises `RuntimeError` where an object of a class would lose digits; a new worker process gets 64-bit floats."""
+    if is_x64():
+        return
+    if _is_new_worker():
+        enable_x64()
+        return
+    raise RuntimeError(
+        f"a jaxgeo {cls.__name__} cannot be loaded while JAX is set to 32 bits: its positions would be off by up to "
+        f"half a metre. {_TURN_ON}{_for_workers()}"
+    )
+
+
+def _is_worker() -> bool:
+    """Whether `multiprocessing` started this process for another: so do `concurrent.futures`, joblib and Dask."""
+    module = sys.modules.get("multiprocessing.process")
+    return module is not None and module.current_process().name != "MainProcess"
+
+
+def _is_new_worker() -> bool:
+    """Whether this process works for another, nobody chose 32 bits for it, and JAX has computed nothing in it: then
+    nothing can have relied on them."""
+    return _is_worker() and "JAX_ENABLE_X64" not in os.environ and not xla_bridge.backends_are_initialized()
+
+
+def _for_workers() -> str:
+    """What to do for a worker process."""
+    if not _is_worker():
+        return ""
+    if "distributed" in sys.modules:
+        return " For the workers of Dask: client.register_worker_callbacks(jaxgeo.enable_x64), before other work."
+    return " For the workers of a pool: initializer=jaxgeo.enable_x64."
 
 
 def _loaded(cls: type[T], state: dict[str, Any]) -> T:
-    _check_loading(cls)
+    check_loading(cls)
     return _filled(cls, unpacked(state))
 
 
@@ -110,7 +139,7 @@ def _filled(cls: type[T], state: dict[str, Any]) -> T:
 
 
 def _loaded_tuple(cls: type[T], items: list[Any]) -> T:
-    _check_loading(cls)
+    check_loading(cls)
     return tuple.__new__(cls, unpacked(items))  # pyright: ignore
 
 

@@ -30,7 +30,7 @@ from joblib.externals.loky import ProcessPoolExecutor as LokyExecutor
 import jaxgeo
 from jaxgeo._record import Record
 from tests.support import looks
-from tests.support.records import digits, leaves_of, with_awkward_numbers
+from tests.support.records import compute_in_32_bits, digits, leaves_of, send_digits, with_awkward_numbers
 
 TURN_ON = ("jaxgeo.enable_x64()", "JAX_ENABLE_X64=1")
 
@@ -186,14 +186,49 @@ def test_worker_processes_get_all_digits(pool: Any, way: str, monkeypatch: pytes
     assert in_worker(lambda: pool(**how), place) == digits(place)
 
 
-@pytest.mark.parametrize("pool", [spawned, loky])
-def test_worker_processes_in_32_bits_say_so(pool: Any, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+def forkserver(**how: Any) -> concurrent.futures.Executor:
+    context = multiprocessing.get_context("forkserver")
+    return concurrent.futures.ProcessPoolExecutor(1, mp_context=context, **how)
+
+
+@pytest.fixture
+def nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """64-bit floats are on here, but nothing tells processes that start from here."""
     monkeypatch.delenv("JAX_ENABLE_X64", raising=False)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+
+
+@pytest.mark.parametrize("pool", [spawned, forkserver, loky])
+def test_new_workers_run_from_the_first_task(pool: Any, nobody_says: None) -> None:
+    place = looks.pose().position
+    assert in_worker(pool, place) == digits(place)
+
+
+def test_a_process_of_its_own_and_a_pool_run_from_the_first_task(nobody_says: None) -> None:
+    place, context = looks.pose().position, multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        assert pool.apply_async(digits, (place,)).get(timeout=120) == digits(place)
+    ours, theirs = context.Pipe()
+    process = context.Process(target=send_digits, args=(place, theirs))
+    process.start()
+    assert ours.poll(120)
+    assert ours.recv() == digits(place)
+    process.join()
+
+
+@pytest.mark.parametrize("pool", [spawned, loky])
+@pytest.mark.parametrize("why", ["it has computed in them", "the environment says so"])
+def test_workers_that_are_meant_to_have_32_bits_say_so(
+    pool: Any, why: str, nobody_says: None, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    how: dict[str, Any] = {"initializer": compute_in_32_bits}
+    if why == "the environment says so":
+        monkeypatch.setenv("JAX_ENABLE_X64", "0")
+        how = {}
     with pytest.raises(Exception, match=r"terminated|un-serialize") as failure:
-        in_worker(pool, looks.pose().position)
+        in_worker(lambda: pool(**how), looks.pose().position)
     told = "".join(traceback.format_exception(failure.value)) + capfd.readouterr().err
-    assert all(word in told for word in TURN_ON)
+    assert all(word in told for word in (*TURN_ON, "initializer=jaxgeo.enable_x64"))
 
 
 def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,6 +280,45 @@ def test_forked_processes_answer_alike_or_say_why_not() -> None:
     assert alike == "True"
     assert "forked" in refusal
     assert "spawn" in refusal
+
+
+FORKED_POOLS = """
+    import concurrent.futures, multiprocessing, sys, warnings
+    warnings.simplefilter("ignore")
+    sys.path.insert(0, {project!r})
+    import jax, jaxgeo, joblib
+    jaxgeo.enable_x64()
+    fork = multiprocessing.get_context("fork")
+    place = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=3.0)
+    float(place.lat + 1.0)
+
+    def concurrent_futures():
+        with concurrent.futures.ProcessPoolExecutor(1, mp_context=fork) as pool:
+            return pool.submit(jaxgeo.Geodetic.to_degrees, place).result(timeout=60)
+
+    def pool():
+        with fork.Pool(1) as pool:
+            return pool.apply_async(jaxgeo.Geodetic.to_degrees, (place,)).get(timeout=60)
+
+    def parallel():
+        return joblib.Parallel(2, backend="multiprocessing")([joblib.delayed(jaxgeo.Geodetic.to_degrees)(place)])
+
+    for way in (concurrent_futures, pool, parallel):
+        try:
+            print(way())
+        except RuntimeError as error:
+            print(str(error).replace(chr(10), " "))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_forked_pools_say_why_not(project_root: pathlib.Path) -> None:
+    code = textwrap.dedent(FORKED_POOLS.format(project=str(project_root)))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=240)
+    assert done.returncode == 0, done.stderr
+    refusals = done.stdout.strip().splitlines()
+    assert len(refusals) == 3
+    assert all("forked" in told and "'spawn'" in told for told in refusals), refusals
 
 
 IN_32_BITS = """

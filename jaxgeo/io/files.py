@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._checks import require_x64
+from jaxgeo._record import check_loading
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io.blocks import Blocks
 from jaxgeo.io.dem import build_dem
@@ -329,6 +330,7 @@ def _with_full_name(datum: VerticalDatum) -> VerticalDatum:
 
 
 def _reopened(opened_by: Callable[[], DemFiles], known: dict[str, Any], sizes: list[tuple[int, int]]) -> DemFiles:
+    check_loading(DemFiles)
     files = opened_by()
     files.blocks.take(known)
     files._sizes = list(sizes)

@@ -45,3 +45,13 @@ def leaves_of(value: Any) -> list[tuple[str, str, str]]:
 def digits(place: jaxgeo.Geodetic) -> list[str]:
     """What a worker process finds in a record."""
     return [float(value).hex() for value in (place.lat, place.lon, place.height)]
+
+
+def send_digits(place: jaxgeo.Geodetic, connection: Any) -> None:
+    """The same, of a process without a pool."""
+    connection.send(digits(place))
+
+
+def compute_in_32_bits() -> None:
+    """What a worker process may have done before."""
+    assert jnp.zeros(3).dtype == jnp.float32
