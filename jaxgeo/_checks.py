@@ -21,7 +21,7 @@ def enable_x64() -> None:
     """Turn on JAX's 64-bit floats, which every position on the Earth needs; call it once, first of all.
 
     Child processes that are started afterwards compute in 64 bits too: JAX_ENABLE_X64=1 is put into the environment
-    that they get.
+    that they get. For those that started earlier it serves as an initializer.
     """
     jax.config.update("jax_enable_x64", True)
     os.environ["JAX_ENABLE_X64"] = "1"

@@ -239,6 +239,16 @@ def test_joblib_runs_in_parallel(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == [digits(place)] * 4
 
 
+FOR_JOBLIB = "joblib.Parallel(n_jobs=2, initializer=jaxgeo.enable_x64)"
+
+
+def test_joblib_runs_as_its_page_says(nobody_says: None, project_root: pathlib.Path) -> None:
+    assert FOR_JOBLIB in (project_root / "docs" / "howto" / "crowds.md").read_text(encoding="utf-8")
+    parallel = eval(FOR_JOBLIB, {"joblib": joblib, "jaxgeo": jaxgeo})
+    place = looks.pose().position
+    assert parallel([joblib.delayed(digits)(place)] * 2) == [digits(place)] * 2
+
+
 FORKS = """
     import os, warnings
     warnings.simplefilter("ignore")

@@ -21,7 +21,7 @@ from jaxgeo.io.dem import build_dem
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, check_nodata_used, open_source
-from jaxgeo.io.paths import Paths, absolute
+from jaxgeo.io.paths import Paths, with_full_names
 from jaxgeo.io.sightlines import BESIDE, Sightlines, sightlines
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import VerticalDatum
@@ -63,6 +63,7 @@ def open_dem(
     GDAL_CACHEMAX says otherwise. Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file
     and the reason; `RuntimeError` with 64-bit floats off.
     """
+    asked = dict(locals())
     require_x64()
     source = open_source(
         path_or_paths,
@@ -81,19 +82,7 @@ def open_dem(
         raise DemError(f"{source.name}: void_ceiling must be a finite height in m; got {void_ceiling!r}.")
     blocks = Blocks(source, height_range, None if cache is None else pathlib.Path(cache))
     files = DemFiles(source, blocks, None if void_ceiling is None else float(void_ceiling), np.dtype(dtype))
-    files._opened_by = functools.partial(
-        open_dem,
-        absolute(path_or_paths),
-        vertical_datum=_with_full_name(vertical_datum),
-        height_range=height_range,
-        cache=None if cache is None else absolute(cache),
-        band=band,
-        nodata=nodata,
-        height_unit=height_unit,
-        void_ceiling=void_ceiling,
-        dtype=files.dtype,
-        assume_wgs84=assume_wgs84,
-    )
+    files._opened_by = functools.partial(open_dem, **with_full_names(asked))
     return files
 
 
@@ -320,13 +309,6 @@ class DemFiles:
         if self.grid is not None:
             return self.grid.window(jnp.asarray(float(window.row)), jnp.asarray(float(window.col)))
         return make_grid(self.source.name, mapping)[0]
-
-
-def _with_full_name(datum: VerticalDatum) -> VerticalDatum:
-    """A vertical datum, which may be the path of a geoid grid."""
-    if isinstance(datum, pathlib.Path) or (isinstance(datum, str) and os.path.isfile(datum)):
-        return absolute(datum)  # pyright: ignore[reportReturnType]
-    return datum
 
 
 def _reopened(opened_by: Callable[[], DemFiles], known: dict[str, Any], sizes: list[tuple[int, int]]) -> DemFiles:

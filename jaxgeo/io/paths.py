@@ -5,7 +5,8 @@ from __future__ import annotations
 import glob
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -37,13 +38,25 @@ def expanded(paths: Paths) -> list[str]:
     return files
 
 
-def absolute(paths: Paths) -> Paths:
-    """The same files, folders or patterns by names that also serve in another working folder."""
-    if not isinstance(paths, str | os.PathLike):
-        return [os.fspath(absolute(path)) for path in paths]  # pyright: ignore[reportArgumentType]
-    name = os.fspath(paths)
-    full = name if "://" in name or name.startswith("/vsi") else os.path.abspath(name)
-    return full if isinstance(paths, str) else pathlib.Path(full)
+def with_full_names(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """What was asked for, with the names of files, folders and patterns such that they serve in any working folder.
+
+    Of what `open_dem` takes: `path_or_paths`, `cache`, and a `vertical_datum` that is the path of a grid.
+    """
+    paths, datum, cache = asked["path_or_paths"], asked["vertical_datum"], asked["cache"]
+    names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    is_grid = isinstance(datum, os.PathLike) or (isinstance(datum, str) and os.path.isfile(datum))
+    return {
+        **asked,
+        "path_or_paths": [name if is_remote(name) else os.path.abspath(name) for name in map(os.fspath, names)],
+        "vertical_datum": pathlib.Path(datum).absolute() if is_grid else datum,
+        "cache": None if cache is None else os.path.abspath(cache),
+    }
+
+
+def is_remote(name: str) -> bool:
+    """Whether a name is GDAL's own for what is no local file."""
+    return "://" in name or name.startswith("/vsi")
 
 
 def files_behind(path: str | os.PathLike[str]) -> list[str]:
@@ -64,7 +77,7 @@ def are_all_named(paths: Paths) -> bool:
 
 
 def _expanded(name: str) -> list[str]:
-    if "://" in name or name.startswith("/vsi"):
+    if is_remote(name):
         return [name]
     if os.path.isdir(name):
         return [name] if os.path.exists(os.path.join(name, "hdr.adf")) else _in_folder(name)  # one ESRI grid
