@@ -167,10 +167,19 @@ def _chosen(found: Any, names: list[str], places: list[int]) -> list[int]:
         known |= {str(name): int(place) for name, place in zip(part.names, places, strict=True)}
     some = ", ".join(list(known)[:5]) + (" and others" if len(known) > 5 else "")
     known |= {called: one.place for one in found.unread for called in (one.path, one.name) if called not in known}
-    for name in names:
+    own = [_own_name(name, found) if name not in known else name for name in names]
+    for name, typed in zip(own, names, strict=True):
         if name not in known:
-            raise UserError(f"--exposure {name}: no exposure has this name; there are {some}.")
-    return [known[name] for name in names]
+            raise UserError(f"--exposure {typed}: no exposure has this name; there are {some}.")
+    return [known[name] for name in own]
+
+
+def _own_name(name: str, found: Any) -> str:
+    """The number of a record for FILE/NUMBER, its name among several files, where its file is the only one."""
+    from jaxgeo.io.acquisitions._exposure_names import number_in_file
+
+    is_alone = len(found.parts) == 1 and not found.unread
+    return (number_in_file(name, found.parts[0].path) if is_alone else None) or name
 
 
 def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:
