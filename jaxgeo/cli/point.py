@@ -139,6 +139,7 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
         stated = scene.height_datum if height_datum is None else said_datum(height_datum)
         height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
     else:
+        assert terrain is not None
         height = float(terrain.height_at(position))
         if not math.isfinite(height):
             raise UserError(f"--target {lat:g},{lon:g}: the DEM has no ground there; give a height, or another DEM.")

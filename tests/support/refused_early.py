@@ -65,8 +65,8 @@ def main() -> None:
         print(json.dumps({"line": line, "code": code, "told": told, "programs": programs}), flush=True)
 
 
-def _heed(programs: list[str], event: str, duration: float, **more: Any) -> None:
-    del duration
+def _heed(programs: list[str], event: str, duration_secs: float, **more: Any) -> None:
+    del duration_secs
     name = str(more.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
     if event == LOWERED and name.lstrip("_") not in SINGLE:
         programs.append(name)
