@@ -98,11 +98,19 @@ def views_of_files(asked: Asked) -> Views:
 # How a reader's sentences on errors that it gives go on, and the options that replace these.
 ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
 
+# Of lenses that are taken to be free of distortion; not where an option states the error of the focal length.
+BENT = "what it bends at the corners counts as an error of the focal length"
+
 
 def _apart(assumed: list[str], asked: Asked) -> tuple[list[str], list[str]]:
     """(what was assumed, those of the errors with the option that replaces them, less those that are replaced)."""
     others, of_errors = [], []
+    focal = asked.sigmas.focal
     for one in assumed:
+        if focal is not None:
+            one = one.replace(
+                BENT, f"what it bends at the corners errs only as far as --focal-sigma {focal} allows for it"
+            )
         option = next((name for words, name in ERRORS_TOLD.items() if words in one), None)
         if option is None:
             others.append(one)
@@ -154,7 +162,8 @@ def _name(unread: Any, found: Any) -> str:
 
 
 def _row(name: str, time: Any, u: float | None, v: float | None, has_times: bool) -> dict[str, Any]:
-    told = {"time_s": float(time) if math.isfinite(time) else None} if has_times else {}
+    is_known = math.isfinite(time) and time != 0.0
+    told = {"time_s": float(time) if is_known else None} if has_times else {}
     return {"name": name, **told, "u": u, "v": v}
 
 
