@@ -17,7 +17,7 @@ from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.sensor.distortion import NoDistortion
 from jaxgeo.uncertainty.sources import InteriorOrientation
 
-# Standard deviations of the focal length as shares of it. Fields of view in packets come from the position of a zoom, in
+# Standard deviations of the focal length as shares of it. Fields of view in packets come from the place of a zoom, in
 # steps of 0.003 deg, of a lens whose distortion is unknown. Target width and slant range are both estimates, the
 # width in steps of 0.15 m, and give the field of view over ground that is level across the image.
 TOLD_SIGMA, DERIVED_SIGMA = 0.01, 0.05
