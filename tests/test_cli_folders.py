@@ -217,8 +217,8 @@ def test_files_and_folders_on_one_line(flight: pathlib.Path, tmp_path: pathlib.P
     assert result.exit_code == 0, result.stderr
     told = json.loads(result.stdout)
     names = [row["name"] for row in told["fixes"]]
-    assert names[:4] == [str(other), f"{video}/0", f"{video}/1", str(flight / "b.jpg")]
-    assert names[4:] == [str(flight / "a.jpg"), "c.jpg", str(flight / "d.jpg"), str(flight / "e.jpg")]
+    assert names[:4] == [str(other), "video.klv/0", "video.klv/1", "b.jpg"]
+    assert names[4:] == [str(flight / "a.jpg"), "c.jpg", "d.jpg", "e.jpg"]
     assert told["inputs"]["files"] == [str(one) for one in (other, video, flight / "b.jpg", flight)]
 
 

@@ -279,7 +279,7 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
     ([*REGISTER, *SIGMAS, "--principal-sigma", "0px"], ["--principal-sigma", "left out"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "0.1mm"], ["in pixels", "in px"]),
-    ([*REGISTER, *SIGMAS, "--pixel", "256,10"], ["--pixel 256,10", "256 columns and 192 rows"]),
+    ([*REGISTER, *SIGMAS, "--pixel", "256,10"], ["--pixel 256,10", "outside the image of 256 x 192 pixels"]),
     ([*REGISTER, *SIGMAS, "--pixel", "10"], ["--pixel '10'", "COLUMN,ROW"]),
     ([*REGISTER, *SIGMAS, "--probability", "1"], ["--probability 1", "between 0.5 and 1"]),
     ([*REGISTER, *SIGMAS, "--probability", "0.01"], ["--probability 0.01", "outside what is searched"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import pathlib
 import traceback
 from collections.abc import Iterator
@@ -59,3 +60,14 @@ def _is_of_memory(error: Exception) -> bool:
 def name_says(output: pathlib.Path) -> str:
     """Why a format cannot be told by the name of a file."""
     return f"the ending {output.suffix} is not one that is known" if output.suffix else "the name has no ending"
+
+
+def check_writable(folder: pathlib.Path) -> None:
+    """Raises `UserError` for a folder of results that is a file, or in which nothing may be written; it is not made."""
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
+    nearest = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not nearest.is_dir():
+        raise UserError(f"--output {folder}: {nearest} is a file; name another folder.")
+    if not os.access(nearest, os.W_OK):
+        raise UserError(f"--output {folder}: nothing may be written there; name another folder.")

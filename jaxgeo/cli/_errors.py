@@ -48,7 +48,7 @@ FocalSigma = Annotated[
     typer.Option(
         "--focal-sigma",
         metavar="SIGMA",
-        help="How the focal length errs, alone: 5px or 0.05mm.",
+        help="How the focal length errs, alone: 5px or 0.05mm; 0 for not at all.",
         rich_help_panel=SURE,
     ),
 ]
@@ -57,7 +57,7 @@ PrincipalSigma = Annotated[
     typer.Option(
         "--principal-sigma",
         metavar="SIGMA",
-        help="How the principal point errs: 5px or 0.05mm; or COLUMN,ROWpx.",
+        help="How the principal point errs: 5px or 0.05mm; or COLUMN,ROWpx; 0 for not at all.",
         rich_help_panel=SURE,
     ),
 ]
@@ -207,7 +207,9 @@ def interior_errors(
 def _in_pixels(
     option: str, text: str, count: int, form: str, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> list[float]:
-    """Lengths on the detector in pixels. Raises `UserError`."""
+    """Lengths on the detector in pixels; zero needs no unit. Raises `UserError`."""
+    if _is_zero(text, count):
+        return [0.0] * count
     unit = text.strip()[-2:]
     if unit not in ("px", "mm"):
         raise UserError(f"{option} {text!r}: expected {form}.")
@@ -217,6 +219,15 @@ def _in_pixels(
     if pixel_pitch is None:
         raise UserError(f"{option} {text}: the camera of {where} is given in pixels; so give this in px.")
     return [value / pixel_pitch for value in values]
+
+
+def _is_zero(text: str, count: int) -> bool:
+    """Whether a text is one zero, or `count` of them, without a unit."""
+    parts = text.split(",")
+    try:
+        return len(parts) in (1, count) and all(float(part) == 0.0 for part in parts)
+    except ValueError:
+        return False
 
 
 def pixel_pitch_of(scene: pathlib.Path) -> float | None:

@@ -98,11 +98,19 @@ def views_of_files(asked: Asked) -> Views:
 # How a reader's sentences on errors that it gives go on, and the options that replace these.
 ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
 
+# Of lenses that are taken to be free of distortion; not where an option states the error of the focal length.
+BENT = "what it bends at the corners counts as an error of the focal length"
+
 
 def _apart(assumed: list[str], asked: Asked) -> tuple[list[str], list[str]]:
     """(what was assumed, those of the errors with the option that replaces them, less those that are replaced)."""
     others, of_errors = [], []
+    focal = asked.sigmas.focal
     for one in assumed:
+        if focal is not None:
+            one = one.replace(
+                BENT, f"what it bends at the corners errs only as far as --focal-sigma {focal} allows for it"
+            )
         option = next((name for words, name in ERRORS_TOLD.items() if words in one), None)
         if option is None:
             others.append(one)
@@ -154,7 +162,8 @@ def _name(unread: Any, found: Any) -> str:
 
 
 def _row(name: str, time: Any, u: float | None, v: float | None, has_times: bool) -> dict[str, Any]:
-    told = {"time_s": float(time) if math.isfinite(time) else None} if has_times else {}
+    is_known = math.isfinite(time) and time != 0.0
+    told = {"time_s": float(time) if is_known else None} if has_times else {}
     return {"name": name, **told, "u": u, "v": v}
 
 
@@ -167,10 +176,19 @@ def _chosen(found: Any, names: list[str], places: list[int]) -> list[int]:
         known |= {str(name): int(place) for name, place in zip(part.names, places, strict=True)}
     some = ", ".join(list(known)[:5]) + (" and others" if len(known) > 5 else "")
     known |= {called: one.place for one in found.unread for called in (one.path, one.name) if called not in known}
-    for name in names:
+    own = [_own_name(name, found) if name not in known else name for name in names]
+    for name, typed in zip(own, names, strict=True):
         if name not in known:
-            raise UserError(f"--exposure {name}: no exposure has this name; there are {some}.")
-    return [known[name] for name in names]
+            raise UserError(f"--exposure {typed}: no exposure has this name; there are {some}.")
+    return [known[name] for name in own]
+
+
+def _own_name(name: str, found: Any) -> str:
+    """The number of a record for FILE/NUMBER, its name among several files, where its file is the only one."""
+    from jaxgeo.io.acquisitions._exposure_names import number_in_file
+
+    is_alone = len(found.parts) == 1 and not found.unread
+    return (number_in_file(name, found.parts[0].path) if is_alone else None) or name
 
 
 def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:

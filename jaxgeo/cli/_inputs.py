@@ -177,3 +177,13 @@ def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> li
     if len(found) not in counts:
         raise UserError(f"{option} {text!r}: expected {form}.")
     return found
+
+
+def check_on_image(text: str, uv: Any, camera: Any) -> None:
+    """Raises `UserError` for a pixel, as it was typed, that is not on the image of a camera."""
+    column, row = uv
+    if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
+        raise UserError(
+            f"--pixel {text}: outside the image of {camera.width} x {camera.height} pixels; columns go from 0 to "
+            f"{camera.width - 1}, rows from 0 to {camera.height - 1}."
+        )

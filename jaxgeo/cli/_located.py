@@ -295,11 +295,11 @@ def where_from(question: Question) -> str | None:
     """Why there may be no fix at all, in words: the elevation model lies elsewhere than the first camera."""
     import numpy as np
 
-    from jaxgeo.io.extent import camera_beside
+    from jaxgeo.io.extent import place_beside
     from jaxgeo.terrain import Dem
 
     terrain, position = question.batches[0].terrain, question.position
     if not isinstance(terrain, Dem):
         return None
     lat, lon = (float(np.rad2deg(np.asarray(angle)[0])) for angle in (position.lat, position.lon))
-    return camera_beside(terrain, lat, lon)
+    return place_beside(terrain, lat, lon)

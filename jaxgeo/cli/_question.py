@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pathlib
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
@@ -14,8 +15,7 @@ from jaxgeo.cli._file_views import tell_unread, views_of_files
 from jaxgeo.cli._inputs import read_terrain, said_datum, terrain_files
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import tell
-from jaxgeo.cli._views import Seen, Views, in_air, views_of_scene
-from jaxgeo.cli._words import reason_not_read
+from jaxgeo.cli._views import Seen, Views, in_air, joined_positions, reasons_of, views_of_scene
 
 REPORTED = "reported"
 
@@ -58,10 +58,7 @@ class Question(NamedTuple):
     @property
     def reasons(self) -> list[str | None] | None:
         """For each row why its file could not be read, or None; None if all could."""
-        if not self.unread:
-            return None
-        found = {row: reason_not_read(one) for row, one in self.unread.items()}
-        return [found.get(row) for row in range(len(self.carried))]
+        return reasons_of(self.unread, len(self.carried))
 
     @property
     def read(self) -> Any:
@@ -89,18 +86,20 @@ class Question(NamedTuple):
     @property
     def position(self) -> Any:
         """Positions of all exposures that could be read, a `Geodetic`."""
-        import jax
-        import numpy as np
-
-        each = [batch.shots.pose.position for batch in self.batches]
-        return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *each)
+        return joined_positions(self.batches)
 
 
-def told_question(asked: Asked, with_errors: bool | None, output: pathlib.Path | None) -> Question:
+def told_question(
+    asked: Asked,
+    with_errors: bool | None,
+    output: pathlib.Path | None,
+    check: Callable[[Views, bool], object] | None = None,
+) -> Question:
     """The question, what was assumed told on stderr. An `output` that would replace what is read is refused."""
-    question = read_question(asked, with_errors=with_errors)
+    check_asked(asked)
     if output is not None:
-        check_no_input("--output", [output], question.reads)
+        check_no_input("--output", [output], _reads(asked))
+    question = read_question(asked, with_errors=with_errors, check=check)
     for one in question.assumed:
         tell(f"assumed: {one}")
     _tell_of_pixels_outside(asked.pixels, question)
@@ -135,8 +134,12 @@ def on_image(camera: Any, uv: Any) -> Any:
     return np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
 
 
-def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
+def read_question(
+    asked: Asked, *, with_errors: bool | None, check: Callable[[Views, bool], object] | None = None
+) -> Question:
     """All input, what is small and likely to be mistaken first.
+
+    `check` is called with the views, and with whether there are errors, before the ground is read.
 
     Errors are there `with_errors`; if that is None, where a FILE is given, or something says how it errs: a table
     [errors] of the scene, or an option. Raises `UserError`, and as the readers.
@@ -155,6 +158,8 @@ def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
         each = [_sources(seen, views, asked) for seen in views.seen]
         sources = [found for found, _ in each]
         assumed += [*views.assumed_of_errors, *dict.fromkeys(one for _, told in each for one in told)]
+    if check is not None:
+        check(views, bool(with_errors))
     batches = [
         Batch(seen.sensor, seen.shots, seen.uv, ground, own, _axes(views.is_each, has_ground_each), seen.rows)
         for seen, own, (ground, has_ground_each) in zip(views.seen, sources, _terrain(asked, views), strict=True)
@@ -166,7 +171,7 @@ def read_question(asked: Asked, *, with_errors: bool | None) -> Question:
         views.is_each,
         views.atmosphere,
         views.carried,
-        tuple(views.seen[0].sensor.gimbal.names),
+        views.readings,
         assumed,
         _inputs(asked),
         _reads(asked),

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from jaxgeo._destination import check_no_input
 from jaxgeo._interruption import undone_if_stopped
 from jaxgeo._partial import hidden_name, left_over
-from jaxgeo.cli._common import UserError
+from jaxgeo.cli._common import UserError, check_writable
 from jaxgeo.cli._errors import (
     DEM_SIGMA,
     attitude_errors,
@@ -23,7 +23,7 @@ from jaxgeo.cli._errors import (
     pixel_pitch_of,
     position_errors,
 )
-from jaxgeo.cli._inputs import numbers_in
+from jaxgeo.cli._inputs import check_on_image, numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 OLD = ".old"
@@ -97,9 +97,8 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
 def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:
     """Pixels from the command line; the middle of the image without any. Raises `UserError` for one beside it."""
     found = [numbers_in("--pixel", text, (2,), "COLUMN,ROW, e.g. --pixel 100,200") for text in texts]
-    for text, (column, row) in zip(texts, found, strict=True):
-        if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
-            raise UserError(f"--pixel {text}: the image has {camera.width} columns and {camera.height} rows.")
+    for text, uv in zip(texts, found, strict=True):
+        check_on_image(text, uv, camera)
     return found or [[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]]
 
 
@@ -117,21 +116,15 @@ def check_search(block: int, probability: float) -> None:
         )
 
 
-def prepared_folder(folder: pathlib.Path, inputs: Iterable[str | os.PathLike[str]]) -> None:
-    """Make a folder for results.
-
-    Raises `ValueError` where a result would take the place of one of the inputs, or cannot be written.
-    """
+def check_folder(folder: pathlib.Path, inputs: Iterable[str | os.PathLike[str]]) -> None:
+    """Raises `ValueError` where a result would take the place of one of the inputs, or cannot be written to a folder,
+    which need not be there."""
     results = [folder / name for name in FILES]
     check_no_input("--output", results, inputs)
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
+    check_writable(folder)
     for path in results:
         if path.is_dir():
             raise UserError(f"--output {folder}: {path} is a folder, where a file is to be written; name another.")
-    folder.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):
-        raise UserError(f"--output {folder}: nothing may be written there; name another folder.")
 
 
 @contextlib.contextmanager

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import check_stated, height_datum_of, numbers_in, shot_of
+from jaxgeo.cli._words import reason_not_read
 
 
 class Seen(NamedTuple):
@@ -40,6 +42,48 @@ class Views(NamedTuple):
     pixel_pitch: float | None
     assumed_of_errors: list[str]
     unread: dict[int, Any]
+
+    @property
+    def readings(self) -> tuple[str, ...]:
+        """Names of the gimbal's axes."""
+        return tuple(self.seen[0].sensor.gimbal.names)
+
+    @property
+    def position(self) -> Any:
+        """Positions of all rows, a `Geodetic`; NaN where the file could not be read."""
+        import jax
+        import numpy as np
+
+        rows = np.concatenate([one.rows for one in self.seen])
+
+        def placed(values: Any) -> Any:
+            whole = np.full(len(self.carried), np.nan)
+            whole[rows] = values
+            return whole
+
+        return jax.tree.map(placed, joined_positions(self.seen))
+
+    @property
+    def reasons(self) -> list[str | None] | None:
+        """For each row why its file could not be read, or None; None if all could."""
+        return reasons_of(self.unread, len(self.carried))
+
+
+def joined_positions(parts: Sequence[Any]) -> Any:
+    """Positions of the shots of several parts, one behind the other, a `Geodetic`."""
+    import jax
+    import numpy as np
+
+    each = [part.shots.pose.position for part in parts]
+    return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *each)
+
+
+def reasons_of(unread: Mapping[int, Any], count: int) -> list[str | None] | None:
+    """For each of `count` rows why its file could not be read, or None; None if all could."""
+    if not unread:
+        return None
+    found = {row: reason_not_read(one) for row, one in unread.items()}
+    return [found.get(row) for row in range(count)]
 
 
 def views_of_scene(asked: Asked) -> Views:

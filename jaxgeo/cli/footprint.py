@@ -80,6 +80,8 @@ def footprint_command(
             _check_output(output)
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
+        if height_datum is not None and shots is None:
+            raise UserError(f"--height-datum {height_datum} is that of the heights of --shots FILE; leave it out.")
         keep_inputs("--output", output, [scene, shots], (dem, vertical_datum))
         ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
         rows, outlines = _footprint(scene, ground, shots, height_datum, output, (crs, tolerance, edges))

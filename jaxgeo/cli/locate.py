@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import pathlib
 from collections.abc import Iterator
 from enum import StrEnum
@@ -57,6 +58,7 @@ from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, 
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
+from jaxgeo.cli._views import Views
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 
@@ -240,9 +242,8 @@ def _locate(
     if is_file or as_json:
         compile_quickly(asked.samples_of_field)
         enable_x64()
-        question = told_question(asked, accuracy, output)
-        if output is not None and is_file:
-            _check_file(output, drawn, question)
+        check = functools.partial(_check_file, output, drawn, probability) if output is not None and is_file else None
+        question = told_question(asked, accuracy, output, check)
         found = located(question, probability)
         _finish(question, found, probability, output if is_file else None, drawn, as_json)
         return
@@ -270,12 +271,23 @@ def _locate(
         leave_without_a_fix(question, found)
 
 
-def _check_file(output: pathlib.Path, drawn: tuple[str, str | None, bool], question: Question) -> None:
-    """Before the work, whether a file can be as it is wished."""
+def _check_file(
+    output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: Views, has_errors: bool
+) -> None:
+    """Before the ground is read, whether a file can be as it is wished."""
     from jaxgeo.io.fix_files import check_fix_file
 
-    crs, heights, _ = drawn
-    check_fix_file(output, crs, heights, question.position)
+    crs, heights, mgrs = drawn
+    check_fix_file(
+        output,
+        crs,
+        heights,
+        views.position,
+        attributes=_typed(views.carried, views.readings),
+        mgrs=mgrs,
+        reasons=views.reasons,
+        probability=probability if has_errors else None,
+    )
 
 
 def _finish(
@@ -292,7 +304,7 @@ def _finish(
         from jaxgeo.io import write_fixes
 
         crs, heights, mgrs = drawn
-        carried = _typed(question)
+        carried = _typed(question.carried, question.readings)
         level = probability if found.accuracy is not None else None
         write_fixes(
             output,
@@ -311,14 +323,12 @@ def _finish(
     leave_without_a_fix(question, found)
 
 
-def _typed(question: Question) -> list[dict[str, Any]]:
+def _typed(carried: list[dict[str, Any]], readings: tuple[str, ...]) -> list[dict[str, Any]]:
     """What is carried through; numbers of a table of shots as numbers, NaN as unknown."""
     from jaxgeo.io.tables import number_columns
 
-    numbers = number_columns(question.readings)
-    return [
-        {name: _number(value) if name in numbers else value for name, value in row.items()} for row in question.carried
-    ]
+    numbers = number_columns(readings)
+    return [{name: _number(value) if name in numbers else value for name, value in row.items()} for row in carried]
 
 
 def _number(value: Any) -> float | None:

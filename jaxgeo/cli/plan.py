@@ -148,6 +148,7 @@ def _plan(
     start, along = course
     scene = read_scene(scene_path)
     flight = trajectory_of(scene, scene_path, navigation, height_datum)
+    _check_count(wishes, flight, start)
     terrain = read_terrain(*ground)
     with working("compiling and flying"):
         found = plan(
@@ -157,6 +158,20 @@ def _plan(
     write_exposures(output, shots, scene.sensor.gimbal.names, overlaps=found.overlaps)
     _summarise(found, output)
     return _exposures(shots, scene.sensor.gimbal.names, found.overlaps)
+
+
+def _check_count(wishes: tuple[str, float | None, Place], flight: Any, start: float | None) -> None:
+    """Raises `UserError` for a fixed period of which there would be more exposures than a plan may have."""
+    from jaxgeo.coverage.timing import MOST
+
+    timing, period, _ = wishes
+    if not timing.startswith("fixed:") or period is None:
+        return
+    length = float(flight.end) - (float(flight.start) if start is None else start)
+    if length / period > MOST:
+        raise UserError(
+            f"--timing {timing}: more than {MOST} exposures in {length:g} s; give {length / MOST:.3g} s or more."
+        )
 
 
 def _exposures(shots: Any, names: tuple[str, ...], overlaps: Any) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, said_datum, shot_of
+from jaxgeo.cli._inputs import DemReading, check_on_image, numbers_in, read_terrain, said_datum, shot_of
 from jaxgeo.cli._options import (
     AssumeWgs84,
     DemBand,
@@ -67,6 +67,8 @@ def point_command(
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
         if not dem:
             reading.check_goes_with_dem()
+            if vertical_datum is not None:
+                raise UserError(f"--vertical-datum {vertical_datum} is that of the heights of --dem; leave it out.")
         ground = dem or [], vertical_datum, reading
         names, found, aim = _point(scene, ground, (target, line_of_sight, pixel), height_datum)
         code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
@@ -93,6 +95,8 @@ def _point(
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
     if len(place) == 2 and not ground[0]:
         raise UserError(f"--target {target}: give its height too, LAT,LON,HEIGHT, or --dem for the ground there.")
+    if height_datum is not None and len(place) != 3:
+        raise UserError(f"--height-datum {height_datum} is that of a target's height: --target LAT,LON,HEIGHT.")
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import point
@@ -104,6 +108,8 @@ def _point(
     shot = shot_of(scene, scene_path, "pointing")
     if not scene.sensor.gimbal.names:
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
+    if pixel is not None:
+        check_on_image(pixel, uv, scene.sensor.camera)
     terrain = read_terrain(*ground) if ground[0] else None
     aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     with working("compiling and pointing"):
@@ -127,16 +133,30 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
 
     lat, lon = place[:2]
     position = Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)
+    if terrain is not None:
+        _check_is_on(terrain, place)
     if len(place) == 3:
         stated = scene.height_datum if height_datum is None else said_datum(height_datum)
         height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
     else:
+        assert terrain is not None
         height = float(terrain.height_at(position))
         if not math.isfinite(height):
             raise UserError(f"--target {lat:g},{lon:g}: the DEM has no ground there; give a height, or another DEM.")
     said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid"
     stderr().print(said, highlight=False, soft_wrap=True)
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)
+
+
+def _check_is_on(terrain: Any, place: list[float]) -> None:
+    """Raises `UserError` for a target beside the elevation model, which then cannot tell what hides it."""
+    from jaxgeo.io.extent import place_beside
+
+    beside = place_beside(terrain, place[0], place[1], "the target")
+    if beside is not None:
+        way = "leave --dem out" if len(place) == 3 else "give LAT,LON,HEIGHT without --dem"
+        typed = ",".join(f"{number:g}" for number in place)
+        raise UserError(f"--target {typed}: {beside}. Give the elevation model of that place, or {way}.")
 
 
 def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:

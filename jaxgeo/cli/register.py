@@ -22,7 +22,7 @@ from jaxgeo.cli._options import (
     VerticalDatum,
 )
 from jaxgeo.cli._registered import Work, reported, written
-from jaxgeo.cli._registering import Errors, Sigmas, check_search, errors_of, new_results, pixels_in, prepared_folder
+from jaxgeo.cli._registering import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._results import AsJson, asked
 from jaxgeo.cli._screen import tell, working
 
@@ -114,9 +114,9 @@ def register_command(
             principal_sigma,
         )
         ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        check_folder(output, [*files_behind(image), *files_behind(reference), scene, *terrain_files(*ground)])
         work, errors, pixels = _read(image, reference, ground, scene, sigmas, pixel or [], (band, reference_band))
-        files = [*files_behind(image), *files_behind(reference), scene, *terrain_files(*ground)]
-        prepared_folder(output, files)
+        output.mkdir(parents=True, exist_ok=True)
         for one in errors.assumed:
             tell(f"assumed: {one}")
         with working("compiling and registering"):

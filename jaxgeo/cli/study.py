@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import math
 import pathlib
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
@@ -19,6 +19,7 @@ from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
 
 WIDE = 150  # characters of a line in a file
+POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, of a real image's navigation where nobody says it
 
 studies = typer.Typer(help="What papers print, made again.", no_args_is_help=True)
 
@@ -58,6 +59,7 @@ def li2023_command(
     """
     inputs = asked(locals())
     with mistakes_told(debug):
+        _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import li2023
 
@@ -82,6 +84,7 @@ def xue2019_command(
     """
     inputs = asked(locals())
     with mistakes_told(debug):
+        _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import xue2019
 
@@ -108,8 +111,10 @@ def gu2017_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
-    position_sigma: Annotated[float, typer.Option(help="How the position of a real image errs, m.")] = 50.0,
-    attitude_sigma: Annotated[float, typer.Option(help="How its attitude errs, deg.")] = 0.5,
+    position_sigma: Annotated[
+        float | None, typer.Option(help="How the position of a real image errs, m; 50 if left out.")
+    ] = None,
+    attitude_sigma: Annotated[float | None, typer.Option(help="How its attitude errs, deg; 0.5 if left out.")] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -124,6 +129,8 @@ def gu2017_command(
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
+        _check_seed(seed)
+        sigmas = _sigmas(position_sigma, attitude_sigma, is_given=image is not None)
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
         if not dem:
             reading.check_goes_with_dem()
@@ -134,23 +141,35 @@ def gu2017_command(
         given = None
         if image is not None and reference is not None and scene is not None:
             terrain = read_terrain(dem or [], vertical_datum, reading)
-            given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma))
+            given = gu2017.read(image, reference, scene, terrain, sigmas)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
 
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise UserError(f"--seed {seed}: it is a whole number, 0 or more.")
+
+
+def _sigmas(position: float | None, attitude: float | None, *, is_given: bool) -> tuple[float, float]:
+    """Standard deviations of the navigation of a real image, m and deg. Raises `UserError`."""
+    for option, value in (("--position-sigma", position), ("--attitude-sigma", attitude)):
+        if value is None:
+            continue
+        if not is_given:
+            raise UserError(f"{option} {value:g} is of a real image: give --image, --reference, --dem and --scene too.")
+        if not 0.0 < value < math.inf:
+            raise UserError(f"{option} {value:g}: a registration needs a standard deviation above zero, and finite.")
+    return POSITION_SIGMA if position is None else position, ATTITUDE_SIGMA if attitude is None else attitude
+
+
 def _begin(folder: pathlib.Path | None) -> None:
-    """The folder is made before the work."""
+    """Check the folder before the work."""
     from jaxgeo._checks import enable_x64
 
+    if folder is not None:
+        check_writable(folder)
     compile_quickly()
     enable_x64()
-    if folder is None:
-        return
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"--output {folder}: this is a file; name a folder for the results.")
-    folder.mkdir(parents=True, exist_ok=True)
-    if not os.access(folder, os.W_OK):
-        raise UserError(f"--output {folder}: nothing may be written there; name another folder.")
 
 
 def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
@@ -169,6 +188,7 @@ def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, input
         print_json(f"study {name}", {"inputs": inputs, "tables": [_content(sheet) for sheet in sheets]})
     if folder is None:
         return
+    folder.mkdir(parents=True, exist_ok=True)
     study.write_tables(report, folder)
     try:
         study.write_pictures(report, folder)

@@ -109,6 +109,11 @@ def _significant(value: Any) -> float | None:
     return None if math.isnan(value) else float(f"{value:.12g}")
 
 
+def no_figures(count: int, probability: float) -> Figures:
+    """Figures of n fixes of which none is known, with all columns of an accuracy."""
+    return _unknown(count, probability)._replace(method=[None] * count, because=[None] * count)
+
+
 def _unknown(count: int, probability: float) -> Figures:
     circular, linear, spherical, azimuth = (np.full(count, np.nan) for _ in range(4))
     cov, bias, axes = (np.full((count, *shape), np.nan) for shape in ((3, 3), (3,), (2,)))

@@ -21,6 +21,7 @@ from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Trust, accuracy_map
+from jaxgeo.uncertainty.accuracy_map import checked_map
 
 COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}
 
@@ -58,6 +59,7 @@ def write_accuracy_map(
     """
     target = checked_target(path, "a map of accuracy")
     check_is(sensor, Sensor, "sensor")
+    checked_map(sensor, shot, terrain, errors, **how)  # before lines of sight are located
     raster = raster_of(f"{target}", sensor, shot, terrain, crs, bounds, resolution, how)
     found = accuracy_map(sensor, shot, terrain, errors, _cells(f"{target}", raster), **how)
     _write(target, found, raster, cog)

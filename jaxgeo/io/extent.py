@@ -23,8 +23,11 @@ def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
     return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
 
 
-def camera_beside(dem: Dem, lat_deg: float, lon_deg: float) -> str | None:
-    """How far beside an elevation model a camera is, and where both are; None if it is over it, or nowhere."""
+def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the camera") -> str | None:
+    """How far beside an elevation model a place is, and where both are; None if it is within, or not finite.
+
+    `what` names the place in the sentence.
+    """
     west, south, east, north = extent_deg(dem)
     lon = west + (lon_deg - west) % 360.0
     is_over = south <= lat_deg <= north and lon <= east
@@ -35,6 +38,6 @@ def camera_beside(dem: Dem, lat_deg: float, lon_deg: float) -> str | None:
     _, _, off = pyproj.Geod(ellps="WGS84").inv(lon, lat_deg, *nearest)
     return (
         f"the elevation model reaches from {south:.4f} to {north:.4f} deg north and {west:.4f} to {east:.4f} deg east; "
-        f"the camera is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
+        f"{what} is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
         f"{off / 1000.0:.3g} km beside it"
     )

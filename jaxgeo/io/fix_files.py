@@ -24,7 +24,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._features import DECIMALS, Feature
-from jaxgeo.io._fix_columns import FIX_DECIMALS, Figures, checked_attributes, figures_of, rows_of
+from jaxgeo.io._fix_columns import FIX_DECIMALS, Figures, checked_attributes, figures_of, no_figures, rows_of
 from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
 from jaxgeo.io._kml import Placemark, kml, kmz
 from jaxgeo.io._layers import Layer, geopackage
@@ -126,24 +126,62 @@ def write_fixes(
     check_is(fixes, Fix, "fixes", "Stack many into one record, as `jax.vmap` of `locate` gives them.")
     fixes = _batch(target, fixes)
     with destination("fixes", target, binary=True) as stream:
-        chart_of = _kml_crs if write in (_kml, _kmz) else map_crs
-        lat, lon, height = degrees_of(fixes.position)
-        chart = chart_of(f"{target}", crs, heights, _extent(lon, lat))
+        chart = _chart(target, crs, heights, fixes.position)
         figures = figures_of(f"{target}", fixes, accuracy, cov_enu, bias_enu, probability)
-        rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
-        places = chart.points(f"{target}", lon, lat, height)
-        outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
-        carried = frozenset(str(name) for row in attributes or () for name in row)
-        told = _Told(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
+        told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=ellipses)
         stream.write(write(told))
 
 
-def check_fix_file(path: str | os.PathLike[str], crs: Any, heights: Any, near: Geodetic) -> None:
-    """Raises as `write_fixes` would for this name, CRS and vertical datum, and fixes `near` a batch of points."""
+def check_fix_file(
+    path: str | os.PathLike[str],
+    crs: Any,
+    heights: Any,
+    near: Geodetic,
+    *,
+    attributes: Sequence[Mapping[str, Any]] | None = None,
+    mgrs: bool = False,
+    reasons: Sequence[str | None] | None = None,
+    probability: float | None = None,
+) -> None:
+    """Raises as `write_fixes` would for this name, CRS, vertical datum and attributes, before there are any fixes.
+
+    A file without coordinates is made in memory. `near` are n places about those of the fixes, `probability` is that of
+    their accuracy, None without one.
+    """
     target = pathlib.Path(path)
+    write, chart, count = _writer(target), _chart(target, crs, heights, near), np.size(near.lat)
+    nothing = np.full(count, np.nan)
+    position, status = Geodetic(lat=nothing, lon=nothing, height=nothing), np.full(count, Status.file_not_read, np.int8)
+    fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
+    figures = None if probability is None else no_figures(count, probability)
+    told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
+    one = slice(None) if write in (_kml, _kmz) else slice(1)  # texts that cannot be in KML may stand in any row
+    write(told._replace(rows=told.rows[one], places=told.places[one], outlines=told.outlines[one]))
+
+
+def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapCRS:
     chart_of = _kml_crs if _writer(target) in (_kml, _kmz) else map_crs
     lat, lon, _ = degrees_of(near)
-    chart_of(f"{target}", crs, heights, _extent(lon, lat))
+    return chart_of(f"{target}", crs, heights, _extent(lon, lat))
+
+
+def _told(
+    target: pathlib.Path,
+    chart: MapCRS,
+    fixes: Fix,
+    figures: Figures | None,
+    attributes: Any,
+    *,
+    mgrs: bool,
+    reasons: Any,
+    ellipses: bool,
+) -> _Told:
+    rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
+    lat, lon, height = degrees_of(fixes.position)
+    places = chart.points(f"{target}", lon, lat, height)
+    outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
+    carried = frozenset(str(name) for row in attributes or () for name in row)
+    return _Told(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
 
 
 def _writer(target: pathlib.Path) -> Callable[[_Told], bytes]:

@@ -17,7 +17,7 @@ from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 
 from jaxgeo.earth import WGS84
-from jaxgeo.io._proj import NoOperation, operation
+from jaxgeo.io._proj import NoOperation, Operation, operation
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
@@ -75,6 +75,8 @@ def raster_of(
     if crs is None and bounds is not None:
         raise ValueError(f"{name}: bounds={bounds!r} are in the unit of a CRS; name it with crs=.")
     asked = None if crs is None else checked_crs(name, crs)  # before lines of sight are located
+    if asked is not None:
+        _operation(name, asked, None)
     edges = None if bounds is None else _checked_bounds(name, bounds)
     size = None if resolution is None else _checked_resolution(name, resolution)
     usual = terrain_spacing(name, terrain) if size is None and spacing is None else None
@@ -272,12 +274,7 @@ def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, flo
     """(west, south, east, north) in a CRS of an area in deg, and a little more."""
     lon, lat = area
     turned = (lon + 180.0) % 360.0 - 180.0
-    try:
-        found = operation(crs, "EPSG:4326", (turned[0], lat.min(), turned[0], lat.max()))
-    except NoOperation as error:
-        raise DemError(
-            f"{name}: PROJ knows no transformation from WGS 84 to {crs.name!r} but a ballpark one."
-        ) from error
+    found = _operation(name, crs, (turned[0], lat.min(), turned[0], lat.max()))
     x, y = (np.asarray(v) for v in found.transformer.transform(turned, lat, direction="INVERSE"))
     if crs.is_geographic:
         turn = 2.0 * np.pi / crs.axis_info[0].unit_conversion_factor
@@ -289,6 +286,16 @@ def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, flo
     wider = MARGIN * np.array([np.ptp(x), np.ptp(y)])
     west, south, east, north = x.min() - wider[0], y.min() - wider[1], x.max() + wider[0], y.max() + wider[1]
     return float(west), float(south), float(east), float(north)
+
+
+def _operation(name: str, crs: pyproj.CRS, area: tuple[float, float, float, float] | None) -> Operation:
+    """The way from a CRS to WGS 84 in an area in deg. Raises `DemError` where PROJ has none."""
+    try:
+        return operation(crs, "EPSG:4326", area)
+    except NoOperation as error:
+        raise DemError(
+            f"{name}: PROJ knows no transformation from WGS 84 to {crs.name!r} but a ballpark one."
+        ) from error
 
 
 def _in_unit(usual: Spacing, crs: pyproj.CRS, edges: tuple[float, float, float, float]) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import pathlib
 import sys
@@ -91,6 +92,8 @@ def rectify_file(
     """
     target = checked_target(path, "an orthoimage")
     check_is(sensor, Sensor, "sensor")
+    check_is(interpolation, AbstractInterpolation, "interpolation")
+    inspect.signature(Rectifier).bind(sensor, shot, None, None, terrain, None, **how)  # `TypeError` for other options
     beside = status_file(target)
     read = [image] if like is None or isinstance(like, MapRaster) else [image, like]
     check_no_input(

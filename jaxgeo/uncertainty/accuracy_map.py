@@ -144,8 +144,9 @@ def accuracy_map(
     `count` of 0 there are no figures. `block` places are judged at a time, `chunk` samples drawn, which bounds the
     memory; no number depends on either. `progress` shows bars. Raises as `accuracy`, but not for lack of a fix.
     """
-    world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
-    request = requested(probability, count, key, draws, chunk, search, block)
+    how: Any = {"probability": probability, "count": count, "key": key, "draws": draws, "chunk": chunk, "time": time}
+    how |= {"search": search, "atmosphere": atmosphere, "block": block, "progress": progress}
+    world, model, request = checked_map(sensor, shot, terrain, errors, **how)
     ground = _cells(terrain, step) if ground is None else ground
     check_is(ground, Geodetic, "ground", "Make one with Geodetic.from_degrees(lat=, lon=, height=0.0).")
     check_latitude(ground, "ground")
@@ -155,6 +156,29 @@ def accuracy_map(
     parts = in_parts((lat.reshape(-1), lon.reshape(-1)), 8 * request.block, "where it is seen", progress)
     places = joined([placed(*part, world) for part in parts], lat.size)
     return _mapped(places, lat.shape, request, world, model, progress)
+
+
+def checked_map(
+    sensor: Any,
+    shot: Any,
+    terrain: Any,
+    errors: Any,
+    *,
+    probability: Any = 0.9,
+    count: Any = SAMPLES,
+    key: Any = None,
+    draws: Any = RANDOM,
+    chunk: Any = CHUNK,
+    time: Any = None,
+    search: AbstractSearch = FIRST_HIT,
+    atmosphere: Any = None,
+    block: Any = BLOCK,
+    progress: bool = False,
+) -> tuple[World, ErrorModel, Request]:
+    """Arguments of `accuracy_map` but for its places, checked; nothing is compiled. Raises as that."""
+    del progress
+    world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
+    return world, model, requested(probability, count, key, draws, chunk, search, block)
 
 
 def accuracy_of_pixels(

@@ -616,6 +616,52 @@ def test_the_table_of_cameras_beats_the_film_and_is_beaten_by_a_calibration(imag
     assert "EXIF:FocalLengthIn35mmFilm" in focal(BARE, **other)[1]  # another lens than the table's
 
 
+ZOOMS = {  # model, size, EXIF's focal length, digital zoom, focal length in pixels without it
+    "of a table camera": ("FC6310", (5472, 3648), 8.8, 2.5, 8.8 / 2.41e-3),
+    "of a cropped mode": ("FC6310", (5472, 3078), 8.8, 1.5, 8.8 / 2.41e-3),
+    "at the end of an optical zoom": ("ZH20", (5184, 3888), 119.94, 4.0, 119.94 / 1.45e-3),
+}
+
+
+@pytest.mark.parametrize("case", ZOOMS)
+@pytest.mark.parametrize("named", [False, True], ids=["by tags", "by name"])
+@pytest.mark.parametrize("scale", [1, 6], ids=["whole", "smaller copy"])
+def test_a_digital_zoom_makes_the_focal_length_longer(tmp_path, case: str, named: bool, scale: int) -> None:
+    """And less sure: against a crop of the middle that Pillow would make so many times larger."""
+    model, (width, height), focal_mm, zoom, focal_px = ZOOMS[case]
+    tags = {name: value for name, value in DJI.items() if "Calibrated" not in name}
+    exif = {0x920A: focal_mm, 0xA002: width, 0xA003: height}
+    size = width // scale, height // scale
+    files = [
+        write_image(tmp_path / f"{k}.jpg", packet(tags), make="DJI", model=model, exif=exif | more, size=size)
+        for k, more in enumerate(({}, {0xA404: zoom}))
+    ]
+    how = {"camera": model} if named else {}
+    plain, zoomed = (read(path, height_datum="ellipsoid", **how) for path in files)
+    for found, times in ((plain, 1.0), (zoomed, zoom)):
+        np.testing.assert_allclose(found.sensor.camera.focal_px, focal_px * times * size[0] / width, rtol=1e-9)
+        np.testing.assert_allclose(found.sensor.camera.principal_px, [[(n - 1) / 2 for n in size]], atol=1e-9)
+    shares = [np.asarray(one.sources[-1].sigma)[0] / one.sensor.camera.focal_px[0, 0] for one in (plain, zoomed)]
+    assert shares[1][0] == pytest.approx(np.hypot(shares[0][0], 0.02 * (zoom - 1.0)))
+    assert shares[1][1] == pytest.approx(shares[0][1])  # as an angle: so many more pixels, of which each is smaller
+    (told,) = [one for one in zoomed.assumed if "DigitalZoomRatio" in one]
+    assert f"the focal length is {zoom:g} times that of the table" in told
+    assert not any("DigitalZoomRatio" in one for one in plain.assumed)
+
+
+def test_a_digital_zoom_that_cannot_be_told_is_refused_with_a_way_out(tmp_path) -> None:
+    tags = {name: value for name, value in DJI.items() if "Calibrated" not in name}
+    for k, (model, size, focal_mm) in enumerate(
+        (("FC6310", (2189, 1459), 8.8), ("FC9998", (5472, 3648), 8.8), ("ZH20", (5184, 3888), 20.0))
+    ):
+        exif = {0x920A: focal_mm, 0xA404: 2.5, 0xA002: size[0], 0xA003: size[1]}
+        path = write_image(tmp_path / f"{k}.jpg", packet(tags), make="DJI", model=model, exif=exif, size=size)
+        with pytest.raises(TableError, match=r"magnified 2\.5 times.* its focal length 2\.5 times as long: camera="):
+            read(path, height_datum="ellipsoid")
+        found = read(path, height_datum="ellipsoid", camera="focal=22mm,pitch=2.41um")
+        assert any("is taken as that of the magnified image" in one for one in found.assumed)
+
+
 def test_a_camera_by_text_name_and_file(image, tmp_path: pathlib.Path) -> None:
     path, small = image(BARE, make="", model="", exif=CAMERA), image(BARE, name="b.jpg", exif={})
     file = tmp_path / "camera.toml"

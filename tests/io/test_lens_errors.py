@@ -15,8 +15,11 @@ import jaxgeo
 from jaxgeo import FrameCamera
 from jaxgeo.io import with_usual_errors
 from jaxgeo.io.acquisitions import _calibrations, read_drone_images
+from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.uncertainty import ErrorModel, accuracy
+from jaxgeo.uncertainty.sources import InteriorOrientation
 from tests.support.drone_image_files import packet, write_image
+from tests.support.klv_packets import local_set, usual, whole
 
 TAGS: dict[str, Any] = {
     "drone-dji:AbsoluteAltitude": "+900.0",
@@ -84,6 +87,33 @@ def test_ce90_of_a_corner_holds_the_truth_of_a_film_equivalent(tmp_path: pathlib
     without = accuracy(sensor, shot, CORNER, jaxgeo.ConstantHeight(GROUND), ErrorModel(tuple(others))).circular
     if off > 30.0:
         assert without < off  # which is what it was before the lens had a part in it
+
+
+WIDTHS = {"in whole steps of 10 m": 340.0, "7 % too small": 323.0, "7 % too large": 371.0}  # m; the true one is 347 m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", WIDTHS)
+def test_ce90_of_a_corner_holds_the_truth_of_a_target_width(tmp_path: pathlib.Path, case: str) -> None:
+    """Telemetry without a field of view, whose target width is rounded or estimated."""
+    true_focal = 640.0 / (0.5 * 347.0 / 1650.0)
+    steep = {"tag_18": 0.0, "tag_19": -87.0, "tag_20": 0.0, "tag_21": 1650.0, "tag_6": 0.0, "tag_7": 0.0}
+    items = usual(5, 13, 14, 75, **steep) | {22: whole(WIDTHS[case], 0.0, 10_000.0, ">H")}
+    path = tmp_path / "a.klv"
+    path.write_bytes(local_set(items))
+    found = with_usual_errors(read_telemetry(path, image_size=(1280, 720)))
+    sensor, shot, sources = found.exposure(0)
+    camera: Any = sensor.camera  # pyright: ignore[reportOptionalMemberAccess]
+    true = FrameCamera(jnp.full(2, true_focal), camera.principal_px, camera.distortion, 1280, 720)
+    ground = jaxgeo.ConstantHeight(400.0)
+    exact = tuple(one for one in sources if isinstance(one, InteriorOrientation))
+    where = [
+        np.asarray(jax.jit(jaxgeo.locate)(eqx.tree_at(lambda one: one.camera, sensor, one), shot, CORNER, ground).ecef)
+        for one in (camera, true)
+    ]
+    off = float(np.linalg.norm(where[0] - where[1]))
+    alone = accuracy(sensor, shot, CORNER, ground, ErrorModel(exact))  # pyright: ignore[reportArgumentType]
+    assert off < alone.circular < 3.0 * 0.07 * 0.5 * 347.0 * np.hypot(1.0, 720.0 / 1280.0)
 
 
 def test_every_way_to_a_focal_length_has_its_error(tmp_path: pathlib.Path) -> None:

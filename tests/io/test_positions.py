@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pyproj
 import pytest
-from support.drone_image_files import packet, write_image
+from support.drone_image_files import CAMERA, packet, write_image
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
-from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, undulation, with_positions
+from jaxgeo.io import TableError, UnstatedDatum, read_acquisition, read_acquisitions, undulation, with_positions
 
 DJI = {
     "drone-dji:AbsoluteAltitude": "+153.9",
@@ -207,6 +207,75 @@ def test_marks_of_another_flight_are_told_by_their_times(folder: pathlib.Path) -
     late = MARK.format(1, 36.3, -84.2, 50) + "\n" + MARK.format(2, 36.3, -84.2, 50).replace("362830", "362930") + "\n"
     with pytest.raises(TableError, match="they are not of one flight"):
         with_positions(dataclasses.replace(found, shots=shots), written(folder, "Timestamp.MRK", late))
+
+
+MARKED = datetime.datetime(1980, 1, 6) + datetime.timedelta(weeks=2312, seconds=362830.0)  # of MARK, to the second
+
+
+def flown(path: pathlib.Path, seconds: float | None) -> pathlib.Path:
+    """An image taken so many s after the mark by a clock of its own, 2 h before GPS; without a time for None."""
+    path.parent.mkdir(exist_ok=True)
+    when = None if seconds is None else MARKED + datetime.timedelta(seconds=seconds - 7200.0)
+    exif = CAMERA if when is None else CAMERA | {0x9003: when.strftime("%Y:%m:%d %H:%M:%S")}
+    return write_image(path, packet(DJI), make="DJI", exif=exif)
+
+
+def marks(folder: pathlib.Path, count: int = 3) -> pathlib.Path:
+    """Marks of photos 1, 2, ... that were taken 2 s apart."""
+    lines = [MARK.format(k + 1, 36.3, -84.2, 50).replace("362830", f"{362830 + 2 * k}") for k in range(count)]
+    return written(folder, "Timestamp.MRK", "\n".join(lines) + "\n")
+
+
+FLIGHTS = {  # times of the images 1, 2, 3 in s after the first mark, and whether they are of its flight
+    "of the flight": ((0.0, 2.0, 4.0), True),
+    "rounded to seconds": ((0.0, 3.0, 4.0), True),
+    "one without a time": ((None, 2.0, 4.0), True),
+    "one time only": ((None, 500.0, None), True),
+    "none with a time": ((None, None, None), True),
+    "of another flight": ((0.0, 62.0, 124.0), False),
+    "the last of another": ((0.0, 2.0, 604.0), False),
+    "one without a time, of another": ((0.0, None, 604.0), False),
+}
+
+
+@pytest.mark.parametrize("case", FLIGHTS)
+@pytest.mark.parametrize("is_list", [True, False], ids=["files", "folder"])
+def test_clocks_of_images_read_one_by_one_belong_to_one_flight(
+    tmp_path: pathlib.Path, case: str, is_list: bool
+) -> None:
+    times, is_one_flight = FLIGHTS[case]
+    folder = tmp_path / "images"
+    files = [flown(folder / f"DJI_{k:04d}.JPG", seconds) for k, seconds in enumerate(times, 1)]
+    paths = files if is_list else folder
+    if is_one_flight:
+        found = read_acquisitions(paths, positions=marks(folder))
+        assert (sum(map(len, found.parts)), found.unread) == (3, ())
+    else:
+        with pytest.raises(TableError, match=r"differ by -?\d+ to -?\d+ s, so they are not of one flight"):
+            read_acquisitions(paths, positions=marks(folder))
+
+
+def test_two_images_of_one_number_are_of_two_flights(tmp_path: pathlib.Path) -> None:
+    files = [flown(tmp_path / name / "DJI_0001.JPG", 0.0) for name in ("100MEDIA", "101MEDIA")]
+    with pytest.raises(TableError, match="two images have the number of one photo; join one flight at a time"):
+        read_acquisitions(files, positions=marks(tmp_path / "100MEDIA"))
+    assert len(read_acquisitions(files[:1], positions=marks(tmp_path / "100MEDIA"))) == 1
+
+
+def test_images_joined_by_name_may_be_of_many_flights(tmp_path: pathlib.Path) -> None:
+    files = [flown(tmp_path / "images" / f"DJI_000{k}.JPG", 9e4 * k) for k in (1, 2)]
+    path = written(files[0].parent, "geo.txt", GEO + GEO.splitlines()[1].replace("0001", "0002") + "\n")
+    found = read_acquisitions(files, positions=path, height_datum="ellipsoid")
+    assert (len(found), found.unread) == (2, ())
+
+
+def test_another_file_among_the_images_has_no_part_in_the_check(tmp_path: pathlib.Path) -> None:
+    folder = tmp_path / "images"
+    files = [flown(folder / f"DJI_{k:04d}.JPG", 2.0 * k) for k in (1, 2)]
+    (folder / "DJI_0003.JPG").write_bytes(files[0].read_bytes()[:700])
+    found = read_acquisitions(folder, positions=marks(folder))
+    assert [one.name for one in found.unread] == ["DJI_0003.JPG"]
+    assert sum(map(len, found.parts)) == 2
 
 
 def test_images_without_numbers_are_joined_by_time(folder: pathlib.Path) -> None:

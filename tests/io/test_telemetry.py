@@ -27,7 +27,7 @@ from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.acquisitions.reported import compare_reported
 from jaxgeo.io.acquisitions.telemetry import read_telemetry
 from jaxgeo.io.acquisitions.transport_stream import is_transport_stream
-from jaxgeo.sensor import FrameCamera, Sensor
+from jaxgeo.sensor import FrameCamera, Sensor, Trajectory
 
 ABOVE_ELLIPSOID = (5, 6, 7, 13, 14, 16, 17, 18, 19, 20, 21, 23, 24, 75, 78)
 MADE = local_set(usual(*ABOVE_ELLIPSOID))
@@ -74,7 +74,9 @@ def test_values_of_a_packet(file: File) -> None:
     np.testing.assert_allclose(degrees(found.reported.centre.lat), 47.12, atol=1e-7)
     np.testing.assert_allclose(found.reported.centre.height, 450.0, atol=0.2)
     assert found.tags[0]["Sensor Latitude (deg)"] == pytest.approx(47.1)
-    assert found.sources == ()
+    (lens,) = found.sources
+    np.testing.assert_allclose(lens.sigma[:, 0], 0.01 * np.asarray(found.sensor.camera.focal_px)[:, 0])  # pyright: ignore
+    np.testing.assert_array_equal(lens.sigma[:, 1:], 0.0)
 
 
 def test_full_angles_and_ellipsoid_heights_are_preferred(file: File) -> None:
@@ -245,6 +247,27 @@ def test_a_field_of_view_from_target_width_and_slant_range(file: File) -> None:
             read_telemetry(file(told | unknown))
 
 
+def test_a_focal_length_from_target_width_errs_more_than_one_that_is_told(file: File) -> None:
+    told = without(16, 17) | {22: whole(400.0, 0.0, 10_000.0, ">H")}
+    given = "focal=700px,size=1280x720"
+    for packets, shares, words in (
+        ((MADE,), [0.01], ["1 % by fields of view in the packets (standard deviation)"]),
+        ((told,), [0.05], ["5 % by target width and slant range (standard deviation)"]),
+        ((told, MADE), [0.05, 0.01], ["1 % by fields of view in the packets, 5 % by target width and slant range"]),
+    ):
+        found = read_telemetry(file(*packets))
+        (lens,) = found.sources
+        focal = np.asarray(found.sensor.camera.focal_px)[:, 0]  # pyright: ignore
+        np.testing.assert_allclose(lens.sigma[:, 0], np.array(shares) * focal)
+        np.testing.assert_array_equal(lens.sigma[:, 1:], 0.0)
+        said = [one for one in found.assumed if one.startswith("Focal lengths err by")]
+        assert len(said) == 1
+        assert all(word in said[0] for word in words)
+    found = read_telemetry(file(MADE), camera=given)
+    assert found.sources == ()
+    assert any("is the one given" in one and "has no error" in one for one in found.assumed)
+
+
 def test_a_camera_that_is_given_stands_for_the_field_of_view(file: File) -> None:
     """As it is advised where the packets tell none; and in its place where they do."""
     path = file(without(16, 17, 21))
@@ -273,7 +296,6 @@ def test_a_camera_that_is_given_stands_for_the_field_of_view(file: File) -> None
     "changes, words",
     [
         ({13: bytes(4), 14: bytes(4)}, "position .*; Sensor Latitude and Sensor Longitude: a receiver without a fix"),
-        ({2: bytes(8)}, "time .*; Precision Time Stamp: a clock that is not set writes zero"),
         ({75: bytes(2)}, "height .*; Sensor Ellipsoid Height: -900 m is the code zero"),
         ({16: bytes(2), 17: bytes(2)}, "field of view .*; Sensor Horizontal Field of View: it is not measured"),
         ({6: b"\x80\x00"}, "attitude .*; Platform Pitch Angle: the code that stands for an error or a value out of"),
@@ -297,9 +319,47 @@ def test_a_centre_of_zeros_is_no_centre(file: File) -> None:
         np.testing.assert_array_equal(np.isnan(getattr(compared, name)), [True, True, False], err_msg=name)
 
 
-def test_times_that_leap_seconds_move_out_of_range(file: File) -> None:
-    with pytest.raises(TableError, match="for want of time"):
-        read_telemetry(file(without() | {136: b"\xff" + bytes(7)}))
+UNTIMED = {
+    "zero": {2: bytes(8)},
+    "of no bytes": {2: b""},
+    "too short": {2: b"\x01"},
+    "beyond all times": {2: b"\xff" * 8},
+    "moved out of range by leap seconds": {136: b"\xff" + bytes(7)},
+}
+
+
+@pytest.mark.parametrize("case", UNTIMED)
+def test_a_fix_needs_no_time(file: File, case: str) -> None:
+    untimed, timed = without() | UNTIMED[case], without()
+    found, known = read_telemetry(file(untimed, untimed)), read_telemetry(file(timed, timed))
+    assert (len(found), found.time_is_utc, found.facts["times"]) == (2, False, "unknown")
+    np.testing.assert_array_equal(found.shots.time, 0.0)
+    jax.tree.map(
+        np.testing.assert_array_equal,
+        (found.sensor, found.shots.pose, found.shots.gimbal_readings),
+        (known.sensor, known.shots.pose, known.shots.gimbal_readings),
+    )
+    told = [one for one in found.assumed if one.startswith("The time of 2 of 2 packets is unknown")]
+    assert len(told) == 1
+    assert ("a clock that is not set writes zero" in told[0]) is (case == "zero")
+    assert not any("UTC" in one for one in found.assumed)
+
+
+def test_packets_with_a_time_and_without(file: File) -> None:
+    found = read_telemetry(file(at(1, without()), without() | {2: bytes(8)}, without(2), at(3, without())))
+    np.testing.assert_allclose(found.shots.time, [1e-6 * TIME_US + 1, 0.0, 0.0, 1e-6 * TIME_US + 3], atol=1e-3)
+    assert not found.time_is_utc
+    assert any(one.startswith("The time of 2 of 4 packets is unknown; Prec") for one in found.assumed)
+    assert found.facts["times"].count("2012-09-19") == 2
+    with pytest.raises(ValueError, match="times"):
+        Trajectory.from_knots(found.shots.time, found.shots.pose, found.shots.gimbal_readings)
+
+
+def test_what_an_earlier_packet_said_is_not_held_where_no_time_tells_its_age(file: File) -> None:
+    once, silent = usual(*ABOVE_ELLIPSOID), without(16, 17, 21) | {2: bytes(8)}
+    found = read_telemetry(file(once, silent))
+    assert found.names.tolist() == ["0"]
+    assert any("not held in a packet without a time" in one for one in found.assumed)
 
 
 def test_a_heading_that_is_only_magnetic_is_told(file: File) -> None:
@@ -312,7 +372,6 @@ def test_a_heading_that_is_only_magnetic_is_told(file: File) -> None:
 @pytest.mark.parametrize(
     "lost, words",
     [
-        (2, "time"),
         (13, "position of the sensor"),
         (75, "height of the sensor"),
         (5, "attitude of the platform"),

@@ -146,7 +146,7 @@ KLV: dict[str, tuple[str, Callable[[pathlib.Path], None]]] = {
     ),
     "eg0104.klv": ("the older universal set", refused("MISB EG 0104", "Ask its source for ST 0601")),
     "zero_pos.klv": ("positions 0/0", read(1, said("2 of 3 packets were left out for want of position"))),
-    "time_zero.klv": ("times 0", refused("for want of time (tag 2); Precision Time Stamp: a clock that is not set")),
+    "time_zero.klv": ("times 0", read(2, said("unknown; Precision Time Stamp: a clock that is not set"))),
     "latlon_error.klv": ("latitudes out of range", read(1, said("Sensor Latitude: the code that stands for an error"))),
     "leap.klv": ("leap seconds told", read(2, TOLD, times("2023-11-14 22:13:57.000"))),
     "magnetic_only.klv": ("a magnetic heading only", refused("attitude of the platform", "magnetic heading (tag 64)")),

@@ -63,25 +63,12 @@ class Calibration:
 
 
 def calibration_of(tags: ImageTags) -> Calibration:
-    """The camera by the maker's calibration, else by the table of cameras, else by EXIF.
+    """The camera by the maker's calibration, else by the table of cameras, else by EXIF, of an image as it was exposed.
 
-    Raises `TableError` where there is none of them, where a digital zoom makes all doubtful, and for an image that was
-    cut.
+    Raises `TableError` where there is none of them, and for an image that was cut.
     """
-    zoom = tags.number("EXIF:DigitalZoomRatio", (0.0, 1e4, "times"))
-    if zoom is not None and zoom > 1.001:
-        raise tags.wrong(
-            "EXIF:DigitalZoomRatio",
-            f"the image is magnified {zoom:g} times, and it is not said whether its calibration is of before or after; "
-            f"give {FORMS}.",
-        )
     width, height = full_size(tags)
-    across, down = tags.width / width, tags.height / height
-    if abs(across / down - 1.0) > CLOSE:
-        raise TableError(
-            f"{tags.path}: the image has {tags.width} x {tags.height} pixels, its tags speak of {width} x {height}: it "
-            f"was cut or turned. Take the file as the drone wrote it, or give {FORMS}."
-        )
+    check_whole(tags, width, height)
     for way in (_dji_dewarp, _skydio, _pix4d, _dji_designed, _table, _exif_metric, _exif_film):
         found = way(tags, width, height)
         if found is not None:
@@ -89,10 +76,25 @@ def calibration_of(tags: ImageTags) -> Calibration:
     else:
         raise TableError(
             f"{tags.path}: nothing says what the focal length is in pixels (no calibration, FocalPlaneXResolution "
-            f"or FocalLengthIn35mmFilm, and {_camera_shown(tags)} of {width} x {height} pixels is not in the table of "
+            f"or FocalLengthIn35mmFilm, and {camera_shown(tags)} of {width} x {height} pixels is not in the table of "
             f"cameras); give {FORMS}."
         )
     _check(tags, found, width, height)
+    return in_file(tags, found, width, height)
+
+
+def check_whole(tags: ImageTags, width: int, height: int) -> None:
+    """Raises `TableError` for a file of another shape than the image of so many pixels that the camera made."""
+    if abs(tags.width / width / (tags.height / height) - 1.0) > CLOSE:
+        raise TableError(
+            f"{tags.path}: the image has {tags.width} x {tags.height} pixels, its tags speak of {width} x {height}: it "
+            f"was cut or turned. Take the file as the drone wrote it, or give {FORMS}."
+        )
+
+
+def in_file(tags: ImageTags, found: Calibration, width: int, height: int) -> Calibration:
+    """The calibration of an image of its full size, in pixels of a file that may be a smaller copy."""
+    across, down = tags.width / width, tags.height / height
     if across == 1.0 and down == 1.0:
         return found
     told = (
@@ -102,7 +104,7 @@ def calibration_of(tags: ImageTags) -> Calibration:
     return replace(found.scaled(across, down), assumed=(*found.assumed, told))
 
 
-def _camera_shown(tags: ImageTags) -> str:
+def camera_shown(tags: ImageTags) -> str:
     return " ".join(tags.camera).strip() or "a camera without a name"
 
 

@@ -17,6 +17,7 @@ from jaxgeo.io.acquisitions._calibrations import (
     full_size,
     interior_sigma,
 )
+from jaxgeo.io.acquisitions._digital_zoom import magnified_calibration, magnified_told, zoom_of
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import for_each
@@ -49,7 +50,7 @@ def sensor_of_images(
     if isinstance(given, FrameCamera | Lens):
         made, how = _as_given(tags[0], given, told)
         return for_each(Sensor(made, gimbal, mount), len(tags)), (), _focal_shown(made.focal_px, how)
-    found = [calibration_of(one) if given is None else _by_name(one, given) for one in tags]
+    found = [_by_tags(one) if given is None else _by_name(one, given) for one in tags]
     told |= dict.fromkeys(line for one in found for line in one.assumed)
     made = _camera(found, tags[0].width, tags[0].height)
     source = jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(interior_sigma(found, tags[0].width)))
@@ -60,8 +61,8 @@ def sensor_of_images(
 
 
 def _as_given(tags: ImageTags, given: FrameCamera | Lens, told: dict[str, None]) -> tuple[FrameCamera, str]:
-    size = tags.width, tags.height
-    told |= {AS_GIVEN: None}
+    size, zoom = (tags.width, tags.height), zoom_of(tags)
+    told |= {AS_GIVEN: None} | ({magnified_told(zoom): None} if zoom > 1.0 else {})
     if isinstance(given, Lens):
         if given.size not in (None, size):
             raise TableError(f"{tags.path}: the image has {size[0]} x {size[1]} pixels; leave size= of camera= out.")
@@ -80,10 +81,18 @@ def _as_given(tags: ImageTags, given: FrameCamera | Lens, told: dict[str, None])
     return made, "as given"
 
 
+def _by_tags(tags: ImageTags) -> Calibration:
+    zoom = zoom_of(tags)
+    return calibration_of(tags) if zoom == 1.0 else magnified_calibration(tags, zoom)
+
+
 def _by_name(tags: ImageTags, name: str) -> Calibration:
     """The lens of a camera that is named, from the table of cameras."""
     width, height = full_size(tags)
     known = named_camera(name, width, height, exif_focal(tags))
+    zoom = zoom_of(tags)
+    if known is not None and zoom > 1.0:
+        return magnified_calibration(tags, zoom, known)
     if known is not None:
         found = calibration_by_table(known, width, height)
         return found.scaled(tags.width / width, tags.height / height)

@@ -6,15 +6,21 @@ import math
 import os
 from typing import Any
 
+import jax
 import numpy as np
 
-from jaxgeo.io.acquisitions._klv_columns import Columns
+from jaxgeo.io.acquisitions._klv_columns import DERIVED, Columns, Numbers
 from jaxgeo.io.acquisitions.record import for_each
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import FORMS, Lens, frame_camera, given_camera, resized
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.sensor.distortion import NoDistortion
+from jaxgeo.uncertainty.sources import InteriorOrientation
 
+# Standard deviations of the focal length as shares of it. Fields of view in packets come from the place of a zoom, in
+# steps of 0.003 deg, of a lens whose distortion is unknown. Target width and slant range are both estimates, the
+# width in steps of 0.15 m, and give the field of view over ground that is level across the image.
+TOLD_SIGMA, DERIVED_SIGMA = 0.01, 0.05
 USUAL_SIZES = ((1280, 720), (640, 480), (1280, 1024), (1024, 1024))  # one for each ratio of sides, in pixels
 
 
@@ -47,6 +53,24 @@ def sensor_of(path: Any, columns: Columns, size: tuple[int, int], given: FrameCa
     limits = np.array([[-turn, turn], [-np.pi, np.pi], [-np.pi, np.pi]])
     gimbal = Gimbal.three_axis(limits=limits, reference="body")
     return Sensor(camera, for_each(gimbal, count), for_each(Mount.forward(), count))
+
+
+def lens_errors(numbers: Numbers, sensor: Sensor) -> tuple[InteriorOrientation, str]:
+    """(errors of the focal length of n packets by where the field of view comes from; as a sentence).
+
+    The principal point has none of its own: the angles in the packets are those of the middle of the image.
+    """
+    is_derived = numbers.origin == DERIVED
+    shares = np.where(is_derived, DERIVED_SIGMA, TOLD_SIGMA)
+    focal = np.asarray(sensor.camera.focal_px)[:, 0]  # pyright: ignore[reportAttributeAccessIssue]
+    sigma = np.stack([shares * focal, np.zeros(len(focal)), np.zeros(len(focal))], axis=-1)
+    kinds = [] if is_derived.all() else [f"{100.0 * TOLD_SIGMA:g} % by fields of view in the packets"]
+    kinds += [f"{100.0 * DERIVED_SIGMA:g} % by target width and slant range"] if is_derived.any() else []
+    told = (
+        f"Focal lengths err by {', '.join(kinds)} (standard deviation); the principal point has no error of its own, "
+        f"as the angles are those of the middle of the image."
+    )
+    return jax.tree.map(np.asarray, jax.vmap(InteriorOrientation)(sigma)), told
 
 
 def _told(columns: Columns, size: tuple[int, int]) -> FrameCamera:

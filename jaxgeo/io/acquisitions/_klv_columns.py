@@ -157,13 +157,12 @@ def _fields_of_view(
 
 
 def lacking(columns: Columns, fields_too: bool) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
-    """By what an exposure needs, in words: which packets lack it, and the tags that would tell it.
+    """By what an exposure needs, in words: which packets lack it, and the tags that would tell it; no time is needed.
 
-    `fields_too`: whether the camera hangs on the field of view.
+    `fields_too`: whether the camera depends on the field of view.
     """
     unknown = {name: ~np.isfinite(column) for name, column in columns.items()}
     needed = {
-        "time (tag 2)": (unknown["time"], (2,)),
         "position of the sensor (tags 13, 14)": (unknown["lat"] | unknown["lon"], (13, 14)),
         "height of the sensor (tags 15, 75 or 104)": (unknown["height"] & unknown["height_msl"], (15, 75, 104)),
         "attitude of the platform (tags 5, 6 or 90, 7 or 91)": (

@@ -38,15 +38,34 @@ def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> 
         if not which.any():
             continue
         rows = np.flatnonzero(which)
-        found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
-        hits = [found[tag][row] for tag in tags for row in found[tag] if which[row]]
-        reasons = list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
+        reasons = _sentinels_told(numbers, tags, which)
         if 5 in tags and any(64 in values[int(row)] for row in rows):
             reasons.append("the magnetic heading (tag 64) is there, but not the declination that makes it a true one")
+        if 16 in tags and not np.isfinite(numbers.columns["time"][rows]).all():
+            reasons.append("an item of an earlier packet is not held in a packet without a time")
         why = "".join(f"; {reason}" for reason in reasons[:3])
         advice = f" Give the camera: {FORMS}." if 16 in tags else ""
         notes.append(f"{which.sum()} of {count} packets were left out for want of {what}{why}.{advice}")
     return notes
+
+
+def _sentinels_told(numbers: Numbers, tags: tuple[int, ...], which: np.ndarray) -> list[str]:
+    """Why items with those tags are unknown in some packets, by their sentinels."""
+    found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
+    hits = [found[tag][row] for tag in tags for row in found[tag] if row < len(which) and which[row]]
+    return list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
+
+
+def times_unknown(numbers: Numbers, usable: np.ndarray) -> list[str]:
+    """Of how many of the packets that are used the time is unknown, and why. `numbers` are of all packets."""
+    which = usable & ~np.isfinite(numbers.columns["time"])
+    if not which.any():
+        return []
+    reasons = "".join(f"; {one}" for one in _sentinels_told(numbers, (2,), which))
+    return [
+        f"The time of {which.sum()} of {usable.sum()} packets is unknown{reasons}. It is set to zero; no line of sight "
+        f"depends on it."
+    ]
 
 
 def _unitless(name: str) -> str:
@@ -81,8 +100,12 @@ def assumed(
         )
     if not upright and not np.isfinite(columns["turn"]).all():
         notes.append("The roll of the sensor (tag 20) is not told everywhere: zero, the top of the image up.")
-    notes += ["The camera is the one given, not that of the packets."] if is_given else _fields_of_view(numbers)
-    if not any(136 in one for one in values):
+    notes += (
+        ["The camera is the one given, not that of the packets, and has no error."]
+        if is_given
+        else _fields_of_view(numbers)
+    )
+    if np.isfinite(columns["time"]).any() and not any(136 in one for one in values):
         notes.append(
             "Times are taken as UTC; by newer editions of the standard they would count leap seconds, which tag 136 "
             "would tell."
@@ -90,7 +113,7 @@ def assumed(
     if not is_given:
         notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
     sigmas = "are in tag 102, which is not read" if any(102 in one for one in values) else "are not in the packets"
-    notes.append(f"Accuracies {sigmas}: no errors are given.")
+    notes.append(f"Accuracies {sigmas}: no errors of positions and angles are given.")
     return notes
 
 
@@ -117,11 +140,12 @@ def _fields_of_view(numbers: Numbers) -> list[str]:
 def facts(values: Values, columns: Columns, count: int) -> dict[str, str]:
     """What the file says, for people."""
     told = {"packets": f"{count}, of which {len(values)} make exposures"}
-    first, last = (
+    known = columns["time"][np.isfinite(columns["time"])]
+    ends = [
         datetime.datetime.fromtimestamp(time, datetime.UTC).isoformat(sep=" ", timespec="milliseconds")
-        for time in (columns["time"].min(), columns["time"].max())
-    )
-    told["times"] = f"{first} to {last}"
+        for time in ((known.min(), known.max()) if known.size else ())
+    ]
+    told["times"] = " to ".join(ends) or "unknown"
     for tag in TEXTS:
         texts = dict.fromkeys(str(one[tag]) for one in values if one.get(tag) not in (None, "", b""))
         if texts:

@@ -128,7 +128,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
 
-def _of_scene(path: pathlib.Path) -> Acquisition:
+def _of_scene(path: str | os.PathLike[str]) -> Acquisition:
     """A scene with a pose as one exposure."""
     scene = read_scene(path)
     if scene.shot is None:
@@ -146,7 +146,7 @@ def _of_scene(path: pathlib.Path) -> Acquisition:
     )
 
 
-def _of_sbet(path: pathlib.Path, **how: Any) -> Acquisition:
+def _of_sbet(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     return read_sbet(path, **how).acquisition()
 
 
@@ -173,7 +173,7 @@ def _of_positions(path: str | os.PathLike[str], **how: Any) -> Acquisition:
     )
 
 
-def _of_orthority(exterior: pathlib.Path, *, interior: Any = None, **how: Any) -> Acquisition:
+def _of_orthority(exterior: str | os.PathLike[str], *, interior: Any = None, **how: Any) -> Acquisition:
     if interior is None:
         raise TableError(f"{exterior}: exterior parameters of Orthority need the interior ones, interior=FILE (.yaml).")
     return read_orthority(interior, exterior, **how)

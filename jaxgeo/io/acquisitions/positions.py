@@ -84,17 +84,19 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
 
 def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
     """Raises `TableError` where images that were read one by one and a table are not of one flight, by their times, or
-    where two images have one number."""
-    each = [one.shots for one in images]
+    where two images have one number. Images that are joined by name or by time need no check."""
+    numbered = [one for one in images if all(map(_numbers_in, one.names))]
+    if table.names is not None or len(numbered) < 2:
+        return
+    each = [one.shots for one in numbered]
     found = dataclasses.replace(
-        images[0],
-        names=np.concatenate([one.names for one in images]),
+        numbered[0],
+        names=np.concatenate([one.names for one in numbered]),
         sensor=None,
         shots=jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *each),
         sources=(),
         reported=None,
         tags=(),
-        time_is_utc=all(one.time_is_utc for one in images),
     )
     rows, _ = _joined(found, table)
     kept = np.flatnonzero(rows >= 0)
@@ -106,7 +108,7 @@ def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
     if table.names is not None:
         return _by_name(found, [str(name) for name in table.names]), "name"
     assert table.numbers is not None
-    numbers = [NUMBER.findall(os.path.basename(name)) for name in found.names]
+    numbers = [_numbers_in(name) for name in found.names]
     if all(numbers):
         row_of = {int(number): row for row, number in enumerate(table.numbers)}
         rows = np.array([row_of.get(int(one[-1]), -1) for one in numbers])
@@ -115,6 +117,11 @@ def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
             raise TableError(f"{table.path}: two images have the number of one photo; join one flight at a time.")
         return rows, "number"
     return _by_time(found, table), "time"
+
+
+def _numbers_in(name: str) -> list[str]:
+    """The numbers of four digits in the name of an image."""
+    return NUMBER.findall(os.path.basename(name))
 
 
 def _by_name(found: Acquisition, names: list[str]) -> np.ndarray:
@@ -149,9 +156,10 @@ def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
 def _check_clocks(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> None:
     """Raises `TableError` where images and marks of equal numbers are not of one flight, by their times."""
     times = np.asarray(found.shots.time)[kept]
-    if table.time is None or len(kept) < 2 or not np.all(times > 0.0):
+    has_time = times > 0.0
+    if table.time is None or np.sum(has_time) < 2:
         return
-    difference = times - table.time[rows]
+    difference = (times - table.time[rows])[has_time]
     if np.ptp(difference) > SPREAD:
         raise TableError(
             f"{table.path}: times of images and marks differ by {difference.min():.0f} to {difference.max():.0f} s, so "

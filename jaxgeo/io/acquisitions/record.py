@@ -38,7 +38,7 @@ class Acquisition:
     - `path` and `form`, the kind of file in words ("DJI drone image"); `names` (n,) of the images or records.
     - `sensor`: None where the file knows of no camera (navigation records alone).
     - `shots`: poses with heights above the ellipsoid, gimbal readings, and times in s: since 1970 in UTC if
-      `time_is_utc`, else by the clock of the file.
+      `time_is_utc`, else by the clock of the file. A time that is not known is zero.
     - `sources`: the errors that the file states, none where it states none.
     - `assumed`: each thing that the file does not say and the reader took for granted, as a sentence.
     - `facts`: what the file says, in words for people: name and value.

@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from jaxgeo.earth import Geodetic
+from jaxgeo.io.acquisitions._exposure_names import with_file_names
 from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.io.acquisitions.detect import DRONE_IMAGES, Form, WrongOption, checked_options, form_of, reader_of
 from jaxgeo.io.acquisitions.drone_images import ENDINGS
@@ -72,8 +73,9 @@ def read_acquisitions(
 
     `paths` and the options `how` are those of `read_acquisition`; a folder stands for the JPEG and TIFF images in it.
     Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
-    another. An option applies to the files whose reader takes it; with `positions`, an image that the file does not
-    have is unread. `progress` is called with the number of files read and that of all.
+    another. Of several files, records that have a number alone, as those of KLV and SBET, are named with their file:
+    "video.ts/7". An option applies to the files whose reader takes it; with `positions`, an image that the file does
+    not have is unread. `progress` is called with the number of files read and that of all.
 
     Raises, as they concern all files: `WrongOption` for an option that no file's reader takes; `UnstatedDatum` and
     `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a path that is not
@@ -114,7 +116,7 @@ def read_acquisitions(
         datum = how.get("height_datum") or "ellipsoid"
         check_one_flight(images, read_positions(how["positions"], height_datum=datum, crs=how.get("crs")))
     told = told_once([one.assumed for one in found], "file")
-    found = _with_distinct_names(found)
+    found = with_file_names(found) if len(files) > 1 else found
     places = [start + np.arange(len(one)) for start, one in zip(starts, found, strict=True)]
     parts, where = merged(found, places)
     return AcquisitionSet(parts, where, tuple(unread), (*told, *left_out))
@@ -199,18 +201,6 @@ def _has_images(folder: pathlib.Path) -> bool:
         return any(one.suffix.lower() in ENDINGS for one in folder.iterdir())
     except OSError:
         return False
-
-
-def _with_distinct_names(found: list[Acquisition]) -> list[Acquisition]:
-    """Names of exposures as they are if all differ; else with the path of their file."""
-    names = [name for one in found for name in one.names]
-    if len(set(names)) == len(names):
-        return found
-    return [dataclasses.replace(one, names=np.array(_names_with_path(one))) for one in found]
-
-
-def _names_with_path(one: Acquisition) -> list[str]:
-    return [one.path] if len(one) == 1 else [f"{one.path}/{name}" for name in one.names]
 
 
 def _joined(found: list[Acquisition]) -> Acquisition:

@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
-from jaxgeo.io.acquisitions._klv_camera import camera_of, sensor_of, size_of, usual_size
+from jaxgeo.io.acquisitions._klv_camera import camera_of, lens_errors, sensor_of, size_of, usual_size
 from jaxgeo.io.acquisitions._klv_columns import Columns, lacking, numbers_of
-from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out
+from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out, times_unknown
 from jaxgeo.io.acquisitions.klv import LEADING, UAS_LOCAL_SET, other_sets, packets
 from jaxgeo.io.acquisitions.record import Acquisition, Reported
 from jaxgeo.io.acquisitions.st0601 import decode, label
@@ -38,10 +38,11 @@ def read_telemetry(
     """The exposures of a file of KLV packets, or of an MPEG transport stream that carries them, told by its content.
 
     Exposures are named by the number of their packet in the file, from 0. Packets that are damaged, or lack what an
-    exposure needs (time, position, attitude, field of view, angles of the sensor), are left out, counted in `assumed`.
+    exposure needs (position, attitude, field of view, angles of the sensor), are left out, counted in `assumed`.
     A field of view and a roll of the sensor that are sent now and then hold until they change, at most 30 s. Without a
-    field of view it is taken from target width and slant range. Values that mean "unknown" (a position or a time of
-    zero, reserved codes; `jaxgeo.io.sentinels.KLV`) are not taken as numbers.
+    field of view it is taken from target width and slant range. How the focal length errs is among the sources, by 1 %,
+    or by 5 % if from target width and slant range. Values that mean "unknown" (a position or a time of
+    zero, reserved codes; `jaxgeo.io.sentinels.KLV`) are not taken as numbers; an unknown time is set to zero.
 
     - `height_datum`: what heights "above mean sea level" are measured from, as in scene files; EGM96 if left out. Not
       asked where packets have heights above the ellipsoid.
@@ -71,6 +72,7 @@ def read_telemetry(
     notes = [*damage(found, keep_damaged), *left_out(numbers, values, len(found), given is None)]
     if not usable.any():
         raise TableError(f"{path}: none of its {len(found)} packets makes an exposure. {' '.join(notes)}")
+    notes += times_unknown(numbers, usable)
     values, numbers = [one for one, use in zip(values, usable, strict=True) if use], numbers.of(usable)
     columns = numbers.columns
     try:
@@ -82,17 +84,22 @@ def read_telemetry(
     known_size = image_size or of_video or size_of(given)
     size = known_size or usual_size(columns)
     notes += assumed(numbers, values, height_datum, None if known_size else size, upright, given is not None)
+    sensor, sources = sensor_of(path, columns, size, given), ()
+    if given is None:
+        source, told = lens_errors(numbers, sensor)
+        sources, notes = (source,), [*notes, told]
     return Acquisition(
         path=os.fspath(path),
         form=FORM,
         names=np.array([k for (k, _), use in zip(sound, usable, strict=True) if use]).astype(str),
-        sensor=sensor_of(path, columns, size, given),
+        sensor=sensor,
         shots=shots,
+        sources=sources,
         assumed=tuple(notes),
         facts=facts(values, columns, len(found)),
         reported=Reported(centre, columns["slant_range"]),
         tags=tuple({label(tag): value for tag, value in one.items()} for one in values),
-        time_is_utc=True,
+        time_is_utc=bool(np.isfinite(columns["time"]).all()),
     )
 
 
@@ -137,7 +144,9 @@ def _shots(columns: Columns, datum: str | float | None, upright: bool) -> Shot:
     position = Geodetic(lat=columns["lat"], lon=columns["lon"], height=_heights(columns, "", datum))
     turn = _level_turn(columns) if upright else np.nan_to_num(columns["turn"])
     readings = np.stack([columns["azimuth"], columns["elevation"], (turn + np.pi) % (2.0 * np.pi) - np.pi], axis=-1)
-    return Shot(Pose(position, columns["heading"], columns["pitch"], columns["roll"]), readings, columns["time"])
+    return Shot(
+        Pose(position, columns["heading"], columns["pitch"], columns["roll"]), readings, np.nan_to_num(columns["time"])
+    )
 
 
 def _level_turn(columns: Columns) -> np.ndarray:

@@ -1,0 +1,82 @@
+"""Images that a digital zoom magnified: their camera by the table of cameras, with a longer focal length."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from jaxgeo.io.acquisitions._calibrations import (
+    MIDDLE,
+    Calibration,
+    calibration_by_table,
+    camera_shown,
+    check_whole,
+    full_size,
+    in_file,
+    known_of,
+)
+from jaxgeo.io.acquisitions._image_tags import ImageTags
+from jaxgeo.io.camera_table import SAME_FOCAL, KnownCamera
+from jaxgeo.io.given_camera import FORMS
+
+RATIO = "EXIF:DigitalZoomRatio"
+LEAST = 1.001  # of a ratio that magnifies
+UNSURE = 0.02  # standard deviation of the focal length as a share of it for each time that the image is magnified more
+
+
+def zoom_of(tags: ImageTags) -> float:
+    """How many times a digital zoom magnified the image; 1 without."""
+    zoom = None if tags.unknown("digital zoom") else tags.number(RATIO, (0.0, 1e4, "times"))
+    return zoom if zoom is not None and zoom > LEAST else 1.0
+
+
+def magnified_calibration(tags: ImageTags, zoom: float, named: KnownCamera | None = None) -> Calibration:
+    """The camera of a magnified image by the table of cameras, `named` there or known by the tags.
+
+    The middle of the detector was taken and made as large as the whole image if the image has all pixels of one of the
+    camera's modes: then the focal length in pixels is so many times longer. Its standard deviation grows with the
+    magnification, and so does that of the principal point, by which the part lies beside the middle. A calibration in
+    the image is not used, as it may be of before or after. Raises `TableError` for other cameras and sizes.
+    """
+    width, height = full_size(tags)
+    check_whole(tags, width, height)
+    known = known_of(tags, width, height) if named is None else named
+    if known is None or not _is_resampled(tags, known, width, height):
+        raise tags.wrong(
+            RATIO,
+            f"the image is magnified {zoom:g} times, and {camera_shown(tags)} with {width} x {height} pixels of it is "
+            f"not in the table of cameras, by which the part of the detector could be told. Give the camera with its "
+            f"focal length {zoom:g} times as long: {FORMS}.",
+        )
+    plain = calibration_by_table(known, width, height)
+    more = UNSURE * (zoom - 1.0)
+    told = (
+        f"{RATIO} {zoom:g}: the image has the {width} x {height} pixels of the whole detector, so it is taken as the "
+        f"middle part made so much larger: the focal length is {zoom:g} times that of the table, and errs by "
+        f"{100.0 * more:.3g} % more (standard deviation)."
+    )
+    found = replace(
+        plain,
+        focal=(plain.focal[0] * zoom, plain.focal[1] * zoom),
+        how=f"{plain.how}, magnified {zoom:g} times",
+        assumed=(*plain.assumed, told),
+        focal_sigma=math.hypot(plain.focal_sigma, more),
+        principal_sigma=MIDDLE * zoom,
+    )
+    return in_file(tags, found, width, height)
+
+
+def _is_resampled(tags: ImageTags, known: KnownCamera, width: int, height: int) -> bool:
+    """Whether the image has all pixels of a mode of the camera, whose optical zoom, if it has one, is at its end."""
+    model = known.model
+    if model.zoom_mm is not None and known.focal_mm < model.zoom_mm[1] * (1.0 - SAME_FOCAL):
+        return False
+    return any((width, height) == mode[:2] for mode in model.modes)
+
+
+def magnified_told(zoom: float) -> str:
+    """That a camera which the caller gave is taken as it is, as a sentence."""
+    return (
+        f"{RATIO} {zoom:g}: the camera that is given is taken as that of the magnified image, its focal length "
+        f"{zoom:g} times that of the lens."
+    )
