@@ -23,6 +23,7 @@ from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
@@ -89,7 +90,10 @@ def adjust(
     `ControlElsewhere` where all control lies elsewhere, and `ValueError` as `Unknowns` and `Block`.
     """
     unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
-    screened = screened_of(block, unknowns, screen)
+    screened, start = screened_of(block, unknowns, screen), None
+    if screen is not None and screened.poor and block.control is not None:
+        ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+        screened, start = start_by_ties(block, ready, screened, screen)
     if screened.aside:
         warnings.warn(
             f"set aside before the first iteration: {screened.words()}. Correct or leave them out; "
@@ -99,7 +103,7 @@ def adjust(
         )
     ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
     block, ready = block_of(block, screened.kept), masked(block, ready, screened.kept)
-    return adjusted(block, unknowns, ready, solve(ready.problem, loss, solver, told), loss, datum, screened)
+    return adjusted(block, unknowns, ready, solve(ready.problem, loss, solver, told, start), loss, datum, screened)
 
 
 def adjusted(

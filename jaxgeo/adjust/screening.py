@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -51,11 +51,14 @@ class ControlElsewhere(ValueError):
 
 @dataclass(frozen=True)
 class Screen:
-    """What is kept of a block, and what was set aside; `doubtful` images, of whose measurements most disagree."""
+    """What is kept of a block, and what was set aside; `doubtful` images, of whose measurements most disagree; whether
+    the orientations to start from were `poor`, so that rays missed each other by more than a few standard deviations in
+    general."""
 
     kept: Kept
     aside: tuple[Screened, ...] = ()
     doubtful: tuple[str, ...] = ()
+    poor: bool = False
 
     @classmethod
     def none(cls, block: Block) -> Screen:
@@ -84,8 +87,16 @@ def screen(block: Block, unknowns: Unknowns | None = None, sigmas: float = SIGMA
     _check_lens(block, rays)
     chosen = Unknowns() if unknowns is None else unknowns
     free = spread(chosen.images, block.images.name.tolist(), 1, "images", Free())[:, 0] > 0.0
+    poor = rays.spread > SETTLED
     rays.improve(free)
-    return _Screening(block, rays, sigmas).screen
+    return replace(_Screening(block, rays, sigmas).screen, poor=poor)
+
+
+def screened_again(block: Block, sigmas: float) -> tuple[Screen, Motion | None]:
+    """The screening of a block whose ties are adjusted already, and the motion that brings it onto its control."""
+    rays = Rays.of(block)
+    screening = _Screening(block, rays, sigmas, adjusted=True)
+    return screening.screen, screening._control[1]
 
 
 def screened_of(block: Block, unknowns: Unknowns, sigmas: float | None) -> Screen:
@@ -98,6 +109,7 @@ class _Screening:
     block: Block
     rays: Rays
     sigmas: float
+    adjusted: bool = False  # by ties, so that navigation has no part in how well control agrees
 
     @cached_property
     def screen(self) -> Screen:
@@ -209,7 +221,7 @@ class _Screening:
     def _of_start(self, at: np.ndarray) -> np.ndarray:
         """Covariance (m, 3, 3) of points by what the navigation leaves open, m2."""
         nav = self.block.navigation
-        if nav is None:
+        if nav is None or self.adjusted:
             return np.zeros((len(at), 3, 3))
         position, attitude = (_variance(x) for x in (nav.information_position, nav.information_attitude))
         ranges = np.median(np.linalg.norm(self.rays.place[self.rays.point] - self.rays.centre[self.rays.image], axis=1))

@@ -23,6 +23,7 @@ from jaxgeo.adjust.reliability import Blunder, named
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import Values
 
@@ -93,9 +94,12 @@ class _Snooping:
     def of(
         cls, block: Block, unknowns: Unknowns, terrain: OnTerrain | None, screen: float | None, told: Any
     ) -> _Snooping:
-        screened = screened_of(block, unknowns, screen)
+        screened, values = screened_of(block, unknowns, screen), None
         full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
-        snooping = cls(block, unknowns, full, screened, told, screened.kept)
+        if screen is not None and len(control_of(block)):
+            screened, values = start_by_ties(block, full, screened, screen, (LeastSquares(), Cauchy()))
+            full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+        snooping = cls(block, unknowns, full, screened, told, screened.kept, values=values)
         snooping.found = {(one.kind, one.row): None for one in screened.aside}
         return snooping
 
@@ -106,7 +110,7 @@ class _Snooping:
     def start_robustly(self) -> None:
         """Least squares of what was kept, then Cauchy's loss from there; what stands out is set aside."""
         problem = masked(self.block, self.full, self.kept).problem
-        first = solve(problem, LeastSquares(), self.solver).values
+        first = solve(problem, LeastSquares(), self.solver, start=self.values).values
         finite = bool(np.all(np.isfinite(np.asarray(first.centre))) and np.all(np.isfinite(np.asarray(first.points))))
         self.values = solve(problem, Cauchy(), self.solver, start=first if finite else None).values
         points = np.asarray(image_residuals(self.full.problem, self.values)).T[self.full.order.place]
