@@ -5,14 +5,17 @@ from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
 from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, NotConverged, adjust
 from jaxgeo.adjust.calibration import Calibration, calibration
+from jaxgeo.adjust.diagnosis import Diagnosis, Misfit, Move
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.intersection import Intersection, intersect_images
 from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.records import ImagePoints
-from jaxgeo.adjust.reliability import Blunder, Reliability, blunders, reliability, without_blunders
+from jaxgeo.adjust.reliability import Blunder, Reliability, blunders, reliability
 from jaxgeo.adjust.resection import resect, resected
+from jaxgeo.adjust.screening import ControlElsewhere, Screen, Screened, screen
+from jaxgeo.adjust.snooping import without_blunders
 from jaxgeo.adjust.solve import Iteration, Solver
 from jaxgeo.adjust.terrain_heights import OnTerrain
 from jaxgeo.adjust.unknowns import Fixed, Free, Prior, Unknowns
@@ -27,7 +30,9 @@ __all__ = [
     "Calibration",
     "Cartesian",
     "Cauchy",
+    "ControlElsewhere",
     "DeficientBlock",
+    "Diagnosis",
     "Direction",
     "Fixed",
     "Free",
@@ -40,12 +45,16 @@ __all__ = [
     "Iteration",
     "LeastSquares",
     "LocalFrame",
+    "Misfit",
+    "Move",
     "Navigation",
     "NotConverged",
     "OnTerrain",
     "Parameter",
     "Prior",
     "Reliability",
+    "Screen",
+    "Screened",
     "Solver",
     "Tukey",
     "TwoStep",
@@ -57,6 +66,7 @@ __all__ = [
     "reliability",
     "resect",
     "resected",
+    "screen",
     "two_step_boresight",
     "without_blunders",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from jaxgeo._record import portable
 from jaxgeo.adjust.arrays import free_columns
 from jaxgeo.adjust.block import Block, Images
-from jaxgeo.adjust.equations import navigation_residuals
+from jaxgeo.adjust.equations import known_points, navigation_residuals
 from jaxgeo.adjust.exterior import angles_by_turn, omega_phi_kappa
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.losses import AbstractLoss
@@ -28,6 +28,7 @@ from jaxgeo.adjust.posterior import (
     posterior_of,
 )
 from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.screening import Screened
 from jaxgeo.adjust.solve import Iteration, Solution
 from jaxgeo.adjust.summary import summary
 from jaxgeo.adjust.unknowns import Unknowns
@@ -72,6 +73,8 @@ class Adjustment:
     solution: Solution
     loss: AbstractLoss
     datum: Datum | None = field(default=None, repr=False)
+    screened: tuple[Screened, ...] = ()
+    """What was set aside before the first iteration; `block` is without it."""
 
     @property
     def log(self) -> tuple[Iteration, ...]:
@@ -126,7 +129,8 @@ class Adjustment:
 
     @cached_property
     def _weighted_squares(self) -> float:
-        squared = np.sum(np.asarray(self._image_residuals) ** 2, axis=0)
+        control = np.asarray(known_points(self.prepared.problem, self.solution.values))
+        squared = np.concatenate([np.sum(np.asarray(self._image_residuals) ** 2, axis=0), np.sum(control**2, axis=1)])
         robust = float(np.sum(np.asarray(self.loss.rho(jnp.asarray(squared)))))
         weights = np.asarray(self.loss.weight(jnp.asarray(squared)))
         return 2.0 * self.cost - robust + float(np.sum(weights * squared))

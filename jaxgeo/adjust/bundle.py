@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,12 +15,16 @@ from jaxgeo._record import portable
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
+from jaxgeo.adjust.diagnosis import Diagnosis, diagnosed
 from jaxgeo.adjust.equations import linearised
+from jaxgeo.adjust.kept import block_of, masked, set_aside
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
+from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
@@ -29,15 +34,16 @@ NEAREST = 50  # steps that bring a free network to where it started
 
 @portable
 class NotConverged(RuntimeError):
-    """The iterations did not come to an end: `log` tells how they went."""
+    """The iterations did not come to an end: `log` tells how they went, `diagnosis` what stands out where they ended,
+    `screened` what had been set aside before."""
 
-    def __init__(self, solution: Solution) -> None:
-        self.log = solution.log
+    def __init__(self, solution: Solution, diagnosis: Diagnosis, screened: Screen) -> None:
+        self.log, self.diagnosis, self.screened = solution.log, diagnosis, screened.aside
         last = solution.log[-1]
+        before = f" Set aside before the first iteration: {screened.words()}." if screened.aside else ""
         super().__init__(
             f"the adjustment has not converged in {last.number} iterations; the cost is {last.cost:.6g}, the last step "
-            f"promised to lessen it by {last.promised:.3g}. Are the starts within some tens of metres and degrees, and "
-            f"do images, points and cameras belong together? More iterations: solver=Solver(most=...)."
+            f"promised to lessen it by {last.promised:.3g}.{before} {diagnosis}"
         )
 
 
@@ -70,23 +76,52 @@ def adjust(
     terrain: OnTerrain | None = None,
     solver: Solver | None = None,
     told: Callable[[Iteration], Any] | None = None,
+    screen: float | None = SIGMAS,
 ) -> Adjustment:
     """The orientations, points and calibrations under which a block's observations are most likely.
 
     Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
-    Eqs 1 and 3-5), image points with a `loss` if that is given. `terrain` ties points to a model of the ground
-    (`OnTerrain`). `told` hears of every iteration.
+    Eqs 1 and 3-5), image points and control with a `loss` if that is given. `terrain` ties points to a model of the
+    ground (`OnTerrain`). `told` hears of every iteration.
+
+    Before the first iteration, image points and control that disagree with all others by more than `screen` standard
+    deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` name them. None screens nothing.
 
     Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
-    for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log, where the
-    iterations come to no end, `BehindCamera` where points end up where no camera can have seen them, and `ValueError`
-    as `Unknowns` and `Block`.
+    for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log and a diagnosis,
+    where the iterations come to no end, `BehindCamera` where points end up where no camera can have seen them,
+    `ControlElsewhere` where all control lies elsewhere, and `ValueError` as `Unknowns` and `Block`.
     """
     unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
-    ready = prepared(block, unknowns, terrain)
-    solution = solve(ready.problem, loss, solver, told)
+    screened, start = screened_of(block, unknowns, screen), None
+    if screen is not None and screened.poor and block.control is not None:
+        ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+        screened, start = start_by_ties(block, ready, screened, screen)
+    if screened.aside:
+        warnings.warn(
+            f"set aside before the first iteration: {screened.words()}. Correct or leave them out; "
+            f"adjust(..., screen=None) keeps them.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+    block, ready = block_of(block, screened.kept), masked(block, ready, screened.kept)
+    return adjusted(block, unknowns, ready, solve(ready.problem, loss, solver, told, start), loss, datum, screened)
+
+
+def adjusted(
+    block: Block,
+    unknowns: Unknowns,
+    ready: Prepared,
+    solution: Solution,
+    loss: AbstractLoss,
+    datum: InnerConstraints | None,
+    screened: Screen,
+) -> Adjustment:
+    """What iterations on a block came to, if it is determined and its points lie where they were seen. Raises as
+    `adjust`."""
     if not solution.converged:
-        raise NotConverged(solution)
+        raise NotConverged(solution, diagnosed(block, ready, solution, screened), screened)
     _check_parallax(block, ready, solution)
     rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
     rows = rows[np.any(rows != 0.0, axis=1)]
@@ -103,7 +138,7 @@ def adjust(
         rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
         rows = rows[np.any(rows != 0.0, axis=1)]
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
-    adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
+    adjustment = Adjustment(block, unknowns, ready, solution, loss, held, screened.aside)
     if not float(least_share(ready.problem, adjustment.posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
         weak = [direction for direction in weakest(ready, solution, 6, held) if direction.strength < SINGULAR]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"

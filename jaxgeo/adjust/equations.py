@@ -18,7 +18,7 @@ from jaxgeo.adjust.collinearity import (
     navigation_residual,
 )
 from jaxgeo.adjust.losses import AbstractLoss
-from jaxgeo.adjust.measurements import image_points, image_residuals
+from jaxgeo.adjust.measurements import LEAST_WEIGHT, image_points, image_residuals
 from jaxgeo.adjust.values import MOUNT, POSE, STRIP, Values
 from jaxgeo.rotations import rotation_vector_from_R
 
@@ -44,9 +44,10 @@ class Equations(Record):
 
 
 def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
-    """Half the sum of the loss over image points and of the squared weighted residuals of all else."""
+    """Half the sum of the loss over image points and control and of the squared weighted residuals of all else."""
     squared = jnp.sum(image_residuals(problem, values) ** 2, axis=0)
-    total = 0.5 * jnp.sum(loss.rho(squared)) + half_sum(_known_points(problem, values))
+    off = known_points(problem, values)
+    total = 0.5 * (jnp.sum(loss.rho(squared)) + jnp.sum(loss.rho(jnp.sum(off * off, axis=1))))
     if problem.observed is not None:
         total = total + half_sum(navigation_residuals(problem, values))
     if problem.terrain is not None:
@@ -63,12 +64,13 @@ def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"
 
 
 def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
-    """The normal equations at some values. With a robust loss each image point has the weight that it leaves it.
+    """The normal equations at some values. With a robust loss each image point and control point has the weight that it
+    leaves it.
 
     In three programs: one of all of it makes many things again where they are used, and takes twice as long.
     """
     seen = _image_points(problem, values, loss)
-    return _normal(problem, values, seen, _by_image(problem, seen))
+    return _normal(problem, values, loss, seen, _by_image(problem, seen))
 
 
 @eqx.filter_jit
@@ -88,7 +90,9 @@ def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "r
 
 
 @eqx.filter_jit
-def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image: list[Array]) -> Equations:
+def _normal(
+    problem: Problem, values: Values, loss: AbstractLoss, seen: tuple[Array, ...], by_image: list[Array]
+) -> Equations:
     layout = problem.layout
     residual, by_point, by_pose, by_lens, rho = seen
     own = jnp.concatenate([by_pose, by_lens], axis=1) if problem.own_lens else by_pose
@@ -105,8 +109,10 @@ def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image:
         lens, own = by_lens[:, :, part].reshape(2, -1, *shape), by_point[:, :, part].reshape(2, 3, *shape)
         shared_coupling.append(_of_lenses(problem, layout.camera[layout.image[part]].reshape(shape), lens, own))
     rows = values.points.shape[0]
-    off = _known_points(problem, values)
-    known = problem.known_point
+    off = known_points(problem, values)
+    squared = jnp.sum(off * off, axis=1)
+    root = jnp.sqrt(jnp.maximum(loss.weight(squared), LEAST_WEIGHT))
+    known, off = problem.known_point * root[:, None, None], off * root[:, None]
     V = products[jnp.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])] + jnp.einsum("rki,rkj->ijr", known, known)
     g = gradients + jnp.einsum("rki,rk->ir", known, off)
     if problem.terrain is not None:
@@ -115,7 +121,7 @@ def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image:
     free = problem.free_point.T
     V, g = V * free[:, None] * free[None, :] + jnp.eye(3)[:, :, None] * (1.0 - free)[:, None], g * free
     sums = _of_images_and_shared(problem, values, by_image)
-    cost = 0.5 * jnp.sum(rho) + half_sum(off) + sums.pop("cost")
+    cost = 0.5 * (jnp.sum(rho) + jnp.sum(loss.rho(squared))) + sums.pop("cost")
     if problem.terrain is not None:
         cost = cost + half_sum(height)
     return Equations(
@@ -233,8 +239,8 @@ def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> 
     return jnp.concatenate(diagonal), jnp.concatenate(gradient)
 
 
-def _known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
-    """Weighted residuals of control points."""
+def known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
+    """Weighted residuals of control points; zero for all other points."""
     return jnp.einsum("rki,ri->rk", problem.known_point, values.points - problem.place)
 
 

@@ -50,8 +50,16 @@ class Prepared(NamedTuple):
     order: Order
 
 
-def prepared(block: Block, unknowns: Unknowns, terrain: OnTerrain | None = None) -> Prepared:
-    """The arrays of a block. Raises `ValueError` for unknowns that the block does not have."""
+def prepared(
+    block: Block,
+    unknowns: Unknowns,
+    terrain: OnTerrain | None = None,
+    aside: tuple[np.ndarray, np.ndarray] | None = None,
+) -> Prepared:
+    """The arrays of a block. Raises `ValueError` for unknowns that the block does not have.
+
+    Points do not start from what is set `aside`: measurements by flag (k,), and names of control points.
+    """
     cameras = tuple(dict.fromkeys(block.images.camera.tolist()))
     lens_sigma, active, lens_names = _lenses(block, cameras, unknowns)
     mounts, strips = _names_of_navigation(block)
@@ -71,12 +79,20 @@ def prepared(block: Block, unknowns: Unknowns, terrain: OnTerrain | None = None)
             "Unknowns.images takes Free() or Fixed(); a prior of an orientation is the block's navigation."
         )
     place, known, free = _known_points(block, points, order)
-    place = started(block, place, order.row_of_point[point], image)
+    row = order.row_of_point[point]
+    if aside is None:
+        beginning = place = started(block, place, row, image)
+    else:
+        out = order.row_of_point[np.isin(points, aside[1])]
+        beginning = place.copy()
+        beginning[out] = np.nan
+        beginning = started(block, beginning, row, image, ~aside[0])
+        place = np.where(np.isnan(place), beginning, place)
     observed, mount_of, strip_of = _observed(block, mounts, strips)
     start = Values(
         centre=jnp.asarray(images.centre),
         R_frame_from_camera=jnp.asarray(images.R_frame_from_camera),
-        points=jnp.asarray(place),
+        points=jnp.asarray(beginning),
         lens=jnp.stack([interior_of(block.cameras[name]) for name in cameras]),
         boresight=jnp.broadcast_to(jnp.eye(3), (len(mounts), 3, 3)),
         lever=jnp.asarray(_levers(block, mounts)),
@@ -89,7 +105,7 @@ def prepared(block: Block, unknowns: Unknowns, terrain: OnTerrain | None = None)
         mount_of=jnp.asarray(mount_of),
         strip_of=jnp.asarray(strip_of),
         start=start,
-        place=start.points,
+        place=jnp.asarray(place),
         known_point=jnp.asarray(known),
         free_point=jnp.asarray(free),
         free_pose=jnp.asarray(np.broadcast_to((pose > 0.0).astype(float), (len(images), 6))),

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are asked for
 
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
-from jaxgeo.adjust.bundle import adjust
+from jaxgeo.adjust.hypotheses import UNCHECKED, Hypotheses, limit, of_control, of_image_points
+from jaxgeo.adjust.kept import control_of
 from jaxgeo.adjust.posterior import leverages
-from jaxgeo.adjust.unknowns import Unknowns
+from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT
 
-UNCHECKED = 1e-6  # redundancy below which nothing checks a measurement
 POWER = 0.8
 ALIKE = 1e-3  # by which the statistics of one point's measurements must differ to tell which is wrong
 
@@ -44,24 +41,33 @@ class Reliability:
 
 @dataclass(frozen=True)
 class Blunder:
-    """A measurement that does not fit: its image and point, standardised residual, and error in px (u, v), estimated
-    with all the others held to be right. `instead` are the images in which the point may as well be wrong: one of two
-    rays that do not meet is not to be told from the other."""
+    """A measurement that does not fit: an `image point` with its image, or a `control point` (image is empty then), its
+    row of the observations or of the control, standardised residual, and error, estimated with all the others held to
+    be right: (u, v) in px, or (x, y, z) in m of the block's frame; NaN where nothing is left to compare with.
+
+    `standardised` is the length of the residual over its covariance; of one or three directions, the length of as
+    improbable a one of two, so that all compare. `instead` are the images in which the point may as well be wrong: one
+    of two rays that do not meet is not to be told from the other; `or_control`: or else the point's control.
+    """
 
     image: str
     point: str
     row: int
     standardised: float
-    error: tuple[float, float]
+    error: tuple[float, ...]
     instead: tuple[str, ...] = ()
+    kind: str = IMAGE_POINT
+    or_control: bool = False
 
     def __str__(self) -> str:
-        u, v = self.error
-        text = (
-            f"point {self.point} in image {self.image} (row {self.row}): standardised residual "
-            f"{self.standardised:.1f}, error about ({u:+.1f}, {v:+.1f}) px"
-        )
-        return f"{text}; or as well in image {' or '.join(self.instead)}" if self.instead else text
+        where = f"point {self.point} in image {self.image}" if self.image else f"{self.kind} {self.point}"
+        text = f"{where} (row {self.row}): standardised residual {self.standardised:.1f}"
+        if all(math.isfinite(x) for x in self.error):
+            digits, unit = (1, "px") if self.kind == IMAGE_POINT else (2, "m")
+            text += f", error about ({', '.join(f'{x:+.{digits}f}' for x in self.error)}) {unit}"
+        if self.instead:
+            text += f"; or as well in image {' or '.join(self.instead)}"
+        return f"{text}; or as well the control of this point" if self.or_control else text
 
 
 def reliability(adjustment: Adjustment, alpha: float = 0.001) -> Reliability:
@@ -83,95 +89,61 @@ def reliability(adjustment: Adjustment, alpha: float = 0.001) -> Reliability:
 
 
 def blunders(adjustment: Adjustment, alpha: float = 0.001) -> list[Blunder]:
-    """Image points whose residuals, both axes together, are larger than chance lets be with probability `alpha`.
+    """Image points and control points whose residuals, all axes together, are larger than chance lets be with
+    probability `alpha`; of each the one test.
 
     The largest first. A large error shows in its neighbours too: `without_blunders` takes one after the other. What
-    nothing checks is never among them, right or wrong: its `reliability` has a redundancy of 0.
+    nothing checks is never among them, right or wrong: its `reliability` has a redundancy of 0; nor is control of a
+    sigma of zero, which is held to be right.
     """
-    left, v = _left(adjustment), adjustment.residuals / adjustment.block.observations.sigma
-    trace = np.trace(left, axis1=1, axis2=2)
-    checked = np.linalg.eigvalsh(left)[:, 0] > UNCHECKED
-    safe = np.where(checked[:, None, None], left, np.eye(2))
-    error = np.linalg.solve(safe, -v[:, :, None])[:, :, 0]  # v = -R error
-    statistic = np.where(checked, np.sqrt(np.maximum(np.sum(-v * error, axis=1), 0.0)), 0.0)
-    # Where one axis only is checked, that one is tested by itself.
-    single = ~checked & (trace > UNCHECKED)
-    if np.any(single):
-        axis = np.argmax(np.diagonal(left, axis1=1, axis2=2), axis=1)
-        rows = np.arange(len(v))
-        r, own = np.maximum(left[rows, axis, axis], UNCHECKED), v[rows, axis]
-        statistic = np.where(single, np.abs(own) / np.sqrt(r), statistic)
-        alone = np.zeros_like(v)
-        alone[rows, axis] = -own / r
-        error = np.where(single[:, None], alone, error)
-    limit = math.sqrt(float(scipy.special.chdtri(2.0, alpha)))
-    seen, found = adjustment.block.observations, []
-    for row in np.argsort(-statistic):
-        if statistic[row] <= limit:
+    control = control_of(adjustment.block)
+    return named(adjustment.block, of_image_points(adjustment), of_control(adjustment, control), limit(alpha))
+
+
+def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -> list[Blunder]:
+    """The hypotheses on image points and control whose statistics exceed the `least`, the largest first."""
+    seen, known = block.observations, control_of(block)
+    statistic = np.concatenate([points.statistic, control.statistic])
+    length = np.concatenate([points.length, control.length])
+    point = np.concatenate([seen.point, known.name])
+    image = np.concatenate([seen.image, np.full(len(known), "")])
+    found, k = [], len(seen)
+    rows_of = _rows_of(point)
+    for at in np.argsort(-statistic, kind="stable"):
+        if statistic[at] <= least:
             break
-        size = error[row] * seen.sigma[row]
-        given = (str(seen.image[row]), str(seen.point[row]), int(row), float(statistic[row]))
-        alike = (seen.point == seen.point[row]) & (statistic > (1.0 - ALIKE) * statistic[row])
-        alike[row] = False
-        instead = tuple(seen.image[alike & (statistic < (1.0 + ALIKE) * statistic[row])].tolist())
-        found.append(Blunder(*given, (float(size[0]), float(size[1])), instead))
+        others = rows_of[str(point[at])]
+        others = others[others != at]
+        alike = others[np.abs(length[others] - length[at]) < ALIKE * length[at]]
+        instead = tuple(image[alike[alike < k]].tolist())
+        of_image = at < k
+        error = points.error[at] * seen.sigma[at] if of_image else control.error[at - k]
+        found.append(
+            Blunder(
+                str(image[at]),
+                str(point[at]),
+                int(at if of_image else at - k),
+                float(statistic[at]),
+                tuple(error.tolist()),
+                instead,
+                IMAGE_POINT if of_image else CONTROL_POINT,
+                bool(np.any(alike >= k)),
+            )
+        )
     return found
 
 
-def without_blunders(
-    block: Block,
-    unknowns: Unknowns | None = None,
-    *,
-    alpha: float = 0.001,
-    most: int = 100,
-    told: Callable[[Blunder], Any] | None = None,
-    **options: Any,
-) -> tuple[Adjustment, list[Blunder]]:
-    """(adjustment, blunders): the worst measurement taken out, adjusted again, until none is left (data snooping).
-
-    With many images the worst of each is taken at a time. A point that is left with one ray goes altogether. After
-    `most` a `RuntimeWarning` says if more are left.
-    `options` are those of `adjust`. `told` hears of each. Raises as `adjust`.
-    """
-    adjustment, out = adjust(block, unknowns, **options), []
-    origin = np.arange(len(block.observations))
-    while len(out) < most:
-        found = _worst(blunders(adjustment, alpha))[: most - len(out)]
-        if not found:
-            break
-        for blunder in found:
-            original = int(origin[blunder.row])
-            out.append(replace(blunder, row=original))
-            if told is not None:
-                told(out[-1])
-        keep = np.ones(len(origin), bool)
-        keep[[blunder.row for blunder in found]] = False
-        keep = block.kept(keep)
-        block, origin = block.of(keep), origin[keep]
-        adjustment = adjust(block, unknowns, **options)
-    if len(out) >= most and (left := blunders(adjustment, alpha)):
-        warnings.warn(
-            f"{len(out)} blunders are taken out, as many as most={most} allows, and more are left: the next is "
-            f"{left[0]}. Allow more, or look at the block.",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-    return adjustment, out
+def _rows_of(names: np.ndarray) -> dict[str, np.ndarray]:
+    """The places of each name."""
+    unique, number = np.unique(names, return_inverse=True)
+    order = np.argsort(number, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(number))[:-1])
+    return dict(zip(unique.tolist(), parts, strict=True))
 
 
 def critical_value(alpha: float) -> float:
     """What the size of a normal number exceeds with probability `alpha`: 3.29 for 0.001."""
     return float(-scipy.special.ndtri(0.5 * alpha))
-
-
-def _worst(found: list[Blunder]) -> list[Blunder]:
-    """The worst of all, and those of other images and points that are nearly as bad: they do not make each other."""
-    chosen: list[Blunder] = []
-    for blunder in found:
-        apart = all(blunder.image != other.image and blunder.point != other.point for other in chosen)
-        if apart and blunder.standardised > 0.5 * found[0].standardised:
-            chosen.append(blunder)
-    return chosen
 
 
 def _left(adjustment: Adjustment) -> np.ndarray:

@@ -73,13 +73,15 @@ def solve(
     loss: AbstractLoss | None = None,
     solver: Solver | None = None,
     told: Callable[[Iteration], Any] | None = None,
+    start: Values | None = None,
 ) -> Solution:
-    """The values of least cost near where the problem starts; `told` hears of every iteration."""
+    """The values of least cost near where the problem starts, or near another `start`; `told` hears of every
+    iteration."""
     loss, solver = LeastSquares() if loss is None else loss, Solver() if solver is None else solver
     relative = solver.relative
     if relative is None:
         relative = 0.0 if isinstance(loss, LeastSquares) else 1e-8
-    values = problem.start
+    values = problem.start if start is None else start
     equations = linearised(problem, values, loss)
     cost = float(equations.cost)
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]

@@ -10,19 +10,24 @@ import numpy as np
 from jaxgeo.adjust.block import Block
 from jaxgeo.sensor import FrameCamera
 
-PADDED = 64
+SIZES = (64, 1024, 65536)  # of the parts in which rays are computed
 NEVER_MEETING = 1e-10  # smallest eigenvalue of the mean of I - d d': rays within some 1e-5 rad of each other
 
 
-def started(block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray) -> np.ndarray:
+def started(
+    block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray, used: np.ndarray | None = None
+) -> np.ndarray:
     """Places (rows, 3), coordinates that are NaN put where the rays of their measurements meet; rows of no point too.
 
-    `row` and `image` are those of the measurements. Raises `ValueError` for a point whose rays never meet.
+    `row` and `image` are those of the measurements, `used` flags of those that count. Raises `ValueError` for a point
+    whose rays never meet.
     """
     unknown = np.any(np.isnan(place), axis=1)
     if not np.any(unknown[row]):
         return np.where(unknown[:, None], place[row[0]], place)
-    chosen = np.flatnonzero(unknown[row])
+    chosen = np.flatnonzero(unknown[row] if used is None else unknown[row] & used)
+    if not chosen.size:
+        return np.where(np.isnan(place), np.nanmean(place[row], axis=0), place)
     origin, direction = rays_of(block, chosen, image[chosen])
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
     normal, right = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
@@ -66,8 +71,10 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
 
 def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:
     """Unit directions (k, 3) in the camera frame of pixels (k, 2); NaN where the lens has none."""
-    filled = np.concatenate([uv, np.repeat(uv[:1], -len(uv) % PADDED, axis=0)])  # few sizes, or each would be compiled
-    return np.asarray(_rays(camera, jnp.asarray(filled, jnp.float64)))[: len(uv)]
+    size = next((size for size in SIZES if len(uv) <= size), SIZES[-1])  # few sizes, or each would be compiled
+    filled = np.concatenate([uv, np.repeat(uv[:1], -len(uv) % size, axis=0)])
+    parts = np.split(filled, len(filled) // size)
+    return np.concatenate([np.asarray(_rays(camera, jnp.asarray(part, jnp.float64))) for part in parts])[: len(uv)]
 
 
 @eqx.filter_jit

@@ -30,6 +30,7 @@ def summary(adjustment: Adjustment) -> str:
         f"perspective centres {_lengths(images[:, :3])}, "
         f"omega, phi, kappa {_numbers(np.rad2deg(images[:, 3:]), '.5f')} deg, points {_lengths(points)}",
     ]
+    lines += [f"set aside before the first iteration: {one}" for one in adjustment.screened]
     if adjustment.parameters:
         lines += ["", f"{'':<34}{'value':>16}{'sigma':>13}{'known to':>13}"]
         lines += [_row(parameter) for parameter in adjustment.parameters]

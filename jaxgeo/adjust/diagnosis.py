@@ -1,0 +1,132 @@
+"""Diagnosis of an adjustment that has not converged: residuals, moves of images and control, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxgeo.adjust.block import Block
+from jaxgeo.adjust.equations import known_points
+from jaxgeo.adjust.kept import control_of
+from jaxgeo.adjust.measurements import image_residuals
+from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen
+from jaxgeo.adjust.solve import Solution
+
+MOST = 5  # of each kind that are named
+FAR, TURNED = 10.0, 0.1  # m and rad, by which an image has moved far
+OFF = 5.0  # standard deviations, by which a residual is worth a word
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A residual where the iterations ended: of an `image point` or a `control point` (image is empty then), its row of
+    the observations or of the control, and its length in standard deviations of the measurement."""
+
+    kind: str
+    image: str
+    point: str
+    row: int
+    sigmas: float
+
+    def __str__(self) -> str:
+        where = f" in image {self.image}" if self.image else ""
+        return f"{self.kind} {self.point}{where} (row {self.row}): {self.sigmas:.3g}"
+
+
+@dataclass(frozen=True)
+class Move:
+    """How far an image has moved from its start: m, and rad."""
+
+    image: str
+    distance: float
+    turn: float
+
+    def __str__(self) -> str:
+        return f"{self.image} by {self.distance:.3g} m and {np.rad2deg(self.turn):.3g} deg"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What stands out where iterations came to no end, each list the worst first.
+
+    `largest` residuals of image points and control together, images that `moved` most, `control` that disagrees, and
+    the `doubtful` images, most of whose rays missed the others before the first iteration.
+    """
+
+    largest: tuple[Misfit, ...]
+    moved: tuple[Move, ...]
+    control: tuple[Misfit, ...]
+    doubtful: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        parts = []
+        if self.largest:
+            parts.append("Largest residuals, in standard deviations: " + "; ".join(map(str, self.largest)) + ".")
+        if self.control:
+            parts.append("Control that disagrees: " + ", ".join(one.point for one in self.control) + ".")
+        if self.moved:
+            parts.append("Images that moved most: " + "; ".join(map(str, self.moved)) + ".")
+        if self.doubtful:
+            parts.append("Images most of whose rays missed the others: " + ", ".join(self.doubtful[:MOST]) + ".")
+        parts.append(self.advice)
+        return " ".join(parts)
+
+    @property
+    def advice(self) -> str:
+        """What to do next, in words."""
+        by_point: dict[str, int] = {}
+        for one in self.largest:
+            by_point[one.point] = by_point.get(one.point, 0) + 1
+        advice = []
+        if self.control or any(count > 1 for count in by_point.values()):
+            names = dict.fromkeys([one.point for one in self.control] + [p for p, n in by_point.items() if n > 1])
+            advice.append(
+                f"Look first at point {next(iter(names))}: its coordinates, its name, and the zone they are in"
+            )
+        if self.doubtful or (self.moved and (self.moved[0].distance > FAR or self.moved[0].turn > TURNED)):
+            image = self.doubtful[0] if self.doubtful else self.moved[0].image
+            advice.append(f"look at the orientation from which image {image} starts, and that it is of its own camera")
+        advice.append("without_blunders(block) leaves out what disagrees and names it")
+        advice.append("for more iterations give solver=Solver(most=...)")
+        return "; ".join(advice).capitalize()[:1] + "; ".join(advice)[1:] + "."
+
+
+def diagnosed(block: Block, ready: Prepared, solution: Solution, screen: Screen) -> Diagnosis:
+    """The diagnosis of iterations that have come to no end; `ready` and `block` as they were adjusted."""
+    values, seen = solution.values, block.observations
+    residual = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+    sizes = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
+    points = [
+        Misfit(IMAGE_POINT, str(seen.image[i]), str(seen.point[i]), int(i), float(sizes[i]))
+        for i in np.argsort(-sizes, kind="stable")[:MOST]
+    ]
+    control = _of_control(block, ready, solution)
+    both = sorted((*points, *control), key=lambda one: -one.sigmas)
+    largest = tuple(one for one in both[:MOST] if one.sigmas > OFF)
+    wrong = tuple(one for one in control if one.sigmas > OFF)[:MOST]
+    moved = _moves(block, solution)
+    return Diagnosis(largest, moved, wrong, screen.doubtful)
+
+
+def _of_control(block: Block, ready: Prepared, solution: Solution) -> list[Misfit]:
+    control = control_of(block)
+    off = np.asarray(known_points(ready.problem, solution.values))
+    row_of = dict(zip(ready.names.point.tolist(), ready.order.row_of_point.tolist(), strict=True))
+    found = []
+    for i, name in enumerate(control.name.tolist()):
+        if name in row_of:
+            size = float(np.nan_to_num(np.linalg.norm(off[row_of[name]]), nan=np.inf))
+            found.append(Misfit(CONTROL_POINT, "", name, i, size))
+    return sorted(found, key=lambda one: -one.sigmas)
+
+
+def _moves(block: Block, solution: Solution) -> tuple[Move, ...]:
+    centre, R = np.asarray(solution.values.centre), np.asarray(solution.values.R_frame_from_camera)
+    distance = np.linalg.norm(centre - block.images.centre, axis=1)
+    trace = np.einsum("nij,nij->n", block.images.R_frame_from_camera, R)
+    turn = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    size = np.nan_to_num(distance / FAR + turn / TURNED, nan=np.inf)
+    names = block.images.name
+    return tuple(Move(str(names[i]), float(distance[i]), float(turn[i])) for i in np.argsort(-size)[:MOST])

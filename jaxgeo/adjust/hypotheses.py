@@ -1,0 +1,97 @@
+"""Tests of single image points and control points: that one of them is wrong, and all others are right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import scipy  # loads its parts when they are asked for
+
+from jaxgeo.adjust.adjustment import Adjustment
+from jaxgeo.adjust.equations import known_points
+from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.kept import Kept
+from jaxgeo.adjust.measurements import image_residuals
+from jaxgeo.adjust.posterior import covariance_of_points, leverages
+from jaxgeo.adjust.problem import Prepared
+
+UNCHECKED = 1e-6  # redundancy below which nothing checks a measurement
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Of each of k measurements: `length` of its residual over its covariance (Mahalanobis, in standard deviations),
+    how many directions of it are checked, `statistic`, the length of as improbable a residual of two directions, and
+    the error that it would be of (k, axes), in its own unit. What is not checked has a statistic of zero."""
+
+    length: np.ndarray
+    directions: np.ndarray
+    statistic: np.ndarray
+    error: np.ndarray
+
+
+def limit(alpha: float) -> float:
+    """What a statistic exceeds by chance with probability `alpha`: 3.72 for 0.001."""
+    return float(np.sqrt(scipy.special.chdtri(2.0, alpha)))
+
+
+def of_image_points(adjustment: Adjustment, full: Prepared | None = None, kept: np.ndarray | None = None) -> Hypotheses:
+    """Of the image points of an adjustment, or of those (k,) of the block `full` of which some are `kept`.
+
+    What was not kept is tested against its prediction, in which it has no part. Errors are in standard deviations.
+    """
+    ready = adjustment.prepared if full is None else full
+    values, loss = adjustment.solution.values, adjustment.loss
+    h = np.asarray(leverages(ready.problem, values, loss, adjustment.posterior))[ready.order.place]
+    v = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
+    return _hypotheses(h, v, np.ones(len(v), bool) if kept is None else kept)
+
+
+def of_control(
+    adjustment: Adjustment, control: GroundPoints, full: Prepared | None = None, kept: Kept | None = None
+) -> Hypotheses:
+    """The same of control points (m,); errors in m along the frame's axes. Coordinates of sigma zero are not tested."""
+    ready = adjustment.prepared if full is None else full
+    row_of = dict(zip(ready.names.point.tolist(), ready.order.row_of_point.tolist(), strict=True))
+    there = np.isin(control.name, adjustment.prepared.names.point)
+    rows = np.array([row_of.get(name, 0) for name in control.name.tolist()], int)
+    values, loss = adjustment.solution.values, adjustment.loss
+    Q = np.asarray(covariance_of_points(adjustment.prepared.problem, adjustment.posterior))[rows]
+    W = np.asarray(ready.problem.known_point)[rows] * there[:, None, None]
+    v = np.asarray(known_points(ready.problem, values))[rows] * there[:, None]
+    weight = np.asarray(loss.weight(jnp.asarray(np.sum(v * v, axis=1))))
+    known = np.any(W != 0.0, axis=2)
+    found = _hypotheses(
+        weight[:, None, None] * (W @ Q @ np.swapaxes(W, 1, 2)),
+        v,
+        np.ones(len(rows), bool) if kept is None else kept.control,
+        known,
+    )
+    error = np.einsum("mij,mj->mi", np.linalg.pinv(W), found.error)
+    return Hypotheses(found.length, found.directions, found.statistic, error)
+
+
+def _hypotheses(h: np.ndarray, v: np.ndarray, kept: np.ndarray, known: np.ndarray | None = None) -> Hypotheses:
+    """From leverages (k, d, d) and whitened residuals (k, d), adjusted less measured."""
+    d = v.shape[1]
+    known = np.ones(v.shape, bool) if known is None else known
+    left = np.where(kept[:, None, None], np.eye(d) - h, np.eye(d) + h)
+    left = left * known[:, :, None] * known[:, None, :]
+    value, vector = np.linalg.eigh(0.5 * (left + np.swapaxes(left, 1, 2)))
+    checked = value > UNCHECKED
+    along = np.einsum("kij,ki->kj", vector, v * known)
+    safe = np.where(checked, value, 1.0)
+    squared = np.sum(np.where(checked, along**2 / safe, 0.0), axis=1)
+    length, directions = np.sqrt(squared), checked.sum(axis=1)
+    of_kept = -np.einsum("kij,kj->ki", vector, np.where(checked, along / safe, 0.0))
+    error = np.where(kept[:, None], of_kept, -v * known)
+    return Hypotheses(length, directions, _as_of_two(length, directions), error)
+
+
+def _as_of_two(length: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The length of a residual of two directions that is as improbable as this one of one, two or three."""
+    scaled = scipy.special.erfcx(length / np.sqrt(2.0))  # the tail over exp(-length2 / 2), also where that is zero
+    three = scaled + np.sqrt(2.0 / np.pi) * length
+    tail = np.select([directions == 1, directions == 3], [scaled, three], 1.0)
+    return np.where(directions > 0, np.sqrt(np.maximum(length**2 - 2.0 * np.log(tail), 0.0)), 0.0)

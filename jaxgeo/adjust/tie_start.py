@@ -1,0 +1,73 @@
+"""Orientations by ties alone, where starts are poor: control is screened against these, and the block starts there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo.adjust.block import Block, Images
+from jaxgeo.adjust.control_consensus import Motion
+from jaxgeo.adjust.kept import Kept, control_of, masked
+from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.screening import Screen, screened_again
+from jaxgeo.adjust.solve import Solver, solve
+from jaxgeo.adjust.values import Values, with_interior
+
+
+class TieStart(NamedTuple):
+    """A screening by better orientations, and where to start from; None where the block's own start is as good."""
+
+    screen: Screen
+    values: Values | None
+
+
+def start_by_ties(
+    block: Block,
+    full: Prepared,
+    screened: Screen,
+    sigmas: float,
+    losses: tuple[AbstractLoss, ...] = (LeastSquares(),),
+    solver: Solver | None = None,
+) -> TieStart:
+    """Adjust a block without its control, with losses one after the other, and screen it again from there.
+
+    A block that nothing else holds is brought onto the control by the similarity on which most of it agrees.
+    """
+    kept = Kept(screened.kept.rows, np.zeros(len(control_of(block)), bool)).whole(block)
+    if not kept.leaves_every_image(block):
+        return TieStart(screened, None)
+    problem, values = masked(block, full, kept).problem, None
+    for loss in losses:
+        values = solve(problem, loss, solver, start=values).values
+        if not all(bool(np.all(np.isfinite(np.asarray(x)))) for x in (values.centre, values.points, values.lens)):
+            return TieStart(screened, None)
+    assert values is not None
+    centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
+    R = _nearest_rotations(R)
+    images = Images(block.images.name, block.images.camera, centre, R)
+    lenses = zip(full.names.camera, values.lens, strict=True)
+    cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
+    again, motion = screened_again(replace(block, images=images, cameras=cameras), sigmas)
+    held = block.navigation is not None or not np.all(np.asarray(problem.free_pose) > 0.0)
+    if motion is not None and not held:
+        values = _moved(values, motion)
+    return TieStart(again, values)
+
+
+def _moved(values: Values, motion: Motion) -> Values:
+    """The whole moved onto the control."""
+    centre, points = motion(np.asarray(values.centre)), motion(np.asarray(values.points))
+    R = motion.R @ np.asarray(values.R_frame_from_camera)
+    changed = (jnp.asarray(centre), jnp.asarray(R), jnp.asarray(points))
+    return eqx.tree_at(lambda v: (v.centre, v.R_frame_from_camera, v.points), values, changed)
+
+
+def _nearest_rotations(R: np.ndarray) -> np.ndarray:
+    """Products of many turns are rotations but for rounding."""
+    U, _, Vt = np.linalg.svd(R)
+    return U @ Vt
