@@ -15,11 +15,13 @@ from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
 from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.observing import Observing, observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
 from jaxgeo.adjust.unknowns import Unknowns
+from jaxgeo.adjust.weak_datum import share_left
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
 SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
@@ -82,10 +84,9 @@ def adjust(
     unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
     ready = prepared(block, unknowns, terrain)
     solution = solve(ready.problem, loss, solver, told)
-    if not solution.converged:
-        raise NotConverged(solution)
-    _check_parallax(block, ready, solution)
-    rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+    if solution.converged:
+        _check_parallax(block, ready, solution)
+    rows = np.asarray(_unheld(ready.problem, solution.values))
     rows = rows[np.any(rows != 0.0, axis=1)]
     if len(rows) and datum is None:
         words = datum_words(rows)
@@ -94,15 +95,19 @@ def adjust(
             f"with datum=InnerConstraints().{_in_parts(block)}",
             [Direction(word, 0.0, {}) for word in words],
         )
+    if not solution.converged:  # for which what nothing holds would be the reason
+        raise NotConverged(solution)
     held = None
     if len(rows):
         solution = _at_start(ready, solution, loss, rows)
-        rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+        rows = np.asarray(_unheld(ready.problem, solution.values))
         rows = rows[np.any(rows != 0.0, axis=1)]
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
     adjustment = Adjustment(block, unknowns, ready, solution, loss, held)
-    if not float(least_share(ready.problem, adjustment.posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
-        weak = [direction for direction in weakest(ready, solution, 6, held) if direction.strength < SINGULAR]
+    posterior = adjustment.posterior
+    is_held = posterior.weak is None or float(share_left(posterior.weak)[0][0]) >= SINGULAR
+    if not is_held or not float(least_share(ready.problem, posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
+        weak = [found for found in weakest(ready, solution, 6, held, posterior.weak) if found.strength < SINGULAR]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(
             f"the block does not hold {words}. Fix some of it, or give priors.{_in_parts(block)}", weak
@@ -115,10 +120,7 @@ def adjust(
 
 def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     """Refuse points that nothing holds along their rays, whatever holds the cameras."""
-    own = ready.order.row_of_point
-    normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
-    scale = 1.0 / np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
-    least = np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])[:, 0]
+    least = _least_of_points(ready, solution)
     lost = np.flatnonzero(~(least >= SINGULAR))
     if len(lost) == 0:
         return
@@ -132,6 +134,22 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     )
 
 
+def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
+    """Least eigenvalue of each point's normal matrix (m,), image points and other observations with weights of one."""
+    own, problem = ready.order.row_of_point, ready.problem
+    observed = _observing(problem, solution.values)
+    free = np.asarray(problem.free_point)[own]
+    weighted, alike = (
+        np.concatenate([np.asarray(x.control)[own], np.asarray(x.terrain)[own, None]], axis=1) * free[:, None, :]
+        for x in (observed, observed.alike(jnp.ones(())))
+    )
+    normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
+    of_images = (normal - np.einsum("mki,mkj->mij", weighted, weighted)) * free[:, :, None] * free[:, None, :]
+    size = np.trace(of_images, axis1=1, axis2=2)[:, None, None]
+    total = of_images / np.where(size > 0.0, size, 1.0) + np.einsum("mki,mkj->mij", alike, alike)
+    return np.linalg.eigvalsh(total + np.eye(3) * (1.0 - free)[:, None, :])[:, 0]
+
+
 def _in_parts(block: Block) -> str:
     """A sentence where a block falls apart; else nothing."""
     parts = block.parts()
@@ -142,8 +160,13 @@ def _in_parts(block: Block) -> str:
 
 
 @eqx.filter_jit
-def _unheld(problem: Any, values: Any, equations: Any) -> Any:
-    return unheld(problem, values, equations)
+def _unheld(problem: Any, values: Any) -> Any:
+    return unheld(problem, values)
+
+
+@eqx.filter_jit
+def _observing(problem: Any, values: Any) -> Observing:
+    return observing(problem, values)
 
 
 @eqx.filter_jit

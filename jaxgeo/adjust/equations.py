@@ -46,7 +46,7 @@ class Equations(Record):
 def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
     """Half the sum of the loss over image points and of the squared weighted residuals of all else."""
     squared = jnp.sum(image_residuals(problem, values) ** 2, axis=0)
-    total = 0.5 * jnp.sum(loss.rho(squared)) + half_sum(_known_points(problem, values))
+    total = 0.5 * jnp.sum(loss.rho(squared)) + half_sum(known_points(problem, values))
     if problem.observed is not None:
         total = total + half_sum(navigation_residuals(problem, values))
     if problem.terrain is not None:
@@ -59,7 +59,7 @@ def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
 def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
     """Weighted residuals of positions and attitudes."""
     assert problem.observed is not None
-    return jax.vmap(navigation_residual)(problem.observed, *_of_images(problem, values))
+    return jax.vmap(navigation_residual)(problem.observed, *of_images(problem, values))
 
 
 def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
@@ -105,7 +105,7 @@ def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image:
         lens, own = by_lens[:, :, part].reshape(2, -1, *shape), by_point[:, :, part].reshape(2, 3, *shape)
         shared_coupling.append(_of_lenses(problem, layout.camera[layout.image[part]].reshape(shape), lens, own))
     rows = values.points.shape[0]
-    off = _known_points(problem, values)
+    off = known_points(problem, values)
     known = problem.known_point
     V = products[jnp.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])] + jnp.einsum("rki,rkj->ijr", known, known)
     g = gradients + jnp.einsum("rki,rk->ir", known, off)
@@ -128,7 +128,7 @@ def _normal(problem: Problem, values: Values, seen: tuple[Array, ...], by_image:
     )
 
 
-def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
+def of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
     mount, strip = problem.mount_of, problem.strip_of
     return (
         values.centre,
@@ -178,9 +178,9 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
         shared_gradient = shared_gradient.at[:lenses].set((camera.T @ gradient[:, c:]).reshape(-1))
     cost = jnp.zeros(())
     if problem.observed is not None:
-        off, by = jax.vmap(navigation_linear)(problem.observed, *_of_images(problem, values))
+        off, by = jax.vmap(navigation_linear)(problem.observed, *of_images(problem, values))
         cost = half_sum(off)
-        by_pose, by_shared = by[..., :POSE] * problem.free_pose[:, None, :], _navigation_columns(problem, by)
+        by_pose, by_shared = by[..., :POSE] * problem.free_pose[:, None, :], navigation_columns(problem, by)
         images = images.at[:, :POSE, :POSE].add(jnp.einsum("nka,nkb->nab", by_pose, by_pose))
         image_gradient = image_gradient.at[:, :POSE].add(jnp.einsum("nka,nk->na", by_pose, off))
         images_shared = images_shared.at[:, :POSE].add(jnp.einsum("nka,nkb->nab", by_pose, by_shared))
@@ -204,7 +204,7 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
     }
 
 
-def _navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
+def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
     """Derivatives of the navigation by what images share, in the columns of the reduced system."""
     n = problem.n
     parts = [jnp.zeros((n, 6, problem.of_lenses))]
@@ -233,7 +233,7 @@ def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> 
     return jnp.concatenate(diagonal), jnp.concatenate(gradient)
 
 
-def _known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
+def known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
     """Weighted residuals of control points."""
     return jnp.einsum("rki,ri->rk", problem.known_point, values.points - problem.place)
 
