@@ -62,7 +62,7 @@ def posterior_of(
     With the `values` of the equations, motions of a whole that is weakly held are taken apart.
     """
     points, matrix = undamped(problem, equations)
-    motions = None if values is None else weakly_held(problem, values, matrix)
+    motions = None if values is None else weakly_held(problem, values, equations, matrix)
     if motions is None:
         return jax.block_until_ready(Posterior(*_inverse(problem, matrix, datum), points, datum))
     return jax.block_until_ready(

@@ -36,8 +36,8 @@ class Reduced(Record):
 
 @eqx.filter_jit
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
-    """Factors of the points' normal matrices, their diagonals larger by the share `damping`."""
-    V = equations.points * (1.0 + damping * jnp.eye(3)[:, :, None])
+    """Factors of the points' normal matrices, larger by the share `damping` of `scales_of_points`."""
+    V = equations.points + damping * scales_of_points(problem, equations)
     factor = _cholesky_3(V)
     of_obs = problem.layout.to_rays(jnp.stack(factor))
     return Eliminated(
@@ -46,6 +46,15 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
         times_inverse(factor, equations.shared_coupling),
         _forward(factor, equations.point_gradient),
     )
+
+
+def scales_of_points(problem: Problem, equations: Equations) -> Float[Array, "3 3 rows"]:
+    """What the damping of points is measured by: the diagonals of their normal matrices; these themselves where control
+    or terrain holds a point along its rays too, perhaps by so little that no share of a diagonal would leave it."""
+    held = jnp.any(problem.known_point != 0.0, axis=(1, 2))
+    if problem.terrain is not None:
+        held = held | (problem.terrain.information > 0.0)
+    return equations.points * jnp.where(held[None, None], 1.0, jnp.eye(3)[:, :, None])
 
 
 @eqx.filter_jit

@@ -20,7 +20,17 @@ from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, cost_of, linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminated, gather, reduced, solved, undamped
+from jaxgeo.adjust.reduction import (
+    Eliminated,
+    Reduced,
+    back_substituted,
+    eliminated,
+    gather,
+    reduced,
+    scales_of_points,
+    solved,
+    undamped,
+)
 from jaxgeo.adjust.values import Values, moved
 from jaxgeo.adjust.weak_datum import Motions, apart, at_holds, motions_apart, moved_together, weakly_held, with_holds
 
@@ -85,7 +95,7 @@ def solve(
     equations = linearised(problem, values, loss)
     cost = float(equations.cost)
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
-    weak = weakly_held(problem, values, undamped(problem, equations)[1]) is not None
+    weak = weakly_held(problem, values, equations, undamped(problem, equations)[1]) is not None
     damping, growth, converged = solver.damping, 2.0, False
     while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
         trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping), weak)
@@ -117,7 +127,7 @@ def _trial(
     points = eliminated(problem, equations, damping)
     system = reduced(problem, equations, gather(problem, points), damping)
     if weak:
-        motions = motions_apart(problem, values, system.matrix)
+        motions = motions_apart(problem, values, equations, system.matrix)
         return _stepped_apart(problem, values, equations, (points, system), motions, loss, damping)
     return _stepped(problem, values, equations, (points, system), loss, damping)
 
@@ -135,19 +145,21 @@ def _stepped(
     images, shared = solved(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
-    return trial, cost_of(problem, trial, loss), promised_by(equations, images, shared, of_points, damping)
+    return trial, cost_of(problem, trial, loss), promised_by(problem, equations, images, shared, of_points, damping)
 
 
-def promised_by(equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar) -> Scalar:
+def promised_by(
+    problem: Problem, equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar
+) -> Scalar:
     """Decrease of the quadratic model by a damped step: half of (damping * D step - gradient) . step."""
-    diagonals = [jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared)]
-    of_points = jnp.diagonal(equations.points, axis1=0, axis2=1).T
+    of_images, of_shared = (jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared))
+    of_points = jnp.einsum("ijr,jr->ir", scales_of_points(problem, equations), points)
     pairs = (
-        (images, equations.image_gradient, diagonals[0]),
-        (shared, equations.shared_gradient, diagonals[1]),
+        (images, equations.image_gradient, of_images * images),
+        (shared, equations.shared_gradient, of_shared * shared),
         (points, equations.point_gradient, of_points),
     )
-    return 0.5 * sum((jnp.sum(x * (damping * d * x - g)) for x, g, d in pairs), start=jnp.zeros(()))
+    return 0.5 * sum((jnp.sum(x * (damping * d - g)) for x, g, d in pairs), start=jnp.zeros(()))
 
 
 @eqx.filter_jit
@@ -173,7 +185,7 @@ def _stepped_apart(
     images, shared, of_points = (own - jnp.tensordot(t, F, 1) for own, F in zip(y, found.F, strict=True))
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
     trial = moved_together(problem, trial, motions, t)
-    promised = promised_by(equations, images, shared, of_points, damping)
+    promised = promised_by(problem, equations, images, shared, of_points, damping)
     held = jnp.einsum("dkm,km->d", motions.holds, at_holds(problem, images)) * motions.kept
     own = damping * jnp.sum(motions.own * motions.kept * t**2) - motions.gradient @ t
     return trial, cost_of(problem, trial, loss), promised + 0.5 * (jnp.sum(held**2) + own)

@@ -24,20 +24,24 @@ from jaxgeo._record import Record
 from jaxgeo.adjust.arrays import Problem
 from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
 from jaxgeo.adjust.datum import whole_of
+from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.observing import observing
 from jaxgeo.adjust.reduction import Eliminated, along_points, backward_rows, condensed, solved, times_inverse
 from jaxgeo.adjust.values import Values
 from jaxgeo.rotations import R_from_rotation_vector
 
-WEAK = 1e-2  # of the weight of a motion's parts: motions held less are taken apart
+WEAK = 1e-5  # of the weight that image points have in a motion's parts: motions held less are taken apart
 SEEN = 1e-8  # of the weight of a motion that images of the middle slab must keep when others are taken from it
 
 
 class Motions(Record):
     """Motions G (7, n, c), (7, 3, rows) that are held, `combos` of `MOTIONS`, of unit weight at the images of the
-    middle slabs; `holds` H there (7, k, m); K of images, of what they share, and of points; `weight` G' K, `gradient`
-    G' b. Those that are not held, or not to be told apart there, are zero, and 0 in `kept`; `free` are those of the
-    datum, zero in all but `holds`."""
+    middle slabs, and `holds` H there (7, k, m).
+
+    `K` N G of images, of what they share, and of points; `weight` G' K, `of_parts` what it would be of each number of
+    the images by itself, `gradient` G' b. Those that are not held, or not to be told apart there, are zero, and 0 in
+    `kept`; those of the datum, 1 in `free`, are zero in all but `holds`.
+    """
 
     images: Float[Array, "7 n c"]
     points: Float[Array, "7 3 rows"]
@@ -45,6 +49,7 @@ class Motions(Record):
     holds: Float[Array, "7 k m"]
     K: tuple[Float[Array, "7 n c"], Float[Array, "7 s"], Float[Array, "7 3 rows"]]
     weight: Float[Array, "7 7"]
+    of_parts: Float[Array, "7"]
     gradient: Float[Array, "7"]
     kept: Float[Array, "7"]
     free: Float[Array, "7"]
@@ -89,17 +94,17 @@ class Weak(Record):
         return cls(one(found.images), one(found.shared), one(found.points), motions, found)
 
 
-def weakly_held(problem: Problem, values: Values, matrix: Tridiagonal) -> Motions | None:
-    """The motions of the whole, by the reduced normal equations, if something holds them but little; else nothing."""
+def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions | None:
+    """The motions of the whole, by the normal equations and the reduced ones, if little holds one; else nothing."""
     nothing = problem.observed is None and problem.terrain is None and not np.any(np.asarray(problem.known_point))
     if nothing:
         return None
-    motions = motions_apart(problem, values, matrix)
+    motions = motions_apart(problem, values, equations, matrix)
     return motions if are_weak(motions) else None
 
 
 @eqx.filter_jit
-def motions_apart(problem: Problem, values: Values, matrix: Tridiagonal) -> Motions:
+def motions_apart(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions:
     """The motions that are held, by the scale of the reduced normal equations."""
     observed = observing(problem, values)
     whole = whole_of(problem, values, observed)
@@ -121,6 +126,7 @@ def motions_apart(problem: Problem, values: Values, matrix: Tridiagonal) -> Moti
         holds * (kept + free)[:, None, None],
         observed.normal(images, points),
         rows @ rows.T,
+        jnp.sum(images**2 * jnp.diagonal(equations.images, axis1=1, axis2=2)[None], axis=(1, 2)),
         rows @ observed.residuals,
         kept,
         free,
@@ -131,7 +137,7 @@ def motions_apart(problem: Problem, values: Values, matrix: Tridiagonal) -> Moti
 
 def are_weak(motions: Motions) -> bool:
     """Whether some motion is held by little."""
-    return bool(jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK)))
+    return bool(jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK * motions.of_parts)))
 
 
 def _slabs(band: Band) -> tuple[int, int]:
