@@ -211,7 +211,7 @@ class Adjustment:
     @cached_property
     def posterior(self) -> Posterior:
         """The inverse of the reduced normal equations, from which all covariances come."""
-        return posterior_of(self.prepared.problem, self.solution.equations, self.datum)
+        return posterior_of(self.prepared.problem, self.solution.equations, self.datum, self.solution.values)
 
     @cached_property
     def covariance(self) -> np.ndarray:

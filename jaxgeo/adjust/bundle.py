@@ -19,6 +19,7 @@ from jaxgeo.adjust.diagnosis import Diagnosis, diagnosed
 from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.kept import block_of, masked, set_aside
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
+from jaxgeo.adjust.observing import Observing, observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
@@ -26,6 +27,7 @@ from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
 from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
+from jaxgeo.adjust.weak_datum import share_left
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
 SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
@@ -123,7 +125,7 @@ def adjusted(
     if not solution.converged:
         raise NotConverged(solution, diagnosed(block, ready, solution, screened), screened)
     _check_parallax(block, ready, solution)
-    rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+    rows = np.asarray(_unheld(ready.problem, solution.values))
     rows = rows[np.any(rows != 0.0, axis=1)]
     if len(rows) and datum is None:
         words = datum_words(rows)
@@ -132,15 +134,19 @@ def adjusted(
             f"with datum=InnerConstraints().{_in_parts(block)}",
             [Direction(word, 0.0, {}) for word in words],
         )
+    if not solution.converged:  # for which what nothing holds would be the reason
+        raise NotConverged(solution)
     held = None
     if len(rows):
         solution = _at_start(ready, solution, loss, rows)
-        rows = np.asarray(_unheld(ready.problem, solution.values, solution.equations))
+        rows = np.asarray(_unheld(ready.problem, solution.values))
         rows = rows[np.any(rows != 0.0, axis=1)]
         held = _datum(ready.problem, solution.values, jnp.asarray(rows))
     adjustment = Adjustment(block, unknowns, ready, solution, loss, held, screened.aside)
-    if not float(least_share(ready.problem, adjustment.posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
-        weak = [direction for direction in weakest(ready, solution, 6, held) if direction.strength < SINGULAR]
+    posterior = adjustment.posterior
+    is_held = posterior.weak is None or float(share_left(posterior.weak)[0][0]) >= SINGULAR
+    if not is_held or not float(least_share(ready.problem, posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
+        weak = [found for found in weakest(ready, solution, 6, held, posterior.weak) if found.strength < SINGULAR]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(
             f"the block does not hold {words}. Fix some of it, or give priors.{_in_parts(block)}", weak
@@ -153,10 +159,7 @@ def adjusted(
 
 def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     """Refuse points that nothing holds along their rays, whatever holds the cameras."""
-    own = ready.order.row_of_point
-    normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
-    scale = 1.0 / np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
-    least = np.linalg.eigvalsh(normal * scale[:, :, None] * scale[:, None, :])[:, 0]
+    least = _least_of_points(ready, solution)
     lost = np.flatnonzero(~(least >= SINGULAR))
     if len(lost) == 0:
         return
@@ -170,6 +173,22 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     )
 
 
+def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
+    """Least eigenvalue of each point's normal matrix (m,), image points and other observations with weights of one."""
+    own, problem = ready.order.row_of_point, ready.problem
+    observed = _observing(problem, solution.values)
+    free = np.asarray(problem.free_point)[own]
+    weighted, alike = (
+        np.concatenate([np.asarray(x.control)[own], np.asarray(x.terrain)[own, None]], axis=1) * free[:, None, :]
+        for x in (observed, observed.alike(jnp.ones(())))
+    )
+    normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
+    of_images = (normal - np.einsum("mki,mkj->mij", weighted, weighted)) * free[:, :, None] * free[:, None, :]
+    size = np.trace(of_images, axis1=1, axis2=2)[:, None, None]
+    total = of_images / np.where(size > 0.0, size, 1.0) + np.einsum("mki,mkj->mij", alike, alike)
+    return np.linalg.eigvalsh(total + np.eye(3) * (1.0 - free)[:, None, :])[:, 0]
+
+
 def _in_parts(block: Block) -> str:
     """A sentence where a block falls apart; else nothing."""
     parts = block.parts()
@@ -180,8 +199,13 @@ def _in_parts(block: Block) -> str:
 
 
 @eqx.filter_jit
-def _unheld(problem: Any, values: Any, equations: Any) -> Any:
-    return unheld(problem, values, equations)
+def _unheld(problem: Any, values: Any) -> Any:
+    return unheld(problem, values)
+
+
+@eqx.filter_jit
+def _observing(problem: Any, values: Any) -> Observing:
+    return observing(problem, values)
 
 
 @eqx.filter_jit

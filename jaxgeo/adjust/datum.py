@@ -7,24 +7,50 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._numerics import turned
+from jaxgeo._record import Record
+from jaxgeo._typing import Scalar
 from jaxgeo.adjust.arrays import Problem, free_columns
-from jaxgeo.adjust.equations import Equations
-from jaxgeo.adjust.values import Values
+from jaxgeo.adjust.observing import Observing, observing
+from jaxgeo.adjust.values import POSE, Values
 
 MOTIONS = ("shift east", "shift north", "shift up", "turn about east", "turn about north", "turn about up", "scale")
-HELD = 1e-9  # of what a motion of the whole would cost part by part: below it nothing holds the motion
+HELD = 1e-4  # m, of a motion of 1 m: what an observation must notice of it to hold it, whatever its standard deviation
+
+
+class Whole(Record):
+    """The motions of a block by what they change, and which of them observations other than image points hold.
+
+    `images` (7, n, c) and `points` (7, 3, rows) are changes by `MOTIONS`, about `middle` (3,) with the length `size`;
+    `combos` (7, 7) independent combinations of them: those of which `held` is 1 some observation holds, those of which
+    `free` is 1 nothing does; the others, all zero, move what is fixed.
+    """
+
+    images: Float[Array, "7 n c"]
+    points: Float[Array, "7 3 rows"]
+    middle: Float[Array, "3"]
+    size: Scalar
+    combos: Float[Array, "7 7"]
+    held: Float[Array, "7"]
+    free: Float[Array, "7"]
 
 
 def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Float[Array, "7 3 rows"]]:
-    """Changes of the images and of the points (rows) by `MOTIONS` about the middle of the points.
+    """Changes of the images and of the points (rows) by `MOTIONS` about the middle of the points; zero where fixed.
 
     Lengths in m, turns and scale such that points at their median distance from the middle move by 1 m.
     """
-    real = problem.free_point.any(axis=1)
-    places = jnp.where(real[:, None], values.points, jnp.nan)
+    poses, points, _, _ = _motions(problem, values)
+    images = jnp.zeros((7, problem.n, problem.of_image)).at[:, :, :POSE].set(poses)
+    free, _ = free_columns(problem)
+    return images * free[None], points * problem.free_point.T[None]
+
+
+def _motions(problem: Problem, values: Values) -> tuple[Array, Array, Array, Scalar]:
+    """(poses (7, n, 6), points (7, 3, rows), middle, size), of what is fixed too."""
+    places = jnp.where(_measured(problem)[:, None], values.points, jnp.nan)
     middle = jnp.nanmedian(places, axis=0)  # of points that lie nearly at infinity it does not hang on
     size = jnp.sqrt(jnp.nanmedian(jnp.sum((places - middle[None]) ** 2, axis=1)))
-    offsets = jnp.where(real[:, None], values.points - middle[None], 0.0)
+    offsets = jnp.where(_measured(problem)[:, None], values.points - middle[None], 0.0)
     centres, n = values.centre - middle[None], problem.n
     none = jnp.zeros((n, 3))
     poses, points = [], []
@@ -37,27 +63,49 @@ def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Fl
         points.append(jnp.cross(axis[None], offsets) / size)
     poses.append(jnp.concatenate([centres, none], axis=1) / size)
     points.append(offsets / size)
-    of_points = jnp.moveaxis(jnp.stack(points), -1, 1) * problem.free_point.T[None]
-    images = jnp.zeros((7, n, problem.of_image)).at[:, :, :6].set(jnp.stack(poses))
-    free, _ = free_columns(problem)
-    return images * free[None], of_points
+    return jnp.stack(poses), jnp.moveaxis(jnp.stack(points), -1, 1), middle, size
 
 
-def unheld(problem: Problem, values: Values, equations: Equations) -> Float[Array, "7 7"]:
-    """Rows: combinations of `MOTIONS` that cost nothing, in order; rows of motions that are held are zero."""
-    images, x = motions(problem, values)
-    along = jnp.einsum("mnc,ncd->mnd", images, equations.images)
-    total = jnp.einsum("mnd,knd->mk", along, images)
-    # Each measurement's share is small only when that of its image and of its point are taken together.
-    mixed = jnp.zeros((7, 7))
-    rows, image = problem.layout.row, problem.layout.image
-    for k in range(7):
-        moved = jnp.einsum("cio,io->co", equations.coupling, x[k][:, rows])
-        mixed = mixed.at[:, k].set(jnp.einsum("mco,co->m", jnp.moveaxis(images[:, image], 1, -1), moved))
-    of_points = jnp.einsum("mir,ijr,kjr->mk", x, equations.points * problem.free_point.any(axis=1)[None, None], x)
-    cost = total + mixed + mixed.T + of_points
-    by_parts = jnp.sqrt(jnp.diagonal(total) + jnp.diagonal(of_points))
-    scaled = cost / (by_parts[:, None] * by_parts[None, :])
-    values_, vectors = jnp.linalg.eigh(0.5 * (scaled + scaled.T))
-    rows_ = vectors.T / by_parts[None, :]
-    return jnp.where((values_ < HELD)[:, None], rows_, 0.0)
+def _measured(problem: Problem) -> Array:
+    """Of each row of points, whether it is one: others fill groups up."""
+    there = (problem.layout.information[:, 0] > 0.0).astype(jnp.float64)
+    return jnp.zeros(problem.free_point.shape[0]).at[problem.layout.row].max(there) > 0.0
+
+
+def whole_of(problem: Problem, values: Values, observed: Observing | None = None) -> Whole:
+    """Which motions of the whole are held, by the form of observations, whatever their weights.
+
+    Image points hold none of them: pixels do not change when cameras and points move together. So a motion is held
+    where a coordinate of control, of the navigation or of the terrain notices it, or something fixed is moved by it.
+    """
+    observed = observing(problem, values) if observed is None else observed
+    poses, points, middle, size = _motions(problem, values)
+    to_lengths = jnp.concatenate([jnp.ones(3), jnp.full(3, size)])
+    fixed_poses = poses * to_lengths[None, None] * (1.0 - problem.free_pose)[None]
+    fixed_points = points * ((1.0 - problem.free_point) * _measured(problem)[:, None]).T[None]
+    fixed = jnp.concatenate([fixed_poses.reshape(7, -1), fixed_points.reshape(7, -1)], axis=1)
+    combos, moves = _noticed(jnp.eye(7), jnp.ones(7), fixed)
+    combos, allowed = combos * (1.0 - moves)[:, None], 1.0 - moves
+    images, points = motions(problem, values)
+    rows = observed.alike(size).flat(images, points)
+    combos, held = _noticed(combos, allowed, rows)
+    allowed = jnp.sum(combos**2, axis=1) > 0.5
+    held = held * allowed
+    return Whole(images, points, middle, size, combos, held, allowed - held)
+
+
+def _noticed(combos: Float[Array, "7 7"], allowed: Float[Array, "7"], rows: Float[Array, "7 k"]) -> tuple[Array, Array]:
+    """(orthogonal combinations of those allowed, those that rows notice least first; 1 where a row notices one)."""
+    along = combos @ rows
+    gram = along @ along.T
+    most = 1.0 + jnp.trace(gram)
+    gram = gram * allowed[:, None] * allowed[None, :] + jnp.diag((1.0 - allowed) * most)  # others come last
+    _, vectors = jnp.linalg.eigh(0.5 * (gram + gram.T))
+    combos = vectors.T @ combos
+    return combos, (jnp.max(jnp.abs(combos @ rows), axis=1, initial=0.0) > HELD).astype(jnp.float64)
+
+
+def unheld(problem: Problem, values: Values) -> Float[Array, "7 7"]:
+    """Rows: combinations of `MOTIONS` that nothing holds; zero for those that are held."""
+    whole = whole_of(problem, values)
+    return whole.combos * whole.free[:, None]

@@ -60,7 +60,7 @@ def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
 def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"]:
     """Weighted residuals of positions and attitudes."""
     assert problem.observed is not None
-    return jax.vmap(navigation_residual)(problem.observed, *_of_images(problem, values))
+    return jax.vmap(navigation_residual)(problem.observed, *of_images(problem, values))
 
 
 def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
@@ -134,7 +134,7 @@ def _normal(
     )
 
 
-def _of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
+def of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
     mount, strip = problem.mount_of, problem.strip_of
     return (
         values.centre,
@@ -184,9 +184,9 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
         shared_gradient = shared_gradient.at[:lenses].set((camera.T @ gradient[:, c:]).reshape(-1))
     cost = jnp.zeros(())
     if problem.observed is not None:
-        off, by = jax.vmap(navigation_linear)(problem.observed, *_of_images(problem, values))
+        off, by = jax.vmap(navigation_linear)(problem.observed, *of_images(problem, values))
         cost = half_sum(off)
-        by_pose, by_shared = by[..., :POSE] * problem.free_pose[:, None, :], _navigation_columns(problem, by)
+        by_pose, by_shared = by[..., :POSE] * problem.free_pose[:, None, :], navigation_columns(problem, by)
         images = images.at[:, :POSE, :POSE].add(jnp.einsum("nka,nkb->nab", by_pose, by_pose))
         image_gradient = image_gradient.at[:, :POSE].add(jnp.einsum("nka,nk->na", by_pose, off))
         images_shared = images_shared.at[:, :POSE].add(jnp.einsum("nka,nkb->nab", by_pose, by_shared))
@@ -210,7 +210,7 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
     }
 
 
-def _navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
+def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
     """Derivatives of the navigation by what images share, in the columns of the reduced system."""
     n = problem.n
     parts = [jnp.zeros((n, 6, problem.of_lenses))]
@@ -240,7 +240,7 @@ def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> 
 
 
 def known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
-    """Weighted residuals of control points; zero for all other points."""
+    """Weighted residuals of control points."""
     return jnp.einsum("rki,ri->rk", problem.known_point, values.points - problem.place)
 
 

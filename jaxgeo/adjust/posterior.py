@@ -19,7 +19,9 @@ from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.measurements import image_points
 from jaxgeo.adjust.reduction import (
     Eliminated,
-    backward,
+    along_points,
+    backward_rows,
+    condensed,
     places,
     rows_of,
     solved,
@@ -27,6 +29,7 @@ from jaxgeo.adjust.reduction import (
     undamped,
 )
 from jaxgeo.adjust.values import Values
+from jaxgeo.adjust.weak_datum import Motions, Weak, apart, weakly_held, with_holds
 
 
 class Datum(Record):
@@ -39,20 +42,41 @@ class Datum(Record):
 class Posterior(Record):
     """The reduced normal equations factored, the inverse where they have blocks, and the points' factors.
 
-    With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones.
+    With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones. Where
+    the whole is `weak`ly held, they are of the block held at some images, and the motions of the whole come on top.
     """
 
     factor: Factor
     inverse: Tridiagonal
     points: Eliminated
     datum: Datum | None
+    weak: Weak | None = None
 
 
 @one_thread()
-def posterior_of(problem: Problem, equations: Equations, datum: Datum | None) -> Posterior:
-    """The inverse of the reduced normal equations; NaN where they are singular."""
+def posterior_of(
+    problem: Problem, equations: Equations, datum: Datum | None, values: Values | None = None
+) -> Posterior:
+    """The inverse of the reduced normal equations; NaN where they are singular.
+
+    With the `values` of the equations, motions of a whole that is weakly held are taken apart.
+    """
     points, matrix = undamped(problem, equations)
-    return jax.block_until_ready(Posterior(*_inverse(problem, matrix, datum), points, datum))
+    motions = None if values is None else weakly_held(problem, values, equations, matrix)
+    if motions is None:
+        return jax.block_until_ready(Posterior(*_inverse(problem, matrix, datum), points, datum))
+    return jax.block_until_ready(
+        _apart(problem, points, with_holds(problem, matrix, motions, datum is not None), motions, datum)
+    )
+
+
+@eqx.filter_jit
+def _apart(
+    problem: Problem, points: Eliminated, matrix: Tridiagonal, motions: Motions, datum: Datum | None
+) -> Posterior:
+    factor = factored(matrix)
+    weak = Weak.of(motions, apart(problem, points, factor, motions))
+    return Posterior(factor, selected_inverse(factor), points, datum, weak)
 
 
 @eqx.filter_jit
@@ -76,8 +100,9 @@ def held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
 def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
     """The least share of an unknown's weight that is left to it when the others are not known either.
 
-    Not positive where the system is singular.
+    Not positive where the system is singular. Of a weakly held whole, as if it were held at some images.
     """
+    posterior = eqx.tree_at(lambda p: p.weak, posterior, None, is_leaf=lambda x: x is None)
     variances = jnp.diagonal(covariance_of_images(problem, posterior), axis1=1, axis2=2)
     scales = problem.layout.band.of_images(posterior.factor.scale), posterior.factor.scale_shared
     pairs = zip(scales, (variances, jnp.diagonal(covariance_of_shared(problem, posterior))), strict=True)
@@ -91,6 +116,8 @@ def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
 def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array, "n c c"]:
     """Covariance of each image's own columns; zero for what is fixed."""
     covariance = _of_images(problem, posterior.inverse)
+    if posterior.weak is not None:
+        covariance = covariance + jnp.einsum("dni,dnj->nij", posterior.weak.images, posterior.weak.images)
     if posterior.datum is None:
         return covariance
     transfer = _Transfer.of(problem, posterior)
@@ -102,7 +129,8 @@ def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array,
 def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array, "s s"]:
     """Covariance of what images share, the same in every datum; zero for what is fixed."""
     _, free = free_columns(problem)
-    return posterior.inverse.corner * free[:, None] * free[None, :]
+    covariance = posterior.inverse.corner * free[:, None] * free[None, :]
+    return covariance if posterior.weak is None else covariance + posterior.weak.shared.T @ posterior.weak.shared
 
 
 @eqx.filter_jit
@@ -121,6 +149,9 @@ def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array
         covariance = jnp.concatenate([found[0].reshape(N + s, N), found[1]], axis=1)
         covariance = 0.5 * (covariance + covariance.T)
     covariance = covariance * free[:, None] * free[None, :]
+    if posterior.weak is not None:
+        U = jnp.concatenate([posterior.weak.images.reshape(-1, N), posterior.weak.shared], axis=1)
+        covariance = covariance + U.T @ U
     if posterior.datum is None:
         return covariance
     transfer = _Transfer.of(problem, posterior)
@@ -134,6 +165,8 @@ def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array,
     """Covariance of each point, m2."""
     found = [_by_chunks(problem, group, posterior, rays=False)[0] for group in problem.layout.groups]
     covariance = _between(posterior.points.factor, jnp.eye(3)[None] + jnp.concatenate(found))
+    if posterior.weak is not None:
+        covariance = covariance + jnp.einsum("dir,djr->rij", posterior.weak.points, posterior.weak.points)
     if posterior.datum is None:
         return covariance
     transfer = _Transfer.of(problem, posterior)
@@ -161,7 +194,22 @@ def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: P
     blocks = _with_lens(problem, posterior)[layout.image]
     mixed = jnp.einsum("oai,oic,obc->oab", half, of_rays, own)
     total = jnp.einsum("oai,oij,obj->oab", own, blocks, own) + jnp.einsum("oai,oij,obj->oab", half, of_points, half)
-    return total - mixed - jnp.swapaxes(mixed, 1, 2)
+    total = total - mixed - jnp.swapaxes(mixed, 1, 2)
+    if posterior.weak is None:
+        return total
+    along = _along_measurements(problem, posterior.weak, own, by_point)
+    return total + jnp.einsum("doa,dob->oab", along, along)
+
+
+def _along_measurements(problem: Problem, weak: Weak, own: Array, by_point: Array) -> Float[Array, "7 obs 2"]:
+    """How the motions of a weakly held whole, each of one standard deviation, change the image points."""
+    layout, lenses = problem.layout, weak.shared[:, : problem.of_lenses]
+    images = weak.images[:, layout.image]
+    if problem.of_lenses:
+        lenses = lenses.reshape(7, -1, len(problem.active))[:, layout.camera[layout.image]]
+        images = jnp.concatenate([images, lenses], axis=2)
+    points = weak.points[:, :, layout.row]
+    return jnp.einsum("oac,doc->doa", own, images) + jnp.einsum("oai,dio->doa", by_point, points)
 
 
 def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool) -> tuple[Array, Array]:
@@ -277,49 +325,24 @@ class _Transfer(Record):
     @classmethod
     def of(cls, problem: Problem, posterior: Posterior) -> _Transfer:
         assert posterior.datum is not None
-        G, factor = posterior.datum.points, posterior.points.factor
-        n, c, lenses = problem.n, problem.of_image, problem.of_lenses
+        G, points, factor = posterior.datum.points, posterior.points, posterior.points.factor
         half = times_inverse(factor, G)  # L^-1 G of each point
-        images, corner = jnp.zeros((G.shape[0], n, c)), jnp.zeros((G.shape[0], lenses))
-        for group in problem.layout.groups:  # F = sum of (L^-1 G)' D over the points
-            rows = rows_of(problem, group, posterior.points).joined()
-            own = half[:, :, group.first_row : group.first_row + group.rows]
-            own = own.reshape(-1, 3, group.chunks, group.size)
-            own = jnp.moveaxis(own, 1, 2).reshape(-1, group.chunks, 3 * group.size)
-            sums = jnp.einsum("dkr,krm->kdm", own, rows)
-            q = group.slots.shape[1]
-            by_slot = jnp.moveaxis(sums[:, :, : q * c].reshape(group.chunks, -1, q, c), 1, 2)
-            images = images.at[:, group.slots].add(jnp.moveaxis(by_slot, 2, 0), mode="drop")
-            corner = corner + jnp.sum(sums[:, :, q * c :], axis=0)
-        corner = jnp.pad(corner, ((0, 0), (0, problem.shared - lenses)))
+        images, corner = condensed(problem, points, half)  # (L^-1 G)' D, summed over the points
         of_images, of_shared = jax.vmap(lambda x, y: solved(problem, posterior.factor, x, y))(images, corner)  # F Q
-        along = _along_points(problem, posterior, of_images, of_shared)  # (F Q) D' of each point, (d, 3, rows)
-        of_points = _backward_rows(factor, half + along)
+        along = along_points(problem, points, of_images, of_shared)  # (F Q) D' of each point, (d, 3, rows)
+        of_points = backward_rows(factor, half + along)
+        if posterior.weak is not None:
+            weak = posterior.weak
+            part = jnp.einsum("dir,eir->de", G, weak.points)
+            of_images = of_images - jnp.einsum("de,enc->dnc", part, weak.images)
+            of_shared = of_shared - part @ weak.shared
+            of_points = of_points + jnp.einsum("de,eir->dir", part, weak.points)
         inverse = jnp.linalg.inv(jnp.einsum("dir,eir->de", G, G))
         middle = jnp.einsum("dir,eir->de", of_points, G)
         return cls(inverse, -of_images, -of_shared, of_points, inverse @ (0.5 * (middle + middle.T)) @ inverse)
 
 
-def _along_points(
-    problem: Problem, posterior: Posterior, images: Float[Array, "d n c"], shared: Float[Array, "d s"]
-) -> Float[Array, "d 3 rows"]:
-    """Rows of the reduced space times D' of each point."""
-    layout = problem.layout
-    along = jnp.einsum("doc,ioc->dio", images[:, layout.image], posterior.points.halves)
-    found = []
-    for group in layout.groups:
-        part = along[:, :, group.first : group.first + group.rays * group.rows]
-        found.append(jnp.sum(part.reshape(-1, 3, group.rays, group.rows), axis=2))
-    total = jnp.concatenate(found, axis=-1)
-    return total + jnp.einsum("da,air->dir", shared[:, : problem.of_lenses], posterior.points.shared_halves)
-
-
 def _between(factor: Any, inner: Float[Array, "rows 3 3"]) -> Float[Array, "rows 3 3"]:
     """L'^-1 inner L^-1 of each point."""
-    once = _backward_rows(factor, jnp.moveaxis(inner, 0, -1))  # rows of inner times L^-1
-    return jnp.moveaxis(_backward_rows(factor, jnp.swapaxes(once, 0, 1)), -1, 0)
-
-
-def _backward_rows(factor: Any, v: Float[Array, "k 3 rows"]) -> Float[Array, "k 3 rows"]:
-    """Each of k vectors times L^-1, that is L'^-1 applied to it."""
-    return jax.vmap(lambda row: backward(factor, row))(v)
+    once = backward_rows(factor, jnp.moveaxis(inner, 0, -1))  # rows of inner times L^-1
+    return jnp.moveaxis(backward_rows(factor, jnp.swapaxes(once, 0, 1)), -1, 0)

@@ -36,8 +36,8 @@ class Reduced(Record):
 
 @eqx.filter_jit
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
-    """Factors of the points' normal matrices, their diagonals larger by the share `damping`."""
-    V = equations.points * (1.0 + damping * jnp.eye(3)[:, :, None])
+    """Factors of the points' normal matrices, larger by the share `damping` of `scales_of_points`."""
+    V = equations.points + damping * scales_of_points(problem, equations)
     factor = _cholesky_3(V)
     of_obs = problem.layout.to_rays(jnp.stack(factor))
     return Eliminated(
@@ -46,6 +46,15 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
         times_inverse(factor, equations.shared_coupling),
         _forward(factor, equations.point_gradient),
     )
+
+
+def scales_of_points(problem: Problem, equations: Equations) -> Float[Array, "3 3 rows"]:
+    """What the damping of points is measured by: the diagonals of their normal matrices; these themselves where control
+    or terrain holds a point along its rays too, perhaps by so little that no share of a diagonal would leave it."""
+    held = jnp.any(problem.known_point != 0.0, axis=(1, 2))
+    if problem.terrain is not None:
+        held = held | (problem.terrain.information > 0.0)
+    return equations.points * jnp.where(held[None, None], 1.0, jnp.eye(3)[:, :, None])
 
 
 @eqx.filter_jit
@@ -221,3 +230,41 @@ def backward(factor: Any, v: Float[Array, "3 rows"]) -> Float[Array, "3 rows"]:
     z = v[2] / l22
     y = (v[1] - l21 * z) / l11
     return jnp.stack([(v[0] - l10 * y - l20 * z) / l00, y, z])
+
+
+def along_points(
+    problem: Problem, points: Eliminated, images: Float[Array, "d n c"], shared: Float[Array, "d s"]
+) -> Float[Array, "d 3 rows"]:
+    """Rows of the reduced space times D' of each point."""
+    layout = problem.layout
+    along = jnp.einsum("doc,ioc->dio", images[:, layout.image], points.halves)
+    found = []
+    for group in layout.groups:
+        part = along[:, :, group.first : group.first + group.rays * group.rows]
+        found.append(jnp.sum(part.reshape(-1, 3, group.rays, group.rows), axis=2))
+    total = jnp.concatenate(found, axis=-1)
+    return total + jnp.einsum("da,air->dir", shared[:, : problem.of_lenses], points.shared_halves)
+
+
+def condensed(
+    problem: Problem, points: Eliminated, half: Float[Array, "d 3 rows"]
+) -> tuple[Float[Array, "d n c"], Float[Array, "d s"]]:
+    """Parts of the images and of what they share in sums of v' D over the points, v (3,) of each point D its halves."""
+    n, c, lenses, d = problem.n, problem.of_image, problem.of_lenses, half.shape[0]
+    images, corner = jnp.zeros((d, n, c)), jnp.zeros((d, lenses))
+    for group in problem.layout.groups:
+        rows = rows_of(problem, group, points).joined()
+        own = half[:, :, group.first_row : group.first_row + group.rows]
+        own = own.reshape(-1, 3, group.chunks, group.size)
+        own = jnp.moveaxis(own, 1, 2).reshape(-1, group.chunks, 3 * group.size)
+        sums = jnp.einsum("dkr,krm->kdm", own, rows)
+        q = group.slots.shape[1]
+        by_slot = jnp.moveaxis(sums[:, :, : q * c].reshape(group.chunks, -1, q, c), 1, 2)
+        images = images.at[:, group.slots].add(jnp.moveaxis(by_slot, 2, 0), mode="drop")
+        corner = corner + jnp.sum(sums[:, :, q * c :], axis=0)
+    return images, jnp.pad(corner, ((0, 0), (0, problem.shared - lenses)))
+
+
+def backward_rows(factor: Any, v: Float[Array, "k 3 rows"]) -> Float[Array, "k 3 rows"]:
+    """Each of k vectors times L^-1, that is L'^-1 applied to it."""
+    return jax.vmap(lambda row: backward(factor, row))(v)

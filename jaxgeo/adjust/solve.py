@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust._lapack import one_thread
@@ -19,8 +20,19 @@ from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, cost_of, linearised
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.reduction import Eliminated, Reduced, back_substituted, eliminated, gather, reduced, solved
+from jaxgeo.adjust.reduction import (
+    Eliminated,
+    Reduced,
+    back_substituted,
+    eliminated,
+    gather,
+    reduced,
+    scales_of_points,
+    solved,
+    undamped,
+)
 from jaxgeo.adjust.values import Values, moved
+from jaxgeo.adjust.weak_datum import Motions, apart, at_holds, motions_apart, moved_together, weakly_held, with_holds
 
 LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
 
@@ -85,9 +97,10 @@ def solve(
     equations = linearised(problem, values, loss)
     cost = float(equations.cost)
     log = [Iteration(0, cost, 0.0, 0.0, solver.damping, True)]
+    weak = weakly_held(problem, values, equations, undamped(problem, equations)[1]) is not None
     damping, growth, converged = solver.damping, 2.0, False
     while len(log) <= solver.most and not converged and damping < MOST_DAMPING:
-        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping, jnp.float64))
+        trial, new_cost, promised = _trial(problem, values, equations, loss, jnp.asarray(damping), weak)
         new_cost, promised = float(new_cost), float(promised)
         decrease = cost - new_cost
         least = max(relative * cost, solver.absolute)
@@ -110,11 +123,14 @@ def solve(
 
 
 def _trial(
-    problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar
+    problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar, weak: bool
 ) -> tuple[Values, Scalar, Scalar]:
     """(values after a damped step, their cost, the decrease that the step promises)."""
     points = eliminated(problem, equations, damping)
     system = reduced(problem, equations, gather(problem, points), damping)
+    if weak:
+        motions = motions_apart(problem, values, equations, system.matrix)
+        return _stepped_apart(problem, values, equations, (points, system), motions, loss, damping)
     return _stepped(problem, values, equations, (points, system), loss, damping)
 
 
@@ -131,16 +147,51 @@ def _stepped(
     images, shared = solved(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
-    return trial, cost_of(problem, trial, loss), promised_by(equations, images, shared, of_points, damping)
+    return trial, cost_of(problem, trial, loss), promised_by(problem, equations, images, shared, of_points, damping)
 
 
-def promised_by(equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar) -> Scalar:
+def promised_by(
+    problem: Problem, equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar
+) -> Scalar:
     """Decrease of the quadratic model by a damped step: half of (damping * D step - gradient) . step."""
-    diagonals = [jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared)]
-    of_points = jnp.diagonal(equations.points, axis1=0, axis2=1).T
+    of_images, of_shared = (jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared))
+    of_points = jnp.einsum("ijr,jr->ir", scales_of_points(problem, equations), points)
     pairs = (
-        (images, equations.image_gradient, diagonals[0]),
-        (shared, equations.shared_gradient, diagonals[1]),
+        (images, equations.image_gradient, of_images * images),
+        (shared, equations.shared_gradient, of_shared * shared),
         (points, equations.point_gradient, of_points),
     )
-    return 0.5 * sum((jnp.sum(x * (damping * d * x - g)) for x, g, d in pairs), start=jnp.zeros(()))
+    return 0.5 * sum((jnp.sum(x * (damping * d - g)) for x, g, d in pairs), start=jnp.zeros(()))
+
+
+@eqx.filter_jit
+def _stepped_apart(
+    problem: Problem,
+    values: Values,
+    equations: Equations,
+    ready: tuple[Eliminated, Reduced],
+    motions: Motions,
+    loss: AbstractLoss,
+    damping: Scalar,
+) -> tuple[Values, Scalar, Scalar]:
+    """A step where the whole is weakly held: y of all, with the whole held at some images, and motions t of the whole,
+    damped by the weight that each has itself, and made as finite motions, in which pixels do not change."""
+    points, system = ready
+    factor = factored(with_holds(problem, system.matrix, motions, False))
+    images, shared = solved(problem, factor, -system.images, -system.shared)
+    y = images, shared, back_substituted(problem, points, images, shared) * problem.free_point.T
+    found = apart(problem, points, factor, motions, damping)
+    scale = 1.0 / jnp.sqrt(motions.own)
+    right = -(motions.gradient + sum((_along(k, own) for k, own in zip(motions.K, y, strict=True)), jnp.zeros(7)))
+    t = scale * jnp.linalg.solve(found.S * scale[:, None] * scale[None, :], scale * right)
+    images, shared, of_points = (own - jnp.tensordot(t, F, 1) for own, F in zip(y, found.F, strict=True))
+    trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
+    trial = moved_together(problem, trial, motions, t)
+    promised = promised_by(problem, equations, images, shared, of_points, damping)
+    held = jnp.einsum("dkm,km->d", motions.holds, at_holds(problem, images)) * motions.kept
+    own = damping * jnp.sum(motions.own * motions.kept * t**2) - motions.gradient @ t
+    return trial, cost_of(problem, trial, loss), promised + 0.5 * (jnp.sum(held**2) + own)
+
+
+def _along(columns: Float[Array, "7 *some"], change: Float[Array, "*some"]) -> Float[Array, "7"]:
+    return columns.reshape(7, -1) @ change.ravel()

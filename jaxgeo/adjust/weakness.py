@@ -21,6 +21,7 @@ from jaxgeo.adjust.problem import Prepared
 from jaxgeo.adjust.reduction import back_substituted, eliminated, undamped
 from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
+from jaxgeo.adjust.weak_datum import Weak, share_left, with_holds
 
 SHARE = 0.05  # of the largest part: smaller parts of a direction are not named
 MOST = 5  # parts that are named
@@ -58,10 +59,14 @@ class DeficientBlock(ValueError):
 
 
 def scaled_at(
-    problem: Problem, equations: Equations, datum: Datum | None
+    problem: Problem, equations: Equations, datum: Datum | None, weak: Weak | None = None
 ) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
-    """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales."""
-    return _scaled(problem, undamped(problem, equations)[1], datum)
+    """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales; of a `weak`ly held
+    whole, with its motions held at some images."""
+    matrix = undamped(problem, equations)[1]
+    if weak is not None:
+        matrix, datum = with_holds(problem, matrix, weak.motions, datum is not None), None
+    return _scaled(problem, matrix, datum)
 
 
 @eqx.filter_jit
@@ -114,27 +119,48 @@ def _points_along(problem: Problem, equations: Equations, images: Any, shared: A
     return back_substituted(problem, points, images, shared) * problem.free_point.T
 
 
-def weakest(ready: Prepared, solution: Solution, most: int, datum: Datum | None = None) -> list[Direction]:
-    """The combinations of unknowns that the normal equations, and a `datum`, hold least, the weakest first."""
-    problem, names, equations = ready.problem, ready.names, solution.equations
-    matrix, (scale, scale_shared) = scaled_at(problem, equations, datum)
+def weakest(
+    ready: Prepared, solution: Solution, most: int, datum: Datum | None = None, weak: Weak | None = None
+) -> list[Direction]:
+    """The combinations of unknowns that the normal equations, and a `datum`, hold least, the weakest first.
+
+    Of a `weak`ly held whole, its motions by the share of their own weight that other unknowns leave them.
+    """
+    problem, equations = ready.problem, solution.equations
+    matrix, (scale, scale_shared) = scaled_at(problem, equations, datum, weak)
     strengths, vectors = _least(matrix, most)
-    weights = [np.sqrt(np.diagonal(np.asarray(x), axis1=-2, axis2=-1)) for x in (equations.images, equations.shared)]
-    of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[ready.order.row_of_point]
-    places = np.asarray(solution.values.points)[ready.order.row_of_point], np.asarray(solution.values.centre)
     found = []
     for strength, vector in zip(strengths, vectors, strict=True):
         change, shared = jnp.asarray(vector[: scale.size]).reshape(scale.shape) * scale, vector[scale.size :]
         of_images = problem.layout.band.of_images(change)
         points = np.asarray(_points_along(problem, equations, of_images, jnp.asarray(shared) * scale_shared))
-        points, images = points.T[ready.order.row_of_point], np.asarray(of_images)
-        # Of what images share, in units of what is left of their own weights: few of them, they would be lost else.
-        own = np.abs(shared) / np.max(np.abs(vector)) * max(_length(points * of_points), 1e-300)
-        sizes = _Sizes(points * of_points, images * weights[0], own)
-        parts = sizes.of_parameters(names.lens if problem.own_lens else (), names.columns(problem))
-        parts = sizes.of_motions((points, images[:, :3]), places) | parts
-        found.append(_named(float(strength), parts))
-    return found
+        own = np.abs(shared) / np.max(np.abs(vector))
+        found.append(_described(ready, solution, float(strength), (np.asarray(of_images), own, points)))
+    for strength, vector in zip(*(share_left(weak) if weak is not None else ((), ())), strict=True):
+        parts = weak.apart.images, weak.apart.shared / scale_shared[None], weak.apart.points
+        images, shared, points = (np.asarray(jnp.tensordot(vector, part, 1)) for part in parts)
+        largest = np.max(np.abs(shared), initial=0.0)
+        own = np.abs(shared) / (largest if largest > 0.0 else 1.0)
+        found.append(_described(ready, solution, float(strength), (images, own, points)))
+    return sorted(found, key=lambda direction: direction.strength)[:most]
+
+
+def _described(
+    ready: Prepared, solution: Solution, strength: float, change: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> Direction:
+    """A direction by its changes of images (n, c), of what they share (s,), as shares of the largest of the scaled
+    change, and of points (3, rows)."""
+    problem, names, equations, own = ready.problem, ready.names, solution.equations, ready.order.row_of_point
+    images, shared, points = change
+    weights = np.sqrt(np.diagonal(np.asarray(equations.images), axis1=-2, axis2=-1))
+    of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[own]
+    places = np.asarray(solution.values.points)[own], np.asarray(solution.values.centre)
+    points = points.T[own]
+    # Of what images share, in units of what is left of their own weights: few of them, they would be lost else.
+    shared = shared * max(_length(points * of_points), 1e-300)
+    sizes = _Sizes(points * of_points, images * weights, shared)
+    parts = sizes.of_parameters(names.lens if problem.own_lens else (), names.columns(problem))
+    return _named(strength, sizes.of_motions((points, images[:, :3]), places) | parts)
 
 
 @dataclass(frozen=True)

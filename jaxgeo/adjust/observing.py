@@ -1,0 +1,103 @@
+"""Observations of a block other than image points, linearised: control, terrain and navigation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgeo._record import Record
+from jaxgeo._typing import Scalar
+from jaxgeo.adjust.arrays import Problem
+from jaxgeo.adjust.collinearity import navigation_linear
+from jaxgeo.adjust.equations import known_points, navigation_columns, of_images
+from jaxgeo.adjust.values import POSE, Values
+
+
+class Observing(Record):
+    """Weighted derivatives by what is free: of control (rows, 3, 3) and terrain (rows, 3) by the point, of the
+    navigation by the pose (n, 6, 6) and by what images share (n, 6, s); and the weighted residuals of each."""
+
+    control: Float[Array, "rows 3 3"]
+    terrain: Float[Array, "rows 3"]
+    by_pose: Float[Array, "n 6 6"]
+    by_shared: Float[Array, "n 6 s"]
+    of_control: Float[Array, "rows 3"]
+    of_terrain: Float[Array, " rows"]
+    of_navigation: Float[Array, "n 6"]
+    weights: tuple[Float[Array, "rows 3"], Float[Array, " rows"], Float[Array, "n 6"]]
+
+    def alike(self, size: Scalar) -> Observing:
+        """The same with weights of 1 on lengths in m, and on turns those of a point at a distance of `size` m."""
+        control, terrain, navigation = (jnp.where(w > 0.0, 1.0 / jnp.where(w > 0.0, w, 1.0), 0.0) for w in self.weights)
+        navigation = navigation * jnp.concatenate([jnp.ones(3), jnp.full(3, size)])[None]
+        return Observing(
+            self.control * control[:, :, None],
+            self.terrain * terrain[:, None],
+            self.by_pose * navigation[:, :, None],
+            self.by_shared * navigation[:, :, None],
+            self.of_control * control,
+            self.of_terrain * terrain,
+            self.of_navigation * navigation,
+            self.weights,
+        )
+
+    def along(self, images: Any, shared: Any, points: Any) -> tuple[Array, Array, Array]:
+        """Weighted changes of control, terrain and navigation by those of images (n, c), shared (s,), points (3,
+        rows)."""
+        by_pose = jnp.einsum("nka,na->nk", self.by_pose, images[:, :POSE])
+        return (
+            jnp.einsum("rki,ir->rk", self.control, points),
+            jnp.einsum("ri,ir->r", self.terrain, points),
+            by_pose + jnp.einsum("nka,a->nk", self.by_shared, shared),
+        )
+
+    def flat(self, images: Float[Array, "d n c"], points: Float[Array, "d 3 rows"]) -> Float[Array, "d k"]:
+        """The same of several changes, each as one row."""
+        shared = jnp.zeros(self.by_shared.shape[2])
+        found = jax.vmap(lambda z, x: self.along(z, shared, x))(images, points)
+        return jnp.concatenate([part.reshape(images.shape[0], -1) for part in found], axis=1)
+
+    @property
+    def residuals(self) -> Float[Array, " k"]:
+        """In the order of `flat`."""
+        return jnp.concatenate([x.ravel() for x in (self.of_control, self.of_terrain, self.of_navigation)])
+
+    def normal(
+        self, images: Float[Array, "d n c"], points: Float[Array, "d 3 rows"]
+    ) -> tuple[Float[Array, "d n c"], Float[Array, "d s"], Float[Array, "d 3 rows"]]:
+        """The normal equations of these observations times several changes."""
+
+        def one(z: Array, x: Array) -> Any:
+            shared = jnp.zeros(self.by_shared.shape[2])
+            return jax.linear_transpose(self.along, z, shared, x)(self.along(z, shared, x))
+
+        return jax.vmap(one)(images, points)
+
+
+def observing(problem: Problem, values: Values) -> Observing:
+    """The observations other than image points at some values."""
+    free, rows, n = problem.free_point, values.points.shape[0], problem.n
+    control = problem.known_point * free[:, None, :]
+    height, slope = jnp.zeros(rows), jnp.zeros((rows, 3))
+    if problem.terrain is not None:
+        height, slope = problem.terrain.linearised(values.points)
+    off, by = jnp.zeros((n, 6)), jnp.zeros((n, 6, 18))
+    weights = jnp.zeros((n, 6))
+    if problem.observed is not None:
+        seen = problem.observed
+        off, by = jax.vmap(navigation_linear)(seen, *of_images(problem, values))
+        parts = (seen.information_position, seen.information_attitude)
+        weights = jnp.concatenate([jnp.linalg.norm(x, axis=2) for x in parts], axis=1)
+    return Observing(
+        control=control,
+        terrain=slope * free,
+        by_pose=by[..., :POSE] * problem.free_pose[:, None, :],
+        by_shared=navigation_columns(problem, by),
+        of_control=known_points(problem, values),
+        of_terrain=height,
+        of_navigation=off,
+        weights=(jnp.linalg.norm(control, axis=2), jnp.linalg.norm(slope, axis=1), weights),
+    )
