@@ -11,7 +11,7 @@ from jaxgeo.status import Status
 from support.fractal import ecef, normal_and_height
 
 DEEPEST = -11_200.0  # m: a ray that is lower before it comes over the area misses it
-FARTHEST = 2.0e7  # m
+FARTHEST = 2.0e8  # m
 WALL = 1e-6  # m
 WRONG_DISTANCE = 1e-3  # m
 PER_CELL = 3  # places a ray is looked at for each cell it passes
@@ -283,7 +283,6 @@ def _height(origin: np.ndarray, direction: np.ndarray, s: np.ndarray) -> np.ndar
 def _lowest(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """The range, not negative, at which each ray is lowest: the height of a line is convex."""
     low, high = np.zeros(len(origin)), np.full(len(origin), FARTHEST)
-    high = np.where(_height(origin, direction, high) < 0.0, 2.0 * FARTHEST, high)
     for _ in range(90):
         a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
         falls = _height(origin, direction, a) > _height(origin, direction, b)
