@@ -122,7 +122,6 @@ def _answer(rays: Ray, files: DemFiles, max_posts: int, first: int, answers: Fix
     is_open = path.exists & ~path.is_simple
     if is_open.any():
         leaves, misses = _beside(rays, files, is_open)
-        misses &= ~path.rises
         status[misses], status[leaves] = Status.ray_misses_terrain.value, Status.leaves_terrain.value
         is_open &= ~leaves
     np.asarray(answers.status)[first : first + count] = np.where(valid, status, Status.invalid_input.value)

@@ -39,8 +39,7 @@ class Sightlines:
     `low` and `high` (n, stretches, 2) are (row, col) bounds without any margin, `bottom` and `top` (n, stretches) those
     of height in m. `exists` (n,) is false for rays that never come below the height from which paths begin. `last` (n,)
     is the stretch in which the ray has met the ground, if it surely has; `touches` (n, stretches) where it may meet it.
-    `is_simple` rays begin over the mosaic and end over it, by meeting the ground or by rising above all of it. `rises`
-    is false for rays that would come to be deeper than any ground on Earth.
+    `is_simple` rays begin over the mosaic and end over it, by meeting the ground or by rising above all of it.
     """
 
     low: np.ndarray
@@ -51,7 +50,6 @@ class Sightlines:
     last: np.ndarray
     touches: np.ndarray
     is_simple: np.ndarray
-    rises: np.ndarray
 
     def take(self, rays: np.ndarray) -> Sightlines:
         """Those of some rays."""
@@ -86,7 +84,6 @@ def sightlines(
         last=np.full(len(low), low.shape[1] - 1),
         touches=np.zeros(bottom.shape, bool),
         is_simple=np.ones(len(low), bool),
-        rises=top[:, -1] > ceiling - CEILING_MARGIN,
     )  # fmt: skip
     _walk(path, blocks, void_ceiling)
     return path

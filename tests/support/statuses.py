@@ -13,6 +13,7 @@ from support.fractal import ecef, normal_and_height
 DEEPEST = -11_200.0  # m: a ray that is lower before it comes over the area misses it
 FARTHEST = 2.0e8  # m
 WALL = 1e-6  # m
+NEAR = 1e-3  # m
 WRONG_DISTANCE = 1e-3  # m
 PER_CELL = 3  # places a ray is looked at for each cell it passes
 COARSE = 24  # and for each length of the area, on the way to it
@@ -108,14 +109,9 @@ class Marched:
         last = np.where(is_deep, np.where(begins < DEEPEST, 0.0, deep), exit_)
         sinks = _crossing(origin, direction, np.zeros(len(origin)), lowest_at, self.ceiling)
         sinks = np.where(begins < self.ceiling, 0.0, sinks)
-        return [
-            self._outcome(origin[k], direction[k], sinks[k], last[k], lowest[k], bool(is_deep[k]))
-            for k in range(len(origin))
-        ]
+        return [self._outcome(origin[k], direction[k], sinks[k], last[k], lowest[k]) for k in range(len(origin))]
 
-    def _outcome(
-        self, o: np.ndarray, d: np.ndarray, sinks: float, last: float, lowest: float, is_deep: bool
-    ) -> Outcome:
+    def _outcome(self, o: np.ndarray, d: np.ndarray, sinks: float, last: float, lowest: float) -> Outcome:
         if lowest >= self.ceiling + MARGIN:
             return Outcome(frozenset({Status.rises_away}), np.nan, np.inf)
         row, col, _ = self.over(o[None])
@@ -127,10 +123,12 @@ class Marched:
         comes_from_above = bool(self.cells(row, col)[2][0])  # over the area where it sinks below the ceiling
         path = self._pieces(o, d, sinks if comes_from_above else 0.0, last) if last > 0.0 else None
         if path is None or not path.inside.any():
-            end = Status.ray_misses_terrain if is_deep else Status.rises_away
-            return Outcome(frozenset({end}), np.nan, np.inf if path is None else path.beside)
+            allowed = frozenset(
+                {Status.ray_misses_terrain} | ({Status.rises_away} if lowest > self.ceiling - NEAR else set())
+            )
+            return Outcome(allowed, np.nan, np.inf if path is None else path.beside)
         outcome = self._followed(o, d, path, comes_from_above or bool(inside[0]))
-        if lowest >= self.ceiling - 1e-3:  # between ceiling and margin, where nothing can be met
+        if lowest > self.ceiling - NEAR:  # between ceiling and margin, where nothing can be met
             return Outcome(outcome.allowed | {Status.rises_away}, np.nan, outcome.margin)
         return outcome
 

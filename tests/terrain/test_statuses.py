@@ -17,7 +17,7 @@ from support.rasters import hills, write
 from support.statuses import Marched, Outcome, aimed, differences
 
 from jaxgeo import Dem, Ray, intersect
-from jaxgeo.io import read_dem
+from jaxgeo.io import intersect_files, open_dem, read_dem
 from jaxgeo.status import count_statuses
 
 SIZE = 121  # posts on a side that are taken from each file
@@ -163,3 +163,55 @@ def test_no_ray_over_real_ground_has_a_status_that_is_wrong_by_its_definition(ja
 @pytest.mark.slow
 def test_no_ray_over_made_ground_is_wrong_of_a_thousand(tmp_path):
     check(made(tmp_path), 1000, seed=3, least=10)
+
+
+@pytest.mark.slow
+def test_one_ray_alone_many_together_and_files_on_disk_say_the_same(tmp_path):
+    """Of each status some rays: alone, in a batch, batches of batches, and over the file without reading all of it."""
+    ground = made(tmp_path)
+    rays = ground.rays(256, seed=1)
+    together = hits(rays, ground.dem)
+    status, distance = np.asarray(together.status), np.asarray(together.slant_range)
+    nested = eqx.filter_jit(jax.vmap(hits, in_axes=(0, None)))(
+        jax.tree.map(lambda x: x.reshape(16, 16, 3), rays), ground.dem
+    )
+    np.testing.assert_array_equal(np.asarray(nested.status).reshape(-1), status)
+    np.testing.assert_allclose(np.asarray(nested.slant_range).reshape(-1), distance, rtol=0, atol=1e-6)
+    files = open_dem(ground.path, vertical_datum=0)
+    on_disk = intersect_files(rays, files)
+    np.testing.assert_array_equal(on_disk.status, status)
+    np.testing.assert_allclose(on_disk.slant_range, distance, rtol=0, atol=1e-6)
+    alone = jax.jit(intersect)
+    for code in np.unique(status):
+        for k in np.flatnonzero(status == code)[:2]:
+            fix = alone(jax.tree.map(lambda x, k=k: x[k], rays), ground.dem)
+            assert fix.status == code
+            np.testing.assert_allclose(fix.slant_range, distance[k], rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_derivatives_are_finite_where_there_is_a_point_and_nothing_where_there_is_none(tmp_path):
+    """Also of rays that come in below all ground, where the point is that of the edge of a void."""
+    ground = made(tmp_path)
+    rays = ground.rays(256, seed=1)
+
+    @eqx.filter_jit
+    def slopes(rays: Ray, dem: Dem):
+        def one(ray: Ray):
+            def distance(origin):
+                fix = intersect(Ray(origin, ray.direction), dem)
+                return jnp.where(fix.found, fix.slant_range, 0.0), fix.status
+
+            (value, status), slope = jax.value_and_grad(distance, has_aux=True)(ray.origin)
+            return value, status, slope
+
+        return jax.vmap(one)(rays)
+
+    value, status, slope = map(np.asarray, slopes(rays, ground.dem))
+    fix = hits(rays, ground.dem)
+    np.testing.assert_array_equal(status, fix.status)
+    assert np.all(np.isfinite(slope))
+    found = np.asarray(fix.found)
+    assert np.all(value[~found] == 0.0)
+    assert np.all(slope[~found] == 0.0)
+    assert np.all(np.any(slope[found] != 0.0, axis=1))

@@ -44,7 +44,7 @@ class Reach(Record):
     risen above the ceiling again), ranges in m. `first` and `last` bound where it can come over the grid while it is
     neither above the ceiling again nor deeper than all ground; `is_near` is false for a ray that never does. `exists`
     is false for one that is never below the ceiling. `from_near` says whether its origin lies close to the grid,
-    `sinks` which kind of end it has, `is_deep` whether it comes to be deeper than all ground if nothing stops it.
+    `sinks` which kind of end it has.
     """
 
     start: ScalarField
@@ -55,7 +55,6 @@ class Reach(Record):
     is_near: FlagField
     from_near: FlagField
     sinks: FlagField
-    is_deep: FlagField
 
 
 class Way(Record):
@@ -85,13 +84,12 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
     the end.
     """
     start, end, exit_, deep, exists, sinks = _reach_between(ray, dem.floor, dem.ceiling)
-    is_deep = deep < exit_
     first, last = _ranges_about(ray, *dem.grid_reach())
     from_near = (first <= 0.0) & (last >= 0.0)
     first, last = jnp.maximum(first, 0.0), jnp.minimum(last, jnp.minimum(deep, exit_))
     is_near = first < last  # false for NaN
     first, last = jnp.where(is_near, first, 0.0), jnp.where(is_near, last, end)
-    return Reach(start, jnp.minimum(end, last), first, last, exists, is_near, from_near, sinks, is_deep)
+    return Reach(start, jnp.minimum(end, last), first, last, exists, is_near, from_near, sinks)
 
 
 def is_mapped(ray: Ray, dem: Dem, distance: Scalar) -> Flag:

@@ -169,10 +169,11 @@ def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket
     root, below = _root(track, dem, cell, begin, end)
     lower = jnp.maximum(track.range_at(root) - ROOM, track.range_at(begin))
     upper = jnp.minimum(track.range_at(root) + ROOM, track.range_at(below))
-    entered = has_entered(walker.news)
-    is_lost = (walker.tracks > MOST_TRACKS) | entered & (track.height.at(jnp.asarray(1.0)) < dem.ceiling)
-    without = status_where(reach.is_deep & ~entered, Status.ray_misses_terrain, Status.rises_away.code)
-    without = status_where(is_lost & reach.exists & reach.is_near, Status.not_converged, without)
+    is_above = track.height.at(jnp.asarray(1.0)) >= dem.ceiling
+    without = jnp.where(is_above, Status.rises_away.code, Status.not_converged.code)
+    without = status_where(~has_entered(walker.news), Status.ray_misses_terrain, without)
+    without = status_where(walker.tracks > MOST_TRACKS, Status.not_converged, without)
+    without = status_where(~reach.is_near, Status.ray_misses_terrain, without)
     without = status_where(~reach.exists, Status.rises_away, without)
     return Bracket(
         lower=jnp.where(met, lower, 0.0),
