@@ -143,3 +143,18 @@ def test_heights_go_on_across_the_seam():
     u, v = row - i, col % TURN - j
     expected = z[0] * (1 - u) * (1 - v) + z[1] * (1 - u) * v + z[2] * u * (1 - v) + z[3] * u * v
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_rays_that_pass_a_pole_within_a_hair_meet_the_ground_behind_it():
+    """The row at the pole is one place; closer than a millimetre to it columns turn by half a turn within a step."""
+    west, cols = GRIDS["-180..180 with its last column the first"]
+    stored = np.full(STORED, 100.0)
+    dem = Dem.from_array(stored, grid_of(west, cols, (90.0, POLAR[1])), extent=(ROWS, cols))
+    rng = np.random.default_rng(5)
+    away = np.repeat([0.0, 1e-6, 1e-3, 0.1, 5.0, 300.0], 10)
+    lat, lon = 90.0 - np.degrees(away / 6.4e6), rng.uniform(-180.0, 180.0, 60)
+    origin, direction = aimed(rng, lon, lat, rng.uniform(101.0, 200.0, 60), elevation=(-40.0, -5.0), back=(100.0, 4e3))
+    fix = hits(Ray(jnp.asarray(origin), jnp.asarray(direction)), dem)
+    assert np.all(np.asarray(fix.ok)), [Status(int(code)).name for code in fix.status]
+    np.testing.assert_allclose(fix.position.height, 100.0, rtol=0, atol=1e-5)

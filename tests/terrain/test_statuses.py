@@ -127,7 +127,8 @@ def cut_from(path: pathlib.Path, folder: pathlib.Path) -> Ground:
     parts = [(r, c) for r in rows for c in cols if unknown[r : r + SIZE, c : c + SIZE].mean() < 0.4]
     row, col = max(parts, key=lambda p: border[p[0] : p[0] + SIZE, p[1] : p[1] + SIZE].sum())
     posts = values[row : row + SIZE, col : col + SIZE]
-    return Ground(folder / "cut.tif", posts, pyproj.CRS(crs), affine * Affine.translation(col, row))
+    a, _, c, _, e, f = affine[:6]
+    return Ground(folder / "cut.tif", posts, pyproj.CRS(crs), Affine(a, 0.0, c + a * col, 0.0, e, f + e * row))
 
 
 def told(ground: Ground, rays: Ray) -> tuple[list[Outcome], np.ndarray, np.ndarray]:

@@ -100,7 +100,7 @@ def is_mapped(ray: Ray, dem: Dem, distance: Scalar) -> Flag:
 
 
 def _ranges_about(ray: Ray, up: Vector3, farthest: Scalar) -> tuple[Scalar, Scalar]:
-    """Signed ranges in m between which a straight ray is over a grid or close to it; NaN or no interval if nowhere.
+    """Signed ranges in m between which a straight ray is over a grid or close to it; the first is larger if nowhere.
 
     There it is within a cone from the Earth's centre about the normal of the grid's middle; `farthest` as in
     `Dem.grid_reach`. It enters and leaves that where the quadratic a s^2 + 2 b s + c is zero.
@@ -111,12 +111,12 @@ def _ranges_about(ray: Ray, up: Vector3, farthest: Scalar) -> tuple[Scalar, Scal
     a = along * along - squared
     b = start * along - squared * dot(ray.origin, ray.direction)
     c = start * start - squared * dot(ray.origin, ray.origin)
-    root = safe_sqrt(b * b - a * c)
-    far = -b - jnp.where(b < 0.0, -root, root)
+    room = b * b - a * c
+    far = -b - jnp.where(b < 0.0, -1.0, 1.0) * safe_sqrt(room)
     low, high = jnp.minimum(far / a, c / far), jnp.maximum(far / a, c / far)
     stays, climbs = a > 0.0, along > 0.0  # within the cone, or the one opposite to it, at either end of the line
-    is_opposite = ~stays & (start * a > along * b)  # as is the middle between both ranges, -b / a
-    first = jnp.where(stays, jnp.where(climbs, high, -jnp.inf), jnp.where(is_opposite, jnp.nan, low))
+    is_beside = ~stays & ((room <= 0.0) | (start * a > along * b))  # or opposite amid both ranges, at -b / a
+    first = jnp.where(stays, jnp.where(climbs, high, -jnp.inf), jnp.where(is_beside, jnp.inf, low))
     last = jnp.where(stays & climbs, jnp.inf, jnp.where(stays, low, high))
     return jnp.where(arc > WIDEST, -jnp.inf, first), jnp.where(arc > WIDEST, jnp.inf, last)
 
