@@ -60,7 +60,7 @@ _MESSAGES = {
     Status.hits_void: "The ray goes below the ceiling over a void, where the ground is unknown; this is where it does.",
     Status.rises_away: "The ray rises above the terrain's highest ground without meeting it.",
     Status.leaves_terrain: "The ray leaves over the terrain's edge before it meets the ground; load a larger area.",
-    Status.ray_misses_terrain: "The ray never passes over the terrain's area.",
+    Status.ray_misses_terrain: "The ray never passes over the terrain's area at a height where ground may lie.",
     Status.enters_below_terrain: "The ray comes in over the terrain's edge below the ground there.",
     Status.camera_below_terrain: "The camera is below the terrain; check the vertical datum of its height.",
     Status.invalid_input: "An input is not a number, infinite or out of range.",

@@ -72,8 +72,9 @@ def read_dem(
     grid (they are not resampled; where several hold a post, the first that knows it is taken): a list, a folder, which
     stands for all rasters right inside it, or a pattern such as "tiles/**/*.tif". All of it comes into memory: for
     more than that holds, see `open_dem`. Columns may be spaced differently from tile to tile, as those of Copernicus
-    DEM and DTED are by latitude: they are joined without a step (`jaxgeo.io.zones`). What the sources of a VRT state of
-    unit, scale, voids and datum holds for the VRT. Keyword options, each optional:
+    DEM and DTED are by latitude: they are joined without a step (`jaxgeo.io.zones`). A file that goes all round the
+    Earth gets a column more at either end, so that rays may cross the line where its ends meet. What the sources of a
+    VRT state of unit, scale, voids and datum holds for the VRT. Keyword options, each optional:
 
     - `vertical_datum`: what the file's heights are measured from: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
       pyproj CRS, a constant undulation in m, or the path of a geoid grid. Needed unless the file's CRS says it.
@@ -135,13 +136,8 @@ def read_dem_and_report(
         bounds=bounds,
     )
     name, window = source.name, source.window
-    turn = source.mosaic.first.cols_per_turn
-    if turn is not None and window.shape[1] >= turn:
-        raise DemError(
-            f"{name}: its columns go all round the Earth, and rays that cross the seam where its ends meet would find "
-            f"no ground, or the wrong one. Read a part, which may lie across it, with bounds=(170, -60, -170, 60)."
-        )
-    heights, void = source.heights(Window(0, 0, *window.shape), np.dtype(dtype))
+    closed = source.closed()
+    heights, void = closed.heights(Window(0, 0, *closed.window.shape), np.dtype(dtype))
     if void.all():
         raise DemError(
             f"{name}: all {void.size} posts of rows {window.row} to {window.stop_row - 1}, columns {window.col} to "
@@ -152,14 +148,14 @@ def read_dem_and_report(
     del known
     if bounds is None:
         check_nodata_used(source, (float(lowest), float(highest)))
-    grid, error = make_grid(name, source.mapping)
+    grid, error = make_grid(name, closed.mapping)
     along, across = grid.cell_size()
     report = DemReport(
         files=tuple(tile.path for tile in source.mosaic.tiles),
         crs=source.mosaic.first.crs.name,
         shape=window.shape,
         first_post=(window.row, window.col),
-        voids=int(void.sum()),
+        voids=int(void[:, window.col - closed.window.col :][:, : window.shape[1]].sum()),
         height_range=(float(lowest), float(highest)),
         cell_size=(float(along), float(across)),
         grid=type(grid).__name__,
@@ -168,7 +164,7 @@ def read_dem_and_report(
         horizontal=source.mapping.horizontal,
         vertical=source.shift.name,
     )
-    size = window.shape if bounds is None else padded_shape(window.shape)
+    size = heights.shape if bounds is None else padded_shape(heights.shape)
     return build_dem(name, heights, void, grid, void_ceiling, size), report
 
 

@@ -287,8 +287,10 @@ class DemFiles:
         r0, c0 = (int(edge) for edge in np.floor(low[over].min(axis=0)))
         r1, c1 = (int(edge) + 2 for edge in np.floor(high[over].max(axis=0)))
         r0, r1 = max(r0, 0), min(r1, rows)
-        if self.blocks.turn is None or c1 - c0 >= cols:
+        if self.blocks.turn is None:
             c0, c1 = max(c0, 0), min(c1, cols)
+        elif c1 - c0 >= self.blocks.turn:
+            c0, c1 = 0, self.blocks.turn + 2  # its ends overlap
         else:
             start = c0 % self.blocks.turn
             c0, c1 = start, c1 - c0 + start
@@ -298,8 +300,10 @@ class DemFiles:
         """A window with `margin` posts more on every side, as far as there are any."""
         (rows, cols), turn = self.shape, self.blocks.turn
         col, stop_col = window.col - margin, window.stop_col + margin
-        if turn is None or stop_col - col >= cols:
+        if turn is None:
             col, stop_col = max(col, 0), min(stop_col, cols)
+        elif stop_col - col >= turn:
+            col, stop_col = 0, turn + 2
         return Window(max(window.row - margin, 0), col, min(window.stop_row + margin, rows), stop_col)
 
     def _grid_of(self, window: Window) -> AbstractGrid:

@@ -65,6 +65,18 @@ class Source:
         values, void = self.stored(part, files)
         return self.ellipsoidal(part, values, void, dtype), void
 
+    def closed(self) -> Source:
+        """The same with a column more than a turn at either end, if its columns go all round the Earth.
+
+        The seam of longitudes then lies within cells that both ends hold, and rays that cross it go on at the other.
+        """
+        turn, (rows, cols) = self.mosaic.first.cols_per_turn, self.window.shape
+        if turn is None or cols < turn:
+            return self
+        part = Window(0, -1, rows, turn + 1)
+        window, mapping = part.moved(self.window.row, self.window.col), self.mapping.window(0, -1, part.shape)
+        return dataclasses.replace(self, window=window, mapping=mapping)
+
     def ellipsoidal(self, part: Window, values: np.ndarray, void: np.ndarray, dtype: np.dtype) -> np.ndarray:
         """Heights above the ellipsoid in m of stored `values`; zero over voids."""
         mapping = self.mapping.window(part.row, part.col, part.shape)

@@ -52,6 +52,12 @@ class FileMap:
         with np.errstate(invalid="ignore"):  # infinite where the map does not reach
             return (a * y - d * x) / det, (e * x - b * y) / det
 
+    def turn(self) -> np.ndarray:
+        """(rows, cols) that a turn of 360 degrees of longitude is long, on a geographic map."""
+        a, b, _, d, e, _ = self.affine
+        turn = 2.0 * np.pi / self.crs.axis_info[0].unit_conversion_factor
+        return turn * np.array([-d, e]) / (a * e - b * d)
+
     def window(self, row: int, col: int, shape: tuple[int, int]) -> FileMap:
         """The map of a part that starts at (row, col)."""
         a, b, c, d, e, f = self.affine
@@ -132,7 +138,10 @@ def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
     if not np.all(np.isfinite(normals)):
         return MapError(np.inf, np.inf, np.inf)
     found, back = _both_ways(grid, jnp.asarray(normals), jnp.asarray(rowcol))
-    cells = np.abs(np.asarray(found) - rowcol)
+    off = np.asarray(found) - rowcol
+    if mapping.crs.is_geographic:  # columns beyond a turn have the place of others
+        off = off - mapping.turn() * np.round(off @ mapping.turn() / np.sum(mapping.turn() ** 2))[:, None]
+    cells = np.abs(off)
     if not mapping.crs.is_geographic:
         again = np.stack(mapping.rowcol(*mapping.lonlat(rowcol[:, 0], rowcol[:, 1])), axis=-1)
         cells = np.fmax(cells, np.abs(np.asarray(found) - again))

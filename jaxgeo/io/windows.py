@@ -50,6 +50,7 @@ def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn:
     known = np.isfinite(row) & np.isfinite(col)
     rows, cols = mapping.shape
     a, b, _, d, _, _ = mapping.affine
+    turn = None
     if mapping.crs.is_geographic and b == 0.0 and d == 0.0:
         turn = 2.0 * np.pi / mapping.crs.axis_info[0].unit_conversion_factor / abs(a)
         col = col - turn * np.round((col - col[0]) / turn)  # the first place is the centre of the bounds
@@ -59,11 +60,21 @@ def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn:
     c0, c1 = math.floor(col[known].min()) - 1, math.ceil(col[known].max()) + 2
     r0, r1 = max(r0, 0), min(r1, rows)
     is_round = cols_per_turn is not None and cols >= cols_per_turn
-    if not is_round or c1 - c0 >= cols:
-        c0, c1 = max(c0, 0), min(c1, cols)
+    if is_round and c1 - c0 >= cols:
+        c0, c1 = 0, cols
+    elif not is_round:
+        c0, c1 = _held(c0, c1, cols, turn)
     if r1 - r0 < 2 or c1 - c0 < 2:
         raise DemError(f"{name}: {_shown(bounds)} hold no posts of the file, which covers {_extent(mapping)}.")
     return Window(r0, c0, r1, c1)
+
+
+def _held(first: int, stop: int, cols: int, turn: float | None) -> tuple[int, int]:
+    """The columns of a file from the first to the last within bounds; a turn away are the same places."""
+    shifts = (0,) if turn is None else (0, round(turn), -round(turn))
+    parts = [(max(first + shift, 0), min(stop + shift, cols)) for shift in shifts]
+    parts = [part for part in parts if part[1] - part[0] >= 2] or parts[:1]
+    return min(part[0] for part in parts), max(part[1] for part in parts)
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:

@@ -27,7 +27,6 @@ from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, check_size, extremes,
 from jaxgeo.terrain.search.base import AbstractSearch
 
 EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
-TRUSTED = np.pi / 3.0  # rad of arc beyond a grid's edge within which its map means something
 
 
 class Dem(AbstractTerrain):
@@ -194,15 +193,12 @@ class Dem(AbstractTerrain):
         return self.grid.normal(0.5 * (jnp.asarray(self.extent) - 1).astype(jnp.float64))
 
     def grid_reach(self) -> tuple[Vector3, Scalar]:
-        """The normal at the grid's middle, and the cosine of the arc from it within which its map is trusted.
-
-        That is `TRUSTED` beyond the farthest of the grid's corners and the middles of its edges.
-        """
+        """The normal at the grid's middle, and the arc in rad from it to the farthest of the corners and the middles
+        of the edges."""
         middle = self.centre_normal()
         last = (jnp.asarray(self.extent) - 1).astype(jnp.float64)
         around = jnp.array([[r, c] for r in (0.0, 0.5, 1.0) for c in (0.0, 0.5, 1.0)]) * last[None, :]
-        farthest = jnp.arccos(jnp.clip(jnp.min(jax.vmap(self.grid.normal)(around) @ middle), -1.0, 1.0))
-        return middle, jnp.where(farthest + TRUSTED < jnp.pi, jnp.cos(farthest + TRUSTED), -2.0)
+        return middle, jnp.arccos(jnp.clip(jnp.min(jax.vmap(self.grid.normal)(around) @ middle), -1.0, 1.0))
 
     # The surface of one cell, and what bounds it.
 

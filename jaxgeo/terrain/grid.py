@@ -88,8 +88,8 @@ class GeographicGrid(AbstractGrid):
     """Rows and columns affine in WGS 84 longitude and latitude, which may be rotated or sheared against them.
 
     Longitude is counted from the grid's own centre, so the date line and 0..360 files are like any other. `lonlat0` in
-    rad at `rowcol0`; `step` is d(lon, lat) / d(row, col) in rad. A grid that holds a pole has a seam opposite to its
-    centre.
+    rad at `rowcol0`; `step` is d(lon, lat) / d(row, col) in rad. Columns jump by a turn opposite to the centre: a grid
+    that goes all round the Earth needs posts on both sides of that line at either end for rays to cross it there.
     """
 
     rowcol0: Pair

@@ -20,7 +20,7 @@ from rasterio.transform import Affine
 from support.rasters import DEGREE, hills, write
 
 from jaxgeo.earth import Geodetic
-from jaxgeo.io import DemError, DemReport, example_dem, read_dem, read_dem_and_report
+from jaxgeo.io import DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.terrain import Dem, FittedGrid, GeographicGrid, TransverseMercatorGrid
 
 REAL = {
@@ -253,18 +253,36 @@ def test_a_global_file_is_cut_across_its_own_edge(tmp_path: pathlib.Path, west: 
 
 
 @pytest.mark.parametrize("repeated", [0, 1])
-def test_a_grid_round_the_earth_is_read_in_parts(tmp_path: pathlib.Path, repeated: int) -> None:
-    """Its ends meet at a seam that rays cannot cross; a part may lie across it, also where the last column repeats."""
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+def test_a_grid_round_the_earth_is_read_as_a_whole_or_in_parts(
+    tmp_path: pathlib.Path, west: float, repeated: int
+) -> None:
+    """A part may lie across the seam where its ends meet, and the whole has ground there; also if a column repeats."""
     posts = 500.0 + np.arange(180.0)[:, None] + 100.0 * np.sin(np.radians(np.arange(360.0 + repeated)))[None, :]
-    path = write(tmp_path / "dem.tif", posts, affine=Affine(1.0, 0, -180.0, 0, -1.0, 90.0))
-    for bounds in (None, (-180, -90, 180, 90)):
-        with pytest.raises(DemError, match=r"all round the Earth, .* with bounds=\(170, -60, -170, 60\)"):
-            read_dem(path, vertical_datum=0, bounds=bounds)
-    dem = read_dem(path, vertical_datum=0, bounds=(170, -60, -170, 60))
-    lon = np.array([179.5, 180.0, -179.5])
-    found = heights_at(dem, places(lon, np.full(3, 0.5)))
+    posts[80:85, 0] = posts[80:85, 360 * repeated] = -9999.0
+    path = write(tmp_path / "dem.tif", posts, affine=Affine(1.0, 0, west, 0, -1.0, 90.0), nodata=-9999.0)
+    lon, lat = west + np.array([-0.5, 0.0, 0.5]), np.full(3, 0.5)
     expected = [posts[89, 359], (posts[89, 359] + posts[89, 0]) / 2, posts[89, 0]]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    for bounds in (None, (-180, -90, 180, 90), (0, -90, 360, 90), (west - 10, -60, west + 10, 60)):
+        dem, report = read_dem_and_report(path, vertical_datum=0, bounds=bounds)
+        np.testing.assert_allclose(heights_at(dem, places(lon, lat)), expected, rtol=0, atol=1e-6)
+        if report.shape[1] > 100:
+            assert (report.shape, report.voids) == ((180, 360 + repeated), 5 * (1 + repeated))
+            assert int(np.asarray(dem.extent)[1]) == 362
+            assert report.map_error_metres < 1e-4
+
+
+@pytest.mark.parametrize("bounds", [(-170, 10, 170, 20), (-180, 10, 180, 20), (150, 10, 250, 20), (-90, 10, -70, 20)])
+def test_bounds_are_cut_from_a_file_in_0_to_360_wherever_they_lie_in_it(tmp_path: pathlib.Path, bounds) -> None:
+    """The file reaches from 0 to 300 deg; what lies west of Greenwich within the bounds is not left out."""
+    posts = 500.0 + np.arange(180.0)[:, None] + np.arange(300.0)[None, :]
+    path = write(tmp_path / "dem.tif", posts, affine=Affine(1.0, 0, 0.0, 0, -1.0, 90.0))
+    dem = read_dem(path, vertical_datum=0, bounds=bounds)
+    lon = np.arange(0.5, 299.6)
+    west, _, east, _ = bounds
+    wanted = lon[((lon - west) % 360.0) < east - west]
+    found = heights_at(dem, places(wanted, np.full(wanted.shape, 14.5)))
+    np.testing.assert_allclose(found, posts[75, np.floor(wanted).astype(int)], rtol=0, atol=1e-6)
 
 
 def test_bounds_of_the_whole_earth_are_the_whole_file(tmp_path: pathlib.Path) -> None:

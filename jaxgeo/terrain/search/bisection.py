@@ -11,7 +11,7 @@ from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, is_buried, reach_of
+from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
@@ -30,7 +30,8 @@ class Bisection(AbstractSearch):
 
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
         reach = reach_of(ray, dem)
-        possible = reach.exists & reach.is_near & reach.sinks
+        is_near = is_mapped(ray, dem, reach.start)
+        possible = reach.exists & is_near & reach.sinks
         lower, upper = _bisect(ray, dem, reach.start, jnp.where(possible, reach.end, reach.start))
         rowcol, _ = dem.over(ray.at(0.5 * (lower + upper)))
         cell = dem.cell_of(rowcol)
@@ -41,7 +42,7 @@ class Bisection(AbstractSearch):
         status = status_where(is_open, Status.not_converged, status)
         status = status_where(~reach.exists, Status.rises_away, status)
         status = status_where(is_buried(ray, dem), Status.camera_below_terrain, status)
-        status = status_where(~reach.is_near, Status.ray_misses_terrain, status)
+        status = status_where(~is_near, Status.ray_misses_terrain, status)
         return Bracket(lower, upper, 0.5 * (lower + upper), cell, status)
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Float32, Int, Int32
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.base import Way
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.ground import Ground
 from jaxgeo.terrain.search.march import March, happened, has_entered, march_all
@@ -61,61 +61,61 @@ Rays = Float[Array, " rays"]
 Codes = Int32[Array, " rays"]
 
 
-def walk_all(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None = None) -> tuple[Walker, Track]:
+def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None = None) -> tuple[Walker, Track]:
     """Walk every ray (leading axis) to its first event or to its end; the track is the one of the event."""
-    count = reach.start.shape[0]
+    count = way.start.shape[0]
     if count > SMALL_BLOCK:
-        store, waiting, left = _first_pass(ray, reach, ground, beam)
+        store, waiting, left = _first_pass(ray, way, ground, beam)
     else:
-        store = Store.of(*_at_start(ray, reach, ground, beam))
+        store = Store.of(*_at_start(ray, way, ground, beam))
         walker, _ = store.unpacked()
         waiting, left = _listed(jnp.arange(count, dtype=jnp.int32), ~walker.is_over)
-    store = _rounds(store, waiting, left, ray, reach, ground, SMALL_BLOCK if beam is None else FEW)
+    store = _rounds(store, waiting, left, ray, way, ground, SMALL_BLOCK if beam is None else FEW)
     return store.unpacked()
 
 
-def _at_start(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
+def _at_start(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
     """Every ray at the start of its reach and in need of a track, or at that of the beam, with one."""
-    walker = jax.vmap(Walker.at_start)(reach)
+    walker = jax.vmap(Walker.at_start)(way)
     if beam is None or ray.bending is not None:
-        return walker, no_tracks(reach.start)
+        return walker, no_tracks(way.start)
     is_of_beam = ground.each(beam.holds, ray)
-    rise = ground.each(_rise, reach)
-    return jax.vmap(Walker.within, (0, 0, 0, 0, 0, None))(walker, ray, reach, is_of_beam, rise, beam)
+    rise = ground.each(_rise, way)
+    return jax.vmap(Walker.within, (0, 0, 0, 0, 0, None))(walker, ray, way, is_of_beam, rise, beam)
 
 
-def _rise(reach: Reach, dem: Dem) -> Scalar:
-    return jnp.zeros_like(reach.start) if dem.rise is None else jnp.broadcast_to(dem.rise, reach.start.shape)
+def _rise(way: Way, dem: Dem) -> Scalar:
+    return jnp.zeros_like(way.start) if dem.rise is None else jnp.broadcast_to(dem.rise, way.start.shape)
 
 
-def _first_pass(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
+def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
     """Every ray once, in blocks that lie together; and who is not done. The last block is filled up."""
-    count = reach.start.shape[0]
+    count = way.start.shape[0]
     blocks = -(-count // LARGE_BLOCK)
     size = BUNDLE * -(-count // (BUNDLE * blocks))
     whole = blocks * size
     filled = lambda x: jnp.concatenate([x, jnp.repeat(x[-1:], whole - count, axis=0)])  # noqa: E731
-    (ray, reach), ground = jax.tree.map(filled, (ray, reach)), ground.of_rays(filled)
-    reach = eqx.tree_at(lambda r: r.exists, reach, reach.exists & (jnp.arange(whole) < count))
+    (ray, way), ground = jax.tree.map(filled, (ray, way)), ground.of_rays(filled)
+    way = eqx.tree_at(lambda r: r.exists, way, way.exists & (jnp.arange(whole) < count))
 
     def block(number, state):
         store, waiting, left = state
         first = number * size
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
-        (here_ray, here_reach), here = jax.tree.map(part, (ray, reach)), ground.of_rays(part)
-        walker, track = _at_start(here_ray, here_reach, here, beam)
+        (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
+        walker, track = _at_start(here_ray, here_way, here, beam)
         few = 0 if beam is None else size // 8  # outside a beam, which wait for the rounds
-        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_reach, few)
+        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way, few)
         if beam is None:
             walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
-        walker = _one_round(walker, track, here, here_reach.end, few=size // 8)
+        walker = _one_round(walker, track, here, here_way, few=size // 8)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda all_, some: jax.lax.dynamic_update_slice(all_, some, (0, first)), store, done)
         index = first + jnp.arange(size, dtype=jnp.int32)
         newcomers, more = _listed(index, ~walker.is_over)
         return store, jax.lax.dynamic_update_slice(waiting, newcomers, (left,)), left + more
 
-    zero = nothing_like(reach.start[0])
+    zero = nothing_like(way.start[0])
     none = zero.astype(jnp.int32)
     empty = Store(*(jnp.full((rows, whole), value) for rows, value in ((4, zero), (3, none), (15, zero))))
     store, waiting, left = jax.lax.fori_loop(0, blocks, block, (empty, jnp.full(whole + size, none), none))
@@ -123,10 +123,10 @@ def _first_pass(ray: Ray, reach: Reach, ground: Ground, beam: Beam | None) -> tu
 
 
 def _rounds(
-    store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, reach: Reach, ground: Ground, most: int
+    store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, way: Way, ground: Ground, most: int
 ) -> Store:
     """Go through the list again and again, in blocks of `most` rays, until nobody is left."""
-    count = reach.start.shape[0]
+    count = way.start.shape[0]
     size = min(most, max(64, 1 << (count - 1).bit_length()))
     waiting = jnp.pad(waiting, (0, size))
 
@@ -137,9 +137,9 @@ def _rounds(
         walker, track = jax.tree.map(lambda x: _columns(x, index), store).unpacked()
         walker = eqx.tree_at(lambda w: w.is_over, walker, walker.is_over | (index == count))
         pick = lambda x: x.at[index].get(mode="clip")  # noqa: E731
-        (here_ray, here_reach), here = jax.tree.map(pick, (ray, reach)), ground.of_rays(pick)
-        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_reach)
-        walker = _one_round(walker, track, here, here_reach.end, few=jnp.where(left > size, size // 8, 0), left=left)
+        (here_ray, here_way), here = jax.tree.map(pick, (ray, way)), ground.of_rays(pick)
+        walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way)
+        walker = _one_round(walker, track, here, here_way, few=jnp.where(left > size, size // 8, 0), left=left)
         done = Store.of(walker, track)
         store = jax.tree.map(lambda x, some: x.at[:, index].set(some, mode="drop", unique_indices=True), store, done)
         newcomers, some = _listed(index, ~walker.is_over)
@@ -158,7 +158,7 @@ def _rounds(
 
 
 def _one_round(
-    walker: Walker, track: Track, ground: Ground, end: Rays, *, few: Index | int, left: Index | None = None
+    walker: Walker, track: Track, ground: Ground, way: Way, *, few: Index | int, left: Index | None = None
 ) -> Walker:
     """Skip ahead, march over ground that is too near (few rays in many lanes each), and close finished tracks."""
     stretch = ground.each(_stretch_of, track)
@@ -168,7 +168,7 @@ def _one_round(
         if left is None
         else _march_in_lanes(walker, stretch, ground, few // 2, left)
     )
-    return jax.vmap(after_track)(jax.vmap(take_down)(walker, stretch, *found), stretch, end)
+    return jax.vmap(after_track)(jax.vmap(take_down)(walker, stretch, *found), stretch, way)
 
 
 def _stretch_of(track: Track, dem: Dem) -> Stretch:
@@ -220,16 +220,14 @@ def _march_in_lanes(
     return march, jnp.where(has_met, 0, jnp.where(lanes > 1, STRIDE * lanes, first))
 
 
-def _with_new_tracks(
-    walker: Walker, track: Track, ray: Ray, dem: Dem, reach: Reach, few: int = 0
-) -> tuple[Walker, Track]:
+def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, way: Way, few: int = 0) -> tuple[Walker, Track]:
     """New tracks for those rays of a block that ask for one, if they are more than a few.
 
     The condition also keeps the tracks from being made anew in every kernel that looks at them.
     """
 
     def made():
-        after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, reach)
+        after, fresh = jax.vmap(new_track, (0, 0, None, 0))(walker, ray, dem, way)
         return after, jax.vmap(tree_where)(walker.fresh, fresh, track)
 
     return jax.lax.cond(jnp.sum(walker.fresh & ~walker.is_over) > few, made, lambda: (walker, track))

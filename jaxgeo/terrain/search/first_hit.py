@@ -16,7 +16,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch, Reach, above_ground, reach_of
+from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch, Reach, above_ground, reach_of, way_of
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.crowd import Walker, walk_all
 from jaxgeo.terrain.search.ground import Ground, fits_together
@@ -28,7 +28,7 @@ from jaxgeo.terrain.search.march import (
     lowest_clearance,
     status_of,
 )
-from jaxgeo.terrain.search.walker import nothing_like
+from jaxgeo.terrain.search.walker import MOST_TRACKS, nothing_like
 from jaxgeo.terrain.track import Track
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem | Ground, dem_
 
 def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
     reach = ground.each(reach_of, rays)
-    begins_low = reach.exists & reach.is_near & (reach.start == 0.0)
+    begins_low = reach.exists & reach.from_near & (reach.start == 0.0)
 
     def at_ground() -> tuple[Array, Flags]:
         above = ground.each(above_ground, rays)
@@ -155,7 +155,7 @@ def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
         return jnp.where(on_ground[:, None], lifted, rays.origin), begins_low & (above < -ON_GROUND)
 
     origin, buried = jax.lax.cond(jnp.any(begins_low), at_ground, lambda: (rays.origin, begins_low & False))
-    walker, track = walk_all(eqx.tree_at(lambda ray: ray.origin, rays, origin), reach, ground, beam)
+    walker, track = walk_all(eqx.tree_at(lambda ray: ray.origin, rays, origin), way_of(reach), ground, beam)
     brackets = ground.each(_as_bracket, walker, track, reach)
     status = jnp.where(buried, Status.camera_below_terrain.code, brackets.status)
     return eqx.tree_at(lambda b: b.status, brackets, status)
@@ -169,10 +169,12 @@ def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket
     root, below = _root(track, dem, cell, begin, end)
     lower = jnp.maximum(track.range_at(root) - ROOM, track.range_at(begin))
     upper = jnp.minimum(track.range_at(root) + ROOM, track.range_at(below))
-    without = jnp.where(reach.sinks, Status.not_converged.code, Status.rises_away.code)
+    is_above = track.height.at(jnp.asarray(1.0)) >= dem.ceiling
+    without = jnp.where(is_above, Status.rises_away.code, Status.not_converged.code)
     without = status_where(~has_entered(walker.news), Status.ray_misses_terrain, without)
-    without = status_where(~reach.exists, Status.rises_away, without)
+    without = status_where(walker.tracks > MOST_TRACKS, Status.not_converged, without)
     without = status_where(~reach.is_near, Status.ray_misses_terrain, without)
+    without = status_where(~reach.exists, Status.rises_away, without)
     return Bracket(
         lower=jnp.where(met, lower, 0.0),
         upper=jnp.where(met, jnp.maximum(lower, upper), 0.0),

@@ -14,7 +14,7 @@ from jaxgeo._typing import Flag, Index, Scalar, StatusCode
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, is_buried, reach_of
+from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
 from jaxgeo.terrain.search.descent import Descent, Look
 from jaxgeo.terrain.search.run import Ending, Run, ending_code
 
@@ -48,7 +48,7 @@ def approach(ray: Ray, dem: Dem) -> Approach:
     obstacle = status_where(reach.sinks, Status.hit, Status.not_converged.code)
     obstacle = status_where(~reach.exists, Status.rises_away, obstacle)
     obstacle = status_where(is_buried(ray, dem), Status.camera_below_terrain, obstacle)
-    obstacle = status_where(~reach.is_near, Status.ray_misses_terrain, obstacle)
+    obstacle = status_where(~is_mapped(ray, dem, reach.start), Status.ray_misses_terrain, obstacle)
     is_free = obstacle == Status.hit
     stand_in = dem.safe_ray()
     return Approach(tree_where(is_free, ray, stand_in), jnp.where(is_free, reach.start, 0.0), obstacle)

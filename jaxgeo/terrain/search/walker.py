@@ -13,7 +13,7 @@ from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, FlagField, Index, IndexField, Scalar, ScalarField
 from jaxgeo.earth.ray import Ray
-from jaxgeo.terrain.search.base import Reach
+from jaxgeo.terrain.search.base import Way
 from jaxgeo.terrain.search.beam import Beam
 from jaxgeo.terrain.search.march import March, happened, news_of
 from jaxgeo.terrain.search.walk import FINEST, Stretch, first_place, must_settle, place, place_at, position_of
@@ -22,7 +22,9 @@ from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track,
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are
+SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are, unless they miss by more than their length
+LEAP = 1e-7  # m; so short a piece on which the map jumps, as at the seam of longitudes, is passed over
+AT_END = 1e-9  # of a range: what is left of it is rounding
 MOST_TRACKS = 4096
 
 
@@ -45,17 +47,16 @@ class Walker(Record):
     is_over: FlagField
 
     @classmethod
-    def at_start(cls, reach: Reach) -> Walker:
-        """A ray at the start of its reach, or over already if it has none."""
-        no, zero = jnp.zeros_like(reach.exists), jnp.zeros_like(reach.start, dtype=jnp.int32)
-        length = jnp.minimum(reach.end - reach.start, LONGEST_TRACK)
-        is_over = ~(reach.exists & reach.is_near)
+    def at_start(cls, way: Way) -> Walker:
+        """A ray at the start of its way, or over already if it has none."""
+        no, zero = jnp.zeros_like(way.exists), jnp.zeros_like(way.start, dtype=jnp.int32)
+        length = jnp.minimum(next_stop(way.start, way) - way.start, LONGEST_TRACK)
         begin = -jnp.ones_like(length)
-        return cls(reach.start, length, begin, begin, zero, zero, zero, ~no, no, is_over)
+        return cls(way.start, length, begin, begin, zero, zero, zero, ~no, no, ~way.exists)
 
-    def within(self, ray: Ray, reach: Reach, is_of_beam: Flag, rise: Scalar, beam: Beam) -> tuple[Walker, Track]:
+    def within(self, ray: Ray, way: Way, is_of_beam: Flag, rise: Scalar, beam: Beam) -> tuple[Walker, Track]:
         """This ray, or, if it is of a beam whose start lies farther on its way, one that begins there; its track."""
-        begins = is_of_beam & reach.exists & reach.is_near & (beam.start > reach.start)
+        begins = is_of_beam & way.exists & (beam.start > way.start)
         track, clear_to = beam.track(ray, rise)
         there = Walker(
             passed=track.middle - track.half,
@@ -72,23 +73,32 @@ class Walker(Record):
         return tree_where(begins, there, self), track
 
 
-def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker, Track]:
+def next_stop(passed: Scalar, way: Way) -> Scalar:
+    """The range in m at which tracks end: where a ray that came in from above must have met the ground, and behind that
+    where any can come over the grid for the last time."""
+    return jnp.where(passed < (1.0 - AT_END) * way.end, way.end, way.last)
+
+
+def new_track(walker: Walker, ray: Ray, dem: Dem, way: Way) -> tuple[Walker, Track]:
     """Give a ray that asks for it the next track, if that is true to the exact map, and begin to walk it.
 
-    The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from its
-    origin, to see it come in; from too far away it misses the terrain. A track that is not true enough is tried again
-    with half the length.
+    The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from where
+    it comes near the grid, to see it come in. A track that is not true enough is tried again with half the length, down
+    to a `LEAP`, over which longitude jumps by a turn: what lies behind that is on the other side of the grid.
     """
     track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
     is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
-    is_true |= walker.length <= SHORTEST_TRACK
+    is_true |= (walker.length <= SHORTEST_TRACK) & (track.error < walker.length)
+    leaps = ~is_true & (walker.length <= LEAP)
     is_inside = dem.contains(jnp.stack([track.row.at(jnp.asarray(-1.0)), track.col.at(jnp.asarray(-1.0))]))
-    from_origin = ~walker.begun & ~is_inside & (walker.passed > 0.0)
-    good = is_true & ~from_origin
-    halved = jnp.where(is_true, jnp.minimum(reach.end, LONGEST_TRACK), 0.5 * walker.length)
+    from_first = ~walker.begun & ~is_inside & (walker.passed > way.first)
+    good = is_true & ~from_first
+    passed = jnp.where(leaps, walker.passed + LEAP, jnp.where(is_true & from_first, way.first, walker.passed))
+    onwards = jnp.minimum(next_stop(passed, way) - passed, LONGEST_TRACK)
+    length = jnp.where(is_true | leaps, onwards, 0.5 * walker.length)
     after = Walker(
-        passed=jnp.where(from_origin & is_true, 0.0, walker.passed),
-        length=jnp.where(good, walker.length, halved),
+        passed=passed,
+        length=jnp.where(good, walker.length, length),
         tau=walker.tau,
         exit=walker.exit,
         tracks=walker.tracks + 1,
@@ -96,16 +106,16 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, reach: Reach) -> tuple[Walker,
         news=walker.news | (good & ~walker.begun & is_inside),
         fresh=~good,
         begun=walker.begun | good,
-        is_over=(walker.tracks >= MOST_TRACKS) | (from_origin & ~reach.from_near),
+        is_over=walker.tracks >= MOST_TRACKS,
     )
     return tree_where(walker.fresh & ~walker.is_over, after, walker), track
 
 
-def after_track(walker: Walker, stretch: Stretch, end: Scalar) -> Walker:
+def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
     """At the end of its track a ray that has met nothing asks for the next one, or is at its end."""
     at_end = ~walker.fresh & ~walker.is_over & (position_of(walker.here) >= stretch.count)
     passed = walker.passed + walker.length
-    remaining = end - passed
+    remaining = next_stop(passed, way) - passed
     after = eqx.tree_at(
         lambda w: (w.passed, w.length, w.fresh, w.is_over),
         walker,
@@ -113,7 +123,7 @@ def after_track(walker: Walker, stretch: Stretch, end: Scalar) -> Walker:
             passed,
             jnp.minimum(jnp.minimum(2.0 * walker.length, LONGEST_TRACK), remaining),
             jnp.ones_like(walker.fresh),
-            remaining <= 1e-9 * end,
+            remaining <= AT_END * way.last,
         ),
     )
     return tree_where(at_end, after, walker)
