@@ -14,9 +14,11 @@ from pyproj.transformer import Transformer
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import options
 from jaxgeo.io._proj import DATA
 from jaxgeo.io._quietly import quietly
 from jaxgeo.io._tiff import layout_mistake
+from jaxgeo.io._whole import mistake_of
 from jaxgeo.io.errors import VerticalDatumError
 
 WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
@@ -111,10 +113,12 @@ def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) 
 
 def _posts(path: pathlib.Path) -> Posts:
     """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
-    with rasterio.Env(), quietly(NotGeoreferencedWarning):
+    with options(), quietly(NotGeoreferencedWarning):
         try:
             with rasterio.open(path) as data:
-                parts = data.subdatasets or [str(path)]
+                mistake, parts = mistake_of(data), data.subdatasets or [str(path)]
+            if mistake:
+                raise VerticalDatumError(f"vertical_datum: the geoid grid {path} is damaged or cut short: {mistake}.")
             found = [_posts_of(part) for part in parts]
         except RasterioError as error:
             raise VerticalDatumError(

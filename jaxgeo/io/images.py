@@ -13,8 +13,9 @@ from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.windows import Window
 
-from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._gdal import GDAL_ERRORS, options, refused_as
 from jaxgeo.io._quietly import quietly
+from jaxgeo.io._whole import mistake_of
 from jaxgeo.io.errors import ImageError
 from jaxgeo.sensor.camera import AbstractCamera
 
@@ -68,11 +69,16 @@ def opened(name: str) -> rasterio.DatasetReader:
         raise FileNotFoundError(f"{name}: no such file.")
     if is_plain and os.path.isdir(name):
         raise ImageError(f"{name}: this is a folder; give the image in it.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):
+    with options(), quietly(NotGeoreferencedWarning):
         try:
-            return rasterio.open(name)
+            data = rasterio.open(name)
         except GDAL_ERRORS as error:
             raise ImageError(f"{name}: not an image that GDAL can open, or a damaged one: {error}") from error
+    mistake = mistake_of(data)
+    if mistake:
+        data.close()
+        raise ImageError(f"{name}: the file is damaged or cut short: {mistake}.")
+    return data
 
 
 def chosen_bands(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:

@@ -18,8 +18,9 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._gdal import GDAL_ERRORS, options, refused_as
 from jaxgeo.io._quietly import quietly
+from jaxgeo.io._whole import mistake_of
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
@@ -131,11 +132,17 @@ def _opened(path: str) -> rasterio.DatasetReader:
     """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
     if is_local(path) and not pathlib.Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
+    with options(), quietly(NotGeoreferencedWarning):  # refused below, in words
         try:
             return rasterio.open(path)
         except GDAL_ERRORS as error:
             raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
+
+
+def _check_whole(path: str, data: rasterio.DatasetReader) -> None:
+    mistake = mistake_of(data)
+    if mistake:
+        raise DemError(f"{path}: the file is damaged or cut short: {mistake}.")
 
 
 @functools.lru_cache(maxsize=65_536)
@@ -145,6 +152,7 @@ def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
         if not 1 <= band <= data.count:
             known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
             raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
+        _check_whole(path, data)
         _check_holds_heights(path, data, band)
         _check_georeferenced(path, data)
         if data.crs is None:

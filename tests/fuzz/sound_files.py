@@ -1,4 +1,4 @@
-"""Sound files of every kind that is read, made here, and what their answers must be: for `fuzzed_readers`."""
+"""Sound files of every kind that is read, made here, and what their answers must be: for `readers`."""
 
 from __future__ import annotations
 

@@ -1,0 +1,124 @@
+"""Second readings of images of drones: EXIF by `struct`, XMP by lxml."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+import struct
+from typing import Any
+
+import numpy as np
+
+from tests.fuzz.second.compared import DEGREES, number, same, same_turn
+
+DJI = "{http://www.dji.com/drone-dji/1.0/}"
+SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}
+
+
+def exposure(path: pathlib.Path, found: Any) -> None:
+    """Position, height and angles as XMP of DJI states them, else as EXIF does; heights above the ellipsoid."""
+    content = path.read_bytes()
+    tags, exif = _xmp(content), _gps(content)
+    lat = _stated(tags, ("GpsLatitude", "Latitude"), _dms(exif, 2))
+    lon = _stated(tags, ("GpsLongitude", "GpsLongtitude", "Longitude"), _dms(exif, 4))
+    below = exif.get(5) in ((1,), (3,))
+    height = _stated(tags, ("AbsoluteAltitude",), -exif[6][0] if below and 6 in exif else exif.get(6, (None,))[0])
+    pose = found.shots.pose.position
+    if lat is not None and lon is not None:
+        same("latitude", np.rad2deg(pose.lat), [lat], DEGREES)
+        same_turn("longitude", np.rad2deg(pose.lon), [lon])
+    if height:
+        same("height", pose.height, [height], 1e-6)
+    if found.form.startswith("DJI"):
+        angles = [number(tags[f"Gimbal{name}Degree"].strip()) for name in ("Yaw", "Pitch", "Roll")]
+        same_turn("angles of the gimbal", np.rad2deg(found.shots.gimbal_readings)[0], angles)
+    if "CalibratedFocalLength" in found.facts["focal length"]:
+        width = found.sensor.camera.width
+        focal = number(tags["CalibratedFocalLength"].strip()) * width / _full_width(content, width)
+        same("focal length", np.asarray(found.sensor.camera.focal_px)[0, 0], focal, 1e-6)
+
+
+def _stated(tags: dict[str, str], names: tuple[str, ...], other: float | None) -> float | None:
+    for name in names:
+        if name in tags:
+            return number(tags[name].strip())
+    return other
+
+
+def _xmp(content: bytes) -> dict[str, str]:
+    """The tags of DJI, by their local names; the first where one is there twice."""
+    from lxml import etree
+
+    start = content.find(b"<x:xmpmeta")
+    end = content.find(b"</x:xmpmeta>", start)
+    if start < 0 or end < 0:
+        return {}
+    packet = re.sub(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]", b" ", content[start : end + 12])
+    root = etree.fromstring(packet, etree.XMLParser(resolve_entities=False, huge_tree=True))
+    found: dict[str, str] = {}
+    for element in root.iter():
+        for key, value in element.attrib.items():
+            if key.startswith((DJI, DJI.replace("/}", "}"))):
+                found.setdefault(key.partition("}")[2], value)
+        if isinstance(element.tag, str) and element.tag.startswith(DJI) and not len(element) and element.text:
+            found.setdefault(element.tag.partition("}")[2], element.text)
+    return found
+
+
+def _tiff(content: bytes) -> tuple[bytes, str]:
+    """(EXIF's TIFF structure, its order of bytes) of a JPEG or TIFF file."""
+    if content[:2] == b"\xff\xd8":
+        at = content.find(b"Exif\x00\x00")
+        content = content[at + 6 :] if at >= 0 else b""
+    return content, {b"II": "<", b"MM": ">"}.get(content[:2], "")
+
+
+def _directory(data: bytes, order: str, at: int) -> dict[int, tuple[Any, ...]]:
+    found: dict[int, tuple[Any, ...]] = {}
+    (count,) = struct.unpack_from(f"{order}H", data, at)
+    for k in range(count):
+        tag, kind, size = struct.unpack_from(f"{order}HHI", data, at + 2 + 12 * k)
+        whole = SIZES.get(kind, 0) * size
+        if not whole or whole > 10_000:
+            continue
+        place = at + 10 + 12 * k
+        place = place if whole <= 4 else struct.unpack_from(f"{order}I", data, place)[0]
+        found[tag] = _values(data, order, place, kind, size)
+    return found
+
+
+def _values(data: bytes, order: str, place: int, kind: int, size: int) -> tuple[Any, ...]:
+    if kind in (2, 7):
+        return (data[place : place + size].split(b"\0")[0].decode("latin-1"),)
+    if kind in (5, 10):
+        whole = struct.unpack_from(f"{order}{2 * size}{'I' if kind == 5 else 'i'}", data, place)
+        return tuple(a / b if b else None for a, b in zip(whole[::2], whole[1::2], strict=True))
+    layout = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d"}[kind]
+    return struct.unpack_from(f"{order}{size}{layout}", data, place)
+
+
+def _parts(content: bytes, pointer: int) -> dict[int, tuple[Any, ...]]:
+    data, order = _tiff(content)
+    try:
+        first = _directory(data, order, struct.unpack_from(f"{order}I", data, 4)[0]) if order else {}
+        return _directory(data, order, first[pointer][0]) if pointer in first else {}
+    except (struct.error, TypeError, IndexError):
+        return {}
+
+
+def _gps(content: bytes) -> dict[int, tuple[Any, ...]]:
+    return _parts(content, 0x8825)
+
+
+def _full_width(content: bytes, width: float) -> float:
+    """PixelXDimension, where both sides are told; else the image's own width."""
+    sides = [_parts(content, 0x8769).get(tag, (0,))[0] for tag in (0xA002, 0xA003)]
+    return sides[0] if all(sides) else width
+
+
+def _dms(exif: dict[int, tuple[Any, ...]], tag: int) -> float | None:
+    parts, side = exif.get(tag), exif.get(tag - 1, ("",))[0]
+    if parts is None or len(parts) != 3 or None in parts or not isinstance(side, str) or not side:
+        return None
+    value = parts[0] + parts[1] / 60.0 + parts[2] / 3600.0
+    return -value if side[0].upper() in "SW" else value
