@@ -16,7 +16,7 @@ from typing import Any
 
 from tests.fuzz.mutation import mutant
 
-LONGEST = 10.0  # s for a file
+LONGEST, LONGEST_WAIT = 10.0, 60.0  # s of the processor for a file, and by the clock
 MOST_MEMORY = 2_000_000_000  # bytes beyond those of the process before
 LONGEST_LINE = 1100  # characters of a refusal
 STUCK = 120.0  # s after which a process that does not come back from a library is ended, with its stack
@@ -132,15 +132,18 @@ def _limits() -> Iterator[None]:
     """An alarm, and a bound on memory by which a larger allocation fails."""
     before = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (_told("VmData") + MOST_MEMORY, before[1]))
-    old = signal.signal(signal.SIGALRM, _raise)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST)
+    timers = ((signal.SIGALRM, signal.ITIMER_REAL, LONGEST_WAIT), (signal.SIGPROF, signal.ITIMER_PROF, LONGEST))
+    old = [signal.signal(name, _raise) for name, _, _ in timers]
+    for _, timer, seconds in timers:
+        signal.setitimer(timer, seconds)
     faulthandler.dump_traceback_later(STUCK, exit=True)
     try:
         yield
     finally:
         faulthandler.cancel_dump_traceback_later()
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, old)
+        for (name, timer, _), handler in zip(timers, old, strict=True):
+            signal.setitimer(timer, 0.0)
+            signal.signal(name, handler)
         resource.setrlimit(resource.RLIMIT_DATA, before)
 
 

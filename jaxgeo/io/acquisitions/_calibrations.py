@@ -124,7 +124,7 @@ def _check(tags: ImageTags, found: Calibration, width: int, height: int) -> None
                 f"{tags.path}: the principal point ({how}) at {point[0]:.1f}, {point[1]:.1f} is far from the middle of "
                 f"{width} x {height} pixels: the calibration is of another size of image. Give {FORMS}."
             )
-    if not 0.1 * width < min(found.focal) <= max(found.focal) < 1000.0 * width:
+    if not 0.1 * width < min(found.focal) <= max(found.focal) < LONGEST_FOCAL * width:
         raise TableError(
             f"{tags.path}: a focal length of {found.focal[0]:g} pixels ({found.how}) does not fit an image {width} "
             f"pixels wide. Give {FORMS}."

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from tests.fuzz.second.compared import DEGREES, doubles, egm96, same, same_names, same_turn
+from tests.fuzz.sound_files import STREAMED
 
 KEY = bytes.fromhex("060e2b34020b01010e01030101000000")
-# Tags of ST 0601.17 by name: bytes, lowest and highest value; signed where the lowest is below zero and not -900.
+# Items of ST 0601.17 by name: tag, bytes, lowest and highest value; signed where the lowest is below zero but for -900.
 ITEMS = {
-    "heading": (5, 0.0, 360.0), "pitch": (6, -20.0, 20.0), "roll": (7, -50.0, 50.0), "lat": (13, -90.0, 90.0),
-    "lon": (14, -180.0, 180.0), "height": (15, -900.0, 19_000.0), "azimuth": (18, 0.0, 360.0),
-    "elevation": (19, -180.0, 180.0), "ellipsoidal": (75, -900.0, 19_000.0), "full_pitch": (90, -90.0, 90.0),
-    "full_roll": (91, -90.0, 90.0),
+    "heading": (5, 2, 0.0, 360.0), "pitch": (6, 2, -20.0, 20.0), "roll": (7, 2, -50.0, 50.0),
+    "lat": (13, 4, -90.0, 90.0), "lon": (14, 4, -180.0, 180.0), "height": (15, 2, -900.0, 19_000.0),
+    "azimuth": (18, 4, 0.0, 360.0), "elevation": (19, 4, -180.0, 180.0), "ellipsoidal": (75, 2, -900.0, 19_000.0),
+    "full_pitch": (90, 4, -90.0, 90.0), "full_roll": (91, 4, -90.0, 90.0),
 }  # fmt: skip
 TELEMETRY = ("time", "lat", "lon", "height", "heading", "pitch", "roll", "azimuth", "elevation")
 
@@ -33,8 +34,8 @@ def klv(*, checked: bool, undulation: float | None = None) -> Callable[[pathlib.
 
 
 def transport_stream(path: pathlib.Path, found: Any) -> None:
-    """Every exposure is a packet whose checksum is right, in the payload of one of the stream's programs."""
-    streams = _payloads(path.read_bytes())
+    """Every exposure is a packet whose checksum is right: of the sound file, or in the payload of one of its programs."""
+    streams = [b"".join(STREAMED), *_payloads(path.read_bytes())]
     stated = [one for data in streams for one in _exposures(data, True, 0.0)]
     _each_is_stated(found, np.array(stated).reshape(-1, len(TELEMETRY)))
 
@@ -53,7 +54,8 @@ def _each_is_stated(found: Any, stated: np.ndarray) -> None:
 
 def _exposures(data: bytes, checked: bool, undulation: float | None) -> Iterator[list[float]]:
     for items in _packets(data, checked):
-        read = {name: _mapped(items[tag], low, high) for name, (tag, low, high) in ITEMS.items() if tag in items}
+        there = {name: one for name, one in ITEMS.items() if len(items.get(one[0], b"")) == one[1]}
+        read = {name: _mapped(items[tag], low, high) for name, (tag, _, low, high) in there.items()}
         known = {name: value for name, value in read.items() if np.isfinite(value)}
         pitch, roll = (known.get(f"full_{name}", known.get(name)) for name in ("pitch", "roll"))
         needed = [known.get(name) for name in ("lat", "lon", "heading", "azimuth", "elevation")] + [pitch, roll]
@@ -73,7 +75,7 @@ def _heights(known: dict[str, float], lat: float, lon: float, undulation: float 
 
 
 def _mapped(raw: bytes, low: float, high: float) -> float:
-    """A whole number of any size by the standard's linear map; NaN for the code that says so."""
+    """A whole number by the standard's linear map; NaN for the code that says that it is unknown."""
     if low < 0.0 and low != -900.0:
         value = int.from_bytes(raw, "big", signed=True)
         most = 2 ** (8 * len(raw) - 1) - 1 if raw else 0
@@ -88,8 +90,8 @@ def _packets(data: bytes, checked: bool) -> Iterator[dict[int, bytes]]:
         try:
             size, start = _ber(data, at + len(KEY))
             end = start + size
-            right = end <= len(data) and (not checked or _sum(data[at : end - 2]) == struct.unpack(">H", data[end - 2 : end])[0])  # fmt: skip
-            if right:
+            stated = data[end - 2 : end] if end <= len(data) else b""
+            if len(stated) == 2 and (not checked or _sum(data[at : end - 2]) == int.from_bytes(stated, "big")):
                 yield dict(_items(data[start:end]))
         except (IndexError, ValueError, struct.error):
             pass

@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.fuzz.second.compared import DEGREES, number, same, same_turn
 
-DJI = "{http://www.dji.com/drone-dji/1.0/}"
+DJI = "http://www.dji.com/drone-dji/1.0"
 SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}
 
 
@@ -45,31 +45,52 @@ def _stated(tags: dict[str, str], names: tuple[str, ...], other: float | None) -
     return other
 
 
+def _segments(content: bytes) -> list[bytes]:
+    """The APP1 segments of a JPEG file, up to its coded image."""
+    found, at = [], 2
+    while at + 4 <= len(content):
+        marker, size = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
+        if content[at] != 0xFF or marker in (0x00, 0xFF):
+            at += 1  # what is no marker is passed over
+        elif marker in (0x01, *range(0xD0, 0xD9)):
+            at += 2
+        elif marker in (0xD9, 0xDA):
+            break
+        else:
+            found += [content[at + 4 : at + 2 + size]] if marker == 0xE1 else []
+            at += 2 + size
+    return found
+
+
 def _xmp(content: bytes) -> dict[str, str]:
     """The tags of DJI, by their local names; the first where one is there twice."""
     from lxml import etree
 
-    start = content.find(b"<x:xmpmeta")
-    end = content.find(b"</x:xmpmeta>", start)
+    if content[:2] == b"\xff\xd8":
+        packets = [
+            part.split(b"\0", 1)[1] for part in _segments(content) if part.startswith(b"http://ns.adobe.com/xap/")
+        ]
+        content = packets[-1] if packets else b""
+    start, end = content.find(b"<x:xmpmeta"), content.rfind(b"</x:xmpmeta>")
     if start < 0 or end < 0:
         return {}
     packet = re.sub(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]", b" ", content[start : end + 12])
-    root = etree.fromstring(packet, etree.XMLParser(resolve_entities=False, huge_tree=True))
     found: dict[str, str] = {}
-    for element in root.iter():
-        for key, value in element.attrib.items():
-            if key.startswith((DJI, DJI.replace("/}", "}"))):
-                found.setdefault(key.partition("}")[2], value)
-        if isinstance(element.tag, str) and element.tag.startswith(DJI) and not len(element) and element.text:
-            found.setdefault(element.tag.partition("}")[2], element.text)
+    parser = etree.XMLParser(resolve_entities=False, huge_tree=True, recover=True)  # names of spaces may be no URIs
+    for element in etree.fromstring(packet, parser).iter(etree.Element):
+        prefixes = {uri: prefix for prefix, uri in element.nsmap.items()}
+        texts = [(element.tag, element.text or "")] if not len(element) else []
+        for key, value in [*element.attrib.items(), *texts]:
+            uri, _, local = key.removeprefix("{").rpartition("}")
+            if uri.rstrip("/") == DJI or prefixes.get(uri) == "drone-dji":
+                found.setdefault(local, value)
     return found
 
 
 def _tiff(content: bytes) -> tuple[bytes, str]:
     """(EXIF's TIFF structure, its order of bytes) of a JPEG or TIFF file."""
     if content[:2] == b"\xff\xd8":
-        at = content.find(b"Exif\x00\x00")
-        content = content[at + 6 :] if at >= 0 else b""
+        content = next((part[6:] for part in _segments(content) if part.startswith(b"Exif\0\0")), b"")
     return content, {b"II": "<", b"MM": ">"}.get(content[:2], "")
 
 

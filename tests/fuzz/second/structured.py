@@ -109,7 +109,9 @@ def shots_of_opensfm(path: pathlib.Path, found: Any) -> None:
     enu = np.stack(to_enu.transform(np.rad2deg(position.lon), np.rad2deg(position.lat), position.height), axis=-1)
     same("centres", enu, centres, 1e-6 + 1e-9 * np.abs(centres).max())
     R_ecef_from_enu = _R_ecef_from_enu(np.deg2rad(lat0), np.deg2rad(lon0))
-    R_local = np.stack([_R_ecef_from_enu(*at) for at in zip(np.atleast_1d(position.lat), np.atleast_1d(position.lon), strict=True)])
+    R_local = np.stack(
+        [_R_ecef_from_enu(*at) for at in zip(np.atleast_1d(position.lat), np.atleast_1d(position.lon), strict=True)]
+    )
     flip = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     same_attitude(found.shots.pose, flip @ R_local.transpose(0, 2, 1) @ R_ecef_from_enu @ R)
 
@@ -225,21 +227,22 @@ def _floats(text: str | None) -> np.ndarray:
 
 
 def subtitles(path: pathlib.Path, found: Any) -> None:
-    """`name: number` in each cue, whatever the brackets; records without a position, a height or angles are left out."""
-    cues = re.split(r"^.*\d\d:\d\d:\d\d[,.]\d+\s*-->.*$", "\n".join(decoded(path.read_bytes()).splitlines()), flags=re.M)[1:]  # fmt: skip
+    """`name: number` in each cue: every exposure is one of them, in their order; the others are counted."""
+    text = "\n".join(decoded(path.read_bytes()).splitlines())
     rows = []
-    for cue in cues:
-        text = re.sub(r"<[^>]*>", " ", " ".join(cue.split("\n")))
-        fields = {name.lower(): value for name, value in re.findall(r"(\w+)\s*:\s*([-+\w.]*[^-+\w.\s\]\[,]*)", text)}
-        fields = {"longitude" if name == "longtitude" else name: value for name, value in fields.items()}
-        names = ("latitude", "longitude", "abs_alt", "gb_yaw", "gb_pitch", "gb_roll")
-        values = [_or_none(fields.get(name)) for name in names]
-        if None in values or values[:2] == [0.0, 0.0] or values[2] == 0.0 or values[3:] == [0.0] * 3:
-            continue
-        rows.append(values)
-    lat, lon, height, yaw, pitch, roll = np.array(rows, np.float64).T
+    for cue in re.split(r"^.*\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+.*$", text, flags=re.MULTILINE)[1:]:
+        fields = re.findall(
+            r"(\w+)\s*:\s*([-+]?[0-9][^\s\]\[,;)}<>]*)", re.sub(r"<[^>]*>", " ", " ".join(cue.split("\n")))
+        )
+        values = {name.lower().replace("longtitude", "longitude"): _or_none(value) for name, value in fields}
+        row = [values.get(name) for name in ("latitude", "longitude", "abs_alt", "gb_yaw", "gb_pitch", "gb_roll")]
+        if None not in row and row[:2] != [0.0, 0.0] and row[2] != 0.0 and row[3:] != [0.0] * 3:
+            rows.append(row)
     position = found.shots.pose.position
-    same("latitude", np.rad2deg(position.lat), lat, DEGREES)
+    lat = np.rad2deg(position.lat)
+    kept = [next((k for k, row in enumerate(rows) if abs(row[0] - one) < DEGREES), -1) for one in lat]
+    assert -1 not in kept, f"latitudes {lat}, by the second reading {[row[0] for row in rows]}"
+    _, lon, height, yaw, pitch, roll = np.array([rows[k] for k in kept], np.float64).T
     same_turn("longitude", np.rad2deg(position.lon), lon)
     same("height", position.height, height + egm96(lat, lon), 1e-3)
     same_gimbal(found.shots.pose, yaw, pitch, roll)

@@ -171,7 +171,7 @@ def shots(path: pathlib.Path, table: Any) -> None:
         for name, stated in zip(names, others, strict=True):
             same(name, table.numbers[name], stated)
         if "name" in rows[0]:
-            same_names("names of shots", [row["name"] for row in table.rows], [row["name"] for row in rows])
+            same_names("names of shots", [row["name"].strip() for row in table.rows], [row["name"] for row in rows])
 
     any_of(tables(path), check)
 
@@ -231,7 +231,7 @@ def _has_fix(row: dict[str, str], keys: Mapping[str, str], wanted: tuple[str, ..
         return False
     lat, lon, *_ = map(number, cells)
     level = row.get(keys.get("gpslevel", ""), "").strip()
-    return not (lat == 0.0 and lon == 0.0) and not (level and not np.isnan(_or_nan(level)) and number(level) == 0.0)
+    return not (lat == 0.0 and lon == 0.0) and not re.fullmatch(r"[+-]?0*\.?0+", level)
 
 
 def same_gimbal(pose: Any, yaw: Any, pitch: Any, roll: Any) -> None:
