@@ -12,8 +12,8 @@ from jaxgeo.io.errors import TableError
 
 SEPARATORS = (",", ";", "\t", "|")  # in the order in which they are tried; then white space
 WHITE = " "
-BY_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
-BY_POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
+BY_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+BY_POINT = re.compile(r"[+-]?[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _hits(names: Iterable[str], known: Collection[str]) -> int:
 
 
 def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", cell.strip()))
+    return bool(re.fullmatch(r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?", cell.strip()))
 
 
 def _quote(lines: list[str]) -> str:

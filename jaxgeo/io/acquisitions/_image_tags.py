@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io._csv import Limits
 from jaxgeo.io._quietly import heard, quietly
 from jaxgeo.io.errors import ImageError, TableError
@@ -261,11 +262,14 @@ def _number(value: Any) -> float | None:
         return _number(value[0]) if len(value) == 1 else None
     parts = value.split("/") if isinstance(value, str) else [value]
     try:
-        numbers = [math.nan if "_" in str(part) else float(part) for part in parts]
-        result = numbers[0] / numbers[1] if len(numbers) == 2 else numbers[0]
-    except (TypeError, ValueError, ZeroDivisionError):
+        numbers = [number_in(part) if isinstance(part, str) else float(part) for part in parts]
+        if None in numbers or len(numbers) > 2:
+            return None
+        first, second = (*numbers, 1.0)[:2]
+        result = first / second
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
-    return result if math.isfinite(result) and len(numbers) <= 2 else None
+    return result if math.isfinite(result) else None
 
 
 def _packet(image: Any) -> bytes:

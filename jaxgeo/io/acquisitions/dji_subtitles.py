@@ -15,9 +15,9 @@ from jaxgeo.io.sentinels import SUBTITLES
 from jaxgeo.sensor import FrameCamera
 
 FORM = "subtitle file of DJI"
-FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?![\d:])")
-CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+")
-TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?")
+FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?![\d:])", re.ASCII)
+CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
+TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
 NAMES = {
     "lat": "latitude",
