@@ -72,11 +72,8 @@ def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any
         is_number = isinstance(number, int | float) and not isinstance(number, bool)
         if is_number and isinstance(text, str) and not _is_written_so(param, text, number):
             kind = "float" if isinstance(number, float) else "integer"
-            wrong = (
-                f"{text!r} is not a valid {kind}."
-                if abs(number) < 2**63 or isinstance(number, float)
-                else f"{text[:60]} is 2^63 or more."
-            )
+            is_long = kind == "integer" and abs(number) >= 2**63
+            wrong = f"{text[:60]} is beyond 64 bits." if is_long else f"{text!r} is not a valid {kind}."
             raise typer.BadParameter(wrong, ctx=ctx, param=param)
     return found
 

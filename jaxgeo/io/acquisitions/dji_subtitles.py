@@ -15,7 +15,10 @@ from jaxgeo.io.sentinels import SUBTITLES
 from jaxgeo.sensor import FrameCamera
 
 FORM = "subtitle file of DJI"
-FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?![\d:])", re.ASCII)
+_DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
+# A field and its number, which ends there: not before 1_0, 0x10, 1e5, digits of other scripts or a no-break space.
+_GOES_ON = r"[\d:_]|\.\d|[xX][0-9a-fA-F]|[eE][-+]?\d|[\u00a0\u2007\u2009\u202f][\d.]"
+FIELD = re.compile(rf"\b([A-Za-z_]+)\s*:\s*([-+]?{_DECIMAL}(?:/{_DECIMAL})?)(?!{_GOES_ON})")
 CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
 TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
