@@ -15,6 +15,7 @@ from jaxgeo._text_numbers import BLANKS, number_in
 from jaxgeo.io._dialect import layout_of
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.limits import COLUMNS
 
 Limits = tuple[float, float, str]  # lowest and highest value of a column, and its unit
 Row = dict[str, Any]
@@ -141,6 +142,7 @@ def _check_header(
     taken: Collection[str],
     hints: Mapping[str, str],
 ) -> None:
+    COLUMNS.check(path, len(header))
     doubled = sorted(name for name, count in Counter(header).items() if count > 1)
     if doubled:
         raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.limits import COLUMNS, COMMENT_LINES
 
 SEPARATORS = (",", ";", "\t", "|")  # in the order in which they are tried; then white space
 WHITE = " "
@@ -42,7 +43,10 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
     start, comments, declared = _preamble(lines)
     if start == len(lines):
         raise TableError(f"{path}: no rows; all that is there are comments.")
+    COMMENT_LINES.check(path, len(comments))
     white = _quote(lines)
+    if len(lines[start]) > COLUMNS.most:
+        COLUMNS.check(path, max(len(_split(lines[start], mark, white)) for mark in SEPARATORS))
     header, first, separator = _header(lines[start:], comments, declared, known, white)
     first += start
     body = list(_without_comments(path, lines[first:], first, separator, len(header), white))

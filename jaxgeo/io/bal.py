@@ -7,13 +7,13 @@ import io
 import os
 import pathlib
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo.io._bounded import unpacked
 from jaxgeo.io._quietly import heard
 from jaxgeo.io.errors import TableError
 
@@ -56,8 +56,8 @@ class BalProblem:
 def read_bal(path: str | os.PathLike[str]) -> BalProblem:
     """The problem in a file, compressed if its name ends in .bz2.
 
-    Raises `TableError` for counts that the file does not hold, words that are no finite numbers, and observations of
-    cameras or points that are not there; `FileNotFoundError`.
+    Raises `TableError` for counts that the file does not hold, more bytes than `jaxgeo.io.limits` allows, words that
+    are no finite numbers, and observations of cameras or points that are not there; `FileNotFoundError`.
     """
     text = _text(path)
     header = text.partition("\n")[0].split()
@@ -106,10 +106,8 @@ def write_bal(path: str | os.PathLike[str], problem: BalProblem) -> None:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
-    opened: Any = bz2.open if os.fspath(path).endswith(".bz2") else open
     try:
-        with opened(path, "rt", encoding="ascii") as file:
-            return file.read()
+        return unpacked(path).decode("ascii")
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such problem.") from None
     except (OSError, EOFError, UnicodeDecodeError) as error:
