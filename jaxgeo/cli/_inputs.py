@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
+from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._screen import working
 from jaxgeo.cli._words import dem_words_as_typed
@@ -84,18 +86,18 @@ def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str 
 
 def datum(text: str | None) -> str | float | None:
     """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
-    try:
-        return None if text is None else float(text) if not text.isdigit() else int(text)
-    except ValueError:
+    if text is None:
+        return None
+    whole, number = whole_in(text), number_in(text)
+    if number is None:
         return text
+    return whole if whole is not None and text.isdigit() else number
 
 
 def said_datum(text: str) -> str | float:
     """A datum as scene files have it, from the command line: a number is an undulation in m."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    number = number_in(text)
+    return text if number is None else number
 
 
 def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
@@ -170,10 +172,7 @@ def single(batch: Any) -> Iterator[Any]:
 
 def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
     """Numbers with commas between; raises `UserError` for other text, and unless there are as many as one of counts."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) not in counts:
+    found = number_list(text.split(","))
+    if found is None or len(found) not in counts:
         raise UserError(f"{option} {text!r}: expected {form}.")
     return found

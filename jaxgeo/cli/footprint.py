@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from jaxgeo._destination import check_place
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
@@ -185,7 +186,6 @@ def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
 
 
 def _numbers_or_texts(cells: list[str]) -> list[Any]:
-    try:
-        return [float(cell) if cell.strip() else None for cell in cells]
-    except ValueError:
-        return list(cells)
+    numbers = [number_in(cell) for cell in cells]
+    is_text = any(cell.strip() and number is None for cell, number in zip(cells, numbers, strict=True))
+    return list(cells) if is_text else numbers

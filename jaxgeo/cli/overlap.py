@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
+from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
@@ -130,10 +131,9 @@ def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
         raise UserError("give either --navigation FILE with --times T1,T2[,...], or --shots FILE.")
     if times is None:
         return []
-    try:
-        found = [float(part) for part in times.split(",")]
-    except ValueError:
-        raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.") from None
+    found = numbers_in(times.split(","))
+    if found is None:
+        raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.")
     if len(found) < 2:
         raise UserError(f"--times {times}: fewer than two exposures have no overlap; give two times or more.")
     for before, after in itertools.pairwise(found):

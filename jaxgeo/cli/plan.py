@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pathlib
 from enum import StrEnum
 from typing import Annotated, Any
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo._destination import check_place
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
@@ -117,11 +117,8 @@ def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> 
 def _period(timing: str, number: str, overlap: float | None) -> float:
     if overlap is not None:
         raise UserError(f"--overlap is what --timing {timing} leads to, not what it goes by; leave one of them out.")
-    try:
-        period = float(number)
-    except ValueError:
-        period = math.nan
-    if not (period > 0.0 and math.isfinite(period)):
+    period = number_in(number)
+    if period is None or not period > 0.0:
         raise UserError(f"--timing {timing!r}: the period must be a number above 0 s, such as fixed:2.3.")
     return period
 

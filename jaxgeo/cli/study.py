@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._examples import examples_of
@@ -20,7 +21,7 @@ from jaxgeo.cli._screen import tell, working
 
 WIDE = 150  # characters of a line in a file
 
-studies = typer.Typer(help="What papers print, made again.", no_args_is_help=True)
+studies = typer.Typer(cls=Commands, help="What papers print, made again.", no_args_is_help=True)
 
 Folder = Annotated[
     pathlib.Path | None,

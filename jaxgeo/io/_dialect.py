@@ -9,11 +9,12 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.limits import COLUMNS, COMMENT_LINES
 
 SEPARATORS = (",", ";", "\t", "|")  # in the order in which they are tried; then white space
 WHITE = " "
-BY_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
-BY_POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
+BY_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+BY_POINT = re.compile(r"[+-]?[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,10 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
     start, comments, declared = _preamble(lines)
     if start == len(lines):
         raise TableError(f"{path}: no rows; all that is there are comments.")
+    COMMENT_LINES.check(path, len(comments))
     white = _quote(lines)
+    if len(lines[start]) > COLUMNS.most:
+        COLUMNS.check(path, max(len(_split(lines[start], mark, white)) for mark in SEPARATORS))
     header, first, separator = _header(lines[start:], comments, declared, known, white)
     first += start
     body = list(_without_comments(path, lines[first:], first, separator, len(header), white))
@@ -130,7 +134,7 @@ def _hits(names: Iterable[str], known: Collection[str]) -> int:
 
 
 def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", cell.strip()))
+    return bool(re.fullmatch(r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?", cell.strip()))
 
 
 def _quote(lines: list[str]) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo.io._bounded import check_nesting_of_json, read_bytes
 from jaxgeo.io.errors import TableError
 
 LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
@@ -18,19 +19,20 @@ LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not be
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
     """What a JSON file holds; `what` it is, for messages.
 
-    Raises `TableError` for a file that is none, is cut off, or has a key twice in one table; `FileNotFoundError`.
+    Raises `TableError` for a file that is none, is cut off, is too large or deep, or has a key twice in one table;
+    `FileNotFoundError`.
     """
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)
+        content = read_bytes(path)
+        check_nesting_of_json(path, content)
+        text = content.decode("utf-8-sig")
+        return json.loads(text, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such file of a {what}.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: the {what} cannot be read: {error}.") from error
     except json.JSONDecodeError as error:
         raise TableError(f"{path}: not a JSON file, or cut off: {error}.") from error
-    except RecursionError:
-        raise TableError(f"{path}: lists in lists, deeper than any {what} has them.") from None
 
 
 def value_of(where: str, content: Any, key: str) -> Any:

@@ -8,6 +8,7 @@ import pathlib
 import threading
 import zipfile
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ MOST_AT_ONCE = 16  # blocks read in one go: a million posts
 _reading = threading.RLock()  # of all at once, since a lock of each would keep it from being pickled
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
 # What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
+HEADER = 4096  # bytes that NumPy writes about an array, at most
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -119,9 +121,11 @@ class Blocks:
         """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
         try:
             with np.load(cache) as held:
+                _check_size(held, "identity", 100 * HEADER)
                 if str(held["identity"]) != self._identity():
                     return
                 for name in ("low", "high", "has_void", "is_read"):
+                    _check_size(held, name, getattr(self, name).nbytes + HEADER)
                     getattr(self, name)[...] = held[name]
         except _UNREADABLE as error:
             raise DemError(
@@ -188,3 +192,10 @@ class Blocks:
             f"hold heights of {low:.6g} to {high:.6g} m above the ellipsoid, beyond the height_range="
             f"({self.height_range[0]:g}, {self.height_range[1]:g}) that was stated. Widen it, or leave it out."
         )
+
+
+def _check_size(held: Any, name: str, most: int) -> None:
+    """Raises `ValueError` for an array of a file that is larger than it may be once unpacked."""
+    size = held.zip.getinfo(f"{name}.npy").file_size
+    if size > most:
+        raise ValueError(f"unpacked, {name} has {size:,} bytes, and at most {most:,} belong here")

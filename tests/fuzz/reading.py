@@ -101,6 +101,8 @@ def _outcome(reader: Reader, path: pathlib.Path, found: Found) -> str:
     except reader.refusals as error:
         found.refused += 1
         message = str(error)
+        if path.name not in message:
+            return f"no name of the file: {type(error).__name__}: {message[:300]!r}"
         if "\n" in message.strip() and not reader.several_lines:
             return f"several lines: {type(error).__name__}: {message[:300]!r}"
         if not message.strip() or max(map(len, message.split("\n"))) > LONGEST_LINE:

@@ -17,6 +17,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import CLOSE, FORMS
 
 OFF_CENTRE = 0.1  # of half the image, by which a principal point may be off its middle
+LONGEST_FOCAL = 50.0  # widths of the image: 1800 mm on 35 mm film, more than twice what drones zoom to
 FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
 MILLIMETRES: Limits = (1e-3, 1e5, "mm")

@@ -15,9 +15,11 @@ from jaxgeo.io.sentinels import SUBTITLES
 from jaxgeo.sensor import FrameCamera
 
 FORM = "subtitle file of DJI"
-FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?=m?(?:[\s\])}>,;]|$))")
-CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+")
-TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?")
+_DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
+# A field and its number, which ends there: not before 1_0, 0x10, 1e5, digits of other scripts or damaged bytes.
+FIELD = re.compile(rf"\b([A-Za-z_]+)\s*:\s*([-+]?{_DECIMAL}(?:/{_DECIMAL})?)(?=m?(?:[ \t\r\n\])}}>,;]|$))")
+CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
+TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
 NAMES = {
     "lat": "latitude",

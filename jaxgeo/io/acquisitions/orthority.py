@@ -15,6 +15,7 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._bounded import read_bytes
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._dialect import header_of
 from jaxgeo.io._json import number_of, read_json, shown, value_of
@@ -34,6 +35,7 @@ from jaxgeo.io.acquisitions.blocks import (
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
@@ -46,7 +48,6 @@ TYPES = {
 }
 UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # of opencv: thin prism and tilted sensor
 FORM = "parameter file of Orthority"
-DEEPEST = 20  # lists and tables within each other
 LARGEST_ANGLE = 2.0 * np.pi
 
 
@@ -283,12 +284,11 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
     except ImportError as error:
         raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
     try:
-        text = pathlib.Path(path).read_text(encoding="utf-8-sig")
+        text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
         depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                raise TableError(f"{path}: lists in lists, deeper than any parameter file has them.")
+            NESTING.check(path, depth)
             if isinstance(event, yaml.AliasEvent):
                 raise TableError(
                     f"{path}, line {event.start_mark.line + 1}: references (*) are not read; write it out."

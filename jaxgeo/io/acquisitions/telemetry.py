@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._bounded import read_bytes
 from jaxgeo.io.acquisitions._klv_camera import camera_of, sensor_of, size_of, usual_size
 from jaxgeo.io.acquisitions._klv_columns import Columns, lacking, numbers_of
 from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out
@@ -101,8 +102,8 @@ def _content(path: pathlib.Path, stream: int | None) -> tuple[bytes, tuple[int, 
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)
-            if not is_transport_stream(head):
-                return head + file.read(), None
+        if not is_transport_stream(head):
+            return read_bytes(path), None
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such file of telemetry.") from None
     except IsADirectoryError:
