@@ -124,13 +124,8 @@ def register_command(
             DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
         )
         work, errors, pixels = _read(image, reference, ground, scene, sigmas, pixel or [], (band, reference_band))
-        files = [
-            *files_behind(image, ground[2].reach),
-            *files_behind(reference, ground[2].reach),
-            scene,
-            *terrain_files(*ground),
-        ]
-        prepared_folder(output, files)
+        rasters = [file for one in (image, reference) for file in files_behind(one, ground[2].reach)]
+        prepared_folder(output, [*rasters, scene, *terrain_files(*ground)])
         for one in errors.assumed:
             tell(f"assumed: {one}")
         with working("compiling and registering"):
