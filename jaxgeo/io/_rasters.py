@@ -7,6 +7,7 @@ with any driver, is read as XML before.
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import rasterio
@@ -54,11 +55,10 @@ def open_raster(
             data = DatasetReader(given, driver=chosen)
         except GDAL_ERRORS as reason:
             raise error(f"{name}: {_why(name, reach, error, what)}{reason}") from reason
-        try:
+        with contextlib.ExitStack() as until_checked:
+            until_checked.enter_context(data)
             _check_opened(name, data, reach, error)
-        except BaseException:
-            data.close()
-            raise
+            until_checked.pop_all()
         return data
 
 

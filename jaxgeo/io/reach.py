@@ -1,4 +1,4 @@
-"""What the reading of a raster may touch: the file itself and files beside it, and more only where the caller allows it."""
+"""What the reading of a raster may touch: the file and files beside it, and more only where the caller allows it."""
 
 from __future__ import annotations
 
