@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
@@ -20,6 +21,7 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
 
     Raises `TableError` for a file that is none, is cut off, or has a key twice in one table; `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
         with open(path, encoding="utf-8-sig") as file:
             return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)

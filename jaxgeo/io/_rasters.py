@@ -31,6 +31,7 @@ DRIVERS = (
 )  # fmt: skip
 GRIDS = ("GTiff", "GTX")  # that PROJ reads
 SETTINGS = {"GTIFF_REPORT_COMPD_CS": "YES", "GDAL_VRT_ENABLE_PYTHON": "NO"}
+RAW_VALUES = "GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE"  # by which newer versions of GDAL refuse what is outside
 # By what the first bytes of a document hold, what it is. GDAL looks for some of them anywhere in there.
 DOCUMENTS = {
     b"<GDAL_WMS": "WMS", b"<WMS_": "WMS", b"<WMT_MS_Capabilities": "WMS", b"<TileMap": "TMS", b"<WCS_GDAL": "WCS",
@@ -50,7 +51,8 @@ def open_raster(
     """
     given = _checked(name, reach, error)
     chosen = ["VRT"] if _is_vrt(name, error) else None if reach.remote else list(drivers)
-    with rasterio.Env(**SETTINGS), quietly(NotGeoreferencedWarning):
+    settings = SETTINGS | ({RAW_VALUES: "ALL"} if reach.outside else {})
+    with rasterio.Env(**settings), quietly(NotGeoreferencedWarning):
         try:
             data = DatasetReader(given, driver=chosen)
         except GDAL_ERRORS as reason:

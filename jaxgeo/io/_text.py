@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # first bytes: encoding
@@ -16,6 +17,7 @@ def read_text(path: str | os.PathLike[str], what: str) -> str:
     Raises `TableError` in one line for a folder, a file that cannot be read, is empty or is no text;
     `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
         with open(path, "rb") as file:
             content = file.read()

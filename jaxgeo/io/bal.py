@@ -14,6 +14,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.io._quietly import heard
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 
@@ -104,6 +105,7 @@ def write_bal(path: str | os.PathLike[str], problem: BalProblem) -> None:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
+    check_regular(path, TableError)
     opened: Any = bz2.open if os.fspath(path).endswith(".bz2") else open
     try:
         with opened(path, "rt", encoding="ascii") as file:

@@ -11,6 +11,7 @@ import zlib
 
 import numpy as np
 
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source
 from jaxgeo.io.tiles import OpenFiles, stamp_of
@@ -117,6 +118,7 @@ class Blocks:
 
     def _load(self, cache: pathlib.Path) -> None:
         """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
+        check_regular(cache, DemError)
         try:
             with np.load(cache) as held:
                 if str(held["identity"]) != self._identity():

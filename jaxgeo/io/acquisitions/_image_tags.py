@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from jaxgeo.io._csv import Limits
 from jaxgeo.io._quietly import heard, quietly
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import ImageError, TableError
 from jaxgeo.io.sentinels import IMAGE, is_undefined, sentinel_of
 
@@ -128,6 +129,7 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     name = os.fspath(path)
     if not os.path.exists(name):
         raise FileNotFoundError(f"{name}: there is no such image.")
+    check_regular(name, ImageError)
     cut = "the file is damaged or cut short"
     try:
         no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
