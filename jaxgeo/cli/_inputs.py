@@ -22,10 +22,20 @@ class DemReading(NamedTuple):
     band: int | None = None
     bounds: str | None = None
     assume_wgs84: bool | None = None
+    allow_remote: bool | None = None
+    allow_outside: bool | None = None
+
+    @property
+    def reach(self) -> Any:
+        """What the reading of rasters may touch."""
+        from jaxgeo.io.reach import Reach
+
+        return Reach(bool(self.allow_remote), bool(self.allow_outside))
 
     def check_goes_with_dem(self) -> None:
         """Raises `UserError` where one is given; to be called where no --dem is."""
-        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84")
+        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84", "--allow-remote",
+                   "--allow-outside")  # fmt: skip
         given = [name for name, value in zip(options, self, strict=True) if value is not None]
         if given:
             raise UserError(f"{given[0]} goes with --dem FILE.")
@@ -47,6 +57,8 @@ def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReadi
             band=1 if reading.band is None else reading.band,
             bounds=edges,
             assume_wgs84=bool(reading.assume_wgs84),
+            allow_remote=bool(reading.allow_remote),
+            allow_outside=bool(reading.allow_outside),
         )
 
 
@@ -54,8 +66,7 @@ def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemRead
     """All files that make up the elevation model: tiles, what a VRT is put together from, a geoid's grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
-    del reading
-    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile)]
+    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile, reading.reach)]
     return tiles if vertical_datum is None else [*tiles, vertical_datum]
 
 
@@ -63,9 +74,10 @@ def keep_inputs(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],
-    ground: tuple[list[str], str | None] = ([], None),
+    ground: tuple[list[str], str | None, DemReading] = ([], None, DemReading()),
 ) -> None:
-    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files and datum."""
+    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files, datum and
+    how they are read."""
     if output is not None:
         tiles = terrain_files(*ground) if ground[0] else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])

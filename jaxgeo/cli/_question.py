@@ -263,4 +263,4 @@ def _reads(asked: Asked) -> list[Any]:
     files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []
     for folder in [one for one in files if pathlib.Path(one).is_dir()]:
         files += sorted(pathlib.Path(folder).iterdir())
-    return [*files, *(terrain_files(asked.dem, asked.vertical_datum) if asked.dem else [])]
+    return [*files, *(terrain_files(asked.dem, asked.vertical_datum, asked.reading) if asked.dem else [])]

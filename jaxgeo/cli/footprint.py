@@ -16,6 +16,8 @@ from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     AssumeWgs84,
     DemBand,
     DemBounds,
@@ -57,6 +59,8 @@ def footprint_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     output: Annotated[
         pathlib.Path | None,
@@ -81,8 +85,12 @@ def footprint_command(
             _check_output(output)
         if not tolerance > 0.0:
             raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
-        keep_inputs("--output", output, [scene, shots], (dem, vertical_datum))
-        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, shots], ground)
         rows, outlines = _footprint(scene, ground, shots, height_datum, output, (crs, tolerance, edges))
         _show(rows, outlines, inputs if as_json else None)
 

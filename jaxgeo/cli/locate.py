@@ -86,6 +86,8 @@ def locate_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -192,7 +194,7 @@ def locate_command(
             refraction,
             how,
             sigmas,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84),
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
         )
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")

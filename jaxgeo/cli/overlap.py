@@ -17,6 +17,8 @@ from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     Along,
     AssumeWgs84,
     DemBand,
@@ -74,6 +76,8 @@ def overlap_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
@@ -90,7 +94,12 @@ def overlap_command(
     with mistakes_told(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
-        keep_inputs("--output", output, [scene, navigation, shots], (dem, vertical_datum))
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, navigation, shots], ground)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.io.scene import read_scene
@@ -103,9 +112,7 @@ def overlap_command(
                 images = _exposures(given, scene, navigation, moments, height_datum)
             else:
                 images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(
-                dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
-            )
+            terrain = read_terrain(*ground)
             rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:

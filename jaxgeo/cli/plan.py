@@ -14,6 +14,8 @@ from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     Along,
     AssumeWgs84,
     DemBand,
@@ -71,6 +73,8 @@ def plan_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -84,11 +88,16 @@ def plan_command(
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
         check_place("--output", output)
-        keep_inputs("--output", output, [scene, navigation], (dem, vertical_datum))
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, navigation], ground)
         period = _checked_wishes(timing, overlap, place)
         exposures = _plan(
             (scene, navigation),
-            (dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)),
+            ground,
             height_datum,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),

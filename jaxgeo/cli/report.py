@@ -76,6 +76,8 @@ def report_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     probability: Annotated[
         float,
         typer.Option(
@@ -139,7 +141,7 @@ def report_command(
         )
         pixels, exposures = pixel or [], exposure or []
         seen = (files or [], scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         asked = Asked(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)

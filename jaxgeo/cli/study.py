@@ -15,9 +15,19 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
-from jaxgeo.cli._options import AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata, VerticalDatum
+from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightUnit,
+    Nodata,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
+from jaxgeo.cli._words import reach_as_typed
 
 WIDE = 150  # characters of a line in a file
 
@@ -109,6 +119,8 @@ def gu2017_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     position_sigma: Annotated[float, typer.Option(help="How the position of a real image errs, m.")] = 50.0,
     attitude_sigma: Annotated[float, typer.Option(help="How its attitude errs, deg.")] = 0.5,
     as_json: AsJson = False,
@@ -125,17 +137,18 @@ def gu2017_command(
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
             reading.check_goes_with_dem()
-        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum))
+        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum, reading))
         _begin(output)
         from jaxgeo.studies import gu2017
 
         given = None
         if image is not None and reference is not None and scene is not None:
             terrain = read_terrain(dem or [], vertical_datum, reading)
-            given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma))
+            with reach_as_typed():
+                given = gu2017.read(image, reference, scene, terrain, (position_sigma, attitude_sigma), reading.reach)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
 

@@ -16,7 +16,9 @@ GDAL_ERRORS = (RasterioError, CPLE_BaseError, UnicodeDecodeError)
 # - PNG is decoded by libpng, row by row: GDAL's way for whole images does not look at the checksums, and gives what is
 #   in memory by chance where a damaged file has no pixels.
 # - What libjpeg only warns of, such as an image that ends before its time, is an error.
+# - No Python that a VRT holds is run.
 OPTIONS = {
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
     "GTIFF_REPORT_COMPD_CS": "YES",
     "GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO",
     "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxgeo.io._bounded import check_nesting_of_json, read_bytes
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
@@ -22,6 +23,7 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
     Raises `TableError` for a file that is none, is cut off, is too large or deep, or has a key twice in one table;
     `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
         content = read_bytes(path)
         check_nesting_of_json(path, content)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from jaxgeo.io._bounded import read_bytes
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # first bytes: encoding
@@ -17,6 +18,7 @@ def read_text(path: str | os.PathLike[str], what: str) -> str:
     Raises `TableError` in one line for a folder, a file that cannot be read, is empty, too long or no text;
     `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
         content = read_bytes(path)
     except FileNotFoundError:

@@ -1,18 +1,19 @@
 """Rasters of which GDAL reads more than is there: text grids with words that are no numbers, raw files cut short.
 
-GDAL takes the digits at the beginning of a word of a text grid for its value ("391.293.7" as 391.293, "3x3.6" as 3), and
-zero for the values that some raw files are too short for. Both would be heights.
+GDAL takes the digits at the beginning of a word of a text grid for its value ("391.293.7" as 391.293, "3x3.6" as 3),
+and zero for the values that some raw files are too short for. Both would be heights.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
-import rasterio
+from rasterio.io import DatasetReader
 
 TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
 # Bytes of the header of files that hold their values as they are, at least.
@@ -30,13 +31,14 @@ PART = 1 << 20  # bytes of a text that are looked at at a time
 SHOWN = 40  # characters of a word in a message
 
 
-def mistake_of(data: rasterio.DatasetReader) -> str:
-    """What is wrong with the values of an open file, as the end of a sentence; empty if nothing is, as far as is known."""
+def mistake_of(data: DatasetReader) -> str:
+    """What is wrong with the values of an open file, as the end of a sentence; empty if nothing is known to be."""
     path = data.name
     if not os.path.isfile(path):
         return ""
     if data.driver in TEXT_GRIDS:
-        return _of_text(path, data)
+        found = os.stat(path)
+        return _of_text(path, data.driver, data.shape, (found.st_mtime_ns, found.st_size))
     if data.driver in RAW or (data.driver == "netCDF" and _begins(path, CLASSIC)):
         needed = RAW.get(data.driver, 0) + data.width * data.height * sum(
             np.dtype(name).itemsize for name in data.dtypes
@@ -52,19 +54,20 @@ def _begins(path: str, mark: bytes) -> bool:
         return file.read(len(mark)) == mark
 
 
-def _of_text(path: str, data: rasterio.DatasetReader) -> str:
+@functools.lru_cache(maxsize=1024)
+def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, int]) -> str:
     """The first word of a text grid that should be a number and is none, or that there are not as many as posts."""
+    del stamp  # part of the key only: another time or size is another file
     count = 0
     with open(path, "rb") as file:
-        for part in _parts(file, data.driver):
+        for part in _parts(file, driver):
             if VALUES.fullmatch(part) is None:
                 words = part.split()
                 wrong = next((word for word in words if not ONE_VALUE.fullmatch(word)), words[-1])
                 return f"{wrong[:SHOWN].decode('ascii', 'backslashreplace')!r} in it is not a number"
             count += len(part.split())
-    posts = data.width * data.height
-    if data.driver == "AAIGrid" and count != posts:
-        return f"it holds {count} values, and its header says {data.height} x {data.width}"
+    if driver == "AAIGrid" and count != shape[0] * shape[1]:
+        return f"it holds {count} values, and its header says {shape[0]} x {shape[1]}"
     return ""
 
 

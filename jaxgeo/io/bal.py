@@ -15,6 +15,7 @@ from jaxgeo._destination import destination
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.io._bounded import unpacked
 from jaxgeo.io._quietly import heard
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 
@@ -106,6 +107,7 @@ def write_bal(path: str | os.PathLike[str], problem: BalProblem) -> None:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
+    check_regular(path, TableError)
     try:
         return unpacked(path).decode("ascii")
     except FileNotFoundError:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source
 from jaxgeo.io.tiles import OpenFiles, stamp_of
@@ -119,6 +120,7 @@ class Blocks:
 
     def _load(self, cache: pathlib.Path) -> None:
         """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
+        check_regular(cache, DemError)
         try:
             with np.load(cache) as held:
                 _check_size(held, "identity", 100 * HEADER)

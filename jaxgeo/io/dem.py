@@ -13,6 +13,7 @@ from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.heights import check_nodata_used, open_source
 from jaxgeo.io.paths import Paths
+from jaxgeo.io.reach import Reach
 from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.voids import Nodata
 from jaxgeo.io.windows import Bounds, Window, padded_shape
@@ -65,6 +66,8 @@ def read_dem(
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
     assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> Dem:
     """An elevation model on its file's own grid, with heights above the WGS 84 ellipsoid.
 
@@ -86,6 +89,8 @@ def read_dem(
       `void_ceiling`: as in `Dem.from_array`.
     - `dtype` of the posts in memory, float64 by default.
     - `assume_wgs84=True`: take the file's latitudes and longitudes as WGS 84's, where PROJ knows no transformation.
+    - `allow_remote=True`: read URLs and other names that only GDAL resolves (`/vsi...`), and files that name such, like
+      a WMS. `allow_outside=True`: read a VRT that takes values from files outside its own folder.
 
     The file's horizontal datum may be any that PROJ can bring to WGS 84, null transformations of the EPSG registry
     (ETRS89, NAD83) included; the report names the operation and its accuracy.
@@ -108,6 +113,8 @@ def read_dem(
         void_ceiling=void_ceiling,
         dtype=dtype,
         assume_wgs84=assume_wgs84,
+        allow_remote=allow_remote,
+        allow_outside=allow_outside,
     )[0]
 
 
@@ -122,6 +129,8 @@ def read_dem_and_report(
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
     assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> tuple[Dem, DemReport]:
     """`read_dem`, and a report of what it found and did."""
     require_x64()
@@ -133,6 +142,7 @@ def read_dem_and_report(
         height_unit=height_unit,
         assume_wgs84=assume_wgs84,
         bounds=bounds,
+        reach=Reach(allow_remote, allow_outside),
     )
     name, window = source.name, source.window
     turn = source.mosaic.first.cols_per_turn

@@ -26,6 +26,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._bounded import check_dotted_keys, check_nesting, read_bytes
 from jaxgeo.io._mistakes import explain
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
@@ -126,6 +127,7 @@ def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
 
 def _read_toml(path: pathlib.Path) -> dict[str, Any]:
     """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    check_regular(path, SceneError)
     try:
         text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
         check_dotted_keys(path, text)

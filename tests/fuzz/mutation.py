@@ -45,7 +45,7 @@ Change = Callable[[bytes, random.Random], bytes]
 
 
 def mutant(seeds: Sequence[bytes], seed: int, number: int, *, text: bool) -> bytes:
-    """The mutant of a seed and a number, of one of the sound files `seeds`: one to four changes, or two files joined."""
+    """The mutant of a seed and a number, of one of the sound files `seeds`: one to four changes, or two joined."""
     rng = random.Random(f"{seed} {number}")
     content = rng.choice(seeds)
     changes = (*BYTES, *TEXT, *TEXT) if text else BYTES

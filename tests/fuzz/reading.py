@@ -1,4 +1,4 @@
-"""Reading mutants of files: each must be refused in one line, or give what its bytes state, in little time and memory."""
+"""Reading mutants of files: each is refused in one line, or gives what its bytes state, in little time and memory."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Every reader on damaged, cut and strange files: a refusal in one line or what the bytes state; no traceback, no hang.
 
 A few mutants of each reader are read always. With `--slow` 20,000 over all readers: most of a fixed seed, the others of
-one that is new in each run. It stands in the head of pytest's output; JAXGEO_FUZZ_SEED repeats it. JAXGEO_FUZZ_MUTANTS is
-how many are read of each reader in place of 550: `JAXGEO_FUZZ_MUTANTS=5000 pytest --slow tests/fuzz`.
+one that is new in each run. It stands in the head of pytest's output; JAXGEO_FUZZ_SEED repeats it. JAXGEO_FUZZ_MUTANTS
+is how many are read of each reader in place of 550: `JAXGEO_FUZZ_MUTANTS=5000 pytest --slow tests/fuzz`.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.fuzz_seeds import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
 
 from jaxgeo.io import read_acquisition, read_bal, read_image_points, read_opensfm_cameras
 from jaxgeo.io._bounded import check_nesting, check_nesting_of_json, read_bytes
@@ -46,7 +47,6 @@ from jaxgeo.io.limits import (
 )
 from jaxgeo.io.scene import SceneError, read_camera
 from tests.support.drone_image_files import packet, write_image
-from tests.support.fuzz_seeds import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
 from tests.support.klv_packets import local_set
 
 CAMERA_TOML = "[camera]\nwidth = 40\nheight = 30\nfocal_length_mm = 8.8\npixel_pitch_um = 2.4\n"

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, NamedTuple
 from jaxgeo._text_numbers import number_in
 from jaxgeo.io._csv import Limits
 from jaxgeo.io._quietly import heard
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.acquisitions._tag_sizes import check_tag_sizes
 from jaxgeo.io.errors import ImageError, RefusedFile, TableError
 from jaxgeo.io.limits import NESTING
@@ -132,6 +133,7 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     name = os.fspath(path)
     if not os.path.exists(name):
         raise FileNotFoundError(f"{name}: there is no such image.")
+    check_regular(name, ImageError)
     cut = "the file is damaged or cut short"
     try:
         with heard("PIL", UserWarning) as told, open(name, "rb") as file:

@@ -21,6 +21,7 @@ from jaxgeo.io._dialect import header_of
 from jaxgeo.io._json import number_of, read_json, shown, value_of
 from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
 from jaxgeo.io._orientation_columns import KNOWN
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import (
     CHOICES,
@@ -201,7 +202,7 @@ def _of_csv(
         if not named.exists():
             raise TableError(f"{path}: which map x and y are in is not in the file, nor in {named.name} beside it; "
                              f"pass crs=.")  # fmt: skip
-        crs = named.read_text(encoding="utf-8-sig", errors="replace").strip()
+        crs = read_text(named, "file of a CRS").strip()
     only = next(iter(cameras.values())) if len(cameras) == 1 and "camera" not in words else cameras
     table = acquisition_of_orientations(path, cameras=only, height_datum=height_datum, crs=crs, camera=camera)
     return dataclasses.replace(table, form=FORM)
@@ -283,6 +284,7 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         import yaml
     except ImportError as error:
         raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
+    check_regular(path, TableError)
     try:
         text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
         depth = 0

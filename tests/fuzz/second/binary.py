@@ -34,7 +34,7 @@ def klv(*, checked: bool, undulation: float | None = None) -> Callable[[pathlib.
 
 
 def transport_stream(path: pathlib.Path, found: Any) -> None:
-    """Every exposure is a packet whose checksum is right: of the sound file, or in the payload of one of its programs."""
+    """Every exposure is a packet whose checksum is right: of the sound file, or in the payload of a program."""
     streams = [b"".join(STREAMED), *_payloads(path.read_bytes())]
     stated = [one for data in streams for one in _exposures(data, True, 0.0)]
     _each_is_stated(found, np.array(stated).reshape(-1, len(TELEMETRY)))
@@ -154,7 +154,7 @@ def sbet(path: pathlib.Path, found: Any) -> None:
 
 
 def smrmsg(path: pathlib.Path, found: Any) -> None:
-    """Records of 10 doubles: time, position north, east, down in m, three velocities, roll, pitch, heading in arc min."""
+    """Records of 10 doubles: time; north, east, down in m; three velocities; roll, pitch, heading in arc minutes."""
     records, times = doubles(path.read_bytes(), 10), np.asarray(found.shots.time)
     at = [np.interp(times, records[:, 0], column) for column in records.T]
     position, attitude = found.sources

@@ -1,4 +1,4 @@
-"""Second readings of JSON, YAML, TOML, XML and subtitles: by `json`, PyYAML, `tomllib`, lxml and a regular expression."""
+"""Second readings of JSON, YAML, TOML, XML and subtitles: by `json`, PyYAML, `tomllib`, lxml and a pattern."""
 
 from __future__ import annotations
 
@@ -137,7 +137,8 @@ def cameras_of_orthority(path: pathlib.Path, cameras: Mapping[str, Any]) -> None
         sensor = one.get("sensor_size")
         focal = focal * size / [_numeric(side) for side in sensor] if sensor is not None else focal * size[0]
         offset = [_numeric(one.get(key, 0.0)) for key in ("cx", "cy")]
-        lens = {f"{kind}{k}": _numeric(one.get(f"{kind}{k}", 0.0)) for kind, count in (("k", 6), ("p", 2)) for k in range(1, count + 1)}  # fmt: skip
+        names = [*(f"k{k}" for k in range(1, 7)), "p1", "p2"]
+        lens = {name: _numeric(one.get(name, 0.0)) for name in names}
         same_camera(camera, size, focal, (size - 1.0) / 2.0 + size.max() * np.array(offset), lens)
 
 

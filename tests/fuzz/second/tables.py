@@ -87,7 +87,8 @@ def tables(path: pathlib.Path) -> Iterator[Rows]:
 def _split(text: str, separator: str, quote: str) -> list[list[str]]:
     if separator == " ":
         text = "\n".join(line.strip().replace("\t", " ") for line in text.split("\n"))
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, quotechar=quote, skipinitialspace=separator == " ")  # fmt: skip
+    how = {"delimiter": separator, "quotechar": quote, "skipinitialspace": separator == " "}
+    reader = csv.reader(io.StringIO(text, newline=""), **how)
     try:
         return [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)]
     except csv.Error:
