@@ -25,9 +25,9 @@ OPTIONS = {
 }
 
 
-def options() -> rasterio.Env:
-    """The options, within a `with`: they hold for opening and for reading alike."""
-    return rasterio.Env(**OPTIONS)
+def options(**more: str) -> rasterio.Env:
+    """The options, and more, within a `with`: they hold for opening and for reading alike."""
+    return rasterio.Env(**OPTIONS, **more)
 
 
 @contextlib.contextmanager

@@ -50,8 +50,8 @@ def open_raster(
     """
     given = _checked(name, reach, error)
     chosen = ["VRT"] if _is_vrt(name, error) else None if reach.remote else list(drivers)
-    settings = SETTINGS | ({RAW_VALUES: "ALL"} if reach.outside else {})
-    with rasterio.Env(**settings), quietly(NotGeoreferencedWarning):
+    more = {RAW_VALUES: "ALL"} if reach.outside else {}
+    with options(**more), quietly(NotGeoreferencedWarning):
         try:
             data = DatasetReader(given, driver=chosen)
         except GDAL_ERRORS as reason:
