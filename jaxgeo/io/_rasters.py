@@ -65,7 +65,7 @@ def open_raster(
 
 def check_name(name: str, reach: Reach, error: type[ValueError]) -> None:
     """Raise `error` for the name of a place that only GDAL can reach, unless that is allowed; or of a pipe."""
-    if os.path.exists(name) and not is_remote(name):
+    if "\0" in name or (os.path.exists(name) and not is_remote(name)):
         check_regular(name, error)
         return
     if is_local(name) or reach.remote:

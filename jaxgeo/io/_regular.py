@@ -14,10 +14,15 @@ _KINDS = (
 
 
 def check_regular(path: str | os.PathLike[str], error: type[ValueError]) -> None:
-    """Raise `error` for a pipe, a socket or a device, also behind a link; what is not there is left to the reader."""
+    """Raise `error` for a pipe, a socket or a device, also behind a link, and for a name that no file can have.
+
+    What is not there is left to the reader.
+    """
+    if "\0" in os.fspath(path):
+        raise error(f"{os.fspath(path)}: no file can have this name, which has a zero byte in it.")
     try:
         mode = os.stat(path).st_mode
-    except (OSError, ValueError):  # ValueError: a name that no file can have
+    except (OSError, ValueError):
         return
     kind = next((name for is_kind, name in _KINDS if is_kind(mode)), None)
     if kind is not None:

@@ -95,7 +95,7 @@ def read_mutants(reader: Reader, folder: pathlib.Path, seed: int, numbers: Seque
 def _outcome(reader: Reader, path: pathlib.Path, found: Found) -> str:
     """What is wrong with the outcome; empty if nothing is."""
     try:
-        with _limits(), warnings.catch_warnings():
+        with limits(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             answer = reader.read(path)
     except reader.refusals as error:
@@ -130,7 +130,7 @@ def _outcome(reader: Reader, path: pathlib.Path, found: Found) -> str:
 
 
 @contextlib.contextmanager
-def _limits() -> Iterator[None]:
+def limits() -> Iterator[None]:
     """An alarm, and a bound on memory by which a larger allocation fails."""
     before = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (_told("VmData") + MOST_MEMORY, before[1]))
