@@ -239,11 +239,10 @@ def test_pipes_sockets_and_devices_are_refused_at_once(tmp_path: pathlib.Path, r
 GROUND = "--dem {dem} --dem-bounds=-84.3,36.3,-84.2,36.4"
 COMMANDS = (
     "inspect SPECIAL",
-    "inspect {scene} SPECIAL",
     "inspect {jpg} --positions SPECIAL",
     "inspect {sbet} --errors SPECIAL",
     "inspect {geojson} --interior SPECIAL",
-    "inspect {sbet} --camera SPECIAL.toml",
+    "inspect {table} --camera SPECIAL.toml",
     "locate SPECIAL --ground 300",
     "locate --scene SPECIAL --ground 300",
     "locate --scene {scene} --ground 300 --shots SPECIAL",
@@ -253,12 +252,12 @@ COMMANDS = (
     "footprint --scene SPECIAL " + GROUND,
     "footprint --scene {scene} --dem SPECIAL",
     "footprint --scene {scene} --shots SPECIAL " + GROUND,
-    "point --scene SPECIAL --target 36.3,-84.2",
+    "point --scene SPECIAL --target 36.3,-84.2 " + GROUND,
     "overlap --scene {scene} --navigation SPECIAL --times 0,1 " + GROUND,
     "overlap --scene {scene} --shots SPECIAL " + GROUND,
     "plan --scene {scene} --navigation SPECIAL --overlap 0.6 -o {out}.csv " + GROUND,
     "rectify SPECIAL --scene {scene} -o {out}.tif " + GROUND,
-    "rectify {dem} --like SPECIAL --scene {scene} -o {out}.tif " + GROUND,
+    "rectify {image} --like SPECIAL --scene {scene} -o {out}.tif " + GROUND,
     "register SPECIAL --reference {dem} --scene {scene} -o {out} --position-sigma 5 --attitude-sigma 1 " + GROUND,
     "register {dem} --reference SPECIAL --scene {scene} -o {out} --position-sigma 5 --attitude-sigma 1 " + GROUND,
     "study gu2017 --image SPECIAL --reference {dem} --scene {scene} " + GROUND,
@@ -274,6 +273,9 @@ def test_so_are_they_by_every_option_of_the_commands(tmp_path: pathlib.Path, com
     files |= {"jpg": _beside(tmp_path / "special", "a.jpg", b"\xff\xd8\xff\xe0")}
     files |= {"sbet": _beside(tmp_path / "special", "a.sbet", SBET)}
     files |= {"geojson": _beside(tmp_path / "special", "a.geojson", b'{"type": "FeatureCollection"}')}
+    header = b"name,lat_deg,lon_deg,height_m,heading_deg,pitch_deg,roll_deg\na.jpg,36.3,-84.2,900,0,0,0\n"
+    files |= {"table": _beside(tmp_path / "special", "a.csv", header)}
+    files |= {"image": write(tmp_path / "image.tif", np.ones((4800, 2400), np.uint8), compress="deflate")}
     line = command.format(**files).replace("SPECIAL", str(tmp_path / "special"))
     with within(60):
         done = CliRunner().invoke(app, shlex.split(line))
