@@ -50,7 +50,17 @@ from jaxgeo.cli._errors import (
 )
 from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
+from jaxgeo.cli._options import (
+    SURE,
+    WRITING,
+    AllowOutside,
+    AllowRemote,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightUnit,
+    Nodata,
+)
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, working

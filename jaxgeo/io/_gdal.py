@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 
 import rasterio
-from rasterio._err import CPLE_BaseError
+from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
 from rasterio.errors import RasterioError
 
 # rasterio turns most of GDAL's errors into its own, but not all; it decodes GDAL's messages and the names in a file as
@@ -36,6 +36,12 @@ def refused_as(error: type[ValueError], name: str, what: str) -> Iterator[None]:
     try:
         with options():
             yield
+    except MemoryError as reason:
+        raise error(
+            f"{name}: {what} cannot be read: that takes more memory than there is. Read a part of it, or fewer bands."
+        ) from reason
     except GDAL_ERRORS as reason:
         cause = reason.__cause__ or reason
+        if isinstance(cause, CPLE_OutOfMemoryError):
+            raise error(f"{name}: {what} cannot be read: GDAL needs more memory for it than there is.") from reason
         raise error(f"{name}: {what} cannot be read; the file is damaged or cut short: {cause}") from reason

@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import os
 
+import numpy as np
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
 from jaxgeo.io._beside import check_beside, check_overviews_named, head_of
 from jaxgeo.io._gdal import GDAL_ERRORS, options
+from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._quietly import quietly
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._vrt_names import check_vrt, check_vrt_text
@@ -137,6 +139,7 @@ def _check_opened(name: str, data: DatasetReader, reach: Reach, error: type[Valu
     if mistake:
         raise error(f"{name}: the file is damaged or cut short: {mistake}.")
     check_overviews_named(name, data.tags(ns="OVERVIEWS").get("OVERVIEW_FILE"), error)
+    _check_blocks(name, data, error)
     if reach.outside or data.driver == "VRT":
         return
     folder = os.path.dirname(os.path.abspath(file_in(name) or name))
@@ -144,6 +147,19 @@ def _check_opened(name: str, data: DatasetReader, reach: Reach, error: type[Valu
         plain = os.path.abspath(file)
         if is_local(file) and not plain.startswith(folder.rstrip(os.sep) + os.sep) and not is_beside(file, folder):
             raise error(f"{name}: a part of it is {file}, which lies outside its folder. {ALLOW_OUTSIDE}.")
+
+
+def _check_blocks(name: str, data: DatasetReader, error: type[ValueError]) -> None:
+    """Raise `error` where one block of the file, of which GDAL reads all for any part of it, is too large."""
+    together = data.count if data.interleaving is not None and data.interleaving.name == "pixel" else 1
+    for (rows, cols), dtype in zip(data.block_shapes, data.dtypes, strict=True):
+        size = together * rows * cols * (16 if dtype.startswith("complex") else np.dtype(dtype).itemsize)
+        check_fits(
+            size,
+            error,
+            f"{name}: it is stored in blocks of {rows:,} x {cols:,} values, which each",
+            "Write it in smaller ones (gdal_translate -co TILED=YES).",
+        )
 
 
 def _why(name: str, reach: Reach, error: type[ValueError], what: str) -> str:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._checks import require_x64
+from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._proj import DATA
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
-from jaxgeo.io.heights import check_nodata_used, open_source
+from jaxgeo.io.heights import Source, check_nodata_used, open_source
 from jaxgeo.io.paths import Paths
 from jaxgeo.io.reach import Reach
 from jaxgeo.io.vertical import VerticalDatum
@@ -19,6 +20,8 @@ from jaxgeo.io.voids import Nodata
 from jaxgeo.io.windows import Bounds, Window, padded_shape
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
+
+BESIDE_HEIGHTS = 5  # bytes a post: which are void, and bounds of the ground; measured, see the tests
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,6 +154,7 @@ def read_dem_and_report(
             f"{name}: its columns go all round the Earth, and rays that cross the seam where its ends meet would find "
             f"no ground, or the wrong one. Read a part, which may lie across it, with bounds=(170, -60, -170, 60)."
         )
+    _check_fits(source, np.dtype(dtype))
     heights, void = source.heights(Window(0, 0, *window.shape), np.dtype(dtype))
     if void.all():
         raise DemError(
@@ -180,6 +184,18 @@ def read_dem_and_report(
     )
     size = window.shape if bounds is None else padded_shape(window.shape)
     return build_dem(name, heights, void, grid, void_ceiling, size), report
+
+
+def _check_fits(source: Source, dtype: np.dtype) -> None:
+    """Raises `DemError` where the posts of a source do not fit into memory: as stored, as heights, and their bounds."""
+    rows, cols = source.window.shape
+    stored = max(tile.dtype.itemsize for tile in source.mosaic.tiles)
+    check_fits(
+        rows * cols * (stored + 2 * dtype.itemsize + BESIDE_HEIGHTS),
+        DemError,
+        f"{source.name}: too large: {rows:,} x {cols:,} posts",
+        "Read a part of it with bounds=(west, south, east, north) in deg, or cut one out (gdal_translate -projwin).",
+    )
 
 
 def example_dem() -> Dem:

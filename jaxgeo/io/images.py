@@ -13,12 +13,14 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from jaxgeo.io._gdal import refused_as
+from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import ImageError
 from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.sensor.camera import AbstractCamera
 
 Bands = int | Sequence[int] | Any | None
+BESIDE_VALUES = 3  # bytes a pixel: whether it is known, by a mask and by its values
 CLOSE = 0.005  # by which the ratios of sides may differ where an image is the camera's at another size
 
 
@@ -103,6 +105,7 @@ def read_bands(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
     part = _part(window) if window else "it"
+    _check_fits(name, data, bands, window)
     with refused_as(ImageError, name, part):
         values = data.read(list(bands), window=window)
         known = _known(data, window)
@@ -118,6 +121,20 @@ def read_bands(
             f"image all the same, correct the nodata value of the file (gdal_edit -unsetnodata)."
         )
     return values, known
+
+
+def _check_fits(name: str, data: DatasetReader, bands: Sequence[int], window: Window | None) -> None:
+    """Raises `ImageError` where the values and where they are known do not fit into memory."""
+    rows, cols = data.shape if window is None else (window.height, window.width)
+    each = np.dtype(data.dtypes[bands[0] - 1])
+    beside = BESIDE_VALUES + (len(bands) if each.kind == "f" else 0)
+    check_fits(
+        rows * cols * (len(bands) * each.itemsize + beside),
+        ImageError,
+        f"{name}: too large: {rows:,} x {cols:,} pixels of {len(bands)} bands",
+        "Choose fewer bands with bands=; of an orthoimage, a part with bounds=, or cut one out (gdal_translate "
+        "-projwin).",
+    )
 
 
 def _part(window: Window) -> str:

@@ -128,7 +128,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     raise TableError(f"{path}: unrecognised file type. Supported: {kinds}.")
 
 
-def _of_scene(path: pathlib.Path) -> Acquisition:
+def _of_scene(path: str | os.PathLike[str]) -> Acquisition:
     """A scene with a pose as one exposure."""
     scene = read_scene(path)
     if scene.shot is None:
