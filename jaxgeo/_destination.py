@@ -97,7 +97,7 @@ def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
 
 @contextlib.contextmanager
 def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None = None) -> Iterator[None]:
-    """Failures of the system as `DestinationError`; `only` those of some numbers, and that name no file of their own."""
+    """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
     try:
         yield
     except OSError as error:
