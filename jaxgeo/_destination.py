@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import pathlib
 import secrets
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from typing import Any
 
 SCREEN = pathlib.Path("-")
+# What the system says where bytes cannot be written: no room, too large a file, a quota, a fault of the device.
+DEVICE_FAILURES = frozenset({errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
 
 class DestinationError(ValueError):
@@ -27,7 +30,7 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
     if output is None or output == SCREEN:
         yield sys.stdout.buffer if binary else sys.stdout
     elif is_device(output):
-        with _opened(option, output, output, binary) as stream:
+        with _failure_told(option, output, only=DEVICE_FAILURES), _opened(option, output, output, binary) as stream:
             yield stream
     else:
         check_place(option, output)
@@ -35,11 +38,12 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
         partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
         stream = _opened(option, output, partial, binary)
         try:
-            with stream:
-                yield stream
-            if target.exists():
-                shutil.copymode(target, partial)
-            partial.replace(target)
+            with _failure_told(option, output, only=DEVICE_FAILURES):
+                with stream:
+                    yield stream
+                if target.exists():
+                    shutil.copymode(target, partial)
+                partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
 
@@ -92,10 +96,13 @@ def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
 
 
 @contextlib.contextmanager
-def _failure_told(option: str, output: pathlib.Path) -> Iterator[None]:
+def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None = None) -> Iterator[None]:
+    """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
     try:
         yield
     except OSError as error:
+        if only is not None and (error.errno not in only or error.filename is not None):
+            raise
         raise DestinationError(
             f"{option} {output}: it cannot be written: {error.strerror}; name another file."
         ) from error

@@ -8,6 +8,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
+from jaxgeo.io._cells import plain_cell
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.limits import COLUMNS, COMMENT_LINES
 
@@ -22,7 +23,7 @@ class Layout:
     """The header and the rows of a table as written, the line that each row ends in, and the comments above.
 
     `separator` stands between the columns of rows (a space for any white space); decimals are written with points in
-    `cells`, whatever the file has.
+    `cells`, whatever the file has, and texts are without the apostrophe of `safe_cell`.
     """
 
     header: list[str]
@@ -51,8 +52,10 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
     first += start
     body = list(_without_comments(path, lines[first:], first, separator, len(header), white))
     found = list(_rows(path, body, first, separator, white))
-    cells = [row for _, row in found]
-    return Layout(header, [line for line, _ in found], with_points(cells, separator), comments, separator)
+    cells = with_points([row for _, row in found], separator)
+    if separator != WHITE and "'" in text:
+        header, cells = [plain_cell(name) for name in header], [[plain_cell(cell) for cell in row] for row in cells]
+    return Layout(header, [line for line, _ in found], cells, comments, separator)
 
 
 def header_of(text: str, known: Collection[str] = ()) -> list[str]:

@@ -15,6 +15,7 @@ from rasterio.errors import RasterioError
 
 from jaxgeo._checks import check_is
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._read_back import WrittenWindows
 from jaxgeo.io.map_raster import MapRaster, checked_target, map_of, raster_of
 from jaxgeo.io.windows import Bounds
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
@@ -86,17 +87,20 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
     partial = target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
     optimised = partial.with_suffix(".cog.partial")
     percent = f"{100.0 * found.probability:g}"
+    written = WrittenWindows((rows, cols))
+    written.add(0, 0, bands, None)
     try:
         with rasterio.open(partial, "w", **profile) as sink:
             sink.write(bands)
             sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
             sink.units = ("m", "m", "", "")
             sink.update_tags(**_tags(found))
+        whole = optimised if cog else partial
         if cog:
             rasterio.shutil.copy(partial, optimised, driver="COG", **COG)
-            optimised.replace(target)
-        else:
-            partial.replace(target)
+        if mistake := written.mistake(whole):
+            raise OSError(mistake)
+        whole.replace(target)
     except (OSError, RasterioError) as error:
         raise OSError(f"{target}: the map cannot be written here: {error}") from error
     finally:

@@ -14,6 +14,7 @@ import pyproj
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo.io._cells import safe_cell
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io._orientation_columns import GRID_COLUMNS, SIGMA_COLUMNS
@@ -76,7 +77,7 @@ def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, 
     with destination("orientations", target) as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+        writer.writerows(map(safe_cell, row) for row in zip(*columns.values(), strict=True))
 
 
 @eqx.filter_jit

@@ -318,7 +318,7 @@ def test_items_of_a_packet_are_counted() -> None:
 @pytest.mark.parametrize("claimed", [0, 100, 5_000, 2**31, 2**60])
 @pytest.mark.parametrize("apart", [24, 200, 3000])
 def test_false_lengths_take_time_in_proportion_to_the_file(claimed: int, apart: int) -> None:
-    """20 MB of keys whose lengths are false; twice as many bytes take about twice as long, not four times."""
+    """Four times as many bytes take about four times as long, not sixteen times."""
     key = local_set({})[:16]
     part = key + b"\x88" + claimed.to_bytes(8, "big")
     part += bytes(max(apart - len(part), 0))
@@ -329,9 +329,8 @@ def test_false_lengths_take_time_in_proportion_to_the_file(claimed: int, apart: 
         assert sum(1 for _ in packets(data)) > 0
         return time.perf_counter() - start
 
-    once, twice = seconds(5_000_000), seconds(20_000_000)
-    assert twice < 10.0 * max(once, 0.02)
-    assert twice < 20.0
+    once, more = seconds(100_000), seconds(400_000)
+    assert more < 10.0 * max(once, 0.1)
 
 
 # Tags of images

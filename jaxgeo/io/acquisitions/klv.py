@@ -121,6 +121,8 @@ def _packet(data: bytes, offset: int) -> Packet:
     if _reaches_over(data, start, end):
         return Packet(offset, end - offset, (), f"its length of {length} bytes reaches over the packets behind it")
     damage = _wrong_checksum(data[offset:end])
+    if damage and data.find(UAS_LOCAL_SET, start, end) >= 0:  # its length is false: the same bytes are looked into once
+        return Packet(offset, end - offset, (), damage)
     try:
         return Packet(offset, end - offset, items(data[start:end]), damage)
     except _Unreadable as error:
