@@ -8,12 +8,12 @@ from collections.abc import Iterable
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
 from jaxgeo.cli._options import (
     AllowOutside,

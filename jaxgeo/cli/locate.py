@@ -8,7 +8,6 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
@@ -41,6 +40,7 @@ from jaxgeo.cli._asked import (
 )
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import (
     AttitudeSigma,
     DemCorrelation,

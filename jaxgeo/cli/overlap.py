@@ -9,12 +9,12 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
 from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
 from jaxgeo.cli._options import (
     AllowOutside,

@@ -6,10 +6,10 @@ import pathlib
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, said_datum, shot_of
 from jaxgeo.cli._options import (
     AllowOutside,

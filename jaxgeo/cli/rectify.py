@@ -9,10 +9,10 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo.cli._common import Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import (
     AllowOutside,

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
 from jaxgeo.cli._options import (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import pathlib
 import re
@@ -67,6 +69,14 @@ def test_a_title_of_a_scene_is_text(tmp_path: pathlib.Path, title: str) -> None:
     assert not harmful(result.output), result.output
 
 
+def test_names_in_json_are_those_of_the_file(tmp_path: pathlib.Path) -> None:
+    result = CliRunner().invoke(app, ["inspect", str(hostile(tmp_path)), "--height-datum", "ellipsoid", "--json"])
+    assert result.exit_code == 0, result.output
+    assert not harmful(result.stdout), result.stdout
+    written = json.dumps(json.loads(result.stdout))
+    assert all(json.dumps(name)[1:-1] in written for name in NAMES)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".geojson", ".kml"])
 def test_no_name_breaks_out_of_a_file_that_is_written(tmp_path: pathlib.Path, ending: str) -> None:
@@ -86,5 +96,5 @@ def test_no_name_breaks_out_of_a_file_that_is_written(tmp_path: pathlib.Path, en
     elif ending == ".geojson":
         assert len(json.loads(text)["features"]) == len(NAMES)
     else:
-        assert not re.search(r"(^|,)[=+@]", text, re.MULTILINE)
-        assert "\x1b" not in text
+        assert not re.search(r"(^|,)\"?[=+@]", text, re.MULTILINE)
+        assert len(list(csv.DictReader(io.StringIO(text, newline="")))) == len(NAMES)
