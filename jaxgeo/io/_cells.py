@@ -16,19 +16,27 @@ from jaxgeo._text_numbers import number_in
 _RUN = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
+class Rows:
+    """Where a writer of `csv` with the line end "\\r\\n" writes rows that end in "\\n" alone.
+
+    With "\\n" as its line end, `csv` puts no quotes around a carriage return, which then ends the row.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, row: str) -> int:
+        return self._stream.write(row.removesuffix("\r\n") + "\n")
+
+
 def safe_cell(value: Any) -> Any:
     """A value as it is written: a text that a spreadsheet would run has an apostrophe in front.
-
-    A carriage return is written as a line break: Python's `csv` puts no quotes around it, and it would end the row.
 
     >>> from jaxgeo.io._cells import safe_cell
     >>> print(safe_cell("=1+1"), safe_cell("-1.5"), safe_cell("'=x"), safe_cell("a=b"), safe_cell(-1.5))
     '=1+1 -1.5 ''=x a=b -1.5
     """
-    if not isinstance(value, str):
-        return value
-    value = value.replace("\r\n", "\n").replace("\r", "\n")
-    if not _RUN.match(value) or number_in(value.replace(",", ".")) is not None:
+    if not isinstance(value, str) or not _RUN.match(value) or number_in(value.replace(",", ".")) is not None:
         return value
     return f"'{value}"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
-from jaxgeo.io._cells import safe_cell
+from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
 from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -133,7 +133,7 @@ def write_csv(rows: Iterable[Row], stream: TextIO) -> None:
     writer = None
     for row in rows:
         if writer is None:
-            writer = csv.DictWriter(stream, list(row), lineterminator="\n")
+            writer = csv.DictWriter(Rows(stream), list(row), lineterminator="\r\n")
             writer.writerow({name: safe_cell(name) for name in row})
         writer.writerow({name: safe_cell(_text(value, FIX_COLUMNS.get(name))) for name, value in row.items()})
 
