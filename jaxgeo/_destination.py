@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import pathlib
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from typing import Any
 
 from jaxgeo._partial import partial_file
 
 SCREEN = pathlib.Path("-")
+# What the system says where bytes cannot be written: no room, too large a file, a quota, a fault of the device.
+DEVICE_FAILURES = frozenset({errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
 
 class DestinationError(ValueError):
@@ -28,17 +31,19 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
     if output is None or output == SCREEN:
         yield sys.stdout.buffer if binary else sys.stdout
     elif is_device(output):
-        with _opened(option, output, output, binary) as stream:
+        with _failure_told(option, output, only=DEVICE_FAILURES), _opened(option, output, output, binary) as stream:
             yield stream
     else:
         check_place(option, output)
         target = output.resolve()  # a link stays a link
         with partial_file(target) as partial:
-            with _opened(option, output, partial, binary) as stream:
-                yield stream
-            if target.exists():
-                shutil.copymode(target, partial)
-            partial.replace(target)
+            stream = _opened(option, output, partial, binary)
+            with _failure_told(option, output, only=DEVICE_FAILURES):
+                with stream:
+                    yield stream
+                if target.exists():
+                    shutil.copymode(target, partial)
+                partial.replace(target)
 
 
 def is_device(output: pathlib.Path) -> bool:
@@ -89,10 +94,13 @@ def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
 
 
 @contextlib.contextmanager
-def _failure_told(option: str, output: pathlib.Path) -> Iterator[None]:
+def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None = None) -> Iterator[None]:
+    """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
     try:
         yield
     except OSError as error:
+        if only is not None and (error.errno not in only or error.filename is not None):
+            raise
         raise DestinationError(
             f"{option} {output}: it cannot be written: {error.strerror}; name another file."
         ) from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import pathlib
+import secrets
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -35,6 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    os.environ.setdefault("JAXGEO_FUZZ_SEED", str(secrets.randbelow(10**6) + 2))  # workers take it from here
     if "XLA_FLAGS" in os.environ:
         return
     os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE
@@ -49,6 +51,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.skip(reason="slow: runs with --slow"))
+
+
+def pytest_report_header() -> str:
+    return f"mutants of files: JAXGEO_FUZZ_SEED={os.environ['JAXGEO_FUZZ_SEED']}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """How many mutants of files were read in all, and how it went."""
+    reports = [one for kind in ("passed", "failed") for one in terminalreporter.stats.get(kind, [])]
+    told = [found for one in reports for name, found in getattr(one, "user_properties", ()) if name == "mutants"]
+    if told:
+        refused, answered, wrong = (sum(column) for column in list(zip(*told, strict=True))[:3])
+        slowest, grown = (max(column) for column in list(zip(*told, strict=True))[3:])
+        terminalreporter.write_line(
+            f"{refused + answered} mutants of files: {refused} refused, {answered} answers, {wrong} wrong; slowest "
+            f"{slowest:.2f} s, memory + {grown / 1e6:.0f} MB; JAXGEO_FUZZ_SEED={os.environ['JAXGEO_FUZZ_SEED']}"
+        )
 
 
 @pytest.fixture(scope="session")

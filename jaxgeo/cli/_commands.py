@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
+from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER
 from jaxgeo.cli._screen import tell
 
 MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, wherever typer has it from
+WORDS = {"nodata": ("nan",)}  # that stand for numbers, by the option
 KINDS = {"integer": "a whole number", "float": "a number", "number": "a number"}  # as typer says, and as we do
 
 
 class Commands(TyperGroup):
     """Commands whose mistakes of use are told as all others are, in one line and with exit code 2."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """As that of Typer, numbers of the command being read as those of files are."""
+        command = super().get_command(ctx, cmd_name)
+        for param in getattr(command, "params", ()):
+            if "process_value" not in vars(param):
+                param.process_value = functools.partial(_strict, param, param.process_value)
+        return command
 
     def main(
         self,
@@ -52,6 +63,26 @@ class Commands(TyperGroup):
         if code == INTERRUPTED:
             tell("interrupted")
         sys.exit(code if isinstance(code, int) else DONE)
+
+
+def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any) -> Any:
+    """A value of the command line as Typer converts it; numbers must be written as those in files (`number_in`)."""
+    found = convert(ctx, value)
+    typed, numbers = (one if isinstance(one, list | tuple) else [one] for one in (value, found))
+    for text, number in zip(typed, numbers, strict=False):
+        is_number = isinstance(number, int | float) and not isinstance(number, bool)
+        if is_number and isinstance(text, str) and not _is_written_so(param, text, number):
+            kind = "float" if isinstance(number, float) else "integer"
+            is_long = kind == "integer" and abs(number) >= 2**63
+            wrong = f"{text[:60]} is beyond 64 bits." if is_long else f"{text!r} is not a valid {kind}."
+            raise typer.BadParameter(wrong, ctx=ctx, param=param)
+    return found
+
+
+def _is_written_so(param: Any, text: str, number: float) -> bool:
+    if text.strip().lower() in WORDS.get(param.name, ()):
+        return True
+    return (number_in(text) if isinstance(number, float) else whole_in(text)) == number
 
 
 def in_a_line(error: Any) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
+from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._screen import working
 from jaxgeo.cli._words import dem_words_as_typed
@@ -20,10 +22,20 @@ class DemReading(NamedTuple):
     band: int | None = None
     bounds: str | None = None
     assume_wgs84: bool | None = None
+    allow_remote: bool | None = None
+    allow_outside: bool | None = None
+
+    @property
+    def reach(self) -> Any:
+        """What the reading of rasters may touch."""
+        from jaxgeo.io.reach import Reach
+
+        return Reach(bool(self.allow_remote), bool(self.allow_outside))
 
     def check_goes_with_dem(self) -> None:
         """Raises `UserError` where one is given; to be called where no --dem is."""
-        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84")
+        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84", "--allow-remote",
+                   "--allow-outside")  # fmt: skip
         given = [name for name, value in zip(options, self, strict=True) if value is not None]
         if given:
             raise UserError(f"{given[0]} goes with --dem FILE.")
@@ -45,6 +57,8 @@ def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReadi
             band=1 if reading.band is None else reading.band,
             bounds=edges,
             assume_wgs84=bool(reading.assume_wgs84),
+            allow_remote=bool(reading.allow_remote),
+            allow_outside=bool(reading.allow_outside),
         )
 
 
@@ -52,8 +66,7 @@ def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemRead
     """All files that make up the elevation model: tiles, what a VRT is put together from, a geoid's grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
-    del reading
-    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile)]
+    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile, reading.reach)]
     return tiles if vertical_datum is None else [*tiles, vertical_datum]
 
 
@@ -61,9 +74,10 @@ def keep_inputs(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],
-    ground: tuple[list[str], str | None] = ([], None),
+    ground: tuple[list[str], str | None, DemReading] = ([], None, DemReading()),
 ) -> None:
-    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files and datum."""
+    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files, datum and
+    how they are read."""
     if output is not None:
         tiles = terrain_files(*ground) if ground[0] else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
@@ -84,18 +98,18 @@ def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str 
 
 def datum(text: str | None) -> str | float | None:
     """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
-    try:
-        return None if text is None else float(text) if not text.isdigit() else int(text)
-    except ValueError:
+    if text is None:
+        return None
+    whole, number = whole_in(text), number_in(text)
+    if number is None:
         return text
+    return whole if whole is not None and text.isdigit() else number
 
 
 def said_datum(text: str) -> str | float:
     """A datum as scene files have it, from the command line: a number is an undulation in m."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    number = number_in(text)
+    return text if number is None else number
 
 
 def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
@@ -170,11 +184,8 @@ def single(batch: Any) -> Iterator[Any]:
 
 def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
     """Numbers with commas between; raises `UserError` for other text, and unless there are as many as one of counts."""
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) not in counts:
+    found = number_list(text.split(","))
+    if found is None or len(found) not in counts:
         raise UserError(f"{option} {text!r}: expected {form}.")
     return found
 

@@ -57,6 +57,22 @@ AssumeWgs84 = Annotated[
         "--assume-wgs84", help="Take latitudes and longitudes of --dem as those of WGS 84.", rich_help_panel=OF_DEM
     ),
 ]
+AllowRemote = Annotated[
+    bool | None,
+    typer.Option(
+        "--allow-remote",
+        help="Let rasters be, or take values from, URLs and other places that only GDAL resolves (/vsi..., a WMS).",
+        rich_help_panel=OF_DEM,
+    ),
+]
+AllowOutside = Annotated[
+    bool | None,
+    typer.Option(
+        "--allow-outside",
+        help="Let rasters (a VRT) take values from files outside their own folder.",
+        rich_help_panel=OF_DEM,
+    ),
+]
 VerticalDatum = Annotated[
     str | None,
     typer.Option(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import pathlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._asked import Asked, check_asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors
@@ -225,11 +225,8 @@ def _terrain(asked: Asked, views: Views) -> list[tuple[Any, bool]]:
         heights = [np.nan if seen.centre_heights is None else seen.centre_heights for seen in views.seen]
         pairs = zip(views.seen, heights, strict=True)
         return [(ConstantHeight(np.broadcast_to(height, len(seen.uv))), True) for seen, height in pairs]
-    try:
-        height = float(asked.ground)
-    except ValueError:
-        height = math.nan
-    if not math.isfinite(height):
+    height = number_in(asked.ground)
+    if height is None:
         raise UserError(f"--ground {asked.ground!r}: expected a height in m, or {REPORTED!r}.")
     if asked.vertical_datum is None:
         return [(ConstantHeight(np.asarray(height)), False)] * len(views.seen)
@@ -271,4 +268,4 @@ def _reads(asked: Asked) -> list[Any]:
     files += [camera] if camera is not None and str(camera).lower().endswith(".toml") else []
     for folder in [one for one in files if pathlib.Path(one).is_dir()]:
         files += sorted(pathlib.Path(folder).iterdir())
-    return [*files, *(terrain_files(asked.dem, asked.vertical_datum) if asked.dem else [])]
+    return [*files, *(terrain_files(asked.dem, asked.vertical_datum, asked.reading) if asked.dem else [])]

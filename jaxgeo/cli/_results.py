@@ -12,6 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxgeo.cli._console import as_json
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print the whole result as one JSON object, and nothing else.")]
 NOT_ASKED = {"as_json", "debug"}  # how it is said, not what is asked
 
@@ -28,7 +30,7 @@ def print_json(command: str, content: Mapping[str, Any]) -> None:
 
     whole = {"command": command, "jaxgeo": version(), "inputs": {}, "assumed": []}
     whole |= {**content, "versions": content.get("versions", versions())}
-    typer.echo(json.dumps(plain(whole), indent=1, ensure_ascii=False, allow_nan=False))
+    typer.echo(as_json(json.dumps(plain(whole), indent=1, ensure_ascii=False, allow_nan=False)))
 
 
 def version() -> str:

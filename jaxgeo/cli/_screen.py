@@ -8,9 +8,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 from rich import box
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from jaxgeo.cli._console import Console
 
 Item = TypeVar("Item")
 

@@ -78,8 +78,10 @@ _OF_DEM = {
 _DEM_LIST = re.compile(r"\bnodata=\[([^\]]*)\]")
 _DEM_TUPLE = re.compile(r"\bbounds=\(([-\d., ]*)\)")
 _DEM_OPTION = re.compile(rf"\b({'|'.join(_OF_DEM)})=(\.\.\.)?\s?")
+REACH = (("allow_remote=True", "--allow-remote"), ("allow_outside=True", "--allow-outside"))
 _DEM_WORDS = (
     ("assume_wgs84=True", "--assume-wgs84"),
+    *REACH,
     (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
     ("as vertical_datum", "with --vertical-datum"),
     ("Leave vertical_datum out", "Leave --vertical-datum out"),
@@ -107,6 +109,20 @@ def dem_words_as_typed() -> Iterator[None]:
         yield
     except (ValueError, ImportError) as error:
         raise UserError(dem_as_typed(str(error))) from error
+
+
+@contextlib.contextmanager
+def reach_as_typed() -> Iterator[None]:
+    """What refuses an image that reaches too far, with the options of the command line in place of Python's."""
+    try:
+        yield
+    except ValueError as error:
+        text = str(error)
+        if not is_refusal(error) or not any(word in text for word, _ in REACH):
+            raise
+        for word, option in REACH:
+            text = text.replace(word, option)
+        raise UserError(text) from error
 
 
 @contextlib.contextmanager

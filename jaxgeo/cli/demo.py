@@ -6,11 +6,11 @@ import pathlib
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import keep_inputs
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import fix_table, print_counts, tell, working

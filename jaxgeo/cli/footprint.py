@@ -8,13 +8,16 @@ from collections.abc import Iterable
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import check_place
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     AssumeWgs84,
     DemBand,
     DemBounds,
@@ -56,6 +59,8 @@ def footprint_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     output: Annotated[
         pathlib.Path | None,
@@ -82,8 +87,12 @@ def footprint_command(
             raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
         if height_datum is not None and shots is None:
             raise UserError(f"--height-datum {height_datum} is that of the heights of --shots FILE; leave it out.")
-        keep_inputs("--output", output, [scene, shots], (dem, vertical_datum))
-        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, shots], ground)
         rows, outlines = _footprint(scene, ground, shots, height_datum, output, (crs, tolerance, edges))
         _show(rows, outlines, inputs if as_json else None)
 
@@ -187,7 +196,6 @@ def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
 
 
 def _numbers_or_texts(cells: list[str]) -> list[Any]:
-    try:
-        return [float(cell) if cell.strip() else None for cell in cells]
-    except ValueError:
-        return list(cells)
+    numbers = [number_in(cell) for cell in cells]
+    is_text = any(cell.strip() and number is None for cell, number in zip(cells, numbers, strict=True))
+    return list(cells) if is_text else numbers

@@ -8,7 +8,6 @@ import pathlib
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 from jaxgeo._destination import check_place, destination
@@ -29,6 +28,7 @@ from jaxgeo.cli._acquisitions import (
     how_to_read,
 )
 from jaxgeo.cli._common import FAULT, Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposure_rows import middles_of, rows_of, tags_of
 from jaxgeo.cli._file_views import read_files, tell_unread
 from jaxgeo.cli._inputs import keep_inputs

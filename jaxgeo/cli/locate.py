@@ -9,7 +9,6 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import check_place, destination, is_device
 from jaxgeo.cli._acquisitions import (
@@ -42,6 +41,7 @@ from jaxgeo.cli._asked import (
 )
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import (
     AttitudeSigma,
     DemCorrelation,
@@ -54,7 +54,17 @@ from jaxgeo.cli._errors import (
 )
 from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
+from jaxgeo.cli._options import (
+    SURE,
+    WRITING,
+    AllowOutside,
+    AllowRemote,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightUnit,
+    Nodata,
+)
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
@@ -88,6 +98,8 @@ def locate_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -194,7 +206,7 @@ def locate_command(
             refraction,
             how,
             sigmas,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84),
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
         )
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")

@@ -9,13 +9,16 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo._destination import destination, is_device
+from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     Along,
     AssumeWgs84,
     DemBand,
@@ -73,6 +76,8 @@ def overlap_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
@@ -89,7 +94,12 @@ def overlap_command(
     with mistakes_told(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
-        keep_inputs("--output", output, [scene, navigation, shots], (dem, vertical_datum))
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, navigation, shots], ground)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.io.scene import read_scene
@@ -102,9 +112,7 @@ def overlap_command(
                 images = _exposures(given, scene, navigation, moments, height_datum)
             else:
                 images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(
-                dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
-            )
+            terrain = read_terrain(*ground)
             rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:
@@ -130,10 +138,9 @@ def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
         raise UserError("give either --navigation FILE with --times T1,T2[,...], or --shots FILE.")
     if times is None:
         return []
-    try:
-        found = [float(part) for part in times.split(",")]
-    except ValueError:
-        raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.") from None
+    found = numbers_in(times.split(","))
+    if found is None:
+        raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.")
     if len(found) < 2:
         raise UserError(f"--times {times}: fewer than two exposures have no overlap; give two times or more.")
     for before, after in itertools.pairwise(found):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pathlib
 from enum import StrEnum
 from typing import Annotated, Any
@@ -10,10 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo._destination import check_place
+from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     Along,
     AssumeWgs84,
     DemBand,
@@ -71,6 +73,8 @@ def plan_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -84,11 +88,16 @@ def plan_command(
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
         check_place("--output", output)
-        keep_inputs("--output", output, [scene, navigation], (dem, vertical_datum))
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        keep_inputs("--output", output, [scene, navigation], ground)
         period = _checked_wishes(timing, overlap, place)
         exposures = _plan(
             (scene, navigation),
-            (dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)),
+            ground,
             height_datum,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
@@ -117,11 +126,8 @@ def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> 
 def _period(timing: str, number: str, overlap: float | None) -> float:
     if overlap is not None:
         raise UserError(f"--overlap is what --timing {timing} leads to, not what it goes by; leave one of them out.")
-    try:
-        period = float(number)
-    except ValueError:
-        period = math.nan
-    if not (period > 0.0 and math.isfinite(period)):
+    period = number_in(number)
+    if period is None or not period > 0.0:
         raise UserError(f"--timing {timing!r}: the period must be a number above 0 s, such as fixed:2.3.")
     return period
 

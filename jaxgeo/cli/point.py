@@ -6,12 +6,14 @@ import pathlib
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, check_on_image, numbers_in, read_terrain, said_datum, shot_of
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     AssumeWgs84,
     DemBand,
     DemBounds,
@@ -54,6 +56,8 @@ def point_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -64,7 +68,7 @@ def point_command(
     """
     inputs = asked(locals())
     with mistakes_told(debug):
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
             reading.check_goes_with_dem()
             if vertical_datum is not None:

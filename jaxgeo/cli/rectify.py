@@ -9,12 +9,14 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 from jaxgeo.cli._common import Debug, UserError, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     AssumeWgs84,
     DemBandBesideBand,
     DemBounds,
@@ -26,6 +28,7 @@ from jaxgeo.cli._options import (
 )
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
+from jaxgeo.cli._words import reach_as_typed
 
 QUICK_PIXELS = 40_000_000  # fewer are not worth the time that it takes to compile well
 SHOWN = "The image shows this cell (where the image itself is unknown, so is the cell)."
@@ -52,6 +55,8 @@ def rectify_command(
     dem_band: DemBandBesideBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     crs: Annotated[
         str | None, typer.Option(metavar="CRS", help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
     ] = None,
@@ -93,7 +98,11 @@ def rectify_command(
         if bounds is not None and crs is None:
             raise UserError(f"--bounds {bounds}: in the unit of which map? Name it with --crs.")
         wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
-        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
         done, seconds = _rectify(image, scene, ground, output, placed | wishes, interpolation)
         if as_json:
             print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
@@ -120,17 +129,21 @@ def _rectify(
     from jaxgeo.io.scene import read_scene
 
     checked_target(output, "an orthoimage")
+    reach = ground[2].reach
+    wishes |= {"allow_remote": reach.remote, "allow_outside": reach.outside}
     rasters = [image] if wishes["like"] is None else [image, wishes["like"]]
-    read = [scene_path, *terrain_files(*ground), *(file for one in rasters for file in files_behind(one))]
+    read = [scene_path, *terrain_files(*ground), *(file for one in rasters for file in files_behind(one, reach))]
     check_no_input("--output", [output, status_file(output)] if wishes["status"] else [output], read)
-    if pixels_of(image) < QUICK_PIXELS:
+    with reach_as_typed():
+        pixels = pixels_of(image, reach)
+    if pixels < QUICK_PIXELS:
         compile_quickly()
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "rectifying")
     terrain = read_terrain(*ground)
     began = time.perf_counter()
-    with bars_on_stderr() as is_shown:
+    with bars_on_stderr() as is_shown, reach_as_typed():
         done = rectify_file(
             output,
             image,
@@ -145,11 +158,11 @@ def _rectify(
     return done, time.perf_counter() - began
 
 
-def pixels_of(path: pathlib.Path) -> int:
+def pixels_of(path: pathlib.Path, reach: Any) -> int:
     """How many an image has. Raises `ImageError` or `FileNotFoundError` for what is none, before all else is done."""
     from jaxgeo.io.images import opened
 
-    with opened(str(path)) as data:
+    with opened(str(path), reach) as data:
         return data.width * data.height
 
 

@@ -12,6 +12,8 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, read_terrain, shot_of, terrain_files
 from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
     AssumeWgs84,
     DemBandBesideBand,
     DemBounds,
@@ -25,6 +27,7 @@ from jaxgeo.cli._registered import Work, reported, written
 from jaxgeo.cli._registering import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
 from jaxgeo.cli._results import AsJson, asked
 from jaxgeo.cli._screen import tell, working
+from jaxgeo.cli._words import reach_as_typed
 
 
 def register_command(
@@ -77,6 +80,8 @@ def register_command(
     dem_band: DemBandBesideBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     block: Annotated[int, typer.Option(help="Cells on a side of a block, at most; 32 or more.")] = 300,
     probability: Annotated[
         float, typer.Option(help="With which a shift lies in what is searched; between 0.5 and 1.")
@@ -113,8 +118,13 @@ def register_command(
             dem_correlation,
             principal_sigma,
         )
-        ground = dem, vertical_datum, DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
-        check_folder(output, [*files_behind(image), *files_behind(reference), scene, *terrain_files(*ground)])
+        ground = (
+            dem,
+            vertical_datum,
+            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
+        )
+        rasters = [file for one in (image, reference) for file in files_behind(one, ground[2].reach)]
+        check_folder(output, [*rasters, scene, *terrain_files(*ground)])
         work, errors, pixels = _read(image, reference, ground, scene, sigmas, pixel or [], (band, reference_band))
         output.mkdir(parents=True, exist_ok=True)
         for one in errors.assumed:
@@ -155,10 +165,14 @@ def _read(
     shot = shot_of(scene, scene_path, "a registration")
     errors_of(sigmas, scene, scene_path, 1.0)  # for mistakes
     uv = pixels_in(pixels, scene.sensor.camera)
-    raster_of_file(reference_path)
-    values, known = read_image(image, bands[0])
+    reach = ground[2].reach
+    how = {"allow_remote": reach.remote, "allow_outside": reach.outside}
+    with reach_as_typed():
+        raster_of_file(reference_path, reach)
+        values, known = read_image(image, bands[0], **how)
     check_size(str(image), values.shape, scene.sensor.camera)
-    reference, report = read_orthoimage_and_report(reference_path, bands[1])
+    with reach_as_typed():
+        reference, report = read_orthoimage_and_report(reference_path, bands[1], **how)
     terrain = read_terrain(*ground)
     errors = errors_of(sigmas, scene, scene_path, reference.ground_sampling)
     work = Work(image, values, known, scene_path, scene, shot, reference, report.raster, terrain, bands[0])

@@ -50,7 +50,17 @@ from jaxgeo.cli._errors import (
 )
 from jaxgeo.cli._inputs import DemReading
 from jaxgeo.cli._located import Located, leave_without_a_fix, located
-from jaxgeo.cli._options import SURE, WRITING, AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata
+from jaxgeo.cli._options import (
+    SURE,
+    WRITING,
+    AllowOutside,
+    AllowRemote,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightUnit,
+    Nodata,
+)
 from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, working
@@ -76,6 +86,8 @@ def report_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     probability: Annotated[
         float,
         typer.Option(
@@ -139,7 +151,7 @@ def report_command(
         )
         pixels, exposures = pixel or [], exposure or []
         seen = (files or [], scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         asked = Asked(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)

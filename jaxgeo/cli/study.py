@@ -8,20 +8,31 @@ from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
+from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, mistakes_told
 from jaxgeo.cli._compiler import compile_quickly
+from jaxgeo.cli._console import Console
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
-from jaxgeo.cli._options import AssumeWgs84, DemBand, DemBounds, HeightUnit, Nodata, VerticalDatum
+from jaxgeo.cli._options import (
+    AllowOutside,
+    AllowRemote,
+    AssumeWgs84,
+    DemBand,
+    DemBounds,
+    HeightUnit,
+    Nodata,
+    VerticalDatum,
+)
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
+from jaxgeo.cli._words import reach_as_typed
 
 WIDE = 150  # characters of a line in a file
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, of a real image's navigation where nobody says it
 
-studies = typer.Typer(help="What papers print, made again.", no_args_is_help=True)
+studies = typer.Typer(cls=Commands, help="What papers print, made again.", no_args_is_help=True)
 
 Folder = Annotated[
     pathlib.Path | None,
@@ -111,6 +122,8 @@ def gu2017_command(
     dem_band: DemBand = None,
     dem_bounds: DemBounds = None,
     assume_wgs84: AssumeWgs84 = None,
+    allow_remote: AllowRemote = None,
+    allow_outside: AllowOutside = None,
     position_sigma: Annotated[
         float | None, typer.Option(help="How the position of a real image errs, m; 50 if left out.")
     ] = None,
@@ -131,17 +144,18 @@ def gu2017_command(
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
         _check_seed(seed)
         sigmas = _sigmas(position_sigma, attitude_sigma, is_given=image is not None)
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84)
+        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
             reading.check_goes_with_dem()
-        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum))
+        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum, reading))
         _begin(output)
         from jaxgeo.studies import gu2017
 
         given = None
         if image is not None and reference is not None and scene is not None:
             terrain = read_terrain(dem or [], vertical_datum, reading)
-            given = gu2017.read(image, reference, scene, terrain, sigmas)
+            with reach_as_typed():
+                given = gu2017.read(image, reference, scene, terrain, sigmas, reading.reach)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
 

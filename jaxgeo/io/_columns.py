@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io._csv import CsvTable, Limits, read_csv
 from jaxgeo.io.errors import TableError
 
@@ -47,7 +48,7 @@ class Columns:
             others = [
                 f"{name} (or {', '.join(aliases[name][:SHOWN])})" if aliases.get(name) else name for name in missing
             ]
-            if any(cell.strip().lstrip("+-").replace(".", "", 1).isdigit() for cell in self.table.header):
+            if any(number_in(cell) is not None for cell in self.table.header):
                 why += " The first row holds numbers: write the names of the columns above it."
             raise TableError(
                 f"{self.table.path}: no column {', '.join(others)}; found {', '.join(self.table.header)}.{why}"

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo._text_numbers import BLANKS, number_in
 from jaxgeo.io._dialect import layout_of
 from jaxgeo.io._text import read_text
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.limits import COLUMNS
 
 Limits = tuple[float, float, str]  # lowest and highest value of a column, and its unit
 Row = dict[str, Any]
@@ -62,27 +64,27 @@ class CsvTable:
         low, high, unit = limits
         index, values = self.header.index(name), np.empty(len(self))
         for i, row in enumerate(self.cells):
-            values[i] = self._number(i, name, row[index].strip(), unit, unknown_too=unknown_too)
+            cell = row[index].strip(BLANKS)
+            values[i] = self._number(i, name, cell, unit, unknown_too=unknown_too)
             if values[i] < low or values[i] > high:
-                raise self.wrong(i, name, f"{row[index].strip()} is outside [{low:g}, {high:g}] {unit}.")
+                raise self.wrong(i, name, f"{cell[:60]} is outside [{low:g}, {high:g}] {unit}.")
             if np.isnan(values[i]) and not unknown_too:
-                raise self.wrong(i, name, f"unknown ({row[index].strip() or 'empty'}); expected {unit}.")
+                raise self.wrong(i, name, f"unknown ({cell or 'empty'}); expected {unit}.")
         return values
 
     def _number(self, row: int, name: str, cell: str, unit: str, *, unknown_too: bool) -> float:
         """A cell as a number, NaN where it says that the value is not known."""
         if cell.lower() in UNKNOWN_WORDS:
             return np.nan
-        try:
-            value = float(cell)
-        except ValueError:
+        value = number_in(cell)
+        if value is None:
             hint = f"expected {unit} (nan if unknown)." if unknown_too else f"expected {unit}."
             if "," in cell and any(mark.isdigit() for mark in cell):
                 hint += (
                     " Decimals are read with commas if all of the file have them, and semicolons or tabs stand between "
                     "columns."
                 )
-            raise self.wrong(row, name, f"{cell!r} is not a number; {hint}") from None
+            raise self.wrong(row, name, f"{cell[:60]!r} is not a number; {hint}")
         return np.nan if value in UNKNOWN_NUMBERS else value
 
     def wrong(self, index: int, name: str, reason: str) -> TableError:
@@ -140,6 +142,7 @@ def _check_header(
     taken: Collection[str],
     hints: Mapping[str, str],
 ) -> None:
+    COLUMNS.check(path, len(header))
     doubled = sorted(name for name, count in Counter(header).items() if count > 1)
     if doubled:
         raise TableError(f"{path}: column {doubled[0]} stands twice in the header.")

@@ -8,12 +8,14 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
+from jaxgeo.io._cells import plain_cell
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.limits import COLUMNS, COMMENT_LINES
 
 SEPARATORS = (",", ";", "\t", "|")  # in the order in which they are tried; then white space
 WHITE = " "
-BY_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
-BY_POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
+BY_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
+BY_POINT = re.compile(r"[+-]?[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class Layout:
     """The header and the rows of a table as written, the line that each row ends in, and the comments above.
 
     `separator` stands between the columns of rows (a space for any white space); decimals are written with points in
-    `cells`, whatever the file has.
+    `cells`, whatever the file has, and texts are without the apostrophe of `safe_cell`.
     """
 
     header: list[str]
@@ -42,13 +44,18 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
     start, comments, declared = _preamble(lines)
     if start == len(lines):
         raise TableError(f"{path}: no rows; all that is there are comments.")
+    COMMENT_LINES.check(path, len(comments))
     white = _quote(lines)
+    if len(lines[start]) > COLUMNS.most:
+        COLUMNS.check(path, max(len(_split(lines[start], mark, white)) for mark in SEPARATORS))
     header, first, separator = _header(lines[start:], comments, declared, known, white)
     first += start
     body = list(_without_comments(path, lines[first:], first, separator, len(header), white))
     found = list(_rows(path, body, first, separator, white))
-    cells = [row for _, row in found]
-    return Layout(header, [line for line, _ in found], with_points(cells, separator), comments, separator)
+    cells = with_points([row for _, row in found], separator)
+    if separator != WHITE and "'" in text:
+        header, cells = [plain_cell(name) for name in header], [[plain_cell(cell) for cell in row] for row in cells]
+    return Layout(header, [line for line, _ in found], cells, comments, separator)
 
 
 def header_of(text: str, known: Collection[str] = ()) -> list[str]:
@@ -130,7 +137,7 @@ def _hits(names: Iterable[str], known: Collection[str]) -> int:
 
 
 def _is_number(cell: str) -> bool:
-    return bool(re.fullmatch(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", cell.strip()))
+    return bool(re.fullmatch(r"[+-]?([0-9]+([.,][0-9]*)?|[.,][0-9]+)([eE][+-]?[0-9]+)?", cell.strip()))
 
 
 def _quote(lines: list[str]) -> str:

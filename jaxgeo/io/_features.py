@@ -42,7 +42,7 @@ def encoded(
     `name` is the file's, for messages. Raises `ValueError` for a column of mixed kinds, `OSError` where GDAL fails.
     """
     from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
-    from pyogrio.errors import DataSourceError
+    from pyogrio.errors import DataLayerError, DataSourceError
 
     columns = [column_of(name, key, [feature.attributes.get(key) for feature in features]) for key in attributes]
     shapes = [None if shape is None else shapely.to_wkb(shape, output_dimension=3) for shape, _ in features]
@@ -61,7 +61,7 @@ def encoded(
             crs=code,
             **options,
         )
-    except (DataSourceError, OSError) as error:
+    except (DataSourceError, DataLayerError, OSError) as error:
         raise OSError(f"{name}: it cannot be written: {error}") from error
     return sink.getvalue()
 

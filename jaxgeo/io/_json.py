@@ -4,33 +4,51 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from jaxgeo.io._bounded import check_nesting_of_json, read_bytes
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
+HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # of a pair that UTF-16 writes one character with
 LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
     """What a JSON file holds; `what` it is, for messages.
 
-    Raises `TableError` for a file that is none, is cut off, or has a key twice in one table; `FileNotFoundError`.
+    Raises `TableError` for a file that is none, is cut off, is too large or deep, or has a key twice in one table;
+    `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            return json.load(file, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)
+        content = read_bytes(path)
+        check_nesting_of_json(path, content)
+        text = content.decode("utf-8-sig")
+        found = json.loads(text, object_pairs_hook=lambda pairs: _single(path, pairs), parse_int=_integer)
+        if HALF_CHARACTER.search(text):
+            _check_characters(path, found)
+        return found
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such file of a {what}.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise TableError(f"{path}: the {what} cannot be read: {error}.") from error
     except json.JSONDecodeError as error:
         raise TableError(f"{path}: not a JSON file, or cut off: {error}.") from error
-    except RecursionError:
-        raise TableError(f"{path}: lists in lists, deeper than any {what} has them.") from None
+
+
+def _check_characters(path: object, found: Any) -> None:
+    """Raises `TableError` for a text with half a pair of UTF-16, which no file and no terminal can show."""
+    try:
+        json.dumps(found, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        half = error.object[error.start]
+        raise TableError(f"{path}: a text in it has {half!r}, half a character of UTF-16; write it anew.") from error
 
 
 def value_of(where: str, content: Any, key: str) -> Any:

@@ -30,7 +30,7 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
     layer's, values that are no texts as JSON. Raises `OSError` where GDAL fails.
     """
     from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
-    from pyogrio.errors import DataSourceError
+    from pyogrio.errors import DataLayerError, DataSourceError
 
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
     try:
@@ -53,7 +53,7 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
                 nan_as_null=False,
             )
         return path.read_bytes()
-    except (DataSourceError, OSError) as error:
+    except (DataSourceError, DataLayerError, OSError) as error:
         raise OSError(f"{name}: it cannot be written: {error}") from error
 
 

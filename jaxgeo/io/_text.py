@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 
+from jaxgeo.io._bounded import read_bytes
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # first bytes: encoding
@@ -13,12 +15,12 @@ CONTROLS = frozenset(map(chr, range(32))) - set("\t\n\r\f\v") | {"\x7f"}
 def read_text(path: str | os.PathLike[str], what: str) -> str:
     """What a text file holds, in whatever encoding; `what` it is, for messages.
 
-    Raises `TableError` in one line for a folder, a file that cannot be read, is empty or is no text;
+    Raises `TableError` in one line for a folder, a file that cannot be read, is empty, too long or no text;
     `FileNotFoundError`.
     """
+    check_regular(path, TableError)
     try:
-        with open(path, "rb") as file:
-            content = file.read()
+        content = read_bytes(path)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such {what}.") from None
     except IsADirectoryError:

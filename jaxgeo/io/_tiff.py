@@ -10,11 +10,12 @@ import mmap
 import pathlib
 import struct
 
+from jaxgeo.io.limits import TAG_DIRECTORIES
+
 SIZES = {3: ("H", 2), 4: ("I", 4), 16: ("Q", 8)}  # types of TIFF that whole numbers have: SHORT, LONG, LONG8
 WIDTH, HEIGHT, STRIPS, ROWS_PER_STRIP, TILES, TILE_WIDTH, TILE_HEIGHT = 256, 257, 273, 278, 324, 322, 323
 NAMES = {WIDTH: "ImageWidth", HEIGHT: "ImageLength", ROWS_PER_STRIP: "RowsPerStrip", TILE_WIDTH: "TileWidth",
          TILE_HEIGHT: "TileLength"}  # fmt: skip
-MOST_DIRECTORIES = 1000
 
 
 def layout_mistake(path: pathlib.Path) -> str:
@@ -32,7 +33,7 @@ def _layout_mistake(content: mmap.mmap) -> str:
     big = struct.unpack(order + "H", content[2:4])[0] == 43
     try:
         at = _number(content, order, *((8, "Q") if big else (4, "I")))
-        for _ in range(MOST_DIRECTORIES):
+        for _ in range(TAG_DIRECTORIES.most):
             if at == 0:
                 return ""
             tags, at = _directory(content, order, at, big)
@@ -41,7 +42,7 @@ def _layout_mistake(content: mmap.mmap) -> str:
                 return mistake
     except struct.error:
         return "a directory of its tags lies beyond its end"
-    return f"it has more than {MOST_DIRECTORIES} directories of tags"
+    return f"it has more than {TAG_DIRECTORIES.most} {TAG_DIRECTORIES.what} ({TAG_DIRECTORIES.name})"
 
 
 def _mistake(tags: dict[int, int | None]) -> str:

@@ -15,6 +15,7 @@ from rasterio.errors import RasterioError
 from jaxgeo._checks import check_is
 from jaxgeo._partial import partial_file
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._read_back import WrittenWindows
 from jaxgeo.io.map_raster import MapRaster, checked_target, map_of, raster_of
 from jaxgeo.io.windows import Bounds
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
@@ -86,6 +87,8 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
     profile = {"driver": "GTiff", "dtype": "float32", "count": 4, "height": rows, "width": cols, "nodata": np.nan}
     profile |= {"crs": raster.crs.to_wkt(), "transform": raster.transform, "compress": "deflate"}
     percent = f"{100.0 * found.probability:g}"
+    written = WrittenWindows((rows, cols))
+    written.add(0, 0, bands, None)
     try:
         with partial_file(target) as partial:
             with rasterio.open(partial, "w", **profile) as sink:
@@ -93,12 +96,13 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
                 sink.descriptions = (f"CE{percent}, m", f"LE{percent}, m", "verdict", "status")
                 sink.units = ("m", "m", "", "")
                 sink.update_tags(**_tags(found))
+            whole = partial
             if cog:
-                optimised = partial.with_name(f"{partial.name}.cog")
-                rasterio.shutil.copy(partial, optimised, driver="COG", **COG)
-                optimised.replace(target)
-            else:
-                partial.replace(target)
+                whole = partial.with_name(f"{partial.name}.cog")
+                rasterio.shutil.copy(partial, whole, driver="COG", **COG)
+            if mistake := written.mistake(whole):
+                raise OSError(mistake)
+            whole.replace(target)
     except (OSError, RasterioError) as error:
         raise OSError(f"{target}: the map cannot be written here: {error}") from error
 

@@ -7,13 +7,15 @@ import io
 import os
 import pathlib
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo._text_numbers import number_in, whole_in
+from jaxgeo.io._bounded import unpacked
 from jaxgeo.io._quietly import heard
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
 
@@ -55,17 +57,18 @@ class BalProblem:
 def read_bal(path: str | os.PathLike[str]) -> BalProblem:
     """The problem in a file, compressed if its name ends in .bz2.
 
-    Raises `TableError` for counts that the file does not hold, words that are no finite numbers, and observations of
-    cameras or points that are not there; `FileNotFoundError`.
+    Raises `TableError` for counts that the file does not hold, more bytes than `jaxgeo.io.limits` allows, words that
+    are no finite numbers, and observations of cameras or points that are not there; `FileNotFoundError`.
     """
     text = _text(path)
     header = text.partition("\n")[0].split()
-    if len(header) != 3 or not all(word.isdecimal() and len(word) < 19 and int(word) > 0 for word in header):
+    counts = [whole_in(word) for word in header]
+    if len(counts) != 3 or not all(count is not None and count > 0 for count in counts):
         raise TableError(
             f"{path}, row 1: {' '.join(header)[:60]!r} are not the numbers of cameras, points and observations, three "
             f"whole numbers above zero."
         )
-    cameras, points, observations = map(int, header)
+    cameras, points, observations = (count or 0 for count in counts)
     values = _numbers(path, text)[3:]
     needed = 4 * observations + 9 * cameras + 3 * points
     if len(values) != needed:
@@ -104,10 +107,9 @@ def write_bal(path: str | os.PathLike[str], problem: BalProblem) -> None:
 
 
 def _text(path: str | os.PathLike[str]) -> str:
-    opened: Any = bz2.open if os.fspath(path).endswith(".bz2") else open
+    check_regular(path, TableError)
     try:
-        with opened(path, "rt", encoding="ascii") as file:
-            return file.read()
+        return unpacked(path).decode("ascii")
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such problem.") from None
     except (OSError, EOFError, UnicodeDecodeError) as error:
@@ -125,16 +127,9 @@ def _numbers(path: str | os.PathLike[str], text: str) -> np.ndarray:
         return values
     for line, row in enumerate(text.splitlines(), start=1):
         for word in row.split():
-            if not _is_number(word):
+            if number_in(word) is None:
                 raise TableError(f"{path}, row {line}: {word[:40]!r} is not a number.")
-    return np.array([float(word) for word in text.split()])
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return bool(np.isfinite(float(word)))
-    except ValueError:
-        return False
+    return np.array([number_in(word) for word in text.split()], np.float64)
 
 
 def _indices(path: str | os.PathLike[str], values: np.ndarray, count: int, what: str) -> np.ndarray:

@@ -9,10 +9,12 @@ import threading
 import zipfile
 import zlib
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from jaxgeo._partial import partial_file
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source
 from jaxgeo.io.tiles import OpenFiles, stamp_of
@@ -24,6 +26,7 @@ _reading = threading.RLock()  # of all at once, since a lock of each would keep 
 FIELDS = ("low", "high", "has_void", "is_read")
 LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
 # What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
+HEADER = 4096  # bytes that NumPy writes about an array, at most
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -131,10 +134,15 @@ class Blocks:
 
     def _load(self, cache: pathlib.Path) -> None:
         """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
+        check_regular(cache, DemError)
         try:
             with np.load(cache) as held:
-                if not self.take(held):
+                _check_size(held, "identity", 100 * HEADER)
+                if str(held["identity"]) != self._identity():
                     return
+                for name in FIELDS:
+                    _check_size(held, name, getattr(self, name).nbytes + HEADER)
+                self.take(held)
         except _UNREADABLE as error:
             raise DemError(
                 f"{cache}: this is not a file of bounds as `open_dem` writes it ({error}). Delete it, or name another."
@@ -203,3 +211,10 @@ class Blocks:
             f"hold heights of {low:.6g} to {high:.6g} m above the ellipsoid, beyond the height_range="
             f"({self.height_range[0]:g}, {self.height_range[1]:g}) that was stated. Widen it, or leave it out."
         )
+
+
+def _check_size(held: Any, name: str, most: int) -> None:
+    """Raises `ValueError` for an array of a file that is larger than it may be once unpacked."""
+    size = held.zip.getinfo(f"{name}.npy").file_size
+    if size > most:
+        raise ValueError(f"unpacked, {name} has {size:,} bytes, and at most {most:,} belong here")

@@ -8,16 +8,20 @@ from typing import Any
 import numpy as np
 
 from jaxgeo._checks import require_x64
+from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._proj import DATA
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
-from jaxgeo.io.heights import check_nodata_used, open_source
+from jaxgeo.io.heights import Source, check_nodata_used, open_source
 from jaxgeo.io.paths import Paths
+from jaxgeo.io.reach import Reach
 from jaxgeo.io.vertical import VerticalDatum
 from jaxgeo.io.voids import Nodata
 from jaxgeo.io.windows import Bounds, Window, padded_shape
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
+
+BESIDE_HEIGHTS = 5  # bytes a post: which are void, and bounds of the ground; measured, see the tests
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +69,8 @@ def read_dem(
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
     assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> Dem:
     """An elevation model on its file's own grid, with heights above the WGS 84 ellipsoid.
 
@@ -87,6 +93,8 @@ def read_dem(
       `void_ceiling`: as in `Dem.from_array`.
     - `dtype` of the posts in memory, float64 by default.
     - `assume_wgs84=True`: take the file's latitudes and longitudes as WGS 84's, where PROJ knows no transformation.
+    - `allow_remote=True`: read URLs and other names that only GDAL resolves (`/vsi...`), and files that name such, like
+      a WMS. `allow_outside=True`: read a VRT that takes values from files outside its own folder.
 
     The file's horizontal datum may be any that PROJ can bring to WGS 84, null transformations of the EPSG registry
     (ETRS89, NAD83) included; the report names the operation and its accuracy.
@@ -109,6 +117,8 @@ def read_dem(
         void_ceiling=void_ceiling,
         dtype=dtype,
         assume_wgs84=assume_wgs84,
+        allow_remote=allow_remote,
+        allow_outside=allow_outside,
     )[0]
 
 
@@ -123,6 +133,8 @@ def read_dem_and_report(
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
     assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> tuple[Dem, DemReport]:
     """`read_dem`, and a report of what it found and did."""
     require_x64()
@@ -134,8 +146,10 @@ def read_dem_and_report(
         height_unit=height_unit,
         assume_wgs84=assume_wgs84,
         bounds=bounds,
+        reach=Reach(allow_remote, allow_outside),
     )
     name, window = source.name, source.window
+    _check_fits(source, np.dtype(dtype))
     closed = source.closed()
     heights, void = closed.heights(Window(0, 0, *closed.window.shape), np.dtype(dtype))
     if void.all():
@@ -166,6 +180,18 @@ def read_dem_and_report(
     )
     size = heights.shape if bounds is None else padded_shape(heights.shape)
     return build_dem(name, heights, void, grid, void_ceiling, size), report
+
+
+def _check_fits(source: Source, dtype: np.dtype) -> None:
+    """Raises `DemError` where the posts of a source do not fit into memory: as stored, as heights, and their bounds."""
+    rows, cols = source.window.shape
+    stored = max(tile.dtype.itemsize for tile in source.mosaic.tiles)
+    check_fits(
+        rows * cols * (stored + 2 * dtype.itemsize + BESIDE_HEIGHTS),
+        DemError,
+        f"{source.name}: too large: {rows:,} x {cols:,} posts",
+        "Read a part of it with bounds=(west, south, east, north) in deg, or cut one out (gdal_translate -projwin).",
+    )
 
 
 def example_dem() -> Dem:

@@ -22,6 +22,7 @@ from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.heights import POSSIBLE_HEIGHTS, Source, check_nodata_used, open_source
 from jaxgeo.io.paths import Paths, with_full_names
+from jaxgeo.io.reach import Reach
 from jaxgeo.io.sightlines import BESIDE, Sightlines, sightlines
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import VerticalDatum
@@ -47,10 +48,13 @@ def open_dem(
     void_ceiling: float | int | None = None,
     dtype: Any = np.float64,
     assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> DemFiles:
     """Files of heights too many or too large to be held at once: only their headers are read here.
 
-    `path_or_paths`, `vertical_datum`, `band`, `nodata`, `height_unit`, `dtype` and `assume_wgs84` are as in `read_dem`.
+    `path_or_paths`, `vertical_datum`, `band`, `nodata`, `height_unit`, `dtype`, `assume_wgs84`, `allow_remote` and
+    `allow_outside` are as in `read_dem`.
 
     - `height_range`: (lowest, highest) in m above the ellipsoid, where you know that no post lies beyond; a post read
       that does is refused. It spares the pass over all files that `DemFiles.highest` may need.
@@ -72,6 +76,7 @@ def open_dem(
         nodata=nodata,
         height_unit=height_unit,
         assume_wgs84=assume_wgs84,
+        reach=Reach(allow_remote, allow_outside),
     )
     if height_range is not None:
         low, high = (float(height) for height in height_range)

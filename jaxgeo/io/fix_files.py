@@ -22,6 +22,7 @@ from jaxgeo._checks import check_is, require_x64
 from jaxgeo._destination import destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._ellipses import ellipse_polygons
 from jaxgeo.io._features import DECIMALS, Feature
 from jaxgeo.io._fix_columns import FIX_DECIMALS, Figures, checked_attributes, figures_of, no_figures, rows_of
@@ -289,9 +290,9 @@ def _csv(told: _Told) -> bytes:
         line = row | mapped | {"crs": told.metadata["crs"]}
         line["vertical_datum"] = line.pop("vertical_datum")  # as the last
         if writer is None:
-            writer = csv.DictWriter(stream, list(line), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow({name: _text(value, decimals.get(name)) for name, value in line.items()})
+            writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
+            writer.writerow({name: safe_cell(name) for name in line})
+        writer.writerow({name: safe_cell(_text(value, decimals.get(name))) for name, value in line.items()})
     return stream.getvalue().encode()
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pyproj
 
 from jaxgeo._checks import require_x64
+from jaxgeo._text_numbers import words_of
 from jaxgeo.adjust.records import ImagePoints, as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import refuse_doubles
@@ -97,7 +98,7 @@ def read_gcp_list(
     keys = zip(image.tolist(), names[of_point].tolist(), strict=True)
     refuse_doubles(table, keys, "image {0}, point {1}: measured twice")
     uv = np.stack([numbers["im_x"], numbers["im_y"]], axis=-1) - OFFSETS[pixel_origin]
-    first = np.array([int(np.argmax(of_point == k)) for k in range(len(names))])
+    first = np.unique(of_point, return_index=True)[1]
     position = _positions(table, crs, vertical, places[first], height_datum)
     return GroundControl(names, position, ImagePoints(image, names[of_point], uv))
 
@@ -116,7 +117,7 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
     """The words of each line, a name or an empty one last."""
     cells = []
     for line, text in rows:
-        words = text.split()
+        words = words_of(text)
         if len(words) < len(COLUMNS):
             raise TableError(f"{path}, row {line}: {len(words)} words; expected {' '.join(COLUMNS)} [gcp_name].")
         cells.append([*words[:6], words[6] if len(words) > 6 else ""])
@@ -127,7 +128,7 @@ def projection_text(text: str) -> str:
     """What PROJ calls the projection of the first line."""
     if text.upper() in ("WGS84", "EPSG:4326"):
         return "EPSG:4326"
-    utm = re.fullmatch(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS]?)", text, re.IGNORECASE)
+    utm = re.fullmatch(r"WGS84\s+UTM\s+([0-9]{1,2})\s*([NS]?)", text, re.IGNORECASE)
     if utm and 1 <= int(utm[1]) <= 60:
         return f"EPSG:{327 if utm[2].upper() == 'S' else 326}{int(utm[1]):02d}"
     return text

@@ -8,16 +8,18 @@ import re
 from typing import Any
 
 import numpy as np
-import rasterio
 from pyproj.exceptions import ProjError
 from pyproj.transformer import Transformer
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
+from jaxgeo.io._gdal import GDAL_ERRORS
 from jaxgeo.io._proj import DATA
-from jaxgeo.io._quietly import quietly
+from jaxgeo.io._rasters import GRIDS, open_raster
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._tiff import layout_mistake
 from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.reach import HERE
 
 WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
 MOST_COLUMNS = 1_000_000  # 1.3 arc seconds around the Earth
@@ -34,6 +36,7 @@ def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
     The transformer takes longitudes from there on, up to a turn more, and latitudes in deg, as WGS 84's. Raises
     `VerticalDatumError` for a file that PROJ cannot read, or one whose own posts it does not give back.
     """
+    check_regular(path, VerticalDatumError)
     if not path.is_file():
         raise VerticalDatumError(f"vertical_datum: the geoid grid {path} does not exist.")
     if any(character in str(path) for character in '",'):
@@ -111,15 +114,14 @@ def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) 
 
 def _posts(path: pathlib.Path) -> Posts:
     """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
-    with rasterio.Env(), quietly(NotGeoreferencedWarning):
-        try:
-            with rasterio.open(path) as data:
-                parts = data.subdatasets or [str(path)]
-            found = [_posts_of(part) for part in parts]
-        except RasterioError as error:
-            raise VerticalDatumError(
-                f"vertical_datum: the posts of the geoid grid {path} cannot be read to check it: {error}"
-            ) from error
+    try:
+        with _opened(str(path)) as data:
+            parts = data.subdatasets or [str(path)]
+        found = [_posts_of(part) for part in parts]
+    except GDAL_ERRORS as error:
+        raise VerticalDatumError(
+            f"vertical_datum: the posts of the geoid grid {path} cannot be read to check it: {error}"
+        ) from error
     lon, lat, own = (np.concatenate(one) for one in zip(*(posts for posts, _ in found), strict=True))
     within = np.stack([_is_within(lon, lat, box) for _, box in found])
     lon, lat, own = (one[within.sum(axis=0) <= 1] for one in (lon, lat, own))  # elsewhere PROJ takes the finer part
@@ -130,7 +132,7 @@ def _posts(path: pathlib.Path) -> Posts:
 
 def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
     """Known posts of one raster, longitudes in [-180, 180), and its (west, south, east, north) in deg."""
-    with rasterio.open(name) as data:
+    with _opened(name) as data:
         bands = [text in _HEIGHT_BANDS for text in data.descriptions]
         band = bands.index(True) + 1 if any(bands) else 1
         if data.width > MOST_COLUMNS:
@@ -151,13 +153,16 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
 
 def _first_longitude(path: pathlib.Path) -> float:
     """Of the grid's first column, deg; -180 where no header says it, which the check of its posts then refuses."""
-    with quietly(NotGeoreferencedWarning):
-        try:
-            with rasterio.open(path) as data:
-                step = abs(data.transform.a)
-                return min(data.bounds.left, data.bounds.right) + step / 2.0
-        except RasterioError:
-            return -180.0
+    try:
+        with _opened(str(path)) as data:
+            step = abs(data.transform.a)
+            return min(data.bounds.left, data.bounds.right) + step / 2.0
+    except (VerticalDatumError, *GDAL_ERRORS):
+        return -180.0
+
+
+def _opened(name: str) -> DatasetReader:
+    return open_raster(name, HERE, VerticalDatumError, "a geoid grid", GRIDS)
 
 
 def _is_within(lon: np.ndarray, lat: np.ndarray, box: tuple[float, float, float, float]) -> np.ndarray:

@@ -19,7 +19,7 @@ FORMS = (
 )
 UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
 CLOSE = 0.005  # by which the scales along columns and rows may differ where an image was made smaller
-_VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*")
+_VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*", re.ASCII)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +95,7 @@ def _quantity(text: str, name: str, written: str) -> tuple[float, str]:
 
 
 def _size(text: str, written: str) -> tuple[int, int]:
-    matched = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[x*]\s*([1-9]\d{0,5})\s*", written.lower())
+    matched = re.fullmatch(r"\s*([1-9]\d{0,5})\s*[x*]\s*([1-9]\d{0,5})\s*", written.lower(), re.ASCII)
     if matched is None:
         raise _wrong(text, f"size={written.strip()} is not the pixels of an image, such as size=5472x3648")
     return int(matched[1]), int(matched[2])

@@ -12,6 +12,7 @@ from jaxgeo.io.height_units import CHOICES, metres_per_unit
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.paths import Paths
 from jaxgeo.io.raster import Mosaic
+from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.tiles import OpenFiles
 from jaxgeo.io.vertical import (
     LARGEST_UNDULATION,
@@ -93,9 +94,10 @@ def open_source(
     height_unit: str | None,
     assume_wgs84: bool,
     bounds: Bounds | None = None,
+    reach: Reach = HERE,
 ) -> Source:
     """The headers of files, the map and the vertical datum of the part within `bounds`; no post is read."""
-    mosaic = open_tiles(paths, band)
+    mosaic = open_tiles(paths, band, reach)
     mapping, window = _part(mosaic, bounds, assume_wgs84)
     shift = _shift(mosaic, mapping, vertical_datum)
     unit = metres_per_unit(mosaic.first, height_unit, shift.unit if shift.transformer is not None else None)

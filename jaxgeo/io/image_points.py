@@ -12,6 +12,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
 from jaxgeo.adjust.records import ImagePoints
+from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._columns import names_of, refuse_doubles
 from jaxgeo.io._csv import CsvTable, Limits, read_csv
 from jaxgeo.io.errors import TableError
@@ -61,10 +62,11 @@ def write_image_points(path: str | os.PathLike[str], points: ImagePoints) -> Non
     same = bool(np.all(points.sigma[:, 0] == points.sigma[:, 1]))
     sigma = points.sigma[:, :1] if same else points.sigma
     with destination("image points", pathlib.Path(path)) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
+        writer = csv.writer(Rows(stream), lineterminator="\r\n")
         writer.writerow(["image", "point", *PIXEL_COLUMNS, *([BOTH_AXES] if same else EACH_AXIS)])
         for image, point, uv, errors in zip(points.image, points.point, points.uv, sigma, strict=True):
-            writer.writerow([image, point, *(f"{x:.{DECIMALS}f}" for x in uv), *(f"{x:.9g}" for x in errors)])
+            names = safe_cell(image), safe_cell(point)
+            writer.writerow([*names, *(f"{x:.{DECIMALS}f}" for x in uv), *(f"{x:.9g}" for x in errors)])
 
 
 def _sigma_columns(table: CsvTable) -> list[str]:

@@ -8,21 +8,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import rasterio
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
-from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
-from jaxgeo.io._quietly import quietly
+from jaxgeo.io._gdal import refused_as
+from jaxgeo.io._memory_at_hand import check_fits
+from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import ImageError
+from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.sensor.camera import AbstractCamera
 
 Bands = int | Sequence[int] | Any | None
+BESIDE_VALUES = 3  # bytes a pixel: whether it is known, by a mask and by its values
 CLOSE = 0.005  # by which the ratios of sides may differ where an image is the camera's at another size
 
 
-def read_image(path: str | os.PathLike[str], bands: Bands = None) -> tuple[np.ndarray, np.ndarray]:
+def read_image(
+    path: str | os.PathLike[str], bands: Bands = None, *, allow_remote: bool = False, allow_outside: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """An image as the camera took it: values (bands, rows, cols) in the file's dtype, and where known (rows, cols).
 
     `bands` count from 1; by default all but an alpha band. A pixel is unknown where a mask or an alpha band says so,
@@ -32,11 +36,13 @@ def read_image(path: str | os.PathLike[str], bands: Bands = None) -> tuple[np.nd
     What the file says of a map is passed over: frames often carry a rough or wrong geotransform. So is a flag of EXIF
     or TIFF that the image is to be turned, since pixels are counted as the sensor has them.
 
+    `allow_remote` and `allow_outside`: as in `read_dem`.
+
     Raises `ImageError` for a folder, a file that is no image, or is damaged, bands that are not there, complex numbers,
     a palette, and an image of which nothing is known; `FileNotFoundError`.
     """
     name = os.fspath(path)
-    with opened(name) as data, refused_as(ImageError, name, "it"):
+    with opened(name, Reach(allow_remote, allow_outside)) as data, refused_as(ImageError, name, "it"):
         return read_bands(name, data, chosen_bands(name, data, bands))
 
 
@@ -61,21 +67,14 @@ def check_size(name: str, shape: Sequence[int], camera: AbstractCamera | Any) ->
     raise ImageError(f"{told}. It is cut, or belongs to another scene; name the scene of this image.")
 
 
-def opened(name: str) -> rasterio.DatasetReader:
+def opened(name: str, reach: Reach = HERE) -> DatasetReader:
     """An image file, open. Raises as `read_image`."""
-    is_plain = "://" not in name and not name.startswith("/vsi") and ":" not in name[2:]
-    if is_plain and not os.path.exists(name):
-        raise FileNotFoundError(f"{name}: no such file.")
-    if is_plain and os.path.isdir(name):
+    if os.path.isdir(name):
         raise ImageError(f"{name}: this is a folder; give the image in it.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):
-        try:
-            return rasterio.open(name)
-        except GDAL_ERRORS as error:
-            raise ImageError(f"{name}: not an image that GDAL can open, or a damaged one: {error}") from error
+    return open_raster(name, reach, ImageError, "an image")
 
 
-def chosen_bands(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:
+def chosen_bands(name: str, data: DatasetReader, bands: Bands) -> list[int]:
     """The numbers of the bands asked for, from 1. Raises `ImageError`."""
     if not data.count:
         inside = f"it holds {len(data.subdatasets)} images; name one: {data.subdatasets[0]}" if data.subdatasets else ""
@@ -102,10 +101,11 @@ def chosen_bands(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[
 
 
 def read_bands(
-    name: str, data: rasterio.DatasetReader, bands: Sequence[int], window: Window | None = None
+    name: str, data: DatasetReader, bands: Sequence[int], window: Window | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
     part = _part(window) if window else "it"
+    _check_fits(name, data, bands, window)
     with refused_as(ImageError, name, part):
         values = data.read(list(bands), window=window)
         known = _known(data, window)
@@ -121,6 +121,20 @@ def read_bands(
             f"image all the same, correct the nodata value of the file (gdal_edit -unsetnodata)."
         )
     return values, known
+
+
+def _check_fits(name: str, data: DatasetReader, bands: Sequence[int], window: Window | None) -> None:
+    """Raises `ImageError` where the values and where they are known do not fit into memory."""
+    rows, cols = data.shape if window is None else (window.height, window.width)
+    each = np.dtype(data.dtypes[bands[0] - 1])
+    beside = BESIDE_VALUES + (len(bands) if each.kind == "f" else 0)
+    check_fits(
+        rows * cols * (len(bands) * each.itemsize + beside),
+        ImageError,
+        f"{name}: too large: {rows:,} x {cols:,} pixels of {len(bands)} bands",
+        "Choose fewer bands with bands=; of an orthoimage, a part with bounds=, or cut one out (gdal_translate "
+        "-projwin).",
+    )
 
 
 def _part(window: Window) -> str:
@@ -142,7 +156,7 @@ def _check_bands(name: str, bands: Sequence[int], finite: np.ndarray) -> None:
     )
 
 
-def _numbers(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]:
+def _numbers(name: str, data: DatasetReader, bands: Bands) -> list[int]:
     colours = _colours(data)
     if bands is None:
         if not colours:
@@ -157,12 +171,12 @@ def _numbers(name: str, data: rasterio.DatasetReader, bands: Bands) -> list[int]
     return chosen
 
 
-def _colours(data: rasterio.DatasetReader) -> list[int]:
+def _colours(data: DatasetReader) -> list[int]:
     """The bands that are no alpha."""
     return [band for band, kind in zip(data.indexes, data.colorinterp, strict=True) if kind != ColorInterp.alpha]
 
 
-def _known(data: rasterio.DatasetReader, window: Window | None) -> np.ndarray:
+def _known(data: DatasetReader, window: Window | None) -> np.ndarray:
     """Where there is an image: nodata must be in all colours, whichever of them are read."""
     shape = data.shape if window is None else (window.height, window.width)
     known = np.zeros(shape, bool)

@@ -111,8 +111,9 @@ def read_opensfm(
     if not shots:
         raise TableError(f"{where}, shots: there are none.")
     for name, shot in shots.items():
-        if value_of(f"{where}, shots, {name}", shot, "camera") not in cameras:
-            raise TableError(f"{where}, shots, {name}: camera {shot['camera']!r} is not among the file's cameras.")
+        camera = value_of(f"{where}, shots, {name}", shot, "camera")
+        if not isinstance(camera, str) or camera not in cameras:
+            raise TableError(f"{where}, shots, {name}: camera {shown(camera)} is not among the file's cameras.")
     limits = {"rotation": LARGEST_TURN, "translation": LARGEST_DISTANCE}
     vectors = [vectors_of(f"{where}, shots", shots, key, largest) for key, largest in limits.items()]
     centres, R_world_from_camera = (np.asarray(x) for x in _from_world(*vectors))
@@ -142,7 +143,7 @@ def _part(path: str | os.PathLike[str], content: Any, part: int | None) -> dict[
     if not parts or not all(isinstance(one, dict) for one in parts):
         raise TableError(f"{path}: expected a list of reconstructions; got {shown(content)}.")
     if part is None and len(parts) > 1:
-        sizes = ", ".join(str(len(one.get("shots", ()))) for one in parts)
+        sizes = ", ".join(str(len(table_of(f"{path}, [{k}]", one, "shots"))) for k, one in enumerate(parts))
         raise TableError(f"{path}: {len(parts)} reconstructions, of {sizes} shots; choose one with part=, from 0.")
     if not 0 <= (part or 0) < len(parts):
         raise TableError(f"{path}: part={part}, but there are {len(parts)} reconstructions, from 0.")
@@ -156,8 +157,8 @@ def _cameras(where: str, table: Mapping[str, Any]) -> dict[str, FrameCamera]:
 def _camera(where: str, camera: Any) -> FrameCamera:
     """A camera in pixels: OpenSfM divides by the longer side of the image, about the image's centre."""
     kind = camera.get("projection_type", "perspective") if isinstance(camera, dict) else camera
-    if kind not in PROJECTIONS:
-        raise TableError(f"{where}: projection_type {kind!r} is not read; only {', '.join(PROJECTIONS)} are.")
+    if not isinstance(kind, str) or kind not in PROJECTIONS:
+        raise TableError(f"{where}: projection_type {shown(kind)} is not read; only {', '.join(PROJECTIONS)} are.")
     focal_keys, offset_keys, coefficients = PROJECTIONS[kind]
     width, height = (size_of(where, camera, key) for key in ("width", "height"))
     longer, centre = max(width, height), np.array([width - 1, height - 1]) / 2.0

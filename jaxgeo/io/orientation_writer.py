@@ -14,6 +14,7 @@ import pyproj
 
 from jaxgeo._checks import check_is
 from jaxgeo._destination import destination
+from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._map_grid import MapGrid, metric_map
 from jaxgeo.io._orientation_columns import GRID_COLUMNS, SIGMA_COLUMNS
@@ -74,9 +75,9 @@ def _write(target: pathlib.Path, orientations: Orientations, numbers: dict[str, 
         sigma = np.concatenate([orientations.sigma[:, :3], np.rad2deg(orientations.sigma[:, 3:])], axis=1)
         columns |= {name: [f"{x:.9g}" for x in values] for name, values in zip(SIGMA_COLUMNS, sigma.T, strict=True)}
     with destination("orientations", target) as stream:
-        writer = csv.writer(stream, lineterminator="\n")
+        writer = csv.writer(Rows(stream), lineterminator="\r\n")
         writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+        writer.writerows(map(safe_cell, row) for row in zip(*columns.values(), strict=True))
 
 
 @eqx.filter_jit

@@ -17,6 +17,7 @@ from rasterio.windows import Window
 
 from jaxgeo._checks import check_is
 from jaxgeo._partial import partial_file
+from jaxgeo.io._read_back import WrittenWindows
 from jaxgeo.io.map_raster import MOST_WRITTEN, MapRaster, checked_target, is_too_large, map_of
 from jaxgeo.io.mapping import measure
 from jaxgeo.register.orthoimage import Orthoimage
@@ -61,6 +62,7 @@ class OrthoWriter:
         self._partial = self.target  # while it is open, the file that will take its place
         self._opened = contextlib.ExitStack()
         self._sink: Any = None
+        self._written = WrittenWindows(tuple(raster.shape))
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
@@ -101,12 +103,14 @@ class OrthoWriter:
                     self._sink.write_mask(known, window=window)
         except (OSError, RasterioError) as error:
             raise self._failure(error) from error
+        self._written.add(row, col, values, known if self.nodata is None else None)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if self._sink is not None:
                 self._sink.close()  # where what is left in GDAL's cache is written
             if kind is None:
+                self._check_written(self._partial)
                 self._finish()
         except (OSError, RasterioError) as error:
             raise self._failure(error) from error
@@ -162,15 +166,21 @@ class OrthoWriter:
         predictor = "FLOATING_POINT" if self.dtype.kind == "f" else "STANDARD"
         options = {"COMPRESS": "DEFLATE", "PREDICTOR": predictor, "BLOCKSIZE": 2 * BLOCK, "BIGTIFF": "IF_SAFER"}
         rasterio.shutil.copy(self._partial, copy, driver="COG", OVERVIEW_RESAMPLING="AVERAGE", **options)
+        self._check_written(copy)
         copy.replace(self.target)
+
+    def _check_written(self, path: pathlib.Path) -> None:
+        mistake = self._written.mistake(path)
+        if mistake:
+            raise OSError(mistake)
 
     def _drop(self) -> None:
         self._sink = None
         self._opened.close()
 
     def _failure(self, error: Exception) -> OSError:
-        reason = f"{error}".replace(self._partial.name, self.target.name)
-        return OSError(f"{self.target}: the orthoimage cannot be written here: {reason}")
+        reason = f"{error}".replace(self._partial.name, self.target.name).rstrip(".")
+        return OSError(f"{self.target}: the orthoimage cannot be written here: {reason}.")
 
 
 def write_orthoimage(

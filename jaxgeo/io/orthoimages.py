@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pyproj
-import rasterio
 from pyproj.exceptions import CRSError
+from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
@@ -19,6 +19,7 @@ from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.images import Bands, chosen_bands, opened, read_bands
 from jaxgeo.io.map_raster import MapRaster, map_of
 from jaxgeo.io.mapping import MapError
+from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.io.windows import Bounds, window_of_bounds
 from jaxgeo.register.orthoimage import Orthoimage
@@ -41,7 +42,13 @@ class OrthoimageReport(NamedTuple):
 
 
 def read_orthoimage(
-    path: str | os.PathLike[str], bands: Bands = None, bounds: Bounds | None = None, *, assume_wgs84: bool = False
+    path: str | os.PathLike[str],
+    bands: Bands = None,
+    bounds: Bounds | None = None,
+    *,
+    assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> Orthoimage:
     """An image that lies on the ground, from any file that GDAL opens, in any CRS that PROJ knows, not resampled.
 
@@ -49,21 +56,31 @@ def read_orthoimage(
     - `bounds`: (west, south, east, north) in deg of WGS 84, if only a part is wanted.
     - `assume_wgs84`: take latitudes and longitudes of the file's datum as those of WGS 84, where PROJ knows none but a
       ballpark transformation between them.
+    - `allow_remote`, `allow_outside`: as in `read_dem`.
 
     What is known is told as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
     geotransform, with a map that cannot be followed, or that the bounds do not meet; `FileNotFoundError`;
     `RuntimeError` with 64-bit floats off.
     """
-    return read_orthoimage_and_report(path, bands, bounds, assume_wgs84=assume_wgs84)[0]
+    return read_orthoimage_and_report(
+        path, bands, bounds, assume_wgs84=assume_wgs84, allow_remote=allow_remote, allow_outside=allow_outside
+    )[0]
 
 
 def read_orthoimage_and_report(
-    path: str | os.PathLike[str], bands: Bands = None, bounds: Bounds | None = None, *, assume_wgs84: bool = False
+    path: str | os.PathLike[str],
+    bands: Bands = None,
+    bounds: Bounds | None = None,
+    *,
+    assume_wgs84: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
 ) -> tuple[Orthoimage, OrthoimageReport]:
     """An orthoimage, and how it was read; arguments and errors as for `read_orthoimage`."""
     require_x64()
     name = os.fspath(path)
-    with opened(name) as data, refused_as(ImageError, name, "its header"):
+    reach = Reach(allow_remote, allow_outside)
+    with opened(name, reach) as data, refused_as(ImageError, name, "its header"):
         chosen = chosen_bands(name, data, bands)
         raster = _raster_of_file(name, data)
         try:
@@ -84,14 +101,14 @@ def read_orthoimage_and_report(
     return Orthoimage.of(values, grid, known), report
 
 
-def raster_of_file(path: str | os.PathLike[str]) -> MapRaster:
+def raster_of_file(path: str | os.PathLike[str], reach: Reach = HERE) -> MapRaster:
     """The raster of a file on a map. Raises `ImageError` for one that is on none; `FileNotFoundError`."""
     name = os.fspath(path)
-    with opened(name) as data, refused_as(ImageError, name, "its header"):
+    with opened(name, reach) as data, refused_as(ImageError, name, "its header"):
         return _raster_of_file(name, data)
 
 
-def _raster_of_file(name: str, data: rasterio.DatasetReader) -> MapRaster:
+def _raster_of_file(name: str, data: DatasetReader) -> MapRaster:
     transform = data.transform
     if transform.is_identity:
         how = "ground control points" if data.gcps[0] else "rational polynomials" if data.rpcs else None

@@ -8,11 +8,10 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
-
-from jaxgeo.io._quietly import quietly
+from jaxgeo.io._gdal import GDAL_ERRORS
+from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import DemError
+from jaxgeo.io.reach import HERE, Reach, is_remote
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -54,20 +53,14 @@ def with_full_names(asked: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def is_remote(name: str) -> bool:
-    """Whether a name is GDAL's own for what is no local file."""
-    return "://" in name or name.startswith("/vsi")
-
-
-def files_behind(path: str | os.PathLike[str]) -> list[str]:
+def files_behind(path: str | os.PathLike[str], reach: Reach = HERE) -> list[str]:
     """The file of a raster, and those that GDAL reads with it: sources of a VRT, world files, masks."""
     name = os.fspath(path)
-    with quietly(NotGeoreferencedWarning):
-        try:
-            with rasterio.open(name) as data:
-                return [name, *data.files]
-        except (RasterioError, OSError):
-            return [name]  # whoever reads it says why
+    try:
+        with open_raster(name, reach, DemError, "a raster") as data:
+            return [name, *data.files]
+    except (DemError, *GDAL_ERRORS, OSError):
+        return [name]  # whoever reads it says why
 
 
 def are_all_named(paths: Paths) -> bool:

@@ -17,6 +17,7 @@ from jaxgeo.io.map_raster import MapRaster, checked_target, grid_of, image_spaci
 from jaxgeo.io.ortho_writer import OrthoWriter
 from jaxgeo.io.orthoimages import raster_of_file
 from jaxgeo.io.paths import files_behind
+from jaxgeo.io.reach import Reach
 from jaxgeo.io.windows import Bounds
 from jaxgeo.register.interpolation import AbstractInterpolation
 from jaxgeo.register.rectify import BILINEAR, TILE, Rectifier, Tile, tiles_of
@@ -70,6 +71,8 @@ def rectify_file(
     cog: bool = False,
     status: bool = False,
     progress: bool = False,
+    allow_remote: bool = False,
+    allow_outside: bool = False,
     **how: Any,
 ) -> RectifiedFile:
     """An image file brought onto the ground and written to a GeoTIFF, in the image's dtype.
@@ -82,7 +85,7 @@ def rectify_file(
     - `bands` of the image, by default all but alpha; `cog` makes a cloud-optimised GeoTIFF.
     - `status`: also a file `*_status.tif` beside it, with the code of the `Status` of each cell: `hit` where the image
       shows it (unless the image is unknown there), or why not. Its tags say what the codes mean.
-    - `progress` shows a bar, on a terminal.
+    - `progress` shows a bar, on a terminal. `allow_remote`, `allow_outside`: of the rasters read, as in `read_dem`.
 
     Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Where
     ground is hidden and where the image does not reach, cells are unknown. Files appear when all is written.
@@ -95,13 +98,14 @@ def rectify_file(
     check_is(interpolation, AbstractInterpolation, "interpolation")
     inspect.signature(Rectifier).bind(sensor, shot, None, None, terrain, None, **how)  # `TypeError` for other options
     beside = status_file(target)
+    reach = Reach(allow_remote, allow_outside)
     read = [image] if like is None or isinstance(like, MapRaster) else [image, like]
     check_no_input(
-        "path", [target, beside] if status else [target], [file for one in read for file in files_behind(one)]
+        "path", [target, beside] if status else [target], [file for one in read for file in files_behind(one, reach)]
     )
-    values, known = read_image(image, bands)
+    values, known = read_image(image, bands, allow_remote=allow_remote, allow_outside=allow_outside)
     check_size(os.fspath(image), values.shape, sensor.camera)
-    raster = _raster(f"{target}", sensor, shot, terrain, (crs, bounds, resolution), like, how)
+    raster = _raster(f"{target}", sensor, shot, terrain, (crs, bounds, resolution), like, how, reach)
     grid = grid_of(raster, f"{target}")
     rectifier = Rectifier(sensor, shot, values, known, terrain, grid, interpolation=interpolation, **how)
     tags = {"INTERPOLATION": type(interpolation).__name__, "IMAGE": pathlib.Path(image).name}
@@ -123,6 +127,7 @@ def _raster(
     asked: tuple[Any, Any, Any],
     like: Any,
     how: dict[str, Any],
+    reach: Reach,
 ) -> MapRaster:
     if like is None:
         return raster_of(
@@ -130,7 +135,7 @@ def _raster(
         )
     if any(one is not None for one in asked):
         raise ValueError(f"{name}: like= says where the cells are; leave out crs=, bounds= and resolution=.")
-    return like if isinstance(like, MapRaster) else raster_of_file(like)
+    return like if isinstance(like, MapRaster) else raster_of_file(like, reach)
 
 
 def _written(

@@ -24,10 +24,13 @@ from pyproj.exceptions import CRSError
 from jaxgeo._checks import require_x64
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
+from jaxgeo.io._bounded import check_dotted_keys, check_nesting, read_bytes
 from jaxgeo.io._mistakes import explain
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
 from jaxgeo.io.geoid import undulation
+from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.scene_errors import model_of_table
 from jaxgeo.io.vertical import LARGEST_UNDULATION, HeightShift, height_shift
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -124,15 +127,24 @@ def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
 
 def _read_toml(path: pathlib.Path) -> dict[str, Any]:
     """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    check_regular(path, SceneError)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
+        check_dotted_keys(path, text)
+        content = tomllib.loads(text)
+        check_nesting(path, content)
+        return content
+    except RefusedFile as error:
+        raise SceneError(str(error)) from None
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such scene file.") from None
     except IsADirectoryError:
         raise SceneError(f"{path}: this is a folder; give the scene file in it.") from None
     except OSError as error:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
-    except (ValueError, RecursionError) as error:  # tomllib's own, of UTF-8, of numbers too long, of lists too deep
+    except RecursionError:
+        raise SceneError(str(NESTING.refusal(path, None))) from None
+    except ValueError as error:  # tomllib's own, of UTF-8, of numbers too long
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 

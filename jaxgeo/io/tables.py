@@ -14,6 +14,7 @@ import numpy as np
 
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._csv import POSE_COLUMNS, Limits, Row, gimbal_columns, read_csv
 from jaxgeo.io.geoid import degrees_of
 from jaxgeo.io.scene import ellipsoidal_heights
@@ -128,13 +129,13 @@ def _rounded(value: Any, places: int | None) -> float | None:
 
 
 def write_csv(rows: Iterable[Row], stream: TextIO) -> None:
-    """Rows as CSV, in the order of the first row's keys; None is an empty cell."""
+    """Rows as CSV, in the order of the first row's keys; None is an empty cell, and no text is run (`safe_cell`)."""
     writer = None
     for row in rows:
         if writer is None:
-            writer = csv.DictWriter(stream, list(row), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow({name: _text(value, FIX_COLUMNS.get(name)) for name, value in row.items()})
+            writer = csv.DictWriter(Rows(stream), list(row), lineterminator="\r\n")
+            writer.writerow({name: safe_cell(name) for name in row})
+        writer.writerow({name: safe_cell(_text(value, FIX_COLUMNS.get(name))) for name, value in row.items()})
 
 
 def _text(value: Any, places: int | None) -> Any:

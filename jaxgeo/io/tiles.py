@@ -7,22 +7,21 @@ import contextvars
 import dataclasses
 import functools
 import os
-import pathlib
 
 import numpy as np
 import pyproj
-import rasterio
 from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
-from jaxgeo.io._quietly import quietly
+from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import DemError
+from jaxgeo.io.reach import HERE, Reach, is_local
 from jaxgeo.io.vertical import horizontal_part
-from jaxgeo.io.vrt import check_files_exist, check_on_grid, is_local, read_vrt
+from jaxgeo.io.vrt import check_files_exist, check_on_grid, read_vrt
 from jaxgeo.io.vrt_facts import inherit
 
 _INSIDE: contextvars.ContextVar[tuple[str, ...]] = contextvars.ContextVar("VRTs that are being read", default=())
@@ -54,6 +53,8 @@ class Tile:
     """Stored values that mark voids beside `nodata`: those of a VRT's sources."""
     datum_field: str | None = None
     """What a DTED file has in its field of the vertical datum."""
+    reach: Reach = HERE
+    """What may be touched when the file is opened."""
 
     @functools.cached_property
     def is_geographic(self) -> bool:
@@ -79,7 +80,7 @@ class OpenFiles:
     """Datasets kept open between reads, the last few used; close it, or use it as a context manager."""
 
     def __init__(self) -> None:
-        self._open: collections.OrderedDict[str, rasterio.DatasetReader] = collections.OrderedDict()
+        self._open: collections.OrderedDict[str, DatasetReader] = collections.OrderedDict()
 
     def __enter__(self) -> OpenFiles:
         return self
@@ -88,18 +89,18 @@ class OpenFiles:
         while self._open:
             self._open.popitem()[1].close()
 
-    def __getitem__(self, path: str) -> rasterio.DatasetReader:
-        if path not in self._open:
+    def __getitem__(self, tile: Tile) -> DatasetReader:
+        if tile.path not in self._open:
             if len(self._open) >= MOST_OPEN:
                 self._open.popitem(last=False)[1].close()
-            self._open[path] = _opened(path)
-        self._open.move_to_end(path)
-        return self._open[path]
+            self._open[tile.path] = _opened(tile.path, tile.reach)
+        self._open.move_to_end(tile.path)
+        return self._open[tile.path]
 
 
-def read_header(path: str, band: int) -> Tile:
+def read_header(path: str, band: int, reach: Reach = HERE) -> Tile:
     """The header of a raster file, remembered while the file's time and size stay. Raises as `read_dem` does."""
-    return _header(path, band, stamp_of(path))
+    return _header(path, band, reach, stamp_of(path))
 
 
 def stamp_of(path: str) -> tuple[int, int] | None:
@@ -113,7 +114,7 @@ def stamp_of(path: str) -> tuple[int, int] | None:
 
 def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray, np.ndarray]:
     """Values as stored, without scale and offset, and voids, of a window of one file. Raises `DemError` if damaged."""
-    data = files[tile.path]
+    data = files[tile]
     with refused_as(DemError, tile.path, f"rows {window.row_off} to {window.row_off + window.height}"):
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
@@ -127,21 +128,15 @@ def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray,
     return values, unknown
 
 
-def _opened(path: str) -> rasterio.DatasetReader:
+def _opened(path: str, reach: Reach) -> DatasetReader:
     """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
-    if is_local(path) and not pathlib.Path(path).exists():
-        raise FileNotFoundError(f"{path}: no such file.")
-    with rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"), quietly(NotGeoreferencedWarning):  # refused below, in words
-        try:
-            return rasterio.open(path)
-        except GDAL_ERRORS as error:
-            raise DemError(f"{path}: not a raster that GDAL can open, or a damaged one: {error}") from error
+    return open_raster(path, reach, DemError, "a raster")
 
 
 @functools.lru_cache(maxsize=65_536)
-def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
+def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -> Tile:
     del stamp  # part of the key only: another time or size is another file
-    with _opened(path) as data, refused_as(DemError, path, "its header"):
+    with _opened(path, reach) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
             known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
             raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
@@ -166,6 +161,7 @@ def _header(path: str, band: int, stamp: tuple[int, int] | None) -> Tile:
             nodata=data.nodatavals[band - 1],
             has_mask=_has_mask(data, band),
             datum_field=data.tags().get("DTED_VerticalDatum", "").strip() or None,
+            reach=reach,
         )
         xml = data.tags(ns="xml:VRT").get("xml:VRT", "") if data.driver == "VRT" else ""
     return _with_sources(tile, xml) if xml else tile
@@ -183,7 +179,7 @@ def _with_sources(tile: Tile, xml: str) -> Tile:
             raise DemError(f"{tile.path}: this VRT has itself among its sources ({source.file}); make it anew.")
     token = _INSIDE.set(inside)
     try:
-        headers = [read_header(source.file, source.band) for source in vrt.sources]
+        headers = [read_header(source.file, source.band, tile.reach) for source in vrt.sources]
     finally:
         _INSIDE.reset(token)
     for source, header in zip(vrt.sources, headers, strict=True):
@@ -192,7 +188,7 @@ def _with_sources(tile: Tile, xml: str) -> Tile:
     return inherit(dataclasses.replace(tile, sources=tuple(dict.fromkeys(behind))), vrt, headers)
 
 
-def _has_mask(data: rasterio.DatasetReader, band: int) -> bool:
+def _has_mask(data: DatasetReader, band: int) -> bool:
     flags = data.mask_flag_enums[band - 1]
     return MaskFlags.per_dataset in flags or ColorInterp.alpha in data.colorinterp
 
@@ -203,7 +199,7 @@ def _centred(corner: Affine) -> Affine:
     return Affine(a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
 
 
-def _crs(path: str, data: rasterio.DatasetReader) -> pyproj.CRS:
+def _crs(path: str, data: DatasetReader) -> pyproj.CRS:
     try:
         crs = _crs_of(data.crs.to_wkt())
     except (CRSError, *GDAL_ERRORS) as error:
@@ -219,7 +215,7 @@ def _crs_of(wkt: str) -> pyproj.CRS:
     return pyproj.CRS.from_wkt(wkt)
 
 
-def _check_holds_heights(path: str, data: rasterio.DatasetReader, band: int) -> None:
+def _check_holds_heights(path: str, data: DatasetReader, band: int) -> None:
     dtype, colour = data.dtypes[band - 1], data.colorinterp[band - 1]
     if "complex" in dtype:
         raise DemError(f"{path}: band {band} holds complex numbers ({dtype}), not heights.")
@@ -229,7 +225,7 @@ def _check_holds_heights(path: str, data: rasterio.DatasetReader, band: int) -> 
         raise DemError(f"{path}: {data.height} x {data.width} posts make no surface; at least 2 x 2 are needed.")
 
 
-def _check_georeferenced(path: str, data: rasterio.DatasetReader) -> None:
+def _check_georeferenced(path: str, data: DatasetReader) -> None:
     t = data.transform
     if t.is_identity:
         how = "ground control points" if data.gcps[0] else "rational polynomials" if data.rpcs else None

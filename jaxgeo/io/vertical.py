@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import pathlib
 from typing import Any
 
@@ -186,7 +187,7 @@ def _checked_undulation(value: float) -> float:
 
 
 def _looks_like_path(text: str) -> bool:
-    return text.lower().endswith((".tif", ".tiff", ".gtx")) or pathlib.Path(text).is_file()
+    return text.lower().endswith((".tif", ".tiff", ".gtx")) or os.path.isfile(text)
 
 
 def _check_agreement(asked: str | float | pathlib.Path | pyproj.CRS, stated: pyproj.CRS | None) -> None:

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from jaxgeo.io.errors import DemError
+from jaxgeo.io.reach import is_local
 
 OFF_GRID = 1e-3  # posts; a source farther off is resampled
 MOST_CELLS = 100_000_000  # of a lattice on which rectangles are compared
@@ -50,11 +51,6 @@ class VrtBand:
         return tuple(dict.fromkeys(source.file for source in self.sources if is_local(source.file)))
 
 
-def is_local(file: str) -> bool:
-    """Whether a name is that of a file in the file system, not one that only GDAL can reach."""
-    return not file.startswith("/vsi") and "://" not in file and ":" not in file[2:]
-
-
 def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
     """One band of a VRT, from the XML that GDAL gives of it; None for raw values, which have no source.
 
@@ -75,7 +71,7 @@ def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
     if element is None or element.get("subClass") == "VRTRawRasterBand":
         return None
     _check_copies(path, band, element)
-    folder = os.path.dirname(path)
+    folder = os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path)  # as GDAL has it
     found = tuple(_source(path, one, folder) for one in element if one.tag in _COPYING)
     if not found:
         raise DemError(f"{path}: band {band} of this VRT has no source, so that it holds no heights.")

@@ -19,6 +19,7 @@ import numpy as np
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.paths import Paths, are_all_named, expanded
 from jaxgeo.io.raster import Mosaic, check_no_two_are_alike, offset_on, read_window
+from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header
 from jaxgeo.terrain.pyramid import check_size
 
@@ -100,12 +101,12 @@ class Zones:
         return values, void
 
 
-def open_tiles(paths: Paths, band: int) -> Mosaic | Zones:
+def open_tiles(paths: Paths, band: int, reach: Reach = HERE) -> Mosaic | Zones:
     """Headers of one file, or of several tiles on one grid but for the spacing of their columns.
 
     Raises `FileNotFoundError` or `DemError`.
     """
-    tiles = [read_header(name, band) for name in expanded(paths)]
+    tiles = [read_header(name, band, reach) for name in expanded(paths)]
     zones: list[list[Tile]] = []
     for tile in tiles:
         zone = next((zone for zone in zones if _have_like_columns(zone[0], tile)), None)

@@ -59,7 +59,7 @@ REFUSED = {
     "missing": (PLAIN.replace("point", "pt"), r"no column point\. The columns needed are image, point, u, v"),
     "word": (PLAIN.replace("12", "twelve"), "row 3, column v: 'twelve' is not a number.* point 'p2' in image 'a'"),
     "nan": (PLAIN.replace("-0.5", "nan"), r"row 2, column v: unknown \(nan\).* It is point 'p1' in image 'a'"),
-    "infinite": (PLAIN.replace("1e3", "inf"), "row 4, column u: inf is outside.* point 'p1' in image 'b'"),
+    "infinite": (PLAIN.replace("1e3", "inf"), "row 4, column u: 'inf' is not a number.* point 'p1' in image 'b'"),
     "twice": (PLAIN.replace("a,p2", "a,p1"), "rows 2 and 3: image a, point p1: measured twice; keep one"),
     "no image": (PLAIN.replace("b,", ","), "row 4, column image: the name is empty"),
     "cells": (PLAIN.replace("11,12", "11"), "row 3: 3 cells, but the header has 4"),

@@ -7,6 +7,7 @@ import pathlib
 import numpy as np
 
 from jaxgeo.io._csv import POSE_COLUMNS
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.navigation import WEEK
 
@@ -41,6 +42,7 @@ Fields = dict[str, np.ndarray]
 def mapped(path: str, what: str, fields: tuple[str, ...]) -> np.ndarray:
     """The records of a file (n, fields), that stay on disk."""
     width = 8 * len(fields)
+    check_regular(path, TableError)
     try:
         if pathlib.Path(path).is_dir():
             raise TableError(f"{path}: this is a folder; give the {what} file in it.")

@@ -17,6 +17,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import CLOSE, FORMS
 
 OFF_CENTRE = 0.1  # of half the image, by which a principal point may be off its middle
+LONGEST_FOCAL = 50.0  # widths of the image: 1800 mm on 35 mm film, more than twice what drones zoom to
 FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
 MILLIMETRES: Limits = (1e-3, 1e5, "mm")
@@ -126,7 +127,7 @@ def _check(tags: ImageTags, found: Calibration, width: int, height: int) -> None
                 f"{tags.path}: the principal point ({how}) at {point[0]:.1f}, {point[1]:.1f} is far from the middle of "
                 f"{width} x {height} pixels: the calibration is of another size of image. Give {FORMS}."
             )
-    if not 0.1 * width < min(found.focal) <= max(found.focal) < 1000.0 * width:
+    if not 0.1 * width < min(found.focal) <= max(found.focal) < LONGEST_FOCAL * width:
         raise TableError(
             f"{tags.path}: a focal length of {found.focal[0]:g} pixels ({found.how}) does not fit an image {width} "
             f"pixels wide. Give {FORMS}."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import os
@@ -9,11 +10,15 @@ import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io._csv import Limits
-from jaxgeo.io._quietly import heard, quietly
-from jaxgeo.io.errors import ImageError, TableError
+from jaxgeo.io._quietly import heard
+from jaxgeo.io._regular import check_regular
+from jaxgeo.io.acquisitions._tag_sizes import check_tag_sizes
+from jaxgeo.io.errors import ImageError, RefusedFile, TableError
+from jaxgeo.io.limits import NESTING
 from jaxgeo.io.sentinels import IMAGE, is_undefined, sentinel_of
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -123,25 +128,48 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     EXIF that GDAL has put into the metadata of a TIFF file is read too. Raises `ImageError` for what is no such image,
     or is cut short; `TableError` for XMP that is no XML, or has a document type; `FileNotFoundError`.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import UnidentifiedImageError
 
     name = os.fspath(path)
     if not os.path.exists(name):
         raise FileNotFoundError(f"{name}: there is no such image.")
+    check_regular(name, ImageError)
     cut = "the file is damaged or cut short"
     try:
-        no_pixel_is_decoded = quietly(Image.DecompressionBombWarning)
-        with heard("PIL", UserWarning) as told, no_pixel_is_decoded, Image.open(name, formats=TRIED) as image:
-            raw = _raw(image)
+        with heard("PIL", UserWarning) as told, open(name, "rb") as file:
+            check_tag_sizes(file, name)
+            raw = _raw(_opened(file, name))
     except UnidentifiedImageError as error:
         raise ImageError(f"{name}: not an image, or {cut}; expected JPEG or TIFF.") from error
-    except (*PILLOW_ERRORS, Image.DecompressionBombError) as error:
+    except RefusedFile:
+        raise
+    except PILLOW_ERRORS as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
     _check_kind(name, raw)
     if told or not raw.is_whole:  # so Pillow tells of directories that end before their time
         raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
     found, repeated = _xmp(name, raw.packet)
     return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)
+
+
+def _opened(file: BinaryIO, name: str) -> Any:
+    """An image of Pillow as far as its tags.
+
+    `Image.open` would do the same and then refuse images of many pixels, which nobody decodes here. Raises
+    `UnidentifiedImageError` for what is no image of a kind that is tried.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    Image.init()
+    start = file.read(16)
+    for kind in TRIED:
+        factory, accept = Image.OPEN[kind]
+        if accept is not None and accept(start) is not True:
+            continue
+        file.seek(0)
+        with contextlib.suppress(SyntaxError, IndexError, TypeError, struct.error):  # it is of another kind
+            return factory(file, name)
+    raise UnidentifiedImageError(name)
 
 
 class _Raw(NamedTuple):
@@ -261,11 +289,14 @@ def _number(value: Any) -> float | None:
         return _number(value[0]) if len(value) == 1 else None
     parts = value.split("/") if isinstance(value, str) else [value]
     try:
-        numbers = [math.nan if "_" in str(part) else float(part) for part in parts]
-        result = numbers[0] / numbers[1] if len(numbers) == 2 else numbers[0]
-    except (TypeError, ValueError, ZeroDivisionError):
+        numbers = [number_in(part) if isinstance(part, str) else float(part) for part in parts]
+        if None in numbers or len(numbers) > 2:
+            return None
+        first, second = (*numbers, 1.0)[:2]
+        result = first / second
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
-    return result if math.isfinite(result) and len(numbers) <= 2 else None
+    return result if math.isfinite(result) else None
 
 
 def _packet(image: Any) -> bytes:
@@ -288,9 +319,11 @@ def _xmp(path: str, packet: bytes) -> tuple[dict[str, str], dict[str, str]]:
         return {}, {}
     prefixes: dict[str, str] = {}
     try:
-        root: Any = None
-        for event, what in iterparse(io.BytesIO(packet), ("start-ns", "end"), forbid_dtd=True):
-            if event == "end":
+        root, depth = None, 0
+        for event, what in iterparse(io.BytesIO(packet), ("start-ns", "start", "end"), forbid_dtd=True):
+            if event != "start-ns":
+                depth += 1 if event == "start" else -1
+                NESTING.check(f"{path}, XMP", depth)
                 root = what  # the last to end is the outermost
                 continue
             prefix, uri = (str(part or "") for part in what)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime, timedelta, timezone
 
+from jaxgeo._text_numbers import number_in
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 
 
@@ -25,7 +27,9 @@ def time_of(tags: ImageTags) -> tuple[float | None, bool]:
         return None, False
     day, _, clock = tags.text(name).partition(" ")
     fraction = tags.text("EXIF:SubsecTimeOriginal")
-    written = f"{day.replace(':', '-')} {clock}" + (f".{fraction}" if fraction.isdigit() and "." not in clock else "")
+    written = f"{day.replace(':', '-')} {clock}" + (
+        f".{fraction}" if re.fullmatch("[0-9]{1,12}", fraction) and "." not in clock else ""
+    )
     return _seconds(tags, name, written, _zone(tags, zone)), bool(zone)
 
 
@@ -34,15 +38,24 @@ def _zone(tags: ImageTags, zone: str) -> timezone:
         return UTC
     try:
         hours, minutes = zone[1:].split(":")
-        return timezone({"+": 1, "-": -1}[zone[0]] * timedelta(hours=int(hours), minutes=int(minutes)))
+        return timezone({"+": 1, "-": -1}[zone[0]] * timedelta(hours=_whole(hours), minutes=_whole(minutes)))
     except (KeyError, ValueError) as error:
         raise tags.wrong("EXIF:OffsetTimeOriginal", f"{zone!r} is no time zone; expected +08:00.") from error
 
 
+def _whole(text: str) -> int:
+    if not re.fullmatch("[0-9]{1,2}", text):
+        raise ValueError(f"{text!r} is no whole number of two digits")
+    return int(text)
+
+
 def _seconds(tags: ImageTags, name: str, written: str, zone: timezone) -> float:
     whole, _, fraction = written.partition(".")
+    share = number_in(f"0.{fraction}")
     try:
         start = datetime.fromisoformat(whole).replace(tzinfo=zone).timestamp()
-        return start + (float(f"0.{int(fraction):0{len(fraction)}d}") if fraction else 0.0)
-    except ValueError as error:
+        if share is None or not 0.0 <= share < 1.0:
+            raise ValueError(f"{fraction!r} is no fraction of a second")
+        return start + share
+    except (ValueError, OverflowError) as error:
         raise tags.wrong(name, f"{tags.text(name)!r} is no date and time.") from error

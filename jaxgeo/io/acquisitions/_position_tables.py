@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo._text_numbers import number_in, words_of
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import Columns, refuse_doubles
 from jaxgeo.io._csv import POSE_COLUMNS, CsvTable
@@ -24,9 +25,10 @@ from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
 _NUMBER = r"\s*(-?\d{1,12}(?:\.\d*)?)\s*"
-MARK = re.compile(
+MARK = re.compile(  # digits of ASCII alone
     rf"\s*(\d{{1,9}})\s{_NUMBER}\s\[(\d{{1,6}})\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s{_NUMBER},Lon\s"
-    rf"{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s(\d{{1,6}})\s*,Q\s*"
+    rf"{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s(\d{{1,6}})\s*,Q\s*",
+    re.ASCII,
 )
 MARK_FIELDS = ("week", "time of week", "Lat", "Lon", "Ellh", "sigma north", "sigma east", "sigma up", "Q")
 GPS_EPOCH = 315_964_800.0  # s since 1970
@@ -64,8 +66,8 @@ def form_of_positions(text: str) -> str | None:
         f'"{word}"' in text for word in ("FeatureCollection", "filename", "translation")
     ):
         return "shots"
-    projection = re.fullmatch(r"(EPSG:\d+|\+proj=.*|WGS84(\s+UTM\s+\d{1,2}\s*[NS]?)?)", lines[0], re.IGNORECASE)
-    rows = [line.split() for line in lines[1:3] if not line.startswith("#")]
+    projection = re.fullmatch(r"(EPSG:[0-9]+|\+proj=.*|WGS84(\s+UTM\s+[0-9]{1,2}\s*[NS]?)?)", lines[0], re.I)
+    rows = [words_of(line) for line in lines[1:3] if not line.startswith("#")]
     if projection and rows and all(len(row) >= 3 and _is_number(row[1]) and _is_number(row[2]) for row in rows):
         return None if len(rows[0]) >= 6 and not _is_number(rows[0][5]) else "geo"  # those are control points
     return None
@@ -151,7 +153,7 @@ def _of_geo(path: Any, height_datum: Any, crs: Any) -> PositionTable:
     (_, projection), *lines = [(i, line) for i, line in numbered if line and not line.startswith("#")]
     if crs is not None:
         raise TableError(f"{path}: its first line says that it is in {projection!r}; leave crs= out.")
-    rows = [(i, line.split()) for i, line in lines]
+    rows = [(i, words_of(line)) for i, line in lines]
     short = [i for i, words in rows if len(words) < 3]
     if short:
         raise TableError(f"{path}, row {short[0]}: expected image x y [z] [yaw pitch roll] [accuracies].")
@@ -232,11 +234,7 @@ def _check_place(path: Any, lat: np.ndarray, lon: np.ndarray, height: np.ndarray
 
 
 def _is_number(word: str) -> bool:
-    try:
-        float(word.replace(",", "."))
-    except ValueError:
-        return False
-    return True
+    return number_in(word.replace(",", ".")) is not None
 
 
 def _some(names: list[str]) -> str:

@@ -10,6 +10,7 @@ import time as clock
 from collections.abc import Mapping
 
 from jaxgeo._checks import require_x64
+from jaxgeo._text_numbers import BLANKS, number_in
 from jaxgeo.io._csv import UNKNOWN_WORDS, CsvTable, read_csv
 from jaxgeo.io.acquisitions._flight_logs import LogRecord, acquisition_of_records
 from jaxgeo.io.acquisitions.record import Acquisition
@@ -110,14 +111,14 @@ def _record(
     values = {name: cells[index].strip() for name, (index, _) in columns.items()}
     numbers: dict[str, float | None] = {"altitude": None, "above_takeoff": None}
     for ours, (index, factor) in where.items():
-        cell = cells[index].strip()
+        cell = cells[index].strip(BLANKS)
         if cell.lower() in UNKNOWN_WORDS:
             numbers[ours] = None
             continue
-        try:
-            numbers[ours] = factor * float(cell)
-        except ValueError:
-            raise table.wrong(row, table.header[index], f"{cell!r} is not a number.") from None
+        number = number_in(cell)
+        if number is None:
+            raise table.wrong(row, table.header[index], f"{cell[:60]!r} is not a number.")
+        numbers[ours] = factor * number
     time = math.nan if start is None else start + _milliseconds(values.get("time")) / 1e3
     return LogRecord(str(row), f"row {table.lines[row]}", values, numbers, time)
 
@@ -138,10 +139,8 @@ def _start(table: CsvTable, columns: Mapping[str, tuple[int, str]]) -> float | N
 
 
 def _milliseconds(cell: str | None) -> float:
-    try:
-        return float(cell or "nan")
-    except ValueError:
-        return math.nan
+    number = number_in(cell or "")
+    return math.nan if number is None else number
 
 
 def _is_set(cell: object) -> bool:

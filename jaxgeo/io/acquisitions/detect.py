@@ -13,6 +13,7 @@ import numpy as np
 from jaxgeo._record import portable
 from jaxgeo.io._dialect import header_of
 from jaxgeo.io._orientation_columns import ALIASES, KNOWN
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import text_of
 from jaxgeo.io.acquisitions._applanix import FIELDS
 from jaxgeo.io.acquisitions._position_tables import form_of_positions, read_positions
@@ -112,6 +113,7 @@ def form_of(path: str | os.PathLike[str]) -> Form:
     place = pathlib.Path(path)
     if place.is_dir():
         return DRONE_IMAGES
+    check_regular(place, TableError)
     try:
         with open(place, "rb") as file:
             head = file.read(HEAD)

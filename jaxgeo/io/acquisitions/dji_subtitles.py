@@ -15,9 +15,11 @@ from jaxgeo.io.sentinels import SUBTITLES
 from jaxgeo.sensor import FrameCamera
 
 FORM = "subtitle file of DJI"
-FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?(?:/\d+(?:\.\d+)?)?)(?![\d:])")
-CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+")
-TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?")
+_DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
+# A field and its number, which ends there: not before 1_0, 0x10, 1e5, digits of other scripts or damaged bytes.
+FIELD = re.compile(rf"\b([A-Za-z_]+)\s*:\s*([-+]?{_DECIMAL}(?:/{_DECIMAL})?)(?=m?(?:[ \t\r\n\])}}>,;]|$))")
+CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
+TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
 NAMES = {
     "lat": "latitude",
@@ -27,6 +29,7 @@ NAMES = {
     "pitch": "gb_pitch",
     "roll": "gb_roll",
 }
+MEASURED = frozenset({*NAMES.values(), "abs_alt", "altitude", "framecnt"})  # once in a record
 MOST_FRAMES = 1e9
 ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
 
@@ -55,7 +58,7 @@ def read_dji_subtitles(
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
-    records = [_record(index, block) for index, block in enumerate(_blocks(path))]
+    records = [_record(path, index, block) for index, block in enumerate(_blocks(path))]
     if not any(all(name in record.values for name in ANGLES) for record in records):
         raise TableError(
             f"{path}: there are no angles of the camera (gb_yaw, gb_pitch, gb_roll), which not every drone writes; "
@@ -79,19 +82,32 @@ def read_dji_subtitles(
 def _blocks(path: str | os.PathLike[str]) -> list[str]:
     """The text of each cue. Raises `TableError` for none."""
     found: list[list[str]] = []
-    for line in read_text(path, FORM).splitlines():
+    before = 0
+    for number, line in enumerate(read_text(path, FORM).splitlines(), start=1):
         if CUE.search(line):
             found.append([])
         elif found:
             found[-1].append(line)
+        elif FIELD.search(line):
+            before = before or number
     if not found:
         raise TableError(f"{path}: there are no subtitles (a line such as 00:00:00,000 --> 00:00:00,033).")
+    if before:
+        raise TableError(f"{path}, row {before}: there is no time above the first record (00:00:00,000 --> ...).")
     return [" ".join(lines) for lines in found]
 
 
-def _record(index: int, block: str) -> LogRecord:
+def _record(path: object, index: int, block: str) -> LogRecord:
     text = re.sub(r"<[^>]*>", " ", block)
-    fields: dict[str, str] = {SPELLINGS.get(name.lower()) or name.lower(): value for name, value in FIELD.findall(text)}
+    fields: dict[str, str] = {}
+    for name, value in FIELD.findall(text):
+        name = SPELLINGS.get(name.lower()) or name.lower()
+        if name in MEASURED and fields.get(name, value) != value:
+            raise TableError(
+                f"{path}, subtitle {index + 1}: {name} is {fields[name]} and {value}: the time between two records (a "
+                f"line such as 00:00:00,000 --> 00:00:00,033) is missing or damaged."
+            )
+        fields[name] = value
     values = {name: float(value) if "/" not in value else value for name, value in fields.items()}
     numbers = {ours: _number(values.get(theirs)) for ours, theirs in NAMES.items()}
     numbers["altitude"] = _number(values.get("abs_alt", values.get("altitude")))

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxgeo.io.limits import PACKET_ITEMS
+
 UAS_LOCAL_SET = bytes.fromhex("060e2b34020b01010e01030101000000")
 # Keys of other sets that video carries, by the registry of SMPTE and the standards of MISB.
 OTHER_SETS = {
@@ -97,6 +99,8 @@ def items(data: bytes) -> Items:
     found: list[tuple[int, bytes]] = []
     at = 0
     while at < len(data):
+        if len(found) == PACKET_ITEMS.most:
+            raise _Unreadable(f"it has more than {PACKET_ITEMS.most} {PACKET_ITEMS.what} ({PACKET_ITEMS.name})")
         tag, at = ber_oid(data, at)
         length, at = ber_length(data, at)
         if at + length > len(data):
@@ -117,6 +121,8 @@ def _packet(data: bytes, offset: int) -> Packet:
     if _reaches_over(data, start, end):
         return Packet(offset, end - offset, (), f"its length of {length} bytes reaches over the packets behind it")
     damage = _wrong_checksum(data[offset:end])
+    if damage and data.find(UAS_LOCAL_SET, start, end) >= 0:  # its length is false: the same bytes are looked into once
+        return Packet(offset, end - offset, (), damage)
     try:
         return Packet(offset, end - offset, items(data[start:end]), damage)
     except _Unreadable as error:

@@ -11,6 +11,7 @@ import numpy as np
 import pyproj
 
 from jaxgeo._checks import require_x64
+from jaxgeo._text_numbers import numbers_in, whole_in, words_of
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._text import read_text
@@ -96,13 +97,10 @@ def _chunk(path: str | os.PathLike[str]) -> ET.Element:
 
 def _numbers(where: str, element: ET.Element | None, count: int) -> np.ndarray:
     text = "" if element is None or element.text is None else element.text
-    try:
-        found = np.array([float(word) for word in text.split()])
-    except ValueError:
-        found = np.zeros(0)
-    if len(found) != count or not np.all(np.isfinite(found)):
+    found = numbers_in(words_of(text))
+    if found is None or len(found) != count:
         raise TableError(f"{where}: expected {count} numbers; got {text.strip()[:60]!r}.")
-    return found
+    return np.array(found)
 
 
 def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
@@ -169,10 +167,8 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
         raise TableError(f"{where}: there is no calibration.")
     size = calibration.find("resolution")
     size = sensor.find("resolution") if size is None else size
-    try:
-        width, height = (int((size.attrib if size is not None else {})[key]) for key in ("width", "height"))
-    except (KeyError, ValueError):
-        width = height = 0
+    sides = {} if size is None else size.attrib
+    width, height = (whole_in(sides.get(key, "")) or 0 for key in ("width", "height"))
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise TableError(f"{where}: there is no resolution of whole numbers above zero, width and height.")
     written = [one for one in calibration if one.text and one.text.strip()]

@@ -15,11 +15,13 @@ import pyproj
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._bounded import read_bytes
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._dialect import header_of
 from jaxgeo.io._json import number_of, read_json, shown, value_of
 from jaxgeo.io._map_grid import MapGrid, metric_map, understood_crs
 from jaxgeo.io._orientation_columns import KNOWN
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import (
     CHOICES,
@@ -34,6 +36,7 @@ from jaxgeo.io.acquisitions.blocks import (
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
@@ -46,7 +49,6 @@ TYPES = {
 }
 UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # of opencv: thin prism and tilted sensor
 FORM = "parameter file of Orthority"
-DEEPEST = 20  # lists and tables within each other
 LARGEST_ANGLE = 2.0 * np.pi
 
 
@@ -200,7 +202,7 @@ def _of_csv(
         if not named.exists():
             raise TableError(f"{path}: which map x and y are in is not in the file, nor in {named.name} beside it; "
                              f"pass crs=.")  # fmt: skip
-        crs = named.read_text(encoding="utf-8-sig", errors="replace").strip()
+        crs = read_text(named, "file of a CRS").strip()
     only = next(iter(cameras.values())) if len(cameras) == 1 and "camera" not in words else cameras
     table = acquisition_of_orientations(path, cameras=only, height_datum=height_datum, crs=crs, camera=camera)
     return dataclasses.replace(table, form=FORM)
@@ -282,13 +284,13 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
         import yaml
     except ImportError as error:
         raise ImportError("Reading YAML needs PyYAML: pip install 'jaxgeo[orthority]'.") from error
+    check_regular(path, TableError)
     try:
-        text = pathlib.Path(path).read_text(encoding="utf-8-sig")
+        text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
         depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                raise TableError(f"{path}: lists in lists, deeper than any parameter file has them.")
+            NESTING.check(path, depth)
             if isinstance(event, yaml.AliasEvent):
                 raise TableError(
                     f"{path}, line {event.start_mark.line + 1}: references (*) are not read; write it out."

@@ -9,6 +9,8 @@ import numpy as np
 
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
+from jaxgeo.io._bounded import read_bytes
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.acquisitions._klv_camera import camera_of, lens_errors, sensor_of, size_of, usual_size
 from jaxgeo.io.acquisitions._klv_columns import Columns, lacking, numbers_of
 from jaxgeo.io.acquisitions._klv_notes import assumed, damage, facts, left_out, times_unknown
@@ -105,11 +107,12 @@ def read_telemetry(
 
 def _content(path: pathlib.Path, stream: int | None) -> tuple[bytes, tuple[int, int] | None]:
     """(bytes that hold the packets, size of the images if a video comes with them)."""
+    check_regular(path, TableError)
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)
-            if not is_transport_stream(head):
-                return head + file.read(), None
+        if not is_transport_stream(head):
+            return read_bytes(path), None
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: there is no such file of telemetry.") from None
     except IsADirectoryError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any, NamedTuple
 
+from jaxgeo.io._regular import check_regular
 from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.errors import TableError
 
@@ -34,9 +35,10 @@ def read_transport_stream(path: str | os.PathLike[str], stream: int | None = Non
     Headers of access units (ST 1402, synchronous KLV) stay between the packets. Raises `TableError` for a file that
     cannot be demultiplexed, one without such packets and one with several such streams; `ImportError` without PyAV.
     """
+    check_regular(path, TableError)
     av = _pyav()
     try:
-        with av.open(os.fspath(path)) as container:
+        with av.open(os.fspath(path), format="mpegts", options={"protocol_whitelist": "file"}) as container:
             data = _data_streams(container)
             video = container.streams.video
             codec = video[0].codec_context if video else None  # None where FFmpeg knows no decoder

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxgeo.io.images import check_size, read_image
 from jaxgeo.io.orthoimages import read_orthoimage
+from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.scene import SceneError, read_scene
 from jaxgeo.register import TieErrors
 from jaxgeo.studies.gu2017.scene import LEAST_MATCH, SIGMA_TERRAIN, Imaged, navigation
@@ -20,8 +21,10 @@ def read(
     scene: pathlib.Path,
     terrain: AbstractTerrain,
     sigmas: tuple[float, float],
+    reach: Reach = HERE,
 ) -> Imaged:
-    """An image file, the orthoimage of its ground and its scene file; `sigmas` in m and deg are the navigation's.
+    """An image file, the orthoimage of its ground and its scene file; `sigmas` in m and deg are the navigation's,
+    `reach` is what the reading of the two rasters may touch.
 
     The orthoimage is taken to lie within one of its cells of the truth, the terrain to err by `SIGMA_TERRAIN`.
     Raises `SceneError` for a scene without a pose, `ImageError` for images that are none or of another size.
@@ -29,9 +32,10 @@ def read(
     told = read_scene(scene)
     if told.shot is None:
         raise SceneError(f"{scene}: [pose] is missing; a registration needs it.")
-    values, known = read_image(image)
+    how = {"allow_remote": reach.remote, "allow_outside": reach.outside}
+    values, known = read_image(image, **how)
     check_size(str(image), values.shape, told.sensor.camera)
     grey = np.asarray(values, float).mean(axis=0)
-    ortho = read_orthoimage(reference)
+    ortho = read_orthoimage(reference, **how)
     errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN, shift=ortho.ground_sampling)
     return Imaged(told.sensor, told.shot, grey, known, ortho, terrain, navigation(*sigmas), errors)

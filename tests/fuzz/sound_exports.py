@@ -1,4 +1,4 @@
-"""Sound files as other programs export them: for `fuzzed_readers`."""
+"""Sound files as other programs export them: for `readers`."""
 
 from __future__ import annotations
 

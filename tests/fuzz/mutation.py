@@ -44,9 +44,9 @@ MOST = 300_000  # bytes of a mutant
 Change = Callable[[bytes, random.Random], bytes]
 
 
-def mutant(seeds: Sequence[bytes], number: int, *, text: bool) -> bytes:
-    """The mutant of a number, of one of the seeds: one to four changes, or two seeds joined."""
-    rng = random.Random(number)
+def mutant(seeds: Sequence[bytes], seed: int, number: int, *, text: bool) -> bytes:
+    """The mutant of a seed and a number, of one of the sound files `seeds`: one to four changes, or two joined."""
+    rng = random.Random(f"{seed} {number}")
     content = rng.choice(seeds)
     changes = (*BYTES, *TEXT, *TEXT) if text else BYTES
     if len(seeds) > 1 and rng.random() < 0.05:

@@ -1,4 +1,4 @@
-"""Sound files of every kind that is read, made here, and what their answers must be: for `fuzzed_readers`."""
+"""Sound files of every kind that is read, made here, and what their answers must be: for `readers`."""
 
 from __future__ import annotations
 
@@ -98,6 +98,7 @@ RASTERS = (
     {"nodata": -9999.0, "unit": "ft"},
     {"scale": 0.5, "offset": 10.0},
     {"crs": "EPSG:32631"},
+    {"crs": "EPSG:2154"},
 )
 
 
@@ -192,8 +193,11 @@ def photo(path: pathlib.Path, **options: Any) -> None:
 KLV = local_set(usual()) + local_set(usual(5, 6, 7, 13, 14, 16, 17, 18, 19, 20, 21, 23, 24, 75, 78))
 
 
+STREAMED = [KLV, local_set(usual(tag_5=200.0)), KLV]
+
+
 def transport_stream(path: pathlib.Path) -> None:
-    muxed(path, [KLV, local_set(usual(tag_5=200.0)), KLV])
+    muxed(path, STREAMED)
 
 
 def trajectory(count: int = 8) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Every reader of files, with sound files made here: a row each, whose mutants `tests/io/test_fuzz.py` reads.
+"""Every reader of files, with sound files made here: a row each, whose mutants `tests/fuzz/test_mutants.py` reads.
 
 To add a reader, add one row: how its sound files are made, how it is called, what it may raise.
 """
@@ -30,8 +30,10 @@ from jaxgeo.io.acquisitions import read_orthority_cameras, read_sbet
 from jaxgeo.io.acquisitions._position_tables import read_positions
 from jaxgeo.io.scene import SceneError, read_camera, read_scene
 from jaxgeo.io.tables import read_shots
-from tests.support.fuzz_programs import AIRDATA, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
-from tests.support.fuzz_seeds import (
+from tests.fuzz.reading import Reader
+from tests.fuzz.second import any_kind, binary, drone_images, rasters, structured, tables
+from tests.fuzz.sound_exports import AIRDATA, GERMAN, METASHAPE, POSITIONS, PROGRAMS, SUBTITLES
+from tests.fuzz.sound_files import (
     ACQUISITION,
     BAL,
     CAMERA,
@@ -76,7 +78,6 @@ from tests.support.fuzz_seeds import (
     with_errors,
     with_geoid,
 )
-from tests.support.fuzzing import Reader
 
 READERS: tuple[Reader, ...] = (
     Reader(
@@ -86,6 +87,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_dem(path, vertical_datum="ellipsoid"),
         DEM,
         heights,
+        second=rasters.dem,
         tests="read_dem",
     ),
     Reader(
@@ -96,9 +98,20 @@ READERS: tuple[Reader, ...] = (
         DEM,
         heights,
         text=True,
+        second=rasters.dem,
         tests="vrt",
     ),
-    Reader("DEM, ASCII grid", ".asc", ascii_grid, with_crs, DEM, heights, text=True, tests="read_dem"),
+    Reader(
+        "DEM, ASCII grid",
+        ".asc",
+        ascii_grid,
+        with_crs,
+        DEM,
+        heights,
+        text=True,
+        second=rasters.ascii_grid,
+        tests="read_dem",
+    ),
     Reader(
         "geoid grid, GTX",
         ".gtx",
@@ -106,6 +119,7 @@ READERS: tuple[Reader, ...] = (
         with_geoid,
         DEM,
         heights,
+        second=rasters.gtx,
         tests="geoid_grids",
     ),
     Reader(
@@ -115,9 +129,10 @@ READERS: tuple[Reader, ...] = (
         with_geoid,
         DEM,
         heights,
+        second=rasters.geoid_tiff,
         tests="geoid_grids",
     ),
-    Reader("bounds of terrain on disk", ".npz", bounds_file, kept_bounds, DEM, tests="open_dem"),
+    Reader("bounds of terrain on disk", ".npz", bounds_file, kept_bounds, DEM, second=rasters.bounds, tests="open_dem"),
     Reader(
         "image",
         ".img",
@@ -125,6 +140,7 @@ READERS: tuple[Reader, ...] = (
         read_image,
         IMAGE,
         known,
+        second=rasters.image,
         tests="images",
     ),
     Reader(
@@ -133,6 +149,7 @@ READERS: tuple[Reader, ...] = (
         files(picture, {}, {"compress": "jpeg"}, ending=".tif"),
         read_orthoimage,
         (ImageError, DemError),
+        second=rasters.orthoimage,
         tests="orthoimages",
     ),
     Reader(
@@ -142,6 +159,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_acquisition(path, height_datum="ellipsoid"),
         ACQUISITION,
         sound,
+        second=drone_images.exposure,
         tests="drone_images",
     ),
     Reader(
@@ -151,6 +169,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_acquisition(path, height_datum="ellipsoid"),
         ACQUISITION,
         sound,
+        second=drone_images.exposure,
         tests="drone_images",
     ),
     Reader(
@@ -161,9 +180,12 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=drone_images.exposure,
         tests="drone_images",
     ),
-    Reader("KLV", ".klv", contents(KLV), read_acquisition, ACQUISITION, sound, tests="klv"),
+    Reader(
+        "KLV", ".klv", contents(KLV), read_acquisition, ACQUISITION, sound, second=binary.klv(checked=True), tests="klv"
+    ),
     Reader(
         "KLV, damaged packets kept",
         ".klv",
@@ -171,6 +193,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_acquisition(path, keep_damaged=True, height_datum="ellipsoid"),
         ACQUISITION,
         sound,
+        second=binary.klv(checked=False, undulation=0.0),
         tests="telemetry",
     ),
     Reader(
@@ -180,6 +203,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_acquisition(path, height_datum="ellipsoid"),
         ACQUISITION,
         sound,
+        second=binary.transport_stream,
         tests="telemetry",
     ),
     Reader(
@@ -189,6 +213,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_sbet(path).acquisition(),
         TABLE,
         sound,
+        second=binary.sbet,
         tests="sbet",
     ),
     Reader(
@@ -198,6 +223,7 @@ READERS: tuple[Reader, ...] = (
         with_errors,
         TABLE,
         sound,
+        second=binary.smrmsg,
         tests="sbet",
     ),
     Reader(
@@ -208,6 +234,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         on_earth,
         text=True,
+        second=tables.on_earth,
         tests="orientations",
     ),
     Reader(
@@ -218,6 +245,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         on_earth,
         text=True,
+        second=tables.map_of("EPSG:32651", 20.0),
         tests="orientations",
     ),
     Reader(
@@ -228,6 +256,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         on_earth,
         text=True,
+        second=tables.map_of("EPSG:32616", 20.0),
         tests="program_tables",
     ),
     Reader(
@@ -238,6 +267,7 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=structured.metashape,
         tests="metashape_cameras",
     ),
     Reader(
@@ -248,6 +278,7 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=structured.subtitles,
         tests="flight_logs",
     ),
     Reader(
@@ -258,6 +289,7 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=tables.flight_log,
         tests="flight_logs",
     ),
     Reader(
@@ -268,6 +300,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         positions,
         text=True,
+        second=tables.positions,
         tests="positions",
     ),
     Reader(
@@ -278,6 +311,7 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=structured.shots_of_opensfm,
         tests="opensfm",
     ),
     Reader(
@@ -288,6 +322,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         lambda found: finite(found.points),
         text=True,
+        second=structured.points_of_opensfm,
         tests="opensfm",
     ),
     Reader(
@@ -297,6 +332,7 @@ READERS: tuple[Reader, ...] = (
         read_opensfm_cameras,
         TABLE,
         text=True,
+        second=structured.cameras_of_opensfm,
         tests="opensfm",
     ),
     Reader(
@@ -306,6 +342,7 @@ READERS: tuple[Reader, ...] = (
         read_orthority_cameras,
         TABLE,
         text=True,
+        second=structured.cameras_of_orthority,
         tests="orthority_files",
     ),
     Reader(
@@ -316,6 +353,7 @@ READERS: tuple[Reader, ...] = (
         ACQUISITION,
         sound,
         text=True,
+        second=structured.exposures_of_orthority,
         tests="orthority_files",
     ),
     Reader(
@@ -326,6 +364,7 @@ READERS: tuple[Reader, ...] = (
         (SceneError, DemError),
         text=True,
         several_lines=True,
+        second=structured.scene,
         tests="scene",
     ),
     Reader(
@@ -336,6 +375,7 @@ READERS: tuple[Reader, ...] = (
         (SceneError,),
         text=True,
         several_lines=True,
+        second=structured.camera,
         tests="scene",
     ),
     Reader(
@@ -345,6 +385,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_shots(path, ("outer",)),
         TABLE,
         text=True,
+        second=tables.shots,
         tests="table_layouts",
     ),
     Reader(
@@ -355,6 +396,7 @@ READERS: tuple[Reader, ...] = (
         TABLE,
         lambda flight: finite(*jax.tree.leaves(flight)),
         text=True,
+        second=tables.navigation,
         tests="navigation",
     ),
     Reader(
@@ -364,11 +406,30 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_gcp_list(path, height_datum="ellipsoid"),
         TABLE,
         text=True,
+        second=tables.ground_control,
         tests="gcp",
     ),
-    Reader("image points", ".csv", texts(IMAGE_POINTS), read_image_points, TABLE, text=True, tests="image_points"),
-    Reader("BAL", ".txt", texts(BAL), read_bal, TABLE, whole, text=True, tests="bal"),
-    Reader("BAL, compressed", ".bz2", contents(bz2.compress(BAL.encode())), read_bal, TABLE, whole, tests="bal"),
+    Reader(
+        "image points",
+        ".csv",
+        texts(IMAGE_POINTS),
+        read_image_points,
+        TABLE,
+        text=True,
+        second=tables.image_points,
+        tests="image_points",
+    ),
+    Reader("BAL", ".txt", texts(BAL), read_bal, TABLE, whole, text=True, second=tables.bal, tests="bal"),
+    Reader(
+        "BAL, compressed",
+        ".bz2",
+        contents(bz2.compress(BAL.encode())),
+        read_bal,
+        TABLE,
+        whole,
+        second=tables.bal,
+        tests="bal",
+    ),
     Reader(
         "any exposures",
         ".dat",
@@ -381,6 +442,7 @@ READERS: tuple[Reader, ...] = (
         lambda path: read_acquisition(path, height_datum="ellipsoid"),
         (*ACQUISITION,),
         sound,
+        second=any_kind.second,
         tests="telemetry",
     ),
 )

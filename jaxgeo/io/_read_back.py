@@ -1,0 +1,64 @@
+"""Rasters read back after they are written: GDAL does not tell where closing a file found no room on the disk."""
+
+from __future__ import annotations
+
+import pathlib
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+import rasterio
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+BLOCK = 256  # cells on a side of what is known to be of one window or of several
+ROWS = 1024  # that are read back at a time
+
+
+class _Part(NamedTuple):
+    window: Window
+    has_mask: bool
+    sums: tuple[int, int]
+
+
+class WrittenWindows:
+    """Checksums of the windows that were written to a raster of a `shape`, to be held against its file."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._parts: list[_Part] = []
+        self._last = np.full([-(-n // BLOCK) for n in shape], -1, np.int32)  # the part that was last written there
+
+    def add(self, row: int, col: int, values: np.ndarray, known: np.ndarray | None) -> None:
+        """A window that starts at (row, col): values (bands, rows, cols), and its mask (rows, cols) if it has one."""
+        rows, cols = values.shape[1:]
+        for start in range(0, rows, ROWS):
+            stop = min(start + ROWS, rows)
+            window = Window(col, row + start, cols, stop - start)  # pyright: ignore[reportCallIssue]
+            mask = None if known is None else known[start:stop]
+            self._last[_blocks(window)] = len(self._parts)
+            self._parts.append(_Part(window, mask is not None, _sums(values[:, start:stop], mask)))
+
+    def mistake(self, path: pathlib.Path) -> str:
+        """Why a file does not hold what was written, empty if it does; windows that others lie over are passed over."""
+        try:
+            with rasterio.open(path) as data:
+                for number, part in enumerate(self._parts):
+                    if np.any(self._last[_blocks(part.window)] != number):
+                        continue
+                    values = data.read(window=part.window)
+                    mask = data.read_masks(1, window=part.window) != 0 if part.has_mask else None
+                    if _sums(values, mask) != part.sums:
+                        return f"rows {part.window.row_off} and after are not what was written; is the disk full?"
+        except RasterioError as error:
+            return f"it cannot be read back ({error}); is the disk full?"
+        return ""
+
+
+def _blocks(window: Window) -> tuple[slice, slice]:
+    first, last = (window.row_off, window.col_off), (window.row_off + window.height, window.col_off + window.width)
+    rows, cols = (slice(a // BLOCK, -(-b // BLOCK)) for a, b in zip(first, last, strict=True))
+    return rows, cols
+
+
+def _sums(values: np.ndarray, mask: np.ndarray | None) -> tuple[int, int]:
+    return zlib.crc32(np.ascontiguousarray(values)), 0 if mask is None else zlib.crc32(np.packbits(mask))
