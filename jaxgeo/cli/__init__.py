@@ -1,11 +1,12 @@
 """The command line.
 
-`jaxgeo inspect` for what a file tells; `jaxgeo locate` for pixels and tables of shots, `report` for a page about them;
-`jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for images on
-a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
+`jaxgeo inspect` for the content of a file; `jaxgeo locate` for pixels and tables of shots, `report` for a page about
+them; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for
+images on a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers
+print.
 
-All speak alike: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`), `-o`
-writes a file that appears when it is whole; exit codes are those of `_common.py`.
+One interface for all: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`),
+`-o` writes a file that appears when it is whole; exit codes are those of `_common.py`.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from jaxgeo.cli.register import register_command
 from jaxgeo.cli.report import report_command
 from jaxgeo.cli.study import studies
 
-AGAIN = 0.02  # s after which a wish to stop is told once more
+AGAIN = 0.02  # s after which an interrupt is raised again
 
 EPILOG = """[bold]Exit codes[/bold]
     0  done
@@ -93,7 +94,7 @@ app.add_typer(studies, name="study")
 
 
 def _heed_signals() -> None:
-    """A wish to stop ends a command in order, also where a callback of the compiler's would swallow it."""
+    """Interrupts end a command in order, also where a callback of the compiler's would swallow them."""
     usual = sys.unraisablehook
 
     def heed(what: Any) -> None:

@@ -50,7 +50,7 @@ def read_orthoimage(
     - `assume_wgs84`: take latitudes and longitudes of the file's datum as those of WGS 84, where PROJ knows none but a
       ballpark transformation between them.
 
-    What is known is told as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
+    Known cells are found as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
     geotransform, with a map that cannot be followed, or that the bounds do not meet; `FileNotFoundError`;
     `RuntimeError` with 64-bit floats off.
     """
