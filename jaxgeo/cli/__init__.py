@@ -1,11 +1,12 @@
 """The command line.
 
-`jaxgeo inspect` for what a file tells; `jaxgeo locate` for pixels and tables of shots, `report` for a page about them;
-`jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for images on
-a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers print.
+`jaxgeo inspect` for the content of a file; `jaxgeo locate` for pixels and tables of shots, `report` for a page about
+them; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for
+images on a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers
+print.
 
-All speak alike: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`), `-o`
-writes a file that appears when it is whole; exit codes are those of `_common.py`.
+One interface for all: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`),
+`-o` writes a file that appears when it is whole; exit codes are those of `_common.py`.
 """
 
 from __future__ import annotations

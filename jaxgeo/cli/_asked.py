@@ -126,7 +126,7 @@ class Asked(NamedTuple):
 
     @property
     def samples_of_field(self) -> bool:
-        """Whether heights of the ground err alike over some distance: by an option, or by a table of the scene."""
+        """Whether height errors of the ground are spatially correlated: by an option, or by a table of the scene."""
         scenes = [path for path in (self.scene, self.scene_file) if path is not None and is_scene_file(path)]
         told = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
         return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in told)

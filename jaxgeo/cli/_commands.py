@@ -1,4 +1,4 @@
-"""The commands as a whole: wrong flags, Ctrl-C and closed pipes, each told in a line or not at all."""
+"""The commands as a whole: wrong flags, Ctrl-C and closed pipes, each reported in one line or not at all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KINDS = {"integer": "a whole number", "float": "a number", "number": "a number"}
 
 
 class Commands(TyperGroup):
-    """Commands whose mistakes of use are told as all others are, in one line and with exit code 2."""
+    """Commands whose mistakes of use are reported as all others are, in one line and with exit code 2."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """As that of Typer, numbers of the command being read as those of files are."""
@@ -86,7 +86,7 @@ def _is_written_so(param: Any, text: str, number: float) -> bool:
 
 
 def in_a_line(error: Any) -> str:
-    """What is wrong with the flags, what was meant perhaps, and where that is told."""
+    """What is wrong with the flags, a suggestion, and where to read more."""
     where = "jaxgeo" if error.ctx is None else error.ctx.command_path
     return f"{_wrong(error)} See {where} --help."
 

@@ -20,14 +20,14 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show where an error was ra
 
 
 class UserError(Exception):
-    """A mistake of the caller's, told in one message."""
+    """A mistake of the caller's, reported in one message."""
 
 
 @contextlib.contextmanager
 def mistakes_told(debug: bool) -> Iterator[None]:
     """What goes wrong as one message on stderr: exit code 2 for a caller's mistake, 70 for a fault of the program's.
 
-    Which is which, `is_refusal` tells: a `KeyError`, or a `ValueError` that nobody raised for the caller, is a fault.
+    `is_refusal` decides which: a `KeyError`, or a `ValueError` that nobody raised for the caller, is a fault.
     With `debug`, the message stands below the traceback.
     """
     try:
@@ -58,7 +58,7 @@ def _is_of_memory(error: Exception) -> bool:
 
 
 def name_says(output: pathlib.Path) -> str:
-    """Why a format cannot be told by the name of a file."""
+    """Why a format is not determined by the name of a file."""
     return f"the ending {output.suffix} is not one that is known" if output.suffix else "the name has no ending"
 
 

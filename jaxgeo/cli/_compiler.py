@@ -1,4 +1,4 @@
-"""A compiler that does not dawdle: few optimisations for what runs a few times, and programs kept between commands."""
+"""Fast-compile XLA flags and the persistent compilation cache."""
 
 from __future__ import annotations
 

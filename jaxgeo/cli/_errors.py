@@ -1,4 +1,4 @@
-"""What errs, as it is typed: standard deviations as sources of error."""
+"""Options of standard deviations, and the error sources made of them."""
 
 from __future__ import annotations
 

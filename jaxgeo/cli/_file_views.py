@@ -15,7 +15,7 @@ from jaxgeo.cli._screen import progress_bar, tell, working
 from jaxgeo.cli._views import Seen, Views, pixels_of
 from jaxgeo.cli._words import as_typed, reason_not_read, reason_of, words_as_typed
 
-TOLD = 10  # reasons why files could not be read that are told on the screen
+TOLD = 10  # reasons why files could not be read that are printed
 
 
 def read_files(files: Sequence[pathlib.Path], how: dict[str, Any]) -> Any:

@@ -27,7 +27,7 @@ class Located(NamedTuple):
     accuracy: Any
 
     def rows(self, name: str, question: Question) -> list[dict[str, Any]]:
-        """What is told of each: what is carried through, and the columns of `write_fixes` but for a number."""
+        """Output rows: carried columns, and the columns of `write_fixes` without a number."""
         from jaxgeo.io._fix_columns import figures_of, rows_of
 
         figures = figures_of(name, self.fixes, self.accuracy, None, None, None)

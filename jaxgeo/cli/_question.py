@@ -40,7 +40,7 @@ class Batch(NamedTuple):
 class Question(NamedTuple):
     """All pixels, by batches, and what is known of them.
 
-    `carried` is told of each row with its fix; `unread` are those rows, by number, whose file could not be read.
+    `carried` are columns of each row beside its fix; `unread` are those rows, by number, whose file could not be read.
     `readings` are the names of the gimbal's axes, `assumed` sentences; `reads` all files.
     """
 
@@ -95,7 +95,7 @@ def told_question(
     output: pathlib.Path | None,
     check: Callable[[Views, bool], object] | None = None,
 ) -> Question:
-    """The question, what was assumed told on stderr. An `output` that would replace what is read is refused."""
+    """The question, its assumptions printed on stderr. An `output` that would replace what is read is refused."""
     check_asked(asked)
     if output is not None:
         check_no_input("--output", [output], _reads(asked))

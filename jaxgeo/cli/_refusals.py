@@ -9,7 +9,7 @@ RAISE = opcode.opmap["RAISE_VARARGS"]  # the statement `raise`
 
 
 def is_refusal(error: BaseException) -> bool:
-    """Whether an exception tells a mistake of the caller's in words meant for them.
+    """Whether an exception reports a mistake of the caller's in words meant for them.
 
     That is a `ValueError` or `ImportError` that a `raise` statement of this package raised, and any `OSError`, by which
     the system says that a file cannot be read or written. A `ValueError` of NumPy's or JAX's, of `int("x")` or of an

@@ -27,7 +27,7 @@ from jaxgeo.cli._inputs import check_on_image, numbers_in
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 OLD = ".old"
-DEM_CORRELATION = 500.0  # m, where nobody says over which distance they err alike
+DEM_CORRELATION = 500.0  # m, default correlation length of height errors
 LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
 PICTURED = 1024  # cells along a side of what a picture shows, at most
 TILE = 256  # as registration rectifies: the same programs serve
@@ -58,7 +58,7 @@ class Errors(NamedTuple):
 
 
 def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float) -> Errors:
-    """What errs, from options; `cell` in m is that of the reference. Raises `UserError`."""
+    """Error sources from options; `cell` in m is that of the reference. Raises `UserError`."""
     from jaxgeo.register import TieErrors
     from jaxgeo.uncertainty import sources
 

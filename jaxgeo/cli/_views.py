@@ -29,8 +29,8 @@ class Seen(NamedTuple):
 class Views(NamedTuple):
     """All pixels and their exposures, before anything is known of the ground.
 
-    `carried` is told of each row, in their order; `unread` are reasons of rows whose file could not be read. `is_each`:
-    whether each pixel has a sensor and sources of its own. `where` is their file in words.
+    `carried` are the columns of each row, in order; `unread` are reasons of rows whose file could not be read.
+    `is_each`: whether each pixel has a sensor and sources of its own. `where` is their file in words.
     """
 
     seen: list[Seen]

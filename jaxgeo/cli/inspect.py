@@ -1,4 +1,4 @@
-"""`jaxgeo inspect`: what a file tells of exposures, and what had to be assumed."""
+"""`jaxgeo inspect`: the exposures in a file, and what had to be assumed."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def inspect_command(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """What a file tells of exposures: cameras, poses, errors, and what its reader had to assume."""
+    """The exposures in a file: cameras, poses, errors, and what its reader had to assume."""
     inputs = asked(locals())
     inputs |= {"file": inputs.pop("files")[0]} if len(files) == 1 else {}
     with mistakes_told(debug):
@@ -150,7 +150,7 @@ def _text(name: str, value: Any) -> Any:
 def _content(
     files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool
 ) -> dict[str, Any]:
-    """What is told of all, and of each part: exposures of one structure, such as those of one camera."""
+    """Content of all exposures and of each part of one structure, such as those of one camera."""
     parts = [
         {"form": one.form, "facts": dict(one.facts), "sensor": _sensor(one), "errors": _errors(one), "count": len(one)}
         for one in found.parts

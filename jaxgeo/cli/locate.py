@@ -286,7 +286,7 @@ def _locate(
 def _check_file(
     output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: Views, has_errors: bool
 ) -> None:
-    """Before the ground is read, whether a file can be as it is wished."""
+    """Raises for an output file that cannot be written as asked, before the ground is read."""
     from jaxgeo.io.fix_files import check_fix_file
 
     crs, heights, mgrs = drawn

@@ -1,4 +1,4 @@
-"""`jaxgeo plan`: when to expose on a flight, so that images overlap as wished."""
+"""`jaxgeo plan`: exposure times on a flight for a required overlap."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ SHOWN = "The image shows this cell (where the image itself is unknown, so is the
 
 
 class Interpolation(StrEnum):
-    """How values between pixels are told."""
+    """Resampling methods."""
 
     nearest = "nearest"
     bilinear = "bilinear"
@@ -73,9 +73,7 @@ def rectify_command(
         typer.Option(metavar="FILE", help="Orthoimage onto whose cells to write, in place of the three."),
     ] = None,
     band: Annotated[list[int] | None, typer.Option(help="Band of the image, from 1; repeat it for more.")] = None,
-    interpolation: Annotated[Interpolation, typer.Option(help="How values between pixels are told.")] = (
-        Interpolation.bilinear
-    ),
+    interpolation: Annotated[Interpolation, typer.Option(help="Resampling method.")] = (Interpolation.bilinear),
     cog: Annotated[bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF.")] = False,
     status: Annotated[
         bool, typer.Option("--status", help="Also *_status.tif: the code of what became of each cell.")

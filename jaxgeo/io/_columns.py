@@ -56,7 +56,7 @@ class Columns:
 
 
 def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases, *, weak: Aliases | None = None) -> Columns:
-    """A table with columns under several names, as `read_csv` tells its layout; names in quotes may hold white space.
+    """A table with columns under several names, of any layout that `read_csv` detects; quoted names may hold blanks.
 
     Capitals do not matter in the header, nor does a unit of ours behind a name, "Yaw [deg]". Columns that `aliases` do
     not name are passed over; those that `weak` names count where no other column means the same. Raises as `read_csv`,

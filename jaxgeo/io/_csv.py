@@ -108,8 +108,8 @@ def read_csv(
 ) -> CsvTable:
     """A table whose columns and lengths of rows are checked; blank rows and comments (#) are skipped.
 
-    Columns are separated by commas, semicolons, tabs, bars or white space, decimals have points or commas, and the
-    text is UTF-8, UTF-16 or Windows' 1252: all told by the content. `what` it is, for messages; `needed` are columns
+    Columns are separated by commas, semicolons, tabs, bars or white space, decimals have points or commas, and the text
+    is UTF-8, UTF-16 or Windows' 1252: all detected from the content. `what` it is, for messages; `needed` are columns
     that it must have, `taken` those that it may not. `hints` say for some columns what to do where they are missing;
     `known` are further names by which a header is recognised. Raises `TableError`, and `FileNotFoundError`.
     """

@@ -34,7 +34,7 @@ class Layout:
 
 
 def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = ()) -> Layout:
-    """A table's layout, told by its content: `known` are names of columns, in small letters, by which to choose.
+    """A table's layout, detected from its content: `known` are names of columns, in small letters, by which to choose.
 
     Lines that begin with # are comments; the last of them that fits the rows is the header where the first other line
     is none, as Metashape, RealityCapture and MicMac write it. Raises `TableError` for quotes that do not close, and
@@ -103,7 +103,7 @@ def _header_above(first: list[str], comments: list[str], known: Collection[str],
             names = _split(bare, separator, quote)
             if len(names) == len(first) and (not known or _hits(names, known) > 1):
                 return names
-    for comment in reversed(comments):  # a header that does not fit its rows is told as such
+    for comment in reversed(comments):  # a header that does not fit its rows is reported as such
         for separator in (*SEPARATORS, WHITE):
             names = _split(comment.lstrip("#").strip(), separator, quote)
             if known and _hits(names, known) > 2:

@@ -1,4 +1,4 @@
-"""What is told of each fix: its coordinates, its status, how sure it is, in columns with units in their names."""
+"""Output columns of a fix: coordinates, status and accuracy, with units in their names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_err
 from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
 
 USUAL = 0.9
-SAME = 0.01  # m between a fix and the one that an accuracy is told of
+SAME = 0.01  # m between a fix and that of its accuracy
 FEWEST, MOST = 16, 512  # covariances at a time, by powers of two: few lengths to compile, 0.2 GB of memory
 COV = [(0, 0, "ee"), (0, 1, "en"), (0, 2, "eu"), (1, 1, "nn"), (1, 2, "nu"), (2, 2, "uu")]
 FIX_DECIMALS = {name: places for name, places in FIX_COLUMNS.items() if places is not None}
@@ -222,7 +222,7 @@ def _shaped(name: str, given: Any, what: str, shape: tuple[int, ...]) -> np.ndar
 
 
 def _with_ellipses(name: str, figures: Figures, *, radii_too: bool) -> Figures:
-    """The ellipses of known covariances, and the radii from them unless they are told."""
+    """The ellipses of known covariances, and the radii from them unless they are given."""
     parts = figures.cov_enu.reshape(-1, 9), figures.bias_enu
     known = np.flatnonzero(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
     if not known.size:

@@ -35,7 +35,7 @@ def _without_branches(error: ValidationError) -> Iterator[dict[str, Any]]:
         found.setdefault(loc, {**entry, "loc": loc})
     for loc, entry in found.items():
         is_a_list = any(len(other) > len(loc) and other[: len(loc)] == loc for other in found)
-        if not (entry["type"] == "float_type" and is_a_list):  # what is wrong in the list is told
+        if not (entry["type"] == "float_type" and is_a_list):  # the mistake inside the list is reported
             yield entry
 
 

@@ -209,7 +209,7 @@ class AirTable(_Table):
 
 
 class ErrorsTable(_Table):
-    """How what the scene says errs: standard deviations of independent errors, each where it is known."""
+    """Standard deviations of the independent errors of a scene, each where it is known."""
 
     position_m: SigmasNed | None = None
     attitude_deg: SigmasAttitude | None = None

@@ -55,7 +55,7 @@ def write_accuracy_map(
     Bands of 32-bit floats: circular error and linear error in m, NaN (the file's nodata) where there is none, infinite
     where too many samples fail; the verdict, a code of `Trust`, or -1 for no fix; and the `Status`. What the codes
     mean, the probability and the number of samples are in the file's tags. The file appears when all is written.
-    Raises `ValueError` for a CRS, bounds or a resolution that make no sense, for an area of which none can be told, and
+    Raises `ValueError` for a CRS, bounds or a resolution that make no sense, for an area that cannot be determined, and
     as `accuracy_map`; `FileNotFoundError` for a folder that is not there; `OSError` where it cannot be written.
     """
     target = checked_target(path, "a map of accuracy")

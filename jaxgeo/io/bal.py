@@ -118,7 +118,7 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 def _numbers(path: str | os.PathLike[str], text: str) -> np.ndarray:
     """All numbers of a file; a word that is none is looked for only where there is one."""
-    with heard("jaxgeo", DeprecationWarning) as stopped:  # how NumPy tells that it stopped, of the line that asked
+    with heard("jaxgeo", DeprecationWarning) as stopped:  # NumPy's report that it stopped, of the line that asked
         try:
             values = np.fromstring(text, sep=" ")
         except ValueError:

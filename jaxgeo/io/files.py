@@ -94,9 +94,9 @@ def open_dem(
 class DemFiles:
     """A mosaic of files on one grid, of any size; made by `open_dem`. Rows and columns count from its first post.
 
-    It answers first hits through `corridor`, or for crowds of rays through `intersect_files` and `locate_files`: as the
-    whole mosaic in one `Dem` would, but only what the rays can touch is ever in memory. What it keeps is the lowest and
-    highest post of every block of 256 x 256 cells that was asked for, and the sizes of the windows it has made.
+    It answers first hits through `corridor`, or for batches of rays through `intersect_files` and `locate_files`: as
+    the whole mosaic in one `Dem` would, but only what the rays can touch is ever in memory. What it keeps is the lowest
+    and highest post of every block of 256 x 256 cells that was asked for, and the sizes of the windows it has made.
 
     In another process (it can be pickled, and so can be an argument of what a worker does) the files are opened again,
     by their full names, with the bounds that are known here; so they must be there too, or loading raises
@@ -172,7 +172,7 @@ class DemFiles:
 
         `margin` posts more on every side serve rays between these, such as those of an image of which the corners and
         edges were given. Left over is one case: a ray that passes out of the mosaic above its ceiling leaves no window
-        to be in, and is told `ray_misses_terrain` (`intersect_files` says `leaves_terrain`). On maps that no one
+        to be in, and gets `ray_misses_terrain` (`intersect_files` gives `leaves_terrain`). On maps that no one
         formula serves (fitted ones too large for one fit), windows differ from each other by up to 1 mm.
 
         Raises `DemError` for rays too far apart for one window of `max_posts`; `intersect_files` makes several.
@@ -248,7 +248,7 @@ class DemFiles:
         return window is not None and window.shape[0] * window.shape[1] > max_posts
 
     def refuse(self, window: Window, max_posts: int, whose: str) -> DemError:
-        """What to tell of a window that is too large."""
+        """Message for a window that is too large."""
         return DemError(
             f"{self.source.name}: {whose} can touch {window.shape[0]} x {window.shape[1]} posts, more than "
             f"max_posts={max_posts}. Allow more posts, or give rays that are closer together or steeper."

@@ -83,9 +83,9 @@ def write_fixes(
     `fixes` is one fix or a batch of n. A fix without coordinates is written too, with no geometry and its status. Each
     has the columns of `jaxgeo.io.tables.FIX_COLUMNS` (on WGS 84, heights above its ellipsoid and above EGM96), and:
 
-    - `accuracy`: what `accuracy` tells of each fix (a list with None where it is not known), or `accuracy_of_each` or
-      `accuracy_of_pixels` of all: radii such as `ce90_m`, `le90_m`, `se90_m`, infinite (in GeoJSON null) where too many
-      samples have no fix, and by which method.
+    - `accuracy`: the result of `accuracy` for each fix (a list with None where it is not known), or of
+      `accuracy_of_each` or `accuracy_of_pixels` for all: radii such as `ce90_m`, `le90_m`, `se90_m`, infinite (in
+      GeoJSON null) where too many samples have no fix, and by which method.
     - `cov_enu` (n, 3, 3) in m², east, north, up, and `bias_enu` (n, 3) in m, the mean of the errors: rows of NaN where
       unknown. Radii and the semi-axes of the ellipse, which lies about the fix moved by the bias, are computed from
       them, with the `probability` (0.9, or that of `accuracy`). By default those of `accuracy`, where it trusts a

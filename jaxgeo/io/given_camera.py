@@ -112,7 +112,7 @@ def frame_camera(lens: Lens, width: int, height: int, full_width: int | None = N
 
 
 def whole_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera:
-    """A camera with its image size, for files that do not tell that. Raises `TableError` where a lens has none."""
+    """A camera with its image size, for files that do not state it. Raises `TableError` where a lens has none."""
     given = given_camera(camera)
     if isinstance(given, FrameCamera):
         return given

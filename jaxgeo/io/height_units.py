@@ -54,7 +54,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
         return by_band
     if by_crs is not None:
         return by_crs
-    if by_datum is not None and by_datum != 1.0:  # a datum in metres says nothing of a map in feet
+    if by_datum is not None and by_datum != 1.0:  # a datum in metres does not determine a map in feet
         return by_datum
     if not tile.is_geographic and tile.map_unit != 1.0:
         name = horizontal_part(tile.crs).axis_info[0].unit_name

@@ -1,4 +1,4 @@
-"""Rasters on a map: CRS, transform and shape as a caller asks for them, the rest told from what there is to see."""
+"""Rasters on a map: CRS, transform and shape as a caller asks for them, the rest derived from the visible area."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
-LATTICE = 65  # pixels along a side of the image, or places along one of a terrain, by which its extent is told
+LATTICE = 65  # pixels along a side of the image, or places along one of a terrain, by which its extent is found
 MARGIN = 0.01  # of the extent, by which it is widened: between the pixels of the lattice it may reach farther
 MOST_CELLS = 4_000_000  # of a raster at a terrain's spacing, where nobody named the resolution
 MOST_WRITTEN = 2**36  # cells of a file: hours of work; somewhat later GDAL gives up
@@ -67,7 +67,7 @@ def raster_of(
     how: Mapping[str, Any],
     spacing: Callable[[], Spacing] | None = None,
 ) -> MapRaster:
-    """The raster asked for, with what was left out told from the area that there is to see.
+    """The raster asked for, with what was left out derived from the visible area.
 
     `how` are options of `locate`, others are passed over; `spacing` is asked where no resolution is named, by default
     that of the terrain. `name` is the file's, for messages. Raises `ValueError` for what makes no sense.
@@ -121,7 +121,7 @@ def grid_of(raster: MapRaster, name: str = "raster") -> AbstractGrid:
 
 
 def checked_target(path: str | os.PathLike[str], what: str) -> pathlib.Path:
-    """Where to write a GeoTIFF, told before the work if it cannot be done; `what` it is, for the message."""
+    """Path of the GeoTIFF to write, refused before the work if it cannot be written; `what` it is, for the message."""
     target = pathlib.Path(path)
     if target.suffix.lower() not in (".tif", ".tiff"):
         raise ValueError(f"{target}: {what} is written as a GeoTIFF; name a file that ends in .tif.")

@@ -95,7 +95,7 @@ def read_orientations(
     crs: str | int | pyproj.CRS | None = None,
     linear_alteration_above: float | np.ndarray | None = None,
 ) -> Orientations:
-    """The orientations of a block of images: a row for each, in a table of any layout that `read_csv` tells.
+    """The orientations of a block of images: a row for each, in a table of any layout that `read_csv` detects.
 
     Without `crs` the columns are `image`, `lat_deg`, `lon_deg`, `height_m`, `heading_deg` (from true north),
     `pitch_deg`, `roll_deg`: the attitude of a body with the camera in `Mount.nadir()`. So does OpenDroneMap's

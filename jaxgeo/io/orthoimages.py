@@ -58,7 +58,7 @@ def read_orthoimage(
       ballpark transformation between them.
     - `allow_remote`, `allow_outside`: as in `read_dem`.
 
-    What is known is told as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
+    Known cells are found as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
     geotransform, with a map that cannot be followed, or that the bounds do not meet; `FileNotFoundError`;
     `RuntimeError` with 64-bit floats off.
     """

@@ -24,7 +24,7 @@ RASTERS = (
 def expanded(paths: Paths) -> list[str]:
     """The files meant, those of a folder and of a pattern in the order of their names.
 
-    A folder stands for every raster right inside it (told by its ending; a VRT only if nothing else is there), a
+    A folder stands for every raster right inside it (known by its ending; a VRT only if nothing else is there), a
     pattern such as "tiles/**/*.tif" for what it matches. Raises `FileNotFoundError` or `DemError`.
     """
     names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)

@@ -37,7 +37,7 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
-MOST_LINES = 20  # mistakes of a file that are told
+MOST_LINES = 20  # mistakes of a file that are reported
 _Numbers = np.ndarray | list[float]
 
 
@@ -55,7 +55,7 @@ class Scene(Record):
     """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
 
     `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
-    `atmosphere` the air that bends lines of sight, and `errors` how what it says errs, if the file has them.
+    `atmosphere` the air that bends lines of sight, and `errors` the standard deviations, if the file has them.
     """
 
     sensor: Sensor

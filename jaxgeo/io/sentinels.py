@@ -35,7 +35,7 @@ class Sentinel(NamedTuple):
 
 
 def sentinel_of(rows: tuple[Sentinel, ...], quantity: str, values: Mapping[str, Any]) -> Sentinel | None:
-    """The first row of a format that tells that a quantity is unknown; None if its values are measurements."""
+    """The first row of a format by which a quantity is unknown; None if its values are measurements."""
     return next((row for row in rows if row.quantity == quantity and row.holds(values)), None)
 
 
@@ -116,7 +116,7 @@ IMAGE = (
     Sentinel("time", ("EXIF:DateTimeOriginal",), _no_time, "EXIF writes blanks or zeros where the time is unknown"),
     Sentinel("rangefinder", ("drone-dji:LRFTargetDistance",), all_zero, "the laser hit nothing"),
     *(
-        Sentinel("position errors", (f"drone-dji:RtkStd{axis}",), all_zero, "it is not told how large the error is")
+        Sentinel("position errors", (f"drone-dji:RtkStd{axis}",), all_zero, "the size of the error is unknown")
         for axis in ("Lat", "Lon", "Hgt")
     ),
     Sentinel(

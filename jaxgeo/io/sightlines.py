@@ -170,7 +170,7 @@ def comes_in(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of rays (n, 3): which come below `ceiling` at all, which are over the mosaic there, and which were before.
 
-    The way to there is taken as straight between 33 places; so it is only told to some metres whether a ray passes the
+    The way to there is taken as straight between 33 places; so it is only known to some metres whether a ray passes the
     very corner of a mosaic.
     """
     found = [_ways(padded_rays(part), jnp.asarray(ceiling)) for part in in_parts(rays)]

@@ -71,6 +71,7 @@ def test_an_entry_is_consistent(one: CameraModel) -> None:
     shortest = one.focal_mm if one.focal_mm is not None else one.zoom_mm[0]  # type: ignore[index]
     longest = one.focal_mm if one.focal_mm is not None else one.zoom_mm[1]  # type: ignore[index]
     assert 0.1 < shortest / sensor[0] <= longest / sensor[0] < 25.0
+    assert one.source.startswith(("Compared: ", "Not looked up: "))
     assert one.source.count("specifications") == 1  # says whose
     if one.film_mm is not None:
         assert one.focal_mm is not None

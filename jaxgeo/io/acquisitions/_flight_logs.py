@@ -1,4 +1,4 @@
-"""Records of drones that tell a position and how the camera was turned against north and level, as exposures."""
+"""Drone records with a position and camera angles against north and level, as exposures."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def given_told(given: GivenAngles) -> str:
 
 
 def by_hand(tags: ImageTags) -> str:
-    """The way out for an image without angles: straight down, by the heading of the aircraft if that is told."""
+    """The way out for an image without angles: straight down, by the heading of the aircraft if that is known."""
     try:
         heading = tags.number(HEADING, YAW)
     except TableError:

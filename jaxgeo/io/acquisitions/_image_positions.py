@@ -129,6 +129,6 @@ def _which_datum(tags: ImageTags, maker: Maker) -> str:
 
 
 def altitude_shown(tags: ImageTags, maker: Maker) -> str:
-    """What a file tells of its altitude, for people."""
+    """The altitudes in a file, as text."""
     names = [maker.height if maker.height in tags.values else "EXIF:GPSAltitude", maker.relative, *maker.evidence]
     return ", ".join(f"{name.partition(':')[2]} {tags.shown(name)}" for name in names if name in tags.values)

@@ -146,7 +146,7 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     except PILLOW_ERRORS as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
     _check_kind(name, raw)
-    if told or not raw.is_whole:  # so Pillow tells of directories that end before their time
+    if told or not raw.is_whole:  # Pillow's warning of directories that are cut short
         raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
     found, repeated = _xmp(name, raw.packet)
     return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)

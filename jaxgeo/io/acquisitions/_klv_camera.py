@@ -77,7 +77,7 @@ def _told(columns: Columns, size: tuple[int, int]) -> FrameCamera:
     """The cameras of n packets by their fields of view."""
     half = np.array(size) / 2.0
     focal = half / np.tan(0.5 * np.stack([columns["field_across"], columns["field_down"]], axis=-1))
-    focal = np.where(np.isfinite(focal), focal, focal[:, ::-1])  # square pixels where one field is not told
+    focal = np.where(np.isfinite(focal), focal, focal[:, ::-1])  # square pixels where one field is unknown
     count = len(focal)
     principal = np.broadcast_to(half - 0.5, (count, 2))
     return FrameCamera(focal, principal, for_each(NoDistortion(), count), *size)

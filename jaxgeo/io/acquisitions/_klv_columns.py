@@ -1,4 +1,4 @@
-"""Numbers of telemetry packets by name, unknown ones NaN: as told, held from an earlier packet, or derived."""
+"""Numbers of telemetry packets by name, unknown ones NaN: as stated, held from an earlier packet, or derived."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _last_before(silent: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _fields_of_view(
     numbers: Any, slant_range: np.ndarray, values: Values, time: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """((across, down) in rad, where from, age in s): told, else of an earlier packet, else by target width and range.
+    """((across, down) in rad, where from, age in s): stated, else of an earlier packet, else by target width and range.
 
     The middle row of the image is as wide as the target at the slant range: across = 2 atan(width / (2 range)).
     """
@@ -157,7 +157,7 @@ def _fields_of_view(
 
 
 def lacking(columns: Columns, fields_too: bool) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
-    """By what an exposure needs, in words: which packets lack it, and the tags that would tell it; no time is needed.
+    """By what an exposure needs, in words: which packets lack it, and the tags that state it; no time is needed.
 
     `fields_too`: whether the camera depends on the field of view.
     """

@@ -18,7 +18,7 @@ class Maker:
     - `angles`: yaw, pitch and roll of the camera, R_ned_from_head = Rz Ry Rx; at zero it looks `forward` or `down`.
     - `aircraft`: heading, pitch and roll of the aircraft, perhaps none; `lat`, `lon`: the first that is there.
     - `height` above some datum, `relative` to the point of take-off; `sigma`: standard deviations north, east, down, m.
-    - `datum`: the tag that may say that `height` is above the ellipsoid; `evidence`: tags that help a reader to tell.
+    - `datum`: the tag that may say that `height` is above the ellipsoid; `evidence`: tags that help a reader to decide.
     - `make`, `model`: beginnings, in small letters, by which alone the row is chosen; `hint`: on a pitch out of range.
     """
 

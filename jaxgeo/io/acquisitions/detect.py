@@ -1,4 +1,4 @@
-"""What kind of file it is, told by its content, and the exposures in it."""
+"""Detect the kind of a file from its content and read its exposures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import is_a_name, whole_camera
 from jaxgeo.io.scene import read_scene
 
-HEAD = 65_536  # bytes by which a file is told
+HEAD = 65_536  # bytes from which the kind is detected
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
@@ -51,7 +51,7 @@ class WrongOption(TableError):
 
 
 class Form(NamedTuple):
-    """A kind of file: its name in words, how it is told by its path and first bytes, its reader, what that takes."""
+    """A kind of file: its name in words, a test of path and first bytes, its reader, the options that takes."""
 
     name: str
     is_one: Callable[[pathlib.Path, bytes], bool]

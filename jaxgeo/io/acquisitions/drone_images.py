@@ -193,7 +193,7 @@ def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bo
 
 
 def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
-    """As `time_of`; a time that is none is told, since no line of sight depends on it."""
+    """As `time_of`; a time that cannot be read is only reported, since no line of sight depends on it."""
     try:
         return time_of(tags)
     except TableError as error:
@@ -223,7 +223,7 @@ def _position_errors(
 
 
 def _stated_sigma(tags: ImageTags, maker: Maker) -> list[float]:
-    """Standard deviations of a position, m north, east, down; zeros where the file does not tell them."""
+    """Standard deviations of a position, m north, east, down; zeros where the file does not state them."""
     unknown = not maker.sigma or tags.unknown("position errors")
     return [0.0] * 3 if unknown else [tags.number(name, SIGMA) or 0.0 for name in maker.sigma]
 

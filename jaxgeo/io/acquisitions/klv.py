@@ -32,7 +32,7 @@ Items = tuple[tuple[int, bytes], ...]
 class Packet(NamedTuple):
     """A local set: where its key starts and how many bytes it takes, its (tag, value) pairs, and what is wrong with it.
 
-    `damage` is "" for a packet whose checksum is right. A damaged one has items only if all of them can be told apart.
+    `damage` is "" for a packet whose checksum is right. A damaged one has items only if all of them can be separated.
     """
 
     offset: int

@@ -209,7 +209,7 @@ def _of_csv(
 
 
 def _words(path: pathlib.Path) -> set[str]:
-    """The names of the columns, in small letters; none where the file cannot be read, which reading it then tells."""
+    """The names of the columns, in small letters; none where the file cannot be read, which reading it then reports."""
     try:
         text = read_text(path, "exterior parameter file")
     except (OSError, ValueError):

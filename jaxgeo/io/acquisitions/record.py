@@ -1,4 +1,4 @@
-"""What a file tells of exposures: the sensor, the shots, how they err, and what its reader had to assume."""
+"""Exposures read from a file: sensor, shots, errors, and the assumptions of its reader."""
 
 from __future__ import annotations
 

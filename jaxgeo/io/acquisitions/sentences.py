@@ -1,4 +1,4 @@
-"""Sentences that many files have in common, each told once with the number of files that it holds for."""
+"""Sentences that many files have in common, each once with the number of files that it holds for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def told_once(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
     """The sentences of each of several files, without repetition, in the order in which they come first.
 
     One that does not hold for all files has the number of those for which it does. Of sentences that differ in their
-    numbers alone, the first is told for all of them.
+    numbers alone, the first stands for all of them.
 
     >>> from jaxgeo.io.acquisitions.sentences import told_once
     >>> print(*told_once([["Scaled by 0.5.", "Level."], ["Scaled by 0.25."], []], "file"), sep="\\n")

@@ -181,7 +181,7 @@ def _read(file: str, form: Form, how: Mapping[str, Any]) -> Acquisition | Except
         return reader_of(form, own)(file, **checked_options(file, form, own))
     except (UnstatedDatum, VerticalDatumError, MemoryError):
         raise
-    except Exception as error:  # a fault in one file does not stop the others; who shows it tells it from a refusal
+    except Exception as error:  # a fault in one file does not stop the others; callers know it from a refusal
         return error
 
 

@@ -37,7 +37,7 @@ def read_telemetry(
     stream: int | None = None,
     camera: FrameCamera | str | os.PathLike[str] | None = None,
 ) -> Acquisition:
-    """The exposures of a file of KLV packets, or of an MPEG transport stream that carries them, told by its content.
+    """The exposures of a file of KLV packets, or of an MPEG transport stream that carries them; the content decides.
 
     Exposures are named by the number of their packet in the file, from 0. Packets that are damaged, or lack what an
     exposure needs (position, attitude, field of view, angles of the sensor), are left out, counted in `assumed`.
@@ -51,7 +51,7 @@ def read_telemetry(
     - `image_size`: (width, height) in pixels; that of the video if left out, else taken from a list by its ratio.
     - `upright`: images are level with the horizon, whatever the packets say of the sensor's roll: turrets that keep
       them so do not always tell it. `compare_reported` shows whether reported corners are turned.
-    - `keep_damaged`: packets with a wrong checksum too, if their items can be told apart.
+    - `keep_damaged`: packets with a wrong checksum too, if their items can be separated.
     - `stream`: index of the data stream, where a transport stream has several.
     - `camera`: the camera in place of the fields of view in the packets, of one focal length throughout: a
       `FrameCamera`, a camera file, or a lens in words, "focal=25mm,pitch=3.45um" (`jaxgeo.io.given_camera`).
@@ -134,7 +134,7 @@ def _other_content(data: bytes) -> str:
 
 
 def _heights(columns: Columns, prefix: str, datum: str | float | None) -> np.ndarray:
-    """Heights above the ellipsoid: as told, else from those above mean sea level."""
+    """Heights above the ellipsoid: as stated, else from those above mean sea level."""
     told, msl = columns[f"{prefix}height"], columns[f"{prefix}height_msl"]
     lon_deg, lat_deg = np.degrees(columns[f"{prefix}lon"]), np.degrees(columns[f"{prefix}lat"])
     msl = np.where(np.isfinite(told), np.nan, msl)

@@ -11,7 +11,7 @@ from jaxgeo.io.errors import TableError
 
 SYNC = 0x47  # first byte of each packet of a transport stream
 PACKETS = {188: 0, 192: 4, 204: 0}  # bytes of a packet, with a time before it or check bytes behind: where SYNC stands
-HEAD = 4 * 204  # bytes that tell
+HEAD = 4 * 204  # bytes that are enough to recognise it
 
 
 class Carried(NamedTuple):

@@ -1,4 +1,4 @@
-"""Errors where a file does not state them: usual ones of such equipment, each told in a sentence."""
+"""Default errors of such equipment where a file states none, each with a sentence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, P
 POSITION = (3.0, 3.0, 5.0)  # m north, east, down: a GNSS receiver without corrections
 ATTITUDE = (0.3, 0.1, 0.1)  # deg heading, pitch, roll: a small inertial system
 READINGS = 0.1  # deg: encoders of a gimbal on such a system
-LEVEL = {"yaw": 1.0}  # deg, of a gimbal against the level and north, as drones have: its yaw hangs on a compass
+LEVEL = {"yaw": 1.0}  # deg, of a gimbal against the level and north, as drones have: its yaw depends on a compass
 LEVEL_ELSE = 0.5  # deg: its other angles
 OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose holds the angles of such a gimbal
 
@@ -19,10 +19,10 @@ OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose hold
 def with_usual_errors(found: Acquisition) -> Acquisition:
     """The exposures, with usual errors in place of those of position, attitude and gimbal that the file does not state.
 
-    Each is told in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down) of the
-    position; of a gimbal against the level, 1 deg of yaw and 0.5 deg of the rest; else 0.3, 0.1 and 0.1 deg of heading,
-    pitch and roll (of drones' logs, whose poses are their gimbals', 1, 0.5 and 0.5 deg), and 0.1 deg of each reading of
-    a gimbal. A file that states errors of angles is believed about all.
+    Each has a sentence in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down)
+    of the position; of a gimbal against the level, 1 deg of yaw and 0.5 deg of the rest; else 0.3, 0.1 and 0.1 deg of
+    heading, pitch and roll (of drones' logs, whose poses are their gimbals', 1, 0.5 and 0.5 deg), and 0.1 deg of each
+    reading of a gimbal. A file that states errors of angles is believed about all.
     """
     made = usual_errors_of(found)
     added = tuple(for_each(source, len(found)) for source, _ in made)
