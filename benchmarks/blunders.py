@@ -3,8 +3,8 @@
 Run: python -m benchmarks.blunders [--blocks 200] [--clean 100] [--json [out.json]]
 
 Each block has one to three blunders of 5 to 10,000 px: in an image measurement, a control coordinate, two exchanged
-image measurements or control points, a control point of a wrong zone. `without_blunders` tests at a level such that any good
-measurement of a block is named with 5 % at most. What can be told is stated in `tests/support/blunder_study.py`.
+image measurements or control points, a control point of a wrong zone. `without_blunders` tests at a level such that any
+good measurement of a block is named with 5 % at most. What can be told is stated in `tests/support/blunder_study.py`.
 """
 
 from __future__ import annotations
