@@ -178,7 +178,7 @@ class _Screening:
         given = _covariance(control, rows) + own + self._of_start(at)
         motion, off = consensus(rays.place[at], control.place[rows], given)
         times = CONTROL_TIMES * (1.0 if rays.spread <= POOR else POOR_TIMES / TIMES)
-        limit = max(self.sigmas, times * float(np.median(off)))
+        limit = max(self.sigmas, times * float(np.sort(off)[(len(off) - 1) // 2]))  # of the better half
         wrong = off > limit
         if np.sum(wrong) <= MOST * len(rows):
             self._check_place(motion, at, control.name[rows])

@@ -188,8 +188,8 @@ def test_image_points_that_are_far_off_are_set_aside_with_the_points_that_nothin
     seen = good.block.observations
     names, counts = np.unique(seen.point, return_counts=True)
     pair = next(name for name in names[counts == 2].tolist() if name not in CONTROL)
-    block = with_blunder(good.block, int(np.flatnonzero(seen.point == pair)[0]), np.array([400.0, 900.0]))
-    with pytest.warns(RuntimeWarning, match="2 more|miss each other"):
+    block = with_blunder(good.block, int(np.flatnonzero(seen.point == pair)[0]), np.array([900.0, 400.0]))
+    with pytest.warns(RuntimeWarning, match=f"image point {pair} in image .* miss each other by"):
         found = adjust(block)
     assert pair not in found.places
     expected = adjust(good.block.of(seen.point != pair))
@@ -243,7 +243,7 @@ def test_good_measurements_that_a_strict_screening_sets_aside_are_taken_back(
     good: Adjustment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(screening, "TIMES", 0.0)
-    assert len(screen(good.block, sigmas=2.0).aside) > 20
+    assert len(screen(good.block, sigmas=2.0).aside) > 10
     found, out = without_blunders(good.block, alpha=1e-6, screen=2.0)
     assert out == []
     assert found.screened == ()
