@@ -123,7 +123,7 @@ def adjusted(
     """What iterations on a block came to, if it is determined and its points lie where they were seen. Raises as
     `adjust`."""
     if not solution.converged:
-        raise NotConverged(solution, diagnosed(block, ready, solution, screened), screened)
+        raise NotConverged(solution, diagnosed(block, unknowns, ready, solution, screened), screened)
     _check_parallax(block, ready, solution)
     rows = np.asarray(_unheld(ready.problem, solution.values))
     rows = rows[np.any(rows != 0.0, axis=1)]

@@ -11,11 +11,13 @@ from jaxgeo.adjust.equations import known_points
 from jaxgeo.adjust.kept import control_of
 from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen
+from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen, Screened, screen
 from jaxgeo.adjust.solve import Solution
+from jaxgeo.adjust.unknowns import Unknowns
 
 MOST = 5  # of each kind that are named
 FAR, TURNED = 10.0, 0.1  # m and rad, by which an image has moved far
+SUSPECT = 10.0  # standard deviations, by which what was measured disagrees with the consensus at the start
 OFF = 5.0  # standard deviations, by which a residual is worth a word
 
 
@@ -51,17 +53,22 @@ class Move:
 class Diagnosis:
     """What stands out where iterations came to no end, each list the worst first.
 
-    `largest` residuals of image points and control together, images that `moved` most, `control` that disagrees, and
-    the `doubtful` images, most of whose rays missed the others before the first iteration.
+    `largest` residuals of image points and control together, images that `moved` most, `control` that disagrees; of
+    what was adjusted, `suspects` that disagreed with the consensus of all others before the first iteration already,
+    and the `doubtful` images, most of whose rays missed the others then.
     """
 
     largest: tuple[Misfit, ...]
     moved: tuple[Move, ...]
     control: tuple[Misfit, ...]
+    suspects: tuple[Screened, ...] = ()
     doubtful: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         parts = []
+        if self.suspects:
+            shown = "; ".join(map(str, self.suspects[:MOST]))
+            parts.append(f"Against the consensus of the others, before the first iteration: {shown}.")
         if self.largest:
             parts.append("Largest residuals, in standard deviations: " + "; ".join(map(str, self.largest)) + ".")
         if self.control:
@@ -76,24 +83,23 @@ class Diagnosis:
     @property
     def advice(self) -> str:
         """What to do next, in words."""
-        by_point: dict[str, int] = {}
-        for one in self.largest:
-            by_point[one.point] = by_point.get(one.point, 0) + 1
         advice = []
-        if self.control or any(count > 1 for count in by_point.values()):
-            names = dict.fromkeys([one.point for one in self.control] + [p for p, n in by_point.items() if n > 1])
-            advice.append(
-                f"Look first at point {next(iter(names))}: its coordinates, its name, and the zone they are in"
-            )
-        if self.doubtful or (self.moved and (self.moved[0].distance > FAR or self.moved[0].turn > TURNED)):
-            image = self.doubtful[0] if self.doubtful else self.moved[0].image
-            advice.append(f"look at the orientation from which image {image} starts, and that it is of its own camera")
-        advice.append("without_blunders(block) leaves out what disagrees and names it")
-        advice.append("for more iterations give solver=Solver(most=...)")
-        return "; ".join(advice).capitalize()[:1] + "; ".join(advice)[1:] + "."
+        if self.suspects or self.control or self.largest:
+            first = (*self.suspects, *self.control, *self.largest)[0]
+            what = "its coordinates, its name, and the zone they are in"
+            if first.image:
+                what = f"where it was measured in image {first.image}, and its name"
+            advice.append(f"Check {first.kind} {first.point} first: {what}.")
+        far = [one.image for one in self.moved if one.distance > FAR or one.turn > TURNED]
+        image = (*self.doubtful, *far)[0] if self.doubtful or far else ""
+        if image:
+            advice.append(f"Check the orientation from which image {image} starts, and that it is of its own camera.")
+        advice.append("without_blunders(block) leaves out what disagrees and names it.")
+        advice.append("For more iterations give solver=Solver(most=...).")
+        return " ".join(advice)
 
 
-def diagnosed(block: Block, ready: Prepared, solution: Solution, screen: Screen) -> Diagnosis:
+def diagnosed(block: Block, unknowns: Unknowns, ready: Prepared, solution: Solution, screened: Screen) -> Diagnosis:
     """The diagnosis of iterations that have come to no end; `ready` and `block` as they were adjusted."""
     values, seen = solution.values, block.observations
     residual = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
@@ -107,7 +113,17 @@ def diagnosed(block: Block, ready: Prepared, solution: Solution, screen: Screen)
     largest = tuple(one for one in both[:MOST] if one.sigmas > OFF)
     wrong = tuple(one for one in control if one.sigmas > OFF)[:MOST]
     moved = _moves(block, solution)
-    return Diagnosis(largest, moved, wrong, screen.doubtful)
+    suspects, doubtful = _before(block, unknowns, screened)
+    return Diagnosis(largest, moved, wrong, suspects, doubtful)
+
+
+def _before(block: Block, unknowns: Unknowns, screened: Screen) -> tuple[tuple[Screened, ...], tuple[str, ...]]:
+    """What disagrees at the start with less than it takes to be set aside, or was not screened."""
+    try:
+        found = screen(block, unknowns, SUSPECT)
+    except ValueError:  # it was screened before, or this is what its screening would have raised
+        return (), screened.doubtful
+    return found.aside, found.doubtful or screened.doubtful
 
 
 def _of_control(block: Block, ready: Prepared, solution: Solution) -> list[Misfit]:

@@ -14,6 +14,7 @@ ROUNDS = 12  # of intersection and resection in turn
 SETTLED = 3.0  # median residual in sigmas, below which orientations are good enough to screen with
 PAIRS = 15  # of rays of a point that are tried
 CAUCHY = 3.0  # width of the weights, in sigmas times the spread of all residuals
+LARGEST = 9.0  # square of a residual in these widths, above which all cost the same
 SUSPECT = 10.0  # sigmas times the spread, above which a point's rays are tried pair by pair
 NEAR, FAR = 0.1, 10.0  # times the median range: where points may lie
 
@@ -155,13 +156,13 @@ class Rays:
         ranges = np.linalg.norm(tried[:, None] - c[None], axis=2)
         usual = np.median(np.linalg.norm(start[None] - c, axis=1)) if not hasattr(self, "place") else self._range
         far = np.any((ranges < NEAR * usual) | (ranges > FAR * usual), axis=1)
-        cost = np.sum(np.log1p((off / width) ** 2), axis=1) + 100.0 * far
+        cost = _truncated(off / width) + 1e3 * far
         best, place = int(np.argmin(cost)), tried[np.argmin(cost)]
         weight = 1.0 / (1.0 + (off[best] / width) ** 2) ** 2 / (self.sigma[rows] * ranges[best]) ** 2
         normal = np.einsum("k,kij->ij", weight, across)
         if np.linalg.eigvalsh(normal)[0] > 1e-9 * np.trace(normal):
             refined = np.linalg.solve(normal, np.einsum("k,kij,kj->i", weight, across, c))
-            again = np.sum(np.log1p((self.off(np.broadcast_to(refined, c.shape), rows) / width) ** 2))
+            again = _truncated(self.off(np.broadcast_to(refined, c.shape), rows) / width)
             place = refined if again <= cost[best] else place
         return place
 
@@ -218,6 +219,11 @@ class _Sums:
 def _spread(residual: np.ndarray) -> float:
     """How many times as large as a direction's should be the residuals are: by their median, robust to blunders."""
     return float(np.median(residual) / 0.8) if len(residual) else 1.0
+
+
+def _truncated(off: np.ndarray) -> np.ndarray:
+    """Sum of squares along the last axis, none larger than `LARGEST`: how far off a ray is that is off says nothing."""
+    return np.sum(np.minimum(off**2, LARGEST), axis=-1)
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:

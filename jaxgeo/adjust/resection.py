@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from itertools import combinations
 
 import numpy as np
 import scipy  # loads its parts when they are asked for
@@ -16,6 +18,10 @@ from jaxgeo.sensor import FrameCamera
 FLAT = 0.1  # thickness of the points over their width, below which they are taken as a plane to start with
 LEAST = 4
 MOST_OFF = 0.02  # of the image that the points cover: residuals that no orientation close to the right one leaves
+AGREED = 0.01  # of the same: residuals of points that agree on an orientation
+SUBSETS = 40  # of four points that are tried
+SMALL = 8  # points, of which all subsets are listed
+ENOUGH = 0.75  # of the points, of which no more need agree on four
 
 
 def resect(
@@ -24,8 +30,9 @@ def resect(
     """The orientations of images by the control points that they see, each image by itself, as a start.
 
     `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares. Points
-    with an infinite sigma are left out. Raises `ValueError` for a camera that there is not, and for an image that sees
-    fewer than four control points, in which they stand in one line, or whose camera has no ray for one of them.
+    with an infinite sigma are left out. Where they do not fit together, the orientation on which most agree is taken,
+    and a `RuntimeWarning` names those that do not. Raises `ValueError` for a camera that there is not, and for an image
+    that sees fewer than four control points, in which they stand in one line, or whose camera has no ray for one.
     """
     known = np.all(np.isfinite(control.sigma), axis=1)
     where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
@@ -42,9 +49,17 @@ def resect(
             )
         places = np.array([where[name] for name in observations.point[rows].tolist()])
         try:
-            centre, R = resected(cameras[camera], observations.uv[rows], places)
+            centre, R, agree = _agreed(cameras[camera], observations.uv[rows], places)
         except ValueError as error:
             raise ValueError(f"image {image}: {error}") from None
+        if not np.all(agree):
+            names = ", ".join(observations.point[np.array(rows)[~agree]].tolist())
+            warnings.warn(
+                f"image {image}: points {names} do not fit the orientation on which the other {int(np.sum(agree))} "
+                f"agree, and are left out of its resection. Are their coordinates, and their names, right?",
+                RuntimeWarning,
+                stacklevel=2,
+            )
         centres.append(centre)
         rotations.append(R)
     return Images(np.array(list(camera_of)), np.array(list(camera_of.values())), np.array(centres), np.array(rotations))
@@ -55,6 +70,13 @@ def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[n
 
     Raises `ValueError` for places in one line, and where none of the starts leads anywhere.
     """
+    centre, R, _ = _agreed(camera, uv, places)
+    return centre, R
+
+
+def _agreed(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(centre, R, flags of the points that agree with it): by all points, or where they do not fit together, by those
+    that agree on the orientation of four of them."""
     rays = camera_rays(camera, np.asarray(uv, np.float64))
     ideal = rays[:, :2] / rays[:, 2:]
     lost = ~np.all(np.isfinite(ideal), axis=1)
@@ -62,27 +84,82 @@ def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[n
         raise ValueError(
             f"the camera sees nothing at {np.asarray(uv)[np.argmax(lost)].tolist()} px, where its lens folds."
         )
-    middle = places.mean(axis=0)
-    _, spread, axes = np.linalg.svd(places - middle)
-    if spread[1] < 1e-3 * spread[0]:
+    if _in_one_line(places):  # or all but one that lies far away
+        if (found := _consensus(ideal, places)) is not None:
+            return found
         raise ValueError("the ground points lie in one line, from which no orientation follows.")
-    offsets = places - middle
-    starts = [_vertical(ideal, offsets, side) for side in (axes, np.diag([1.0, -1.0, -1.0]) @ axes)]
-    if len(places) < 6 or spread[2] < FLAT * spread[1]:
-        starts += _of_plane(ideal, offsets @ axes.T, axes)
-    else:
-        starts += [_of_space(ideal, offsets)]
-    best = min((_refined(ideal, offsets, *start) for start in starts), key=lambda found: found[0])
-    if not np.isfinite(best[0]):
+    size = float(np.abs(ideal - ideal.mean(axis=0)).max())
+    cost, centre, R = _best(ideal, places)
+    off = float(np.sqrt(cost / ideal.size))
+    everything = np.ones(len(places), bool)
+    if off <= AGREED * size:
+        return centre, R, everything
+    found = _consensus(ideal, places)
+    if found is not None:
+        return found
+    if not np.isfinite(cost):
         raise ValueError("no orientation puts all ground points in front of the camera; are image and points a pair?")
-    off = float(np.sqrt(best[0] / ideal.size))
-    if off > MOST_OFF * float(np.abs(ideal - ideal.mean(axis=0)).max()):
+    if off > MOST_OFF * size:
         off_px = off * float(np.mean(np.asarray(camera.focal_px)))
         raise ValueError(
             f"no orientation was found that fits: the best leaves {off_px:.0f} px on average. Are image and points a "
             f"pair, and the camera the right one?"
         )
-    return best[1] + middle, best[2]
+    return centre, R, everything
+
+
+def _in_one_line(places: np.ndarray) -> bool:
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < 1e-3 * spread[0])
+
+
+def _best(ideal: np.ndarray, places: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """(sum of squares, centre, R) of the best of all starts; infinite where none leads anywhere."""
+    middle = places.mean(axis=0)
+    offsets = places - middle
+    _, spread, axes = np.linalg.svd(offsets)
+    starts = [_vertical(ideal, offsets, side) for side in (axes, np.diag([1.0, -1.0, -1.0]) @ axes)]
+    if len(places) < 6 or spread[2] < FLAT * spread[1]:
+        starts += _of_plane(ideal, offsets @ axes.T, axes)
+    else:
+        starts += [_of_space(ideal, offsets)]
+    cost, centre, R = min((_refined(ideal, offsets, *start) for start in starts), key=lambda found: found[0])
+    return cost, centre + middle, R
+
+
+def _consensus(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """(centre, R, flags) of the orientation by four points with which most others agree, by all of these then; None
+    where fewer than five, or than two in three, agree."""
+    least = max(LEAST + 1, -(-2 * len(places) // 3))
+    if len(places) <= least:
+        return None
+    rng = np.random.default_rng(0)
+    few = len(places) <= SMALL
+    subsets = list(combinations(range(len(places)), LEAST)) if few else []
+    subsets = subsets or [tuple(rng.choice(len(places), LEAST, replace=False)) for _ in range(SUBSETS)]
+    subsets = [subsets[i] for i in rng.permutation(len(subsets))[:SUBSETS]]
+    most = np.zeros(len(places), bool)
+    for subset in subsets:
+        rows = np.array(subset, int)
+        if _in_one_line(places[rows]):
+            continue
+        cost, centre, R = _best(ideal[rows], places[rows])
+        agree = _agreeing(ideal, places, centre, R) if np.isfinite(cost) else most
+        most = agree if np.sum(agree) > np.sum(most) else most
+        if np.sum(most) >= max(least, ENOUGH * len(places)):
+            break
+    if np.sum(most) < least:
+        return None
+    _, centre, R = _best(ideal[most], places[most])
+    return centre, R, _agreeing(ideal, places, centre, R)
+
+
+def _agreeing(ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Flags of points that an orientation puts where they are seen, to `AGREED` of the image that most cover."""
+    seen = (places - centre) @ R
+    off = np.linalg.norm(seen[:, :2] / np.where(seen[:, 2:] > 0.0, seen[:, 2:], np.inf) - ideal, axis=1)
+    size = 2.0 * np.median(np.abs(ideal - np.median(ideal, axis=0)).max(axis=1))
+    return (off < AGREED * size) & (seen[:, 2] > 0.0)
 
 
 def _vertical(ideal: np.ndarray, offsets: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

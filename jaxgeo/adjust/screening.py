@@ -16,7 +16,8 @@ from jaxgeo.adjust.unknowns import Free, Unknowns, spread
 IMAGE_POINT, CONTROL_POINT = "image point", "control point"
 SIGMAS = 50.0  # that a measurement must be off
 TIMES = 5.0  # as far off as nine in ten measurements of the block it must be, too
-POOR_TIMES = 20.0  # the same, where orientations remain that do not fit
+POOR_TIMES = 20.0  # the same, where orientations are poor
+POOR = 10.0  # standard deviations, by which rays miss each other in general where orientations are poor
 CONTROL_TIMES = 20.0  # as far off as half of the control
 LEAST_CHECKED = 0.4  # share of redundancy of a ray of three: with less, a ray does not tell what its image is off by
 MOST = 0.5  # of an image's measurements, or of the control: where more disagree, it is not these that are wrong
@@ -87,7 +88,7 @@ def screen(block: Block, unknowns: Unknowns | None = None, sigmas: float = SIGMA
     _check_lens(block, rays)
     chosen = Unknowns() if unknowns is None else unknowns
     free = spread(chosen.images, block.images.name.tolist(), 1, "images", Free())[:, 0] > 0.0
-    poor = rays.spread > SETTLED
+    poor = rays.spread > POOR
     rays.improve(free)
     return replace(_Screening(block, rays, sigmas).screen, poor=poor)
 
@@ -133,7 +134,7 @@ class _Screening:
     def limit(self) -> float:
         """Standard deviations, from which a measurement is set aside."""
         residual = self.rays.residual[self.rays.used]
-        times = TIMES if self.rays.spread <= SETTLED else POOR_TIMES
+        times = TIMES if self.rays.spread <= POOR else POOR_TIMES
         return max(self.sigmas, times * float(np.quantile(residual, 0.9)))
 
     @cached_property
@@ -176,8 +177,8 @@ class _Screening:
             return [], None
         given = _covariance(control, rows) + own + self._of_start(at)
         motion, off = consensus(rays.place[at], control.place[rows], given)
-        times = CONTROL_TIMES * (1.0 if rays.spread <= SETTLED else POOR_TIMES / TIMES)
-        limit = max(self.sigmas, times * float(np.median(off)))
+        times = CONTROL_TIMES * (1.0 if rays.spread <= POOR else POOR_TIMES / TIMES)
+        limit = max(self.sigmas, times * float(np.sort(off)[(len(off) - 1) // 2]))  # of the better half
         wrong = off > limit
         if np.sum(wrong) <= MOST * len(rows):
             self._check_place(motion, at, control.name[rows])

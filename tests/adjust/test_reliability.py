@@ -13,12 +13,17 @@ from jaxgeo.adjust import (
     Adjustment,
     Block,
     Cauchy,
+    GroundPoints,
     Huber,
     ImagePoints,
+    NotConverged,
+    Solver,
     Tukey,
     adjust,
     blunders,
     reliability,
+    screen,
+    screening,
     without_blunders,
 )
 from jaxgeo.adjust.problem import prepared
@@ -157,3 +162,102 @@ def test_along_the_epipolar_line_nothing_checks_a_point_of_two_rays(good: Adjust
     assert np.all(reliability(good).redundancy[rows].sum(axis=1) < 1.0)
     for name in pair:  # two rays leave one condition
         assert reliability(good).redundancy[seen.point == name].sum() < 1.0 + 1e-9
+
+
+def with_control_off(block: Block, row: int, error: Any) -> Block:
+    """The block with an error in the coordinates of one control point, m."""
+    place = block.control.place.copy()
+    place[row] += error
+    return replace(block, control=GroundPoints(block.control.name, place, block.control.sigma))
+
+
+def test_control_that_is_far_off_is_set_aside_and_the_rest_adjusted(good: Adjustment) -> None:
+    with pytest.warns(RuntimeWarning, match=f"set aside before the first iteration: control point {CONTROL[2]}"):
+        found = adjust(with_control_off(good.block, 2, [2000.0, 0.0, 0.0]))
+    assert [(one.kind, one.point) for one in found.screened] == [("control point", CONTROL[2])]
+    assert CONTROL[2] not in found.block.control.name
+    assert f"control point {CONTROL[2]} (row 2): it lies 2000 m" in found.summary()
+    expected = adjust(replace(good.block, control=good.block.control.without([CONTROL[2]])))
+    assert (found.redundancy, found.observations) == (expected.redundancy, expected.observations)
+    np.testing.assert_allclose(found.images.centre, expected.images.centre, atol=1e-6)  # m
+    np.testing.assert_allclose(found.points.sigma, expected.points.sigma, atol=1e-6)  # m
+    np.testing.assert_allclose(found.residuals, expected.residuals, atol=1e-5)  # px
+
+
+def test_image_points_that_are_far_off_are_set_aside_with_the_points_that_nothing_else_sees(good: Adjustment) -> None:
+    seen = good.block.observations
+    names, counts = np.unique(seen.point, return_counts=True)
+    pair = next(name for name in names[counts == 2].tolist() if name not in CONTROL)
+    block = with_blunder(good.block, int(np.flatnonzero(seen.point == pair)[0]), np.array([900.0, 400.0]))
+    with pytest.warns(RuntimeWarning, match=f"image point {pair} in image .* miss each other by"):
+        found = adjust(block)
+    assert pair not in found.places
+    expected = adjust(good.block.of(seen.point != pair))
+    assert (found.redundancy, found.unknown_count) == (expected.redundancy, expected.unknown_count)
+    np.testing.assert_allclose(found.images.centre, expected.images.centre, atol=1e-6)  # m
+    assert found.sigma0 == pytest.approx(expected.sigma0, abs=1e-6)
+
+
+def test_an_error_of_control_is_named_as_that_and_not_as_that_of_its_rays(good: Adjustment) -> None:
+    off = np.array([0.4, -0.3, 0.2])
+    found = blunders(adjust(with_control_off(good.block, 3, off)))
+    assert (found[0].kind, found[0].point, found[0].row, found[0].image) == ("control point", CONTROL[3], 3, "")
+    np.testing.assert_allclose(found[0].error, off, atol=0.3)
+    assert str(found[0]).startswith(f"control point {CONTROL[3]} (row 3): standardised residual")
+    assert str(found[0]).endswith(" m")
+
+
+def test_control_is_tested_by_its_own_redundancy(good: Adjustment) -> None:
+    rng, fails = np.random.default_rng(0), 0
+    for seed in range(4):
+        of = simulated().noisy(seed)
+        block = of.block()
+        place = block.control.place + rng.normal(0.0, 0.02, block.control.place.shape)
+        block = replace(block, control=GroundPoints(block.control.name, place, 0.02))
+        fails += sum(one.kind == "control point" for one in blunders(adjust(block), alpha=0.2))
+    assert 1 <= fails <= 12  # of 24 with 0.2 each
+
+
+def test_a_run_without_end_tells_what_stands_out(good: Adjustment) -> None:
+    block = with_control_off(good.block, 2, [900.0, 0.0, 0.0])
+    with pytest.raises(NotConverged) as caught:
+        adjust(block, solver=Solver(most=2), screen=None)
+    error = caught.value
+    assert len(error.log) == 3
+    assert error.screened == ()
+    assert error.diagnosis.suspects[0].point == CONTROL[2]
+    assert CONTROL[2] in {one.point for one in error.diagnosis.largest}
+    assert [one.sigmas for one in error.diagnosis.largest] == sorted(
+        (one.sigmas for one in error.diagnosis.largest), reverse=True
+    )
+    assert {one.image for one in error.diagnosis.moved} <= set(block.images.name.tolist())
+    assert f"Check control point {CONTROL[2]} first: its coordinates, its name, and the zone" in str(error)
+    assert "without_blunders(block) leaves out what disagrees" in str(error)
+    cleaned, out = without_blunders(block, alpha=1e-6)  # as the message says
+    assert cleaned.converged
+    assert [(b.kind, b.point) for b in out] == [("control point", CONTROL[2])]
+
+
+@pytest.mark.slow
+def test_good_measurements_that_a_strict_screening_sets_aside_are_taken_back(
+    good: Adjustment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(screening, "TIMES", 0.0)
+    assert len(screen(good.block, sigmas=2.0).aside) > 10
+    found, out = without_blunders(good.block, alpha=1e-6, screen=2.0)
+    assert out == []
+    assert found.screened == ()
+    assert len(found.block.observations) == len(good.block.observations)
+    np.testing.assert_allclose(found.images.centre, good.images.centre, atol=1e-5)  # m
+
+
+@pytest.mark.slow
+def test_blunders_of_every_kind_together_are_named(good: Adjustment) -> None:
+    row = often_seen(good.block)
+    block = with_control_off(with_blunder(good.block, row, np.array([5000.0, -3000.0])), 4, [0.0, 0.0, 1500.0])
+    found, out = without_blunders(block, alpha=1e-6)
+    assert {(b.kind, b.row) for b in out} == {("image point", row), ("control point", 4)}
+    by_kind = {b.kind: b for b in out}
+    np.testing.assert_allclose(by_kind["image point"].error, [5000.0, -3000.0], atol=4.0)
+    np.testing.assert_allclose(by_kind["control point"].error, [0.0, 0.0, 1500.0], atol=0.5)
+    assert found.sigma0 == pytest.approx(good.sigma0, abs=0.03)

@@ -6,7 +6,8 @@ computed apart from the library, by dense textbook algebra at the true values (B
 * it is detectable where its test, at the level of the study, fails with a probability of `POWER` at least, all other
   blunders of the block being modelled;
 * it is separable where the test of no other measurement comes so near that noise takes the one for the other with a
-  probability of more than 1 - `POWER`.
+  probability of more than 1 - `POWER`; by derivatives at the true values, and for a ray also by where its point would
+  come to lie with another ray left out in its place.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pyproj
-from scipy import special, stats
+from scipy import optimize, special, stats
 from scipy.spatial.transform import Rotation
 
 from jaxgeo import FrameCamera, Geodetic, Mount, Pose, Sensor, Shot
@@ -368,10 +369,41 @@ def _judged(case: Case, wrong: list[Wrong], alpha: float) -> list[Wrong]:
             B[at, np.arange(len(at))] = 1.0
             U, s, _ = np.linalg.svd(left(B), full_matrices=False)
             rival = max(rival, float(np.sum((U[:, s > 1e-3].T @ r) ** 2)))
-        apart = np.sqrt(max(own - rival, 0.0))
+        apart = min(np.sqrt(max(own - rival, 0.0)), _apart_in_space(case, one))
         needed = 2.0 * special.ndtri(POWER)
         judged.append(replace(one, detectable=bool(power >= POWER), separable=bool(apart >= needed)))
     return judged
+
+
+def _apart_in_space(case: Case, one: Wrong) -> float:
+    """How badly (length of all residuals, in sigmas) the rays of a point fit with an image point that is wrong and one
+    of the others left out in its place, at the true orientations and without noise: a large error may move a point so
+    far that derivatives at its true place say nothing. Infinite for control."""
+    of = truth(case.layout)
+    names = point_names(len(of.places))
+    if one.of != "image point" or names[of.point[one.row]] in case.block.control.name:
+        return np.inf
+    rows = np.flatnonzero(of.point == of.point[one.row])
+    uv = of.uv[rows] + np.where(rows[:, None] == one.row, one.error, 0.0)
+    centre, R = of.centre[of.image[rows]], of.R[of.image[rows]]
+    least = np.inf
+    for out in np.flatnonzero(rows != one.row):
+        left = np.delete(np.arange(len(rows)), out)
+
+        def off(place: np.ndarray, left: np.ndarray = left) -> np.ndarray:
+            return ((_pixels(centre[left], R[left], place)[0] - uv[left]) / case.sigma_px).ravel()
+
+        if len(left) < 2:
+            return 0.0
+        principal = np.array([(WIDTH - 1) / 2.0, (HEIGHT - 1) / 2.0])
+        d = np.concatenate([(uv[left] - principal) / FOCAL, np.ones((len(left), 1))], axis=1)
+        d = np.einsum("kij,kj->ki", R[left], d / np.linalg.norm(d, axis=1)[:, None])
+        across = np.eye(3) - d[:, :, None] * d[:, None, :]
+        start = np.linalg.lstsq(across.sum(0), np.einsum("kij,kj->i", across, centre[left]), rcond=None)[0]
+        for begin in (start, of.places[of.point[one.row]]):
+            found = optimize.least_squares(off, begin, method="lm", x_scale=[100.0] * 3)
+            least = min(least, float(np.sqrt(2.0 * found.cost)))
+    return least
 
 
 # What is named.
