@@ -52,10 +52,9 @@ def reason_of_system(error: BaseException) -> str:
         return ""
     if error.filename is not None:
         return f"{os.fsdecode(error.filename)}: {error.strerror}."
-    full = error.errno in DEVICE_FAILURES
-    return (
-        f"the output cannot be written: {error.strerror}; name another file with -o." if full else f"{error.strerror}."
-    )
+    if error.errno in DEVICE_FAILURES:
+        return f"the output cannot be written: {error.strerror}; make room, or send it elsewhere."
+    return f"{error.strerror}."
 
 
 def _end(message: str, code: int, debug: bool) -> NoReturn:
