@@ -75,7 +75,7 @@ def clean(count: int) -> dict[str, Any]:
         with_names += bool(found)
         adjustment = adjust(block)
         screened += len(adjustment.screened)
-        tests += len(block.observations) + len(block.control)
+        tests += len(block.observations) + (0 if block.control is None else len(block.control))
         fails += len(blunders(adjustment, alpha=0.001))
     return {
         "blocks": count,
@@ -100,7 +100,7 @@ def whole_control(count: int) -> dict[str, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--blocks", type=int, default=200)
     parser.add_argument("--clean", type=int, default=100)
     parser.add_argument("--json", nargs="?", const="blunders.json")

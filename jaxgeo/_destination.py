@@ -14,6 +14,7 @@ from typing import Any
 from jaxgeo._partial import partial_file
 
 SCREEN = pathlib.Path("-")
+UNWRITABLE = "backslashreplace"  # how text that UTF-8 cannot hold is written: bytes of a file's name that are no UTF-8
 # What the system says where bytes cannot be written: no room, too large a file, a quota, a fault of the device.
 DEVICE_FAILURES = frozenset({errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
@@ -76,7 +77,7 @@ def check_place(option: str, output: pathlib.Path) -> None:
 
 def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
     with _failure_told(option, output):
-        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
+        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8", errors=UNWRITABLE)
 
 
 def check_no_input(option: str, outputs: Iterable[pathlib.Path], inputs: Iterable[str | os.PathLike[str]]) -> None:
@@ -99,7 +100,7 @@ def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None
     try:
         yield
     except OSError as error:
-        if only is not None and (error.errno not in only or error.filename is not None):
+        if only is not None and (error.errno is None or error.errno not in only or error.filename is not None):
             raise
         raise DestinationError(
             f"{option} {output}: it cannot be written: {error.strerror}; name another file."

@@ -122,9 +122,8 @@ def adjusted(
 ) -> Adjustment:
     """What iterations on a block came to, if it is determined and its points lie where they were seen. Raises as
     `adjust`."""
-    if not solution.converged:
-        raise NotConverged(solution, diagnosed(block, unknowns, ready, solution, screened), screened)
-    _check_parallax(block, ready, solution)
+    if solution.converged:
+        _check_parallax(block, ready, solution)
     rows = np.asarray(_unheld(ready.problem, solution.values))
     rows = rows[np.any(rows != 0.0, axis=1)]
     if len(rows) and datum is None:
@@ -135,7 +134,7 @@ def adjusted(
             [Direction(word, 0.0, {}) for word in words],
         )
     if not solution.converged:  # for which what nothing holds would be the reason
-        raise NotConverged(solution)
+        raise NotConverged(solution, diagnosed(block, unknowns, ready, solution, screened), screened)
     held = None
     if len(rows):
         solution = _at_start(ready, solution, loss, rows)

@@ -11,10 +11,13 @@ One interface for all: results on stdout, messages and progress on stderr; `--js
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Annotated, Any
 
 import typer
 
+from jaxgeo._destination import UNWRITABLE
 from jaxgeo._interruption import run
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._examples import examples_of
@@ -89,4 +92,7 @@ app.add_typer(studies, name="study")
 
 def main() -> None:
     """Entry point of the command `jaxgeo`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=UNWRITABLE)  # a name that the screen cannot show is no reason to stop
     run(app)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 import rasterio
 from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
@@ -25,7 +26,7 @@ OPTIONS = {
 }
 
 
-def options(**more: str) -> rasterio.Env:
+def options(**more: Any) -> rasterio.Env:
     """The options, and more, within a `with`: they hold for opening and for reading alike."""
     return rasterio.Env(**OPTIONS, **more)
 

@@ -61,4 +61,8 @@ def _blocks(window: Window) -> tuple[slice, slice]:
 
 
 def _sums(values: np.ndarray, mask: np.ndarray | None) -> tuple[int, int]:
-    return zlib.crc32(np.ascontiguousarray(values)), 0 if mask is None else zlib.crc32(np.packbits(mask))
+    return _sum(values), 0 if mask is None else _sum(np.packbits(mask))
+
+
+def _sum(values: np.ndarray) -> int:
+    return zlib.crc32(np.ascontiguousarray(values).data)

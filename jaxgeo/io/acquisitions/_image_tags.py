@@ -290,9 +290,9 @@ def _number(value: Any) -> float | None:
     parts = value.split("/") if isinstance(value, str) else [value]
     try:
         numbers = [number_in(part) if isinstance(part, str) else float(part) for part in parts]
-        if None in numbers or len(numbers) > 2:
-            return None
         first, second = (*numbers, 1.0)[:2]
+        if first is None or second is None or len(numbers) > 2:
+            return None
         result = first / second
     except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
