@@ -6,6 +6,7 @@ The server is real, since what GDAL does is out of sight of Python; that it coun
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pathlib
 import re
@@ -19,7 +20,19 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from support.attacks_places import ATTACKS, POSTS, Requests, band_of, counted_requests, named, vrt_of, wcs, wms
+from support.attacks_places import (
+    ATTACKS,
+    CRS_ATTACKS,
+    CRS_WITH_FILES,
+    POSTS,
+    Requests,
+    band_of,
+    counted_requests,
+    named,
+    vrt_of,
+    wcs,
+    wms,
+)
 from support.rasters import write
 from typer.testing import CliRunner
 
@@ -86,6 +99,29 @@ def test_nor_from_a_folder_of_tiles(tmp_path: pathlib.Path, server: Requests) ->
         with pytest.raises(DemError, match=r"b\.tif: this is a document of GDAL's \(WMS\)"):
             read(tmp_path)
     assert server.taken() == []
+
+
+@pytest.mark.parametrize("attack", CRS_ATTACKS)
+def test_no_file_is_opened_that_a_crs_names(tmp_path: pathlib.Path, secret: pathlib.Path, attack: str) -> None:
+    path = tmp_path / CRS_ATTACKS[attack](tmp_path, "", secret)
+    for name in ("dem", "dem on disk", "orthoimage"):
+        with pytest.raises((DemError, ImageError), match=f"names the file {secret}"):
+            RASTERS[name](path)
+
+
+def test_nor_that_tables_and_documents_name_in_theirs(tmp_path: pathlib.Path, secret: pathlib.Path) -> None:
+    text = CRS_WITH_FILES["pipeline"].replace("SECRET", str(secret))
+    control = tmp_path / "gcp_list.txt"
+    control.write_text(f"+proj=utm +zone=32 +ellps=intl +nadgrids={secret} +units=m\n1 2 3 4 5 a.jpg\n")
+    exterior = tmp_path / "exterior.geojson"
+    exterior.write_text(json.dumps({"type": "FeatureCollection", "world_crs": text, "features": []}))
+    interior = tmp_path / "interior.yaml"
+    interior.write_text("one: {type: pinhole, im_size: [40, 30], focal_len: 1.0, sensor_size: [1.0, 0.75]}\n")
+    named = f"names the file {secret}"
+    with pytest.raises(ValueError, match=named):
+        io.read_gcp_list(control, height_datum="ellipsoid")
+    with pytest.raises(ValueError, match=named):
+        io.read_acquisition(exterior, interior=interior)
 
 
 NAMES = (
