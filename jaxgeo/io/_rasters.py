@@ -27,7 +27,7 @@ from jaxgeo.io.reach import ALLOW_OUTSIDE, ALLOW_REMOTE, HERE, Reach, file_in, i
 # that GDAL was built without are passed over.
 DRIVERS = (
     "GTiff", "HFA", "AIG", "AAIGrid", "GRASSASCIIGrid", "ISG", "DTED", "PNG", "JPEG", "JPEGXL", "GIF", "BIGGIF", "BMP",
-    "PCRaster", "SRTMHGT", "Terragen", "netCDF", "HDF5", "HDF5Image", "JP2OpenJPEG", "JP2ECW", "JP2KAK", "JP2MrSID",
+    "PCRaster", "SRTMHGT", "Terragen", "netCDF", "JP2OpenJPEG", "JP2ECW", "JP2KAK", "JP2MrSID",
     "ECW", "MrSID", "WEBP", "NITF", "RST", "SAGA", "GSAG", "GSBG", "GS7BG", "NWT_GRD", "USGSDEM", "BT", "GTX", "BYN",
     "NGSGEOID", "HF2", "LCP", "SIGDEM", "ZMap", "XYZ", "ENVI", "EHdr", "ROI_PAC", "PNM", "ACE2", "GXF",
 )  # fmt: skip
