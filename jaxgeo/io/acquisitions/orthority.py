@@ -203,7 +203,8 @@ def _of_csv(
         if not named.exists():
             raise TableError(f"{path}: which map x and y are in is not in the file, nor in {named.name} beside it; "
                              f"pass crs=.")  # fmt: skip
-        crs = read_text(named, "file of a CRS").strip()
+        check_regular(named, TableError)
+        crs = named.read_text(encoding="utf-8-sig", errors="replace").strip()
         check_crs(f"{named}", crs, TableError)
     only = next(iter(cameras.values())) if len(cameras) == 1 and "camera" not in words else cameras
     table = acquisition_of_orientations(path, cameras=only, height_datum=height_datum, crs=crs, camera=camera)
