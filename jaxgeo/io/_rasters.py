@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -33,7 +34,7 @@ DRIVERS = (
     "NGSGEOID", "HF2", "LCP", "SIGDEM", "ZMap", "XYZ", "ENVI", "EHdr", "ROI_PAC", "PNM", "ACE2", "GXF",
 )  # fmt: skip
 GRIDS = ("GTiff", "GTX")  # that PROJ reads
-SETTINGS = {"GTIFF_REPORT_COMPD_CS": "YES", "GDAL_VRT_ENABLE_PYTHON": "NO"}
+SETTINGS: dict[str, Any] = {"GTIFF_REPORT_COMPD_CS": "YES", "GDAL_VRT_ENABLE_PYTHON": "NO"}
 RAW_VALUES = "GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE"  # by which newer versions of GDAL refuse what is outside
 # By what the first bytes of a document hold, what it is. GDAL looks for some of them anywhere in there.
 DOCUMENTS = {

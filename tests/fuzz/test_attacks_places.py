@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from jaxgeo.acquisitions.transport_stream import read_transport_stream
 from support.attacks_places import (
     ATTACKS,
     CRS_ATTACKS,
@@ -39,9 +40,8 @@ from typer.testing import CliRunner
 from jaxgeo import io
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
-from jaxgeo.io import DemError, ImageError, open_dem, read_dem, read_image, read_orthoimage
+from jaxgeo.io import DemError, ImageError, acquisitions, open_dem, read_dem, read_image, read_orthoimage
 from jaxgeo.io._proj import DATA
-from jaxgeo.io.acquisitions.transport_stream import read_transport_stream
 from jaxgeo.io.paths import files_behind
 from jaxgeo.io.scene import read_camera, read_scene
 from jaxgeo.io.tables import read_shots
@@ -211,15 +211,15 @@ READERS: dict[str, Callable[[pathlib.Path], Any]] = {
     "exposures": io.read_acquisition,
     "several exposures": lambda path: _raised(io.read_acquisitions(path)),
     "positions": lambda path: io.read_acquisition(_beside(path, "a.jpg", b"\xff\xd8\xff\xe0"), positions=path),
-    "drone image": io.acquisitions.read_drone_images,
-    "interior parameters": io.acquisitions.read_orthority_cameras,
-    "SBET": io.acquisitions.read_sbet,
+    "drone image": acquisitions.read_drone_images,
+    "interior parameters": acquisitions.read_orthority_cameras,
+    "SBET": acquisitions.read_sbet,
     "smrmsg": lambda path: io.read_acquisition(_beside(path, "a.sbet", SBET), errors=path),
-    "telemetry": io.acquisitions.read_telemetry,
+    "telemetry": acquisitions.read_telemetry,
     "transport stream": read_transport_stream,
-    "subtitles": io.acquisitions.read_dji_subtitles,
-    "flight log": io.acquisitions.read_airdata,
-    "cameras of Metashape": io.acquisitions.read_metashape_cameras,
+    "subtitles": acquisitions.read_dji_subtitles,
+    "flight log": acquisitions.read_airdata,
+    "cameras of Metashape": acquisitions.read_metashape_cameras,
     "BAL": io.read_bal,
     "ground control": lambda path: io.read_gcp_list(path, height_datum="ellipsoid"),
     "image points": io.read_image_points,
