@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from jaxgeo.acquisitions.transport_stream import read_transport_stream
 from support.attacks_places import (
     ATTACKS,
     CRS_ATTACKS,
@@ -42,6 +41,7 @@ from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
 from jaxgeo.io import DemError, ImageError, acquisitions, open_dem, read_dem, read_image, read_orthoimage
 from jaxgeo.io._proj import DATA
+from jaxgeo.io.acquisitions.transport_stream import read_transport_stream
 from jaxgeo.io.paths import files_behind
 from jaxgeo.io.scene import read_camera, read_scene
 from jaxgeo.io.tables import read_shots
