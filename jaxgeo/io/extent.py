@@ -19,7 +19,7 @@ def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
     edge = [(r * rows, c * cols) for r in ways for c in ways]
     x, y, z = np.moveaxis(np.asarray(jax.vmap(dem.grid.normal)(jnp.array(edge))), -1, 0)
     lat, lon = np.rad2deg(np.arctan2(z, np.hypot(x, y))), np.rad2deg(np.arctan2(y, x))
-    if isinstance(dem.grid, GeographicGrid) and cols * abs(float(dem.grid.step[0, 1])) >= 2.0 * math.pi:
+    if isinstance(dem.grid, GeographicGrid) and cols * abs(float(dem.grid.step[0, 1])) > 2.0 * math.pi - 1e-9:
         return -180.0, float(lat.min()), 180.0, float(lat.max())
     lon = lon[0] + (lon - lon[0] + 180.0) % 360.0 - 180.0
     return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())

@@ -95,7 +95,7 @@ class Marched:
         """The four posts of cells (4, n), level at the ceiling of voids where one is unknown; and where that is."""
         right = (j + 1) % self.posts.shape[1]
         z = np.stack([self.posts[i, j], self.posts[i, right], self.posts[i + 1, j], self.posts[i + 1, right]])
-        is_void = np.isnan(z).any(axis=0)
+        is_void = np.asarray(np.isnan(z).any(axis=0))
         return np.where(is_void, self.void_top, z), is_void
 
     def outcomes(self, origin: np.ndarray, direction: np.ndarray) -> list[Outcome]:

@@ -77,7 +77,7 @@ def rays_about(lon: float, band: tuple[float, float], count: int) -> tuple[np.nd
     down_there = aimed(rng, lons, lats, rng.uniform(-200.0, 1000.0, count), elevation=(lowest, -0.2), back=(0.0, far))
     up = aimed(rng, lons, lats, rng.uniform(-200.0, 1000.0, count), elevation=(-0.2, 10.0), back=(0.0, far))
     few = count // 5
-    return tuple(np.concatenate([a[few:], b[:few]]) for a, b in zip(down_there, up, strict=True))
+    return np.concatenate([down_there[0][few:], up[0][:few]]), np.concatenate([down_there[1][few:], up[1][:few]])
 
 
 def held_against(march: Marched, dem: Dem, lon: float, band: tuple[float, float], count: int) -> dict[str, int]:

@@ -71,7 +71,8 @@ class Ground:
         elevation, reach = (-85.0, -1.0), 10.0 ** rng.uniform(1.0, 4.5)
         near = aimed(rng, *self.lonlat(row, col), heights, elevation=elevation, back=(0.0, reach))
         far = aimed(rng, *self.lonlat(row, col), heights, elevation=(-85.0, -5.0), back=(5e5, 3e7))
-        return tuple(np.concatenate([a[count // 5 :], b[: count // 5]]) for a, b in zip(near, far, strict=True))
+        few = count // 5
+        return np.concatenate([near[0][few:], far[0][:few]]), np.concatenate([near[1][few:], far[1][:few]])
 
     def _over_edges(self, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Through places over the edges or close to them, from below all posts to above them, up and down."""
