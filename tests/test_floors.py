@@ -9,7 +9,19 @@ import pytest
 
 # In order from the ground up. Rooms on one floor do not import each other.
 FLOORS = [
-    "_typing _checks _elementary _numerics _record status least_squares _destination _partial _interruption".split(),
+    [
+        "_typing",
+        "_checks",
+        "_elementary",
+        "_numerics",
+        "_record",
+        "status",
+        "least_squares",
+        "_destination",
+        "_partial",
+        "_interruption",
+        "_command",
+    ],
     ["earth", "rotations"],
     ["sensor", "terrain"],
     ["fix"],
