@@ -87,5 +87,5 @@ app.add_typer(studies, name="study")
 
 
 def main() -> None:
-    """Entry point of the command `jaxgeo`."""
+    """Entry point of the command `jaxgeo`; it ends the process."""
     run(app)
