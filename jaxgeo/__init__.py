@@ -14,10 +14,13 @@ Examples in docstrings take for granted that `jaxgeo` and `numpy as np` are impo
 
 from __future__ import annotations
 
-from jaxgeo import _interruption
+from jaxgeo import _command
 
-if _interruption.is_command():
-    _interruption.heed()  # before JAX is imported
+if _command.is_command():  # signals are handled before JAX is imported
+    _command.end_on_interruption()
+    from jaxgeo import _interruption
+
+    _interruption.heed()
 
 # isort: split
 import importlib

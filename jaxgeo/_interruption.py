@@ -42,14 +42,6 @@ class _State:
 _state = _State()
 
 
-def is_command() -> bool:
-    """Whether Python was started as `jaxgeo` or `python -m jaxgeo`, and is not a program that imports it."""
-    words = getattr(sys, "argv", None) or [""]
-    if words[0] == "-m":  # while Python looks for the module
-        return sys.orig_argv[-len(words)].removeprefix("-m") in ("jaxgeo", "jaxgeo.__main__", "jaxgeo.cli")
-    return os.path.basename(words[0]).lower().removesuffix(".exe") == "jaxgeo"
-
-
 def heed() -> None:
     """Handle SIGINT, SIGTERM and SIGHUP from now on, but for those that the caller has the process ignore (nohup)."""
     if _state.is_heeding or threading.current_thread() is not threading.main_thread():

@@ -479,6 +479,13 @@ def test_a_reader_that_leaves_is_not_told(tmp_path: pathlib.Path) -> None:
     assert process.returncode in (0, 1)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="a shell closes it")
+def test_a_closed_stdout_is_no_fault() -> None:
+    command = ["sh", "-c", '"$0" -m jaxgeo --version >&-', sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 def test_progress_is_not_shown_where_nobody_sees_it(capsys) -> None:
     with working("working"):
         assert list(track([1, 2], "counting")) == [1, 2]

@@ -11,7 +11,7 @@ import pytest
 FLOORS = [
     (
         "_typing _checks _elementary _numerics _record status least_squares _destination _partial _interruption "
-        "_text_numbers"
+        "_text_numbers _command"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],

@@ -19,7 +19,7 @@ from support.drone_image_files import packet, write_image
 from support.interrupted import allowed, group, handles_signals, is_running, started, stopped, wait_until
 from test_cli_folders import DJI, GROUND
 
-from jaxgeo import _interruption
+from jaxgeo import _command, _interruption
 from jaxgeo._destination import destination
 from jaxgeo._partial import hidden_name
 from jaxgeo.demo import scene_file
@@ -109,7 +109,11 @@ WAYS = {
             with ThreadPoolExecutor() as pool:
                 pool.submit(in_c)
     """,
-    "a process": "def command():\n busy()\n subprocess.run([sys.executable, '-c', 'import time; time.sleep(60)'])",
+    "a process": """
+        def command():
+            code = "import time; print('busy', flush=True); time.sleep(60)"
+            subprocess.run([sys.executable, "-c", code])
+    """,
     "a reader that does not read": """
         def command():
             busy()
@@ -238,7 +242,7 @@ def test_only_the_command_is_taken_for_it(
 ) -> None:
     monkeypatch.setattr(sys, "argv", argv)
     monkeypatch.setattr(sys, "orig_argv", started_as)
-    assert _interruption.is_command() is is_command
+    assert _command.is_command() is is_command
 
 
 def test_a_program_that_imports_jaxgeo_keeps_its_signals() -> None:

@@ -91,7 +91,7 @@ app.add_typer(studies, name="study")
 
 
 def main() -> None:
-    """Entry point of the command `jaxgeo`."""
+    """Entry point of the command `jaxgeo`; it ends the process."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=UNWRITABLE)  # a name that the screen cannot show is no reason to stop

@@ -49,8 +49,7 @@ class Commands(TyperGroup):
             return super().main(**given, **extra)
         try:
             code = super().main(**given, **extra)
-            if sys.stdout is not None:  # it may have been closed
-                sys.stdout.flush()
+            print(end="", flush=True)  # of no effect where stdout was closed
         except MistakeOfUse as error:
             if type(error).__name__ != "NoArgsIsHelpError":  # what it has to say is on the screen
                 tell(in_a_line(error))
