@@ -9,7 +9,7 @@ import pytest
 
 # In order from the ground up. Rooms on one floor do not import each other.
 FLOORS = [
-    ["_typing", "_checks", "_elementary", "_numerics", "_record", "status", "least_squares", "_destination"],
+    ["_typing", "_checks", "_elementary", "_numerics", "_record", "status", "least_squares", "_destination", "batches"],
     ["earth", "rotations"],
     ["sensor", "terrain"],
     ["fix"],
@@ -40,6 +40,7 @@ NUMPY_ROOMS = {"io", "plot", "demo", "studies", "cli", "report"}
 # Files of the mathematical rooms that may use numpy, each for a reason.
 NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
+    "batches.py": "gathers finished batches, outside any trace",
     "_record.py": "carries records through pickles as they are",
     "_doors.py": "looks at concrete values before they are traced",
     "adjust/adjustment.py": "hands out what an adjustment found, by name, outside any trace",
