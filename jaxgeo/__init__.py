@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
+from jaxgeo.batches import in_batches
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
@@ -95,6 +96,7 @@ __all__ = [
     "compare",
     "coverage",
     "enable_x64",
+    "in_batches",
     "intersect",
     "io",
     "linear_error",

@@ -11,7 +11,7 @@ import pytest
 FLOORS = [
     (
         "_typing _checks _elementary _numerics _record status least_squares _destination _partial _interruption "
-        "_text_numbers _command"
+        "_text_numbers _command batches"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],
@@ -45,6 +45,7 @@ NUMPY_ROOMS = {"io", "plot", "demo", "studies", "cli", "report"}
 # Files of the mathematical rooms that may use numpy, each for a reason.
 NUMPY_FILES = {
     "_checks.py": "looks at dtypes and concrete values before anything is converted",
+    "batches.py": "gathers finished batches, outside any trace",
     "_record.py": "carries records through pickles as they are",
     "_doors.py": "looks at concrete values before they are traced",
     "adjust/adjustment.py": "hands out what an adjustment found, by name, outside any trace",

@@ -17,7 +17,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._record import Record
@@ -96,7 +95,7 @@ class Weak(Record):
 
 def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions | None:
     """The motions of the whole, by the normal equations and the reduced ones, if little holds one; else nothing."""
-    nothing = problem.observed is None and problem.terrain is None and not np.any(np.asarray(problem.known_point))
+    nothing = problem.observed is None and problem.terrain is None and not bool(jnp.any(problem.known_point != 0.0))
     if nothing:
         return None
     motions = motions_apart(problem, values, equations, matrix)

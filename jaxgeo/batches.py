@@ -1,0 +1,70 @@
+"""A function for one item over many, a batch at a time, in bounded memory."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+SIZE = 16_384
+
+
+def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int = SIZE) -> Any:
+    """What `function(item, *common)` gives for each item of `many`, `size` of them at a time, as NumPy arrays.
+
+    `many` is an array or a record (or a tuple of such) with a leading axis of items; the result has that axis too. Only
+    the result and one batch are in memory, and one program is compiled, for the last batch is filled up with its last
+    item: in `jax.lax.map(..., batch_size=)` what is left over is a second program. That program is kept for the next
+    call with the same `function`, an argument like `jaxgeo.locate` or a function with a name rather than a new lambda.
+    Raises `ValueError` where there are no items, their number is not the same everywhere, or `size` is not at least 1.
+    """
+    if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
+        raise ValueError(f"size must be an integer of at least 1, the number of items at a time; got {size!r}.")
+    leaves = [leaf for leaf in jax.tree.leaves(many) if eqx.is_array_like(leaf)]
+    counts = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in leaves}
+    if len(counts) != 1 or counts & {None, 0}:
+        told = sorted(str(np.shape(leaf)) for leaf in leaves)
+        raise ValueError(
+            f"many must be arrays with one leading axis of at least one item; got shapes {', '.join(told)}."
+        )
+    count = counts.pop()
+    size, whole = min(int(size), count), None
+    for first in range(0, count, size):
+        last = min(first + size, count)
+        part = _batch(function, jax.tree.map(lambda x, a=first, b=last: _filled(x, a, b, size), many), common)
+        if whole is None:
+            _give_back()
+            whole = jax.tree.map(lambda x: np.empty((count, *x.shape[1:]), x.dtype), part)
+        jax.tree.map(lambda all_, some, a=first, b=last: _put(all_, some, a, b), whole, part)
+    return whole
+
+
+@eqx.filter_jit
+def _batch(function: Callable[..., Any], many: Any, common: tuple[Any, ...]) -> Any:
+    return jax.vmap(lambda item: function(item, *common))(many)
+
+
+def _filled(x: Any, first: int, last: int, size: int) -> np.ndarray:
+    """Entries from `first` up to `last`, the last of them again where they are fewer than `size`."""
+    part = np.asarray(x[first:last])
+    missing = size - len(part)
+    return part if missing == 0 else np.concatenate([part, np.repeat(part[-1:], missing, axis=0)])
+
+
+def _put(whole: np.ndarray, part: Any, first: int, last: int) -> None:
+    whole[first:last] = np.asarray(part)[: last - first]
+
+
+def _give_back() -> None:
+    """Give the system back what tracing and compiling left free: half a GB, which glibc would keep."""
+    gc.collect()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:  # other C libraries have none
+            trim(0)
