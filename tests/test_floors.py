@@ -60,6 +60,7 @@ NUMPY_FILES = {
     "adjust/ray_consensus.py": "looks at rays before an adjustment, outside any trace",
     "adjust/screening.py": "the same, by name",
     "adjust/snooping.py": "tests of finished residuals, by name",
+    "adjust/tie_start.py": "moves finished values as a whole",
     "adjust/calibration.py": "the same as adjustment.py",
     "adjust/reliability.py": "tests of finished residuals, by name",
     "adjust/exterior.py": "the same as adjustment.py",

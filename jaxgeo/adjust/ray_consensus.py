@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -221,7 +222,7 @@ def _spread(residual: np.ndarray) -> float:
     return float(np.median(residual) / 0.8) if len(residual) else 1.0
 
 
-def _truncated(off: np.ndarray) -> np.ndarray:
+def _truncated(off: np.ndarray) -> Any:
     """Sum of squares along the last axis, none larger than `LARGEST`: how far off a ray is that is off says nothing."""
     return np.sum(np.minimum(off**2, LARGEST), axis=-1)
 

@@ -112,10 +112,11 @@ class _Snooping:
         problem = masked(self.block, self.full, self.kept).problem
         first = solve(problem, LeastSquares(), self.solver, start=self.values).values
         finite = bool(np.all(np.isfinite(np.asarray(first.centre))) and np.all(np.isfinite(np.asarray(first.points))))
-        self.values = solve(problem, Cauchy(), self.solver, start=first if finite else None).values
-        points = np.asarray(image_residuals(self.full.problem, self.values)).T[self.full.order.place]
+        values = solve(problem, Cauchy(), self.solver, start=first if finite else None).values
+        self.values = values
+        points = np.asarray(image_residuals(self.full.problem, values)).T[self.full.order.place]
         sizes = np.where(self.kept.rows, np.linalg.norm(points, axis=1), 0.0)
-        off = np.asarray(known_points(self.full.problem, self.values))
+        off = np.asarray(known_points(self.full.problem, values))
         control = control_of(self.block)
         row_of = dict(zip(self.full.names.point.tolist(), self.full.order.row_of_point.tolist(), strict=True))
         of_control = [np.linalg.norm(off[row_of[name]]) if name in row_of else 0.0 for name in control.name.tolist()]
