@@ -19,6 +19,7 @@ from jaxgeo.demo import scene_file
 from jaxgeo.io import TableError, read_acquisition
 from jaxgeo.io.acquisitions.detect import form_of
 from jaxgeo.io.tables import read_shots
+from jaxgeo.uncertainty.sources import InteriorOrientation
 from tests.io.test_flight_logs import airdata, subtitles
 from tests.io.test_metashape_cameras import document, placed
 
@@ -119,6 +120,24 @@ def test_a_file_is_told_by_its_content_and_shown(tmp_path: pathlib.Path, name: s
     assert shown.exit_code == 0
     for word in (found.form, *(str(name) for name in found.names), "errors: ", "assumed"):
         assert word in shown.output or (word == "assumed" and not found.assumed)
+
+
+WITH_CAMERA = "focal=8.8mm,pitch=2.41um,size=5472x3648"
+CAMERA_GIVEN = {"eo.csv", "opk.txt", "clip.srt", "flight.csv", "micmac.txt"}  # files that have none
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_lens_of_every_camera_has_an_error_or_a_sentence(tmp_path: pathlib.Path, name: str) -> None:
+    """So that nothing assumed of a camera moves a fix without a word."""
+    make, _, how = FILES[name]
+    path = tmp_path / name
+    make(path)
+    for more in ({}, {"camera": WITH_CAMERA}) if name in CAMERA_GIVEN else ({},):
+        found = read_acquisition(path, **how, **more)
+        assert (found.sensor is None) == (name == "flight.sbet" or (name in CAMERA_GIVEN and not more))
+        has_errors = any(isinstance(one, InteriorOrientation) for one in found.sources)
+        is_told = any("without error" in one or "nothing of how it errs" in one for one in found.assumed)
+        assert found.sensor is None or has_errors or is_told or (name == "scene.toml" and found.sources)
 
 
 def test_heights_whose_datum_nobody_says_are_shown_with_that(tmp_path: pathlib.Path) -> None:

@@ -18,6 +18,8 @@ FORMS = (
     "or its table [camera] alone)"
 )
 UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
+AS_GIVEN = "The camera is taken as it is given, without error: interior orientation errs only if that is said too."
+AS_READ = "Cameras are taken as the file has them, without error: interior orientation errs only if that is said too."
 CLOSE = 0.005  # by which the scales along columns and rows may differ where an image was made smaller
 _VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*", re.ASCII)
 

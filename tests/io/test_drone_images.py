@@ -637,7 +637,8 @@ def test_a_digital_zoom_makes_the_focal_length_longer(tmp_path, case: str, named
         for k, more in enumerate(({}, {0xA404: zoom}))
     ]
     how = {"camera": model} if named else {}
-    plain, zoomed = (read(path, height_datum="ellipsoid", **how) for path in files)
+    found_of: list[Any] = [read(path, height_datum="ellipsoid", **how) for path in files]
+    plain, zoomed = found_of
     for found, times in ((plain, 1.0), (zoomed, zoom)):
         np.testing.assert_allclose(found.sensor.camera.focal_px, focal_px * times * size[0] / width, rtol=1e-9)
         np.testing.assert_allclose(found.sensor.camera.principal_px, [[(n - 1) / 2 for n in size]], atol=1e-9)

@@ -15,6 +15,7 @@ from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.given_camera import AS_GIVEN
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import Sentinel, sentinel_of
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -87,13 +88,15 @@ def acquisition_of_records(
     timed = bool(np.all(np.isfinite(times)))
     count = len(known)
     sensor = None if cameras is None else for_each(Sensor(cameras, Gimbal.fixed(), Mount.nadir()), count)
+    of_camera = [] if cameras is None else [AS_GIVEN]
+    of_times = [] if timed else ["Times are not in the file; they are 0."]
     return Acquisition(
         path=os.fspath(path),
         form=form,
         names=np.array([record.name for record in known]),
         sensor=sensor,
         shots=Shot(pose, np.zeros((count, 0)), times if timed else np.zeros(count)),
-        assumed=(*of_heights, ANGLES, *assumed, *([] if timed else ["Times are not in the file; they are 0."]), *told),
+        assumed=(*of_heights, ANGLES, *assumed, *of_camera, *of_times, *told),
         facts={"records": f"{count} of {len(records)}", **facts},
         tags=tuple(dict(record.values) for record in known),
         time_is_utc=time_is_utc and timed,

@@ -23,7 +23,7 @@ from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import for_each
 from jaxgeo.io.camera_table import camera_models, named_camera, names_of
 from jaxgeo.io.errors import TableError
-from jaxgeo.io.given_camera import FORMS, Lens, frame_camera, given_camera, resized
+from jaxgeo.io.given_camera import AS_GIVEN, FORMS, Lens, frame_camera, given_camera, resized
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.sensor.distortion import NoDistortion
 from jaxgeo.uncertainty.sources import InteriorOrientation
@@ -32,7 +32,6 @@ from jaxgeo.uncertainty.sources import InteriorOrientation
 LIMITS = np.pi * np.array([[-2.0, 2.0], [-1.0, 1.0], [-1.0, 1.0]])
 
 GivenCamera = FrameCamera | str | os.PathLike[str]
-AS_GIVEN = "The camera is taken as it is given, without error: interior orientation errs only if that is said too."
 
 
 def sensor_of_images(

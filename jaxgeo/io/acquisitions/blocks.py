@@ -17,6 +17,7 @@ from jaxgeo.io._map_grid import understood_crs
 from jaxgeo.io._orientation_columns import read_orientation_columns
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.given_camera import AS_GIVEN, AS_READ
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm
 from jaxgeo.io.orientations import Orientations, check_columns, crs_of, has_vertical, read_orientations
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -74,6 +75,7 @@ def acquisition_of_opensfm(
             heights_are(height_datum),
             CAPTURE_TIME if timed else NO_TIMES,
             NO_ERRORS,
+            AS_READ,
             "Cameras are of the size that the file gives, perhaps less than that of the images.",
         ),
         facts=_facts(block, rows),
@@ -117,6 +119,7 @@ def acquisition_of_orientations(
         raise TableError(f"{path}: camera={camera!r} is asked for, but there is no column camera.")
     assumed = [heights_are(height_datum), *table.assumed]
     assumed += [NO_ERRORS] if table.sigma is None else [_INDEPENDENT]
+    assumed += [] if cameras is None else [AS_GIVEN]
     assumed += [ELLIPSOID] if of_map is None else []
     assumed += [NO_TIMES] if table.time is None else []
     if isinstance(cameras, FrameCamera) and table.camera is not None and len(np.unique(table.camera)) > 1:

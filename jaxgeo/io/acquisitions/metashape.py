@@ -18,11 +18,13 @@ from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import NO_ERRORS, NO_TIMES, check_one_size, rows_of, sensor_of, shots_of
 from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
+from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
 
 MOST_PIXELS = 10_000_000  # of the side of an image, and of a focal length
 FORM = "camera file of Metashape"
+WGS84_TAKEN = "The geocentric coordinates of the chunk are taken to be of WGS 84."
 UNREAD = ("b2", "k4", "p3", "p4")  # of its calibrations: skew and higher terms of the lens
 IDENTITY = (np.eye(3), np.zeros(3), 1.0)
 RADII = (6.3e6, 1e8)  # m from the centre of the Earth, where cameras can be
@@ -76,7 +78,7 @@ def read_metashape_cameras(
         names=np.array([labels[row] for row in rows]),
         sensor=sensor_of(cameras, taken_by[rows]),
         shots=shots_of(_pose(R_ecef_from_camera, centres)),
-        assumed=("The geocentric coordinates of the chunk are taken to be of WGS 84.", NO_ERRORS, NO_TIMES, *told),
+        assumed=(WGS84_TAKEN, NO_ERRORS, AS_READ, NO_TIMES, *told),
         facts={"images": f"{len(rows)} of {len(aligned) + unaligned}", "cameras": ", ".join(cameras)},
     )
 

@@ -37,6 +37,7 @@ from jaxgeo.io.acquisitions.blocks import (
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
 from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift, is_unnamed
@@ -180,7 +181,7 @@ def _of_geojson(
         names=np.array(names),
         sensor=sensor_of(cameras, taken_by[rows]),
         shots=shots_of(poses),
-        assumed=(heights_are(height_datum), NO_ERRORS, NO_TIMES),
+        assumed=(heights_are(height_datum), NO_ERRORS, AS_READ, NO_TIMES),
         facts={"images": f"{len(names)}", "map": understood_crs(path, stated)[0].name},
         tags=tags,
     )
