@@ -19,7 +19,8 @@ from tests.support.made_fixes import made
 
 NONE = (
     "", " ", "x", "EPSG:", "EPSG:99999999999999999999", "EPSG:-1", "9" * 5000, "\x00", "EPSG:4326\x00", "\udcff",
-    "+proj=utm +zone=99", "+proj=utm +zone=999999999999", "+proj=lcc", "+proj=ob_tran", "{}", "GEOGCS[", "PROJCS[" * 500,
+    "+proj=utm +zone=99", "+proj=utm +zone=999999999999", "+proj=lcc", "+proj=ob_tran", "{}", "GEOGCS[",
+    "PROJCS[" * 500,
     '{"type":"GeographicCRS"}', "EPSG:4326+9999", "+proj=merc +a=0", "+proj=merc +a=nan", "/etc/passwd", "x" * 300,
     "+proj=utm +zone=32 +nadgrids=nope.gsb +type=crs", "EPSG:4978",
 )  # fmt: skip
