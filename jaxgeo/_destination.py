@@ -8,7 +8,7 @@ import os
 import pathlib
 import shutil
 import sys
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from jaxgeo._partial import partial_file
@@ -95,7 +95,7 @@ def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
 
 
 @contextlib.contextmanager
-def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None = None) -> Iterator[None]:
+def _failure_told(option: str, output: pathlib.Path, only: frozenset[int] | None = None) -> Iterator[None]:
     """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
     try:
         yield

@@ -61,8 +61,5 @@ def _blocks(window: Window) -> tuple[slice, slice]:
 
 
 def _sums(values: np.ndarray, mask: np.ndarray | None) -> tuple[int, int]:
-    return _sum(values), 0 if mask is None else _sum(np.packbits(mask))
-
-
-def _sum(values: np.ndarray) -> int:
-    return zlib.crc32(np.ascontiguousarray(values).data)
+    known = b"" if mask is None else np.packbits(mask).tobytes()
+    return zlib.crc32(np.ascontiguousarray(values).data), zlib.crc32(known)

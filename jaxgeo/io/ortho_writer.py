@@ -62,7 +62,7 @@ class OrthoWriter:
         self._partial = self.target  # while it is open, the file that will take its place
         self._opened = contextlib.ExitStack()
         self._sink: Any = None
-        self._written = WrittenWindows((int(raster.shape[0]), int(raster.shape[1])))
+        self._written = WrittenWindows(raster.shape)
 
     def __reduce__(self) -> NoReturn:
         raise TypeError(
