@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import pathlib
+import sys
 import traceback
 from collections.abc import Iterator
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -30,7 +31,8 @@ def mistakes_told(debug: bool) -> Iterator[None]:
     With `debug`, the message stands below the traceback.
     """
     try:
-        yield
+        with _words_of_gdal_dropped():
+            yield
     except (typer.Exit, typer.Abort, BrokenPipeError):
         raise
     except Exception as error:
@@ -42,6 +44,22 @@ def mistakes_told(debug: bool) -> Iterator[None]:
             _end(f"{said}ask for fewer pixels, cells or samples at once.", MISTAKE, debug)
         said = f"unexpected {type(error).__name__}{f' ({reason})' if reason else ''}: a fault of jaxgeo's, not of yours"
         _end(f"{said}; run it again with --debug to see where, and report it.", FAULT, debug)
+
+
+@contextlib.contextmanager
+def _words_of_gdal_dropped() -> Iterator[None]:
+    """Drop what rasterio cannot decode of GDAL's messages over a damaged file: Python prints it with a traceback."""
+    before = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if not (isinstance(unraisable.exc_value, UnicodeDecodeError) and "rasterio" in str(unraisable.object)):
+            before(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _end(message: str, code: int, debug: bool) -> NoReturn:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 import rasterio
 from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
@@ -27,7 +28,8 @@ OPTIONS = {
 
 def options(**more: str) -> rasterio.Env:
     """The options, and more, within a `with`: they hold for opening and for reading alike."""
-    return rasterio.Env(**OPTIONS, **more)
+    settings: dict[str, Any] = OPTIONS | more
+    return rasterio.Env(**settings)
 
 
 @contextlib.contextmanager
