@@ -33,7 +33,7 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
         raise ValueError(
             f"many must be arrays with one leading axis of at least one item; got shapes {', '.join(told)}."
         )
-    count = counts.pop()
+    count = int(counts.pop() or 0)
     size, whole = min(int(size), count), None
     for first in range(0, count, size):
         last = min(first + size, count)

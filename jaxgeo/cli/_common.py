@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
+import sys
 import traceback
 from collections.abc import Iterator
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -32,7 +33,8 @@ def mistakes_told(debug: bool) -> Iterator[None]:
     With `debug`, the message stands below the traceback.
     """
     try:
-        yield
+        with _words_of_gdal_dropped():
+            yield
     except (typer.Exit, typer.Abort, BrokenPipeError):
         raise
     except Exception as error:
@@ -55,6 +57,22 @@ def reason_of_system(error: BaseException) -> str:
     if error.errno in DEVICE_FAILURES:
         return f"the output cannot be written: {error.strerror}; make room, or send it elsewhere."
     return f"{error.strerror}."
+
+
+@contextlib.contextmanager
+def _words_of_gdal_dropped() -> Iterator[None]:
+    """Drop what rasterio cannot decode of GDAL's messages over a damaged file: Python prints it with a traceback."""
+    before = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        if not (isinstance(unraisable.exc_value, UnicodeDecodeError) and "rasterio" in str(unraisable.object)):
+            before(unraisable)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _end(message: str, code: int, debug: bool) -> NoReturn:

@@ -28,7 +28,8 @@ OPTIONS = {
 
 def options(**more: Any) -> rasterio.Env:
     """The options, and more, within a `with`: they hold for opening and for reading alike."""
-    return rasterio.Env(**OPTIONS, **more)
+    settings: dict[str, Any] = OPTIONS | more
+    return rasterio.Env(**settings)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from rasterio.io import DatasetReader
 
 TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
 # Bytes of the header of files that hold their values as they are, at least.
-RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "ERS": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "KRO": 20, "LCP": 0,
+RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "LCP": 0,
        "NGSGEOID": 0, "RST": 0, "ROI_PAC": 0, "SAGA": 0, "SRTMHGT": 0}  # fmt: skip
 EXACT = ("BT", "GSBG", "GTX")  # nothing may come behind their values
 CLASSIC = b"CDF"  # the first bytes of netCDF files that are never compressed
@@ -43,7 +43,7 @@ def mistake_of(data: DatasetReader) -> str:
         needed = RAW.get(data.driver, 0) + data.width * data.height * sum(
             np.dtype(name).itemsize for name in data.dtypes
         )
-        there = max((os.path.getsize(name) for name in data.files if os.path.isfile(name)), default=0)
+        there = os.path.getsize(path)
         is_whole = there == needed if data.driver in EXACT else there >= needed
         return "" if is_whole else f"by its header it has {needed} bytes, and {there} are there"
     return ""

@@ -12,6 +12,7 @@ from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
+from jaxgeo.io._deflate import damaged_block
 from jaxgeo.io._gdal import refused_as
 from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._rasters import open_raster
@@ -107,6 +108,9 @@ def read_bands(
     part = _part(window) if window else "it"
     _check_fits(name, data, bands, window)
     with refused_as(ImageError, name, part):
+        damaged = damaged_block(data, bands, window, set())
+        if damaged:
+            raise ImageError(f"{name}: the file is damaged: {damaged}.")
         values = data.read(list(bands), window=window)
         known = _known(data, window)
     if values.dtype.kind == "f":

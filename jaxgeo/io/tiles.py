@@ -17,6 +17,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo.io._crs_reach import check_crs
+from jaxgeo.io._deflate import Block, damaged_block
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import DemError
@@ -82,6 +83,7 @@ class OpenFiles:
 
     def __init__(self) -> None:
         self._open: collections.OrderedDict[str, DatasetReader] = collections.OrderedDict()
+        self._sound: dict[str, set[Block]] = {}
 
     def __enter__(self) -> OpenFiles:
         return self
@@ -97,6 +99,10 @@ class OpenFiles:
             self._open[tile.path] = _opened(tile.path, tile.reach)
         self._open.move_to_end(tile.path)
         return self._open[tile.path]
+
+    def sound_blocks(self, tile: Tile) -> set[Block]:
+        """The compressed blocks of a file that have been held against their checksums."""
+        return self._sound.setdefault(tile.path, set())
 
 
 def read_header(path: str, band: int, reach: Reach = HERE) -> Tile:
@@ -117,6 +123,9 @@ def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray,
     """Values as stored, without scale and offset, and voids, of a window of one file. Raises `DemError` if damaged."""
     data = files[tile]
     with refused_as(DemError, tile.path, f"rows {window.row_off} to {window.row_off + window.height}"):
+        damaged = damaged_block(data, (tile.band,), window, files.sound_blocks(tile))
+        if damaged:
+            raise DemError(f"{tile.path}: the file is damaged: {damaged}.")
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
         if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
@@ -139,8 +148,10 @@ def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -
     del stamp  # part of the key only: another time or size is another file
     with _opened(path, reach) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
-            known = "Pass band=1" if data.count == 1 else f"Pass one from band=1 to band={data.count}"
-            raise DemError(f"{path}: there is no band {band}; the file has {data.count}. {known}.")
+            told = f"{path}: there is no band {band}; the file has {data.count}"
+            if _INSIDE.get():  # the source of a VRT, whose author named the band
+                raise DemError(f"{told}. {_INSIDE.get()[-1]} asks for it; make that VRT anew.")
+            raise DemError(f"{told}. Pass {'band=1' if data.count == 1 else f'one from band=1 to band={data.count}'}.")
         _check_holds_heights(path, data, band)
         _check_georeferenced(path, data)
         if data.crs is None:

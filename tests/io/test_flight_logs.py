@@ -208,3 +208,31 @@ def test_the_attitude_of_a_nadir_camera_is_the_gimbals() -> None:
     np.testing.assert_allclose(
         body @ np.asarray(R_HEAD_FROM_CAMERA_NADIR), gimbal @ np.asarray(R_HEAD_FROM_CAMERA_FORWARD), atol=2e-9
     )
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("2\n00:00:00,033 --> 00:00:00,066\n", "2\n00:00:0", "latitude is 47.1 and 47.2"),
+        ("1\n00:00:00,000 --> 00:00:00,033\n", "1\n", "row 2: there is no time"),
+    ],
+)
+def test_records_of_subtitles_whose_time_is_damaged_are_not_mixed(
+    tmp_path: pathlib.Path, old: str, new: str, words: str
+) -> None:
+    """A second record within a cue would take the place of the first, field by field."""
+    record = "{0}\n{1}\n[latitude: 47.{0}] [longitude: 8.25] [abs_alt: 610.5] [gb_yaw: 1 gb_pitch: -45 gb_roll: 0]\n\n"
+    times = "00:00:00,000 --> 00:00:00,033", "00:00:00,033 --> 00:00:00,066"
+    text = "".join(record.format(k + 1, time) for k, time in enumerate(times))
+    assert old in text
+    (tmp_path / "a.SRT").write_text(text.replace(old, new))
+    with pytest.raises(TableError, match=words):
+        read_acquisition(tmp_path / "a.SRT", height_datum="ellipsoid")
+
+
+def test_a_number_of_subtitles_that_goes_on_in_damaged_bytes_is_none(tmp_path: pathlib.Path) -> None:
+    place = "[latitude: 47.1\xfe5] [longitude: 8.25] [abs_alt: 610.5] [gb_yaw: 1 gb_pitch: -45 gb_roll: 0]"
+    text = f"1\n00:00:00,000 --> 00:00:00,033\n{place}\n"
+    (tmp_path / "a.SRT").write_bytes(text.encode("latin-1"))
+    with pytest.raises(TableError, match="no record tells where"):
+        read_acquisition(tmp_path / "a.SRT", height_datum="ellipsoid")

@@ -119,7 +119,7 @@ def _items(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _sum(data: bytes) -> int:
-    return sum(value << 8 if place % 2 == 0 else value for place, value in enumerate(data)) % 65536
+    return (256 * sum(data[::2]) + sum(data[1::2])) % 65536
 
 
 def _payloads(data: bytes) -> list[bytes]:

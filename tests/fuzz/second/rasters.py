@@ -8,6 +8,7 @@ import struct
 import warnings
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pyproj
 import rasterio
@@ -54,7 +55,7 @@ def _same_map(found: Any, transform: Any, crs: Any, shape: tuple[int, int]) -> N
     to_earth = pyproj.Transformer.from_crs(pyproj.CRS.from_wkt(crs.to_wkt()), "EPSG:4326", always_xy=True)
     for row, col in ((0, 0), (shape[0] - 1, shape[1] - 1)):
         lon, lat = to_earth.transform(*(transform @ (col + 0.5, row + 0.5)))
-        x, y, z = np.asarray(found.grid.normal(np.array([row, col], np.float64)))
+        x, y, z = np.asarray(found.grid.normal(jnp.asarray([row, col], jnp.float64)))
         same("latitude of a post", np.rad2deg(np.arctan2(z, np.hypot(x, y))), lat, 1e-7)
         same_turn("longitude of a post", np.rad2deg(np.arctan2(y, x)), lon, 1e-7)
 

@@ -1,0 +1,98 @@
+"""Rasters that GDAL reads though they are damaged: what it gives then is no value of the file, and is refused."""
+
+from __future__ import annotations
+
+import pathlib
+import zlib
+
+import numpy as np
+import pytest
+import rasterio
+from support.rasters import DEGREE, hills, write
+
+from jaxgeo.io import DemError, ImageError, read_dem, read_image
+
+GRID = "ncols 3\nnrows 3\nxllcorner 5.0\nyllcorner 45.0\ncellsize 0.01\nNODATA_value -9999\n1 2 3\n4 5.5 6\n7 8 9\n"
+
+
+def grid(path: pathlib.Path, text: str) -> pathlib.Path:
+    path.write_text(text)
+    path.with_suffix(".prj").write_text(rasterio.CRS.from_epsg(4326).to_wkt())
+    return path
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("5.5", "5.5.5", "'5.5.5'"),
+        ("5.5", "5x5", "'5x5'"),
+        ("0.01", "0.010.01", "'0.010.01'"),
+        ("1 2", "12", "8 values"),
+        ("7 8", "7 8 8", "10 values"),
+        ("9\n", "9\n\x00", ""),
+    ],
+)
+def test_words_of_a_text_grid_that_are_no_numbers_are_no_heights(
+    tmp_path: pathlib.Path, old: str, new: str, words: str
+) -> None:
+    read_dem(grid(tmp_path / "a.asc", GRID), vertical_datum="ellipsoid")
+    with pytest.raises(DemError, match="damaged") as error:
+        read_dem(grid(tmp_path / "b.asc", GRID.replace(old, new)), vertical_datum="ellipsoid")
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize("written", ["1e3 2 3", "+1 -2 3", ".5 2 3", "nan 2 3", "1,5 2 3", "1\t2\r\n3"])
+def test_numbers_of_a_text_grid_as_programs_write_them_are_read(tmp_path: pathlib.Path, written: str) -> None:
+    read_dem(grid(tmp_path / "a.asc", GRID.replace("1 2 3", written)), vertical_datum="ellipsoid")
+
+
+@pytest.mark.parametrize("driver, ending", [("ENVI", ".img"), ("GTX", ".gtx"), ("EHdr", ".bil"), ("BT", ".bt")])
+@pytest.mark.parametrize("share", [0.5, 0.99])
+def test_a_raw_file_that_is_cut_short_is_refused(
+    tmp_path: pathlib.Path, driver: str, ending: str, share: float
+) -> None:
+    path = tmp_path / f"a{ending}"
+    heights = hills((9, 11)).astype(np.float32)
+    transform = rasterio.Affine(DEGREE, 0, 5.0, 0, -DEGREE, 45.0)
+    profile = {"driver": driver, "dtype": "float32", "count": 1, "height": 9, "width": 11, "crs": "EPSG:4326"}
+    with rasterio.open(path, "w", transform=transform, **profile) as sink:
+        sink.write(heights, 1)
+    whole = path.read_bytes()
+    np.testing.assert_array_equal(read_image(path)[0][0], heights)
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ImageError, match=path.name):
+        read_image(path)
+
+
+def test_a_damaged_png_is_refused(tmp_path: pathlib.Path) -> None:
+    """GDAL's own way for whole images gives what lies in memory."""
+    path, rng = tmp_path / "a.png", np.random.default_rng(3)
+    values = rng.integers(0, 255, (3, 40, 50)).astype(np.uint8)
+    with rasterio.open(path, "w", driver="PNG", dtype="uint8", count=3, height=40, width=50) as sink:
+        sink.write(values)
+    whole = path.read_bytes()
+    np.testing.assert_array_equal(read_image(path)[0], values)
+    for at in rng.integers(60, len(whole) - 30, 30):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
+        with pytest.raises(ImageError, match=r"a\.png"):
+            read_image(path)
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_a_deflated_block_that_goes_on_is_refused(tmp_path: pathlib.Path, tiled: bool) -> None:
+    """libtiff takes it for whole, and leaves the last values of the block as they are in memory."""
+    path = tmp_path / "a.tif"
+    how = {"tiled": True, "blockxsize": 16, "blockysize": 16} if tiled else {}
+    write(path, hills((16, 16)).astype(np.float32), compress="deflate", **how)
+    with rasterio.open(path) as data:
+        at, size = (int(data.get_tag_item(f"BLOCK_{what}_0_0", "TIFF", bidx=1)) for what in ("OFFSET", "SIZE"))
+    content = path.read_bytes()
+    values = zlib.decompress(content[at : at + size])
+    other = zlib.compress(values[:-300] + b"\x07" * 900, 9)
+    read_dem(path, vertical_datum="ellipsoid")
+    assert len(other) <= size
+    path.write_bytes(content[:at] + other.ljust(size, b"\0") + content[at + size :])
+    with pytest.raises(DemError, match="damaged"):
+        read_dem(path, vertical_datum="ellipsoid")
+    with pytest.raises(ImageError, match="damaged"):
+        read_image(path)
