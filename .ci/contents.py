@@ -12,7 +12,7 @@ import zipfile
 
 PACKAGE = "jaxgeo"
 WHOLE = (".ci", ".github", "benchmarks", "docs", "notebooks", "tests", "tools", PACKAGE)  # folders of the sdist
-FILES = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "mkdocs.yml", "pyproject.toml")
+FILES = ("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "SECURITY.md", "mkdocs.yml", "pyproject.toml")
 
 
 def files_of(source: pathlib.Path, *folders: str) -> set[str]:

@@ -12,14 +12,17 @@ import pytest
 import typer
 from rasterio.transform import Affine
 from support.command_files import prepare
-from support.rasters import DEGREE, hills, write
+from support.rasters import DEGREE, gdalbuildvrt, hills, write
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
 from jaxgeo.cli._words import dem_as_typed
 
 URL = "s3://bucket/folder/dem.tif"
-READING = "--nodata -9999 --nodata 0 --height-unit ft --dem-band 2 --dem-bounds -85,36,-84,37 --assume-wgs84"
+READING = (
+    "--nodata -9999 --nodata 0 --height-unit ft --dem-band 2 --dem-bounds -85,36,-84,37 --assume-wgs84 --allow-remote "
+    "--allow-outside"
+)
 SCENE = f"--scene scene.toml --dem {URL}"
 LINES = {
     "locate": f"{SCENE} --pixel 1,2",
@@ -71,17 +74,21 @@ def test_every_command_reads_a_dem_as_asked_and_keeps_urls(
     prepare(tmp_path, line.replace(URL, "dem.tif"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxgeo.io.read_dem", read_dem)
-    monkeypatch.setattr("jaxgeo.io.paths.files_behind", lambda path: [str(path)])  # which would open the URL
+    monkeypatch.setattr("jaxgeo.io.paths.files_behind", lambda path, reach: [str(path)])  # which would open the URL
     result = run([*line.split(), *READING.split()])
     assert result.exit_code == 2, result.output
     assert "reached" in result.stderr
     assert asked == {
         "paths": [URL], "vertical_datum": None, "nodata": [-9999.0, 0.0], "height_unit": "ft", "band": 2,
-        "bounds": (-85.0, 36.0, -84.0, 37.0), "assume_wgs84": True,
+        "bounds": (-85.0, 36.0, -84.0, 37.0), "assume_wgs84": True, "allow_remote": True,
+        "allow_outside": True,
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("option", ["--nodata -9999", "--height-unit ft", "--dem-band 2", "--assume-wgs84"])
+@pytest.mark.parametrize(
+    "option",
+    ["--nodata -9999", "--height-unit ft", "--dem-band 2", "--assume-wgs84", "--allow-remote", "--allow-outside"],
+)
 def test_options_of_a_dem_need_one(option: str) -> None:
     for line in ("point --scene s.toml --line-of-sight 1,2", "locate --scene s.toml --ground 300"):
         result = run([*line.split(), *option.split()])
@@ -177,6 +184,60 @@ def test_what_a_refusal_advises_works_as_printed(
         kept += ["--vertical-datum", "ellipsoid"] if "--dem-band" in way else []
         accepted = run([*line.split(), *kept, *shlex.split(way)])
         assert "read (" in accepted.stderr, accepted.stderr
+
+
+def test_what_lies_elsewhere_is_read_by_the_option_that_the_refusal_names(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mosaic over a folder beside it, as `gdalbuildvrt ../tiles/*.tif` makes it; of the image too."""
+    for folder in ("tiles", "work"):
+        (tmp_path / folder).mkdir()
+    write(tmp_path / "tiles" / "a.tif", HILLS, affine=HERE)
+    prepare(tmp_path / "work", "jaxgeo point --scene scene.toml")
+    monkeypatch.chdir(tmp_path / "work")
+    vrt = gdalbuildvrt(tmp_path / "dem.vrt", [tmp_path / "tiles" / "a.tif"]).read_text()
+    pathlib.Path("dem.vrt").write_text(vrt.replace("tiles/a.tif", "../tiles/a.tif"))
+    monkeypatch.setattr("jaxgeo.coverage.point", lambda *_, terrain, **__: _raise(f"read {terrain.posts.shape}"))
+    monkeypatch.setattr("jaxgeo.io.rectify_file", lambda *_, **how: _raise(f"read {how['allow_outside']}"))
+    ground = "--dem dem.vrt --vertical-datum ellipsoid"
+    for line in (f"point --scene scene.toml --target 36.27,-84.268,500 {ground}", f"rectify dem.vrt --scene scene.toml "
+                 f"--dem {tmp_path}/tiles/a.tif --vertical-datum ellipsoid -o out.tif"):  # fmt: skip
+        refused = run(line.split())
+        message = " ".join(refused.stderr.split())
+        assert refused.exit_code == 2, refused.output
+        assert "Pass --allow-outside if you trust it" in message, message
+        assert "allow_outside" not in message, message
+        accepted = run([*line.split(), "--allow-outside"])
+        assert "read " in accepted.stderr, accepted.stderr
+
+
+def test_a_url_asks_for_an_option(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare(tmp_path, "jaxgeo point --scene scene.toml")
+    monkeypatch.chdir(tmp_path)
+    line = f"point --scene scene.toml --target 36.27,-84.268,500 --dem {URL} --vertical-datum ellipsoid"
+    refused = run(line.split())
+    assert refused.exit_code == 2, refused.output
+    assert f"{URL}: this is no file of this machine by its path. Pass --allow-remote" in " ".join(
+        refused.stderr.split()
+    )
+
+
+def test_a_model_too_large_asks_for_a_part(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "dem.tif", np.zeros((4000, 4000), np.uint8), affine=HERE, compress="deflate", crs="EPSG:4326")
+    prepare(tmp_path, "jaxgeo point --scene scene.toml")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jaxgeo.io._memory_at_hand.memory_at_hand", lambda: 1e8)
+    line = "point --scene scene.toml --target 36.27,-84.268,500 --dem dem.tif --vertical-datum ellipsoid"
+    refused = run(line.split())
+    assert refused.exit_code == 2, refused.output
+    said = (
+        "too large: 4,000 x 4,000 posts need about 0.35 GB of memory, and 0.1 GB are at hand. Read a part of it with "
+    )
+    assert f"{said}--dem-bounds WEST,SOUTH,EAST,NORTH in deg" in " ".join(refused.stderr.split())
+
+
+def _raise(what: str) -> None:
+    raise Reached(what)
 
 
 def write_dem(path: pathlib.Path, **options: Any) -> pathlib.Path:

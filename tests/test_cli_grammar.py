@@ -122,7 +122,10 @@ LONG_LINES = [
     "--vertical-datum EPSG:5773 --block 200 --probability 0.99 --pixel 40,150 "
     "--band 1 --reference-band 1 -o results --json --debug",
 ]
-READING = "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84"
+READING = (
+    "--nodata -9999 --nodata 0 --height-unit ft --dem-band 1 --dem-bounds -85,36,-84,37 --assume-wgs84 --allow-remote "
+    "--allow-outside"
+)
 FIELD = f"locate {SCENE} --attitude-sigma 0.1 --dem-correlation 400 --json"
 PARSED = [  # whose files are not made here, or whose work is that of lines that are run
     f"locate {SCENE} {READING}",

@@ -82,6 +82,7 @@ REACH = (("allow_remote=True", "--allow-remote"), ("allow_outside=True", "--allo
 _DEM_WORDS = (
     ("assume_wgs84=True", "--assume-wgs84"),
     *REACH,
+    ("bounds=(west, south, east, north)", "--dem-bounds WEST,SOUTH,EAST,NORTH"),
     (", name its folder with pyproj.datadir.append_data_dir(folder),", ","),
     ("as vertical_datum", "with --vertical-datum"),
     ("Leave vertical_datum out", "Leave --vertical-datum out"),

@@ -11,6 +11,7 @@ import itertools
 import os
 from collections.abc import Iterator
 
+from jaxgeo.io._crs_reach import check_crs_in
 from jaxgeo.io._gdal_xml import entry, root_of
 from jaxgeo.io._regular import check_regular
 
@@ -99,6 +100,7 @@ def _check_xml(path: str, error: type[ValueError]) -> None:
         raise error(
             f"{path}: this is not the auxiliary XML that GDAL expects here ({reason}); move it away."
         ) from reason
+    check_crs_in(path, root, error)
     for element in root.iter():
         if entry(element, "key").lower() == OVERVIEWS:
             check_overviews_named(path, (element.text or "").strip() or "a file", error)

@@ -8,6 +8,7 @@ import pyproj
 from pyproj.exceptions import CRSError
 
 from jaxgeo.io._columns import Columns, read_columns
+from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io.errors import TableError
 
@@ -80,6 +81,7 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
             continue
         name = re.search(r'"([^"]+)"', found[1])
         for text in (found[1], name[1] if name else ""):  # the whole of it, else by its name
+            check_crs(f"{columns.table.path}", text, TableError)
             try:
                 return pyproj.CRS.from_user_input(text)
             except CRSError:

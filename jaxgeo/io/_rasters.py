@@ -8,6 +8,7 @@ with any driver, is read as XML before.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 
 import numpy as np
@@ -27,7 +28,7 @@ from jaxgeo.io.reach import ALLOW_OUTSIDE, ALLOW_REMOTE, HERE, Reach, file_in, i
 # that GDAL was built without are passed over.
 DRIVERS = (
     "GTiff", "HFA", "AIG", "AAIGrid", "GRASSASCIIGrid", "ISG", "DTED", "PNG", "JPEG", "JPEGXL", "GIF", "BIGGIF", "BMP",
-    "PCRaster", "SRTMHGT", "Terragen", "netCDF", "HDF5", "HDF5Image", "JP2OpenJPEG", "JP2ECW", "JP2KAK", "JP2MrSID",
+    "PCRaster", "SRTMHGT", "Terragen", "netCDF", "JP2OpenJPEG", "JP2ECW", "JP2KAK", "JP2MrSID",
     "ECW", "MrSID", "WEBP", "NITF", "RST", "SAGA", "GSAG", "GSBG", "GS7BG", "NWT_GRD", "USGSDEM", "BT", "GTX", "BYN",
     "NGSGEOID", "HF2", "LCP", "SIGDEM", "ZMap", "XYZ", "ENVI", "EHdr", "ROI_PAC", "PNM", "ACE2", "GXF",
 )  # fmt: skip
@@ -105,11 +106,21 @@ def _check_file(path: str, reach: Reach, error: type[ValueError], depth: int) ->
 
 def _check_source(path: str, reach: Reach, error: type[ValueError], depth: int) -> None:
     """A raster that GDAL will open by itself, with any of its drivers."""
-    _check_file(path, reach, error, depth)
-    head = head_of(path, error)
-    if VRT in head or reach.remote:
+    if VRT in head_of(path, error):
+        _check_file(path, reach, error, depth)
         return
-    kind = _document(head)
+    found, around = os.stat(path), os.stat(os.path.dirname(os.path.abspath(path)))
+    _check_plain_source(path, reach, error, (found.st_mtime_ns, found.st_size, around.st_mtime_ns))
+
+
+@functools.lru_cache(maxsize=65_536)
+def _check_plain_source(path: str, reach: Reach, error: type[ValueError], stamp: tuple[int, int, int]) -> None:
+    """As `_check_source`, of no VRT; once for each file, while its time and size and the time of its folder stay."""
+    del stamp
+    _check_file(path, reach, error, 0)
+    if reach.remote:
+        return
+    kind = _document(head_of(path, error))
     if kind is not None:
         raise error(f"{path}: {_of_document(kind)}")
     _check_by_opening(path, list(DRIVERS), error)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from xml.etree.ElementTree import Element
 
 from jaxgeo.io._beside import OVERVIEWS, check_overviews_named, head_of
+from jaxgeo.io._crs_reach import check_crs_in
 from jaxgeo.io._gdal_xml import entries, entry, root_of
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io.reach import ALLOW_OUTSIDE, ALLOW_REMOTE, Reach, is_beside, is_local, is_remote
@@ -43,6 +44,8 @@ def check_vrt_text(
         raise error(f"{path}: this VRT is no sound XML ({reason}). Write it anew (gdalbuildvrt).") from reason
     if str(root.tag).lower() != "vrtdataset" or _SPLIT.search(content):
         raise error(f"{path}: this is not a VRT as GDAL writes it. Write it anew (gdalbuildvrt).")
+    if not reach.outside:
+        check_crs_in(path, root, error)
     named: dict[tuple[str, bool, bool], None] = {}
     for element in root.iter():
         _check_kind(path, element, error)

@@ -16,6 +16,7 @@ from jaxgeo._text_numbers import words_of
 from jaxgeo.adjust.records import ImagePoints, as_names
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._columns import refuse_doubles
+from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import CsvTable
 from jaxgeo.io._dialect import WHITE, with_points
 from jaxgeo.io._map_grid import MapGrid, understood_crs
@@ -90,7 +91,9 @@ def read_gcp_list(
         raise ValueError(f"pixel_origin must be 'centre' or 'corner'; got {pixel_origin!r}.")
     (line, projection), *rows = _lines(path)
     table = _table(path, rows)
-    crs, vertical = understood_crs(f"{path}, row {line}", projection_text(projection))
+    text = projection_text(projection)
+    check_crs(f"{path}, row {line}", text, TableError)
+    crs, vertical = understood_crs(f"{path}, row {line}", text)
     numbers = {name: table.numbers(name, limits) for name, limits in LIMITS.items()}
     places = np.stack([numbers[name] for name in COLUMNS[:3]], axis=-1)
     names, of_point = _points(table, places)

@@ -13,6 +13,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from jaxgeo._checks import require_x64
+from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io.errors import DemError, ImageError
 from jaxgeo.io.gridding import make_grid
@@ -82,7 +83,7 @@ def read_orthoimage_and_report(
     reach = Reach(allow_remote, allow_outside)
     with opened(name, reach) as data, refused_as(ImageError, name, "its header"):
         chosen = chosen_bands(name, data, bands)
-        raster = _raster_of_file(name, data)
+        raster = _raster_of_file(name, data, reach)
         try:
             mapping = map_of(name, raster, assume_wgs84=assume_wgs84)
             rows, cols = raster.shape
@@ -105,10 +106,10 @@ def raster_of_file(path: str | os.PathLike[str], reach: Reach = HERE) -> MapRast
     """The raster of a file on a map. Raises `ImageError` for one that is on none; `FileNotFoundError`."""
     name = os.fspath(path)
     with opened(name, reach) as data, refused_as(ImageError, name, "its header"):
-        return _raster_of_file(name, data)
+        return _raster_of_file(name, data, reach)
 
 
-def _raster_of_file(name: str, data: DatasetReader) -> MapRaster:
+def _raster_of_file(name: str, data: DatasetReader, reach: Reach) -> MapRaster:
     transform = data.transform
     if transform.is_identity:
         how = "ground control points" if data.gcps[0] else "rational polynomials" if data.rpcs else None
@@ -123,9 +124,12 @@ def _raster_of_file(name: str, data: DatasetReader) -> MapRaster:
             f"gdal_edit -a_srs EPSG:32632 {name}."
         )
     try:
-        crs = horizontal_part(pyproj.CRS.from_wkt(data.crs.to_wkt()))
+        whole = pyproj.CRS.from_wkt(data.crs.to_wkt())
+        crs = horizontal_part(whole)
     except (CRSError, *GDAL_ERRORS) as error:
         raise ImageError(f"{name}: PROJ does not understand the file's CRS: {error}") from error
+    if not reach.outside:
+        check_crs(name, whole, ImageError)
     if not (crs.is_geographic or crs.is_projected):
         raise ImageError(f"{name}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")
     return MapRaster(crs, transform, data.shape)

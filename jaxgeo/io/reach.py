@@ -10,8 +10,8 @@ _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_]+:")  # of GDAL's own names, such as NETCDF: or WMS:; no drive of Windows
 # Names of one part of a local file, as GDAL lists them.
 _PARTS = (
-    re.compile(r'(?:NETCDF|HDF5):"(?P<file>[^"]+)":'),
-    re.compile(r"(?:NETCDF|HDF5):(?P<file>[^\":]+):"),
+    re.compile(r'NETCDF:"(?P<file>[^"]+)":'),
+    re.compile(r"NETCDF:(?P<file>[^\":]+):"),
     re.compile(r"GTIFF_DIR:(?:off:)?\d+:(?P<file>.+)"),
     re.compile(r"vrt://(?P<file>[^?]+)"),
 )

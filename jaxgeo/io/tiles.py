@@ -16,6 +16,7 @@ from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._deflate import Block, damaged_block
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
 from jaxgeo.io._rasters import open_raster
@@ -164,7 +165,7 @@ def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -
             driver=data.driver,
             shape=data.shape,
             affine=_centred(data.transform),
-            crs=_crs(path, data),
+            crs=_crs(path, data, reach),
             dtype=np.dtype(data.dtypes[band - 1]),
             scale=data.scales[band - 1],
             offset=data.offsets[band - 1],
@@ -210,11 +211,13 @@ def _centred(corner: Affine) -> Affine:
     return Affine(a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
 
 
-def _crs(path: str, data: DatasetReader) -> pyproj.CRS:
+def _crs(path: str, data: DatasetReader, reach: Reach) -> pyproj.CRS:
     try:
         crs = _crs_of(data.crs.to_wkt())
     except (CRSError, *GDAL_ERRORS) as error:
         raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
+    if not reach.outside:
+        check_crs(path, crs, DemError)
     flat = horizontal_part(crs)
     if not (flat.is_geographic or flat.is_projected):
         raise DemError(f"{path}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")

@@ -6,6 +6,7 @@ The server is real, since what GDAL does is out of sight of Python; that it coun
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pathlib
 import re
@@ -19,14 +20,26 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from support.attacks_places import ATTACKS, POSTS, Requests, band_of, counted_requests, named, vrt_of, wcs, wms
+from support.attacks_places import (
+    ATTACKS,
+    CRS_ATTACKS,
+    CRS_WITH_FILES,
+    POSTS,
+    Requests,
+    band_of,
+    counted_requests,
+    named,
+    vrt_of,
+    wcs,
+    wms,
+)
 from support.rasters import write
 from typer.testing import CliRunner
 
 from jaxgeo import io
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
-from jaxgeo.io import DemError, ImageError, open_dem, read_dem, read_image, read_orthoimage
+from jaxgeo.io import DemError, ImageError, acquisitions, open_dem, read_dem, read_image, read_orthoimage
 from jaxgeo.io._proj import DATA
 from jaxgeo.io.acquisitions.transport_stream import read_transport_stream
 from jaxgeo.io.paths import files_behind
@@ -86,6 +99,29 @@ def test_nor_from_a_folder_of_tiles(tmp_path: pathlib.Path, server: Requests) ->
         with pytest.raises(DemError, match=r"b\.tif: this is a document of GDAL's \(WMS\)"):
             read(tmp_path)
     assert server.taken() == []
+
+
+@pytest.mark.parametrize("attack", CRS_ATTACKS)
+def test_no_file_is_opened_that_a_crs_names(tmp_path: pathlib.Path, secret: pathlib.Path, attack: str) -> None:
+    path = tmp_path / CRS_ATTACKS[attack](tmp_path, "", secret)
+    for name in ("dem", "dem on disk", "orthoimage"):
+        with pytest.raises((DemError, ImageError), match=f"names the file {secret}"):
+            RASTERS[name](path)
+
+
+def test_nor_that_tables_and_documents_name_in_theirs(tmp_path: pathlib.Path, secret: pathlib.Path) -> None:
+    text = CRS_WITH_FILES["pipeline"].replace("SECRET", str(secret))
+    control = tmp_path / "gcp_list.txt"
+    control.write_text(f"+proj=utm +zone=32 +ellps=intl +nadgrids={secret} +units=m\n1 2 3 4 5 a.jpg\n")
+    exterior = tmp_path / "exterior.geojson"
+    exterior.write_text(json.dumps({"type": "FeatureCollection", "world_crs": text, "features": []}))
+    interior = tmp_path / "interior.yaml"
+    interior.write_text("one: {type: pinhole, im_size: [40, 30], focal_len: 1.0, sensor_size: [1.0, 0.75]}\n")
+    named = f"names the file {secret}"
+    with pytest.raises(ValueError, match=named):
+        io.read_gcp_list(control, height_datum="ellipsoid")
+    with pytest.raises(ValueError, match=named):
+        io.read_acquisition(exterior, interior=interior)
 
 
 NAMES = (
@@ -175,15 +211,15 @@ READERS: dict[str, Callable[[pathlib.Path], Any]] = {
     "exposures": io.read_acquisition,
     "several exposures": lambda path: _raised(io.read_acquisitions(path)),
     "positions": lambda path: io.read_acquisition(_beside(path, "a.jpg", b"\xff\xd8\xff\xe0"), positions=path),
-    "drone image": io.acquisitions.read_drone_images,
-    "interior parameters": io.acquisitions.read_orthority_cameras,
-    "SBET": io.acquisitions.read_sbet,
+    "drone image": acquisitions.read_drone_images,
+    "interior parameters": acquisitions.read_orthority_cameras,
+    "SBET": acquisitions.read_sbet,
     "smrmsg": lambda path: io.read_acquisition(_beside(path, "a.sbet", SBET), errors=path),
-    "telemetry": io.acquisitions.read_telemetry,
+    "telemetry": acquisitions.read_telemetry,
     "transport stream": read_transport_stream,
-    "subtitles": io.acquisitions.read_dji_subtitles,
-    "flight log": io.acquisitions.read_airdata,
-    "cameras of Metashape": io.acquisitions.read_metashape_cameras,
+    "subtitles": acquisitions.read_dji_subtitles,
+    "flight log": acquisitions.read_airdata,
+    "cameras of Metashape": acquisitions.read_metashape_cameras,
     "BAL": io.read_bal,
     "ground control": lambda path: io.read_gcp_list(path, height_datum="ellipsoid"),
     "image points": io.read_image_points,

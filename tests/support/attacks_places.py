@@ -2,7 +2,7 @@
 
 A row is a function that writes files into `folder` and gives back the name of the one to be read. `address` is that of
 a server whose requests are counted, `secret` a sound raster elsewhere on the machine. None of the rows may be read; to
-add one, add a function to `ATTACKS`.
+add one, add a function to `ATTACKS`. Those of `CRS_ATTACKS` name files in their CRS.
 """
 
 from __future__ import annotations
@@ -208,6 +208,43 @@ def _python(secret: pathlib.Path) -> str:
     )
 
 
+_WGS84 = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]{0}],PRIMEM["Greenwich",0],'
+    'UNIT["degree",0.0174532925199433]]'
+)
+CRS_WITH_FILES = {  # what PROJ opens when it transforms, or when it understands it
+    "grid of a datum": _WGS84.format(',EXTENSION["PROJ4_GRIDS","SECRET"]').replace("WGS 84", "mine"),
+    "grid of a geoid": (
+        f'COMPD_CS["c",{_WGS84.format("")},VERT_CS["v",VERT_DATUM["v",2005,EXTENSION["PROJ4_GRIDS","SECRET"]],'
+        'UNIT["metre",1],AXIS["Up",UP]]]'
+    ),
+    "pipeline": (
+        f'PROJCS["x",{_WGS84.format("")},PROJECTION["custom_proj4"],UNIT["metre",1],EXTENSION["PROJ4","+proj=pipeline '
+        '+step +proj=utm +zone=32 +step +proj=hgridshift +grids=SECRET"]]'
+    ),
+}
+
+
+def _crs_of_vrt(text: str) -> Attack:
+    def attack(folder: pathlib.Path, address: str, secret: pathlib.Path) -> str:
+        write(folder / "a.tif", POSTS)
+        srs = text.replace("SECRET", str(secret)).replace('"', "&quot;")
+        (folder / "dem.vrt").write_text(vrt_of(band_of(named("a.tif", 1)), srs=srs))
+        return "dem.vrt"
+
+    return attack
+
+
+def _crs_beside(text: str) -> Attack:
+    def attack(folder: pathlib.Path, address: str, secret: pathlib.Path) -> str:
+        write(folder / "dem.tif", POSTS, crs=None)
+        srs = text.replace("SECRET", str(secret)).replace('"', "&quot;")
+        (folder / "dem.tif.aux.xml").write_text(f"<PAMDataset><SRS>{srs}</SRS></PAMDataset>")
+        return "dem.tif"
+
+    return attack
+
+
 PANSHARPENED = (
     "<PansharpeningOptions><PanchroBand>{0}<SourceBand>1</SourceBand></PanchroBand><SpectralBand dstBand='1'>{0}"
     "<SourceBand>1</SourceBand></SpectralBand></PansharpeningOptions>"
@@ -290,4 +327,9 @@ ATTACKS: dict[str, Attack] = {
         "dem.tif.aux.xml", lambda address, _: _overviews(f"/vsicurl/{address}/o.tif").replace("_FILE", "&#95;FILE")
     ),
     "a tag names overviews": _overviews_in_tag,
+}
+# An image without its map may be read: nothing of its CRS is used.
+CRS_ATTACKS: dict[str, Attack] = {
+    **{f"of a VRT, {kind}": _crs_of_vrt(text) for kind, text in CRS_WITH_FILES.items()},
+    **{f"beside, {kind}": _crs_beside(text) for kind, text in CRS_WITH_FILES.items()},
 }

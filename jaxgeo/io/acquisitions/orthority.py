@@ -16,6 +16,7 @@ import pyproj
 from jaxgeo._checks import require_x64
 from jaxgeo.earth import Geodetic
 from jaxgeo.io._bounded import read_bytes
+from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._dialect import header_of
 from jaxgeo.io._json import number_of, read_json, shown, value_of
@@ -156,6 +157,7 @@ def _of_geojson(
 ) -> Acquisition:
     content = read_json(path, "exterior parameter file")
     stated = value_of(f"{path}", content, "world_crs")
+    check_crs(f"{path}", stated, TableError)
     if crs is not None and not _same(f"{path}", crs, stated):
         raise TableError(f"{path}: the file's world_crs is {shown(stated)}, but crs={crs!r}; leave crs= out.")
     features = value_of(f"{path}", content, "features")
@@ -202,7 +204,9 @@ def _of_csv(
         if not named.exists():
             raise TableError(f"{path}: which map x and y are in is not in the file, nor in {named.name} beside it; "
                              f"pass crs=.")  # fmt: skip
-        crs = read_text(named, "file of a CRS").strip()
+        check_regular(named, TableError)
+        crs = named.read_text(encoding="utf-8-sig", errors="replace").strip()
+        check_crs(f"{named}", crs, TableError)
     only = next(iter(cameras.values())) if len(cameras) == 1 and "camera" not in words else cameras
     table = acquisition_of_orientations(path, cameras=only, height_datum=height_datum, crs=crs, camera=camera)
     return dataclasses.replace(table, form=FORM)

@@ -32,10 +32,9 @@ def read(
     told = read_scene(scene)
     if told.shot is None:
         raise SceneError(f"{scene}: [pose] is missing; a registration needs it.")
-    how = {"allow_remote": reach.remote, "allow_outside": reach.outside}
-    values, known = read_image(image, **how)
+    values, known = read_image(image, allow_remote=reach.remote, allow_outside=reach.outside)
     check_size(str(image), values.shape, told.sensor.camera)
     grey = np.asarray(values, float).mean(axis=0)
-    ortho = read_orthoimage(reference, **how)
+    ortho = read_orthoimage(reference, allow_remote=reach.remote, allow_outside=reach.outside)
     errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN, shift=ortho.ground_sampling)
     return Imaged(told.sensor, told.shot, grey, known, ortho, terrain, navigation(*sigmas), errors)
