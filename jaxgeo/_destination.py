@@ -9,10 +9,11 @@ import pathlib
 import secrets
 import shutil
 import sys
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 SCREEN = pathlib.Path("-")
+UNWRITABLE = "backslashreplace"  # how text that UTF-8 cannot hold is written: bytes of a file's name that are no UTF-8
 # What the system says where bytes cannot be written: no room, too large a file, a quota, a fault of the device.
 DEVICE_FAILURES = frozenset({errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
@@ -78,7 +79,7 @@ def check_place(option: str, output: pathlib.Path) -> None:
 
 def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool) -> Any:
     with _failure_told(option, output):
-        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8")
+        return open(path, "wb") if binary else open(path, "w", newline="", encoding="utf-8", errors=UNWRITABLE)
 
 
 def check_no_input(option: str, outputs: Iterable[pathlib.Path], inputs: Iterable[str | os.PathLike[str]]) -> None:
@@ -96,7 +97,7 @@ def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
 
 
 @contextlib.contextmanager
-def _failure_told(option: str, output: pathlib.Path, only: Container[int] | None = None) -> Iterator[None]:
+def _failure_told(option: str, output: pathlib.Path, only: frozenset[int] | None = None) -> Iterator[None]:
     """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
     try:
         yield

@@ -11,6 +11,7 @@ writes a file that appears when it is whole; exit codes are those of `_common.py
 from __future__ import annotations
 
 import _thread
+import io
 import os
 import signal
 import sys
@@ -19,6 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxgeo._destination import UNWRITABLE
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._common import INTERRUPTED
 from jaxgeo.cli._examples import examples_of
@@ -111,6 +113,9 @@ def _heed_signals() -> None:
 def main() -> None:
     """Entry point of the command `jaxgeo`."""
     _heed_signals()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=UNWRITABLE)  # a name that the screen cannot show is no reason to stop
     try:
         app()
     except SystemExit as end:

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from jaxgeo._text_numbers import number_in, whole_in
-from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER
+from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
 from jaxgeo.cli._screen import tell
 
 MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, wherever typer has it from
@@ -57,11 +57,23 @@ class Commands(TyperGroup):
         except (KeyboardInterrupt, typer.Abort):
             code = INTERRUPTED
         except BrokenPipeError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+            _close_stdout()
             code = NO_ANSWER
+        except OSError as error:  # of help, and of what was left to be written
+            reason = reason_of_system(error)
+            if not reason:
+                raise
+            _close_stdout()
+            tell(reason)
+            code = MISTAKE
         if code == INTERRUPTED:
             tell("interrupted")
         sys.exit(code if isinstance(code, int) else DONE)
+
+
+def _close_stdout() -> None:
+    """What is left to be written goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import pathlib
 import sys
 import traceback
@@ -11,6 +12,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
+from jaxgeo._destination import DEVICE_FAILURES
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import tell
 
@@ -37,7 +39,7 @@ def mistakes_told(debug: bool) -> Iterator[None]:
         raise
     except Exception as error:
         if isinstance(error, UserError) or is_refusal(error):
-            _end(str(error) or type(error).__name__, MISTAKE, debug)
+            _end(reason_of_system(error) or str(error) or type(error).__name__, MISTAKE, debug)
         reason = " ".join(str(error).split())
         if _is_of_memory(error):
             said = f"there is not enough memory for this{f' ({reason})' if reason else ''}; "
@@ -60,6 +62,17 @@ def _words_of_gdal_dropped() -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = before
+
+
+def reason_of_system(error: BaseException) -> str:
+    """What the system says of a file, or of the output where it names none; empty for other errors."""
+    if not isinstance(error, OSError) or error.strerror is None:
+        return ""
+    if error.filename is not None:
+        return f"{os.fsdecode(error.filename)}: {error.strerror}."
+    if error.errno in DEVICE_FAILURES:
+        return f"the output cannot be written: {error.strerror}; make room, or send it elsewhere."
+    return f"{error.strerror}."
 
 
 def _end(message: str, code: int, debug: bool) -> NoReturn:

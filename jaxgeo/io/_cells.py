@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from jaxgeo._destination import UNWRITABLE
 from jaxgeo._text_numbers import number_in
 
 _RUN = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
@@ -39,6 +40,13 @@ def safe_cell(value: Any) -> Any:
     if not isinstance(value, str) or not _RUN.match(value) or number_in(value.replace(",", ".")) is not None:
         return value
     return f"'{value}"
+
+
+def utf8_text(value: Any) -> Any:
+    """A value whose text UTF-8 can hold: names of files need not be UTF-8, nor escapes in JSON a whole character."""
+    if not isinstance(value, str) or value.isascii():
+        return value
+    return value.encode("utf-8", UNWRITABLE).decode("utf-8")
 
 
 def plain_cell(text: str) -> str:

@@ -11,6 +11,8 @@ import pyproj
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from jaxgeo.io._cells import utf8_text
+
 DECIMALS = {True: "11", False: "7"}  # of GeoJSON, in a geographic CRS and in others: a micrometre
 # What the column of an attribute may hold, how it is kept, and what stands where it is unknown.
 COLUMNS = (
@@ -86,6 +88,7 @@ def _crs_and_options(driver: str, crs: pyproj.CRS) -> tuple[str, dict[str, Any]]
 def column_of(name: str, key: str, values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     """An attribute of all features, and where it is unknown: numbers, whole numbers, yes or no, or texts."""
     plain = [value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value for value in values]
+    plain = [utf8_text(value) for value in plain]
     kinds = {type(value) for value in plain if value is not None}
     for taken, dtype, filler in COLUMNS:
         if kinds <= taken:

@@ -11,6 +11,8 @@ import pyproj
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from jaxgeo.io._cells import utf8_text
+
 VERSION = "1.1.0"
 
 
@@ -34,7 +36,7 @@ def geoparquet(
         from pyarrow import parquet
     except ImportError as error:
         raise ImportError("a GeoParquet needs the library pyarrow: pip install 'jaxgeo[gis]'.") from error
-    arrays = {name: pa.array(list(values)) for name, values in columns.items()}
+    arrays = {name: pa.array([utf8_text(value) for value in values]) for name, values in columns.items()}
     for name, (shapes, _) in geometries.items():
         arrays[name] = pa.array([_wkb(shape) for shape in shapes], pa.binary())
     told = {

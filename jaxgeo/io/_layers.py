@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pathlib
+import sqlite3
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -52,9 +54,21 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
                 layer_metadata=texts,  # of the data set they make readers leave an .aux.xml beside it
                 nan_as_null=False,
             )
+        _check_whole(path, layers)
         return path.read_bytes()
-    except (DataSourceError, DataLayerError, OSError) as error:
+    except (DataSourceError, DataLayerError, sqlite3.Error, OSError) as error:
         raise OSError(f"{name}: it cannot be written: {error}") from error
+
+
+def _check_whole(path: pathlib.Path, layers: Mapping[str, Layer]) -> None:
+    """Raises `OSError` where rows or the spatial index of a layer are missing, which GDAL does not tell."""
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
+        for layer, (features, _, _) in layers.items():
+            (count,) = base.execute(f'SELECT count(*) FROM "{layer}"').fetchone() if layer in tables else (0,)
+            has_index = f"rtree_{layer}_geom" in tables or all(one.geometry is None for one in features)
+            if count != len(features) or not has_index:
+                raise OSError(f"layer {layer!r} is not whole; is there room in {path.parent}?")
 
 
 def _wkb(feature: Feature) -> bytes | None:

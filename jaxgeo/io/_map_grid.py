@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pyproj
-from pyproj.exceptions import CRSError
 
 from jaxgeo.earth import WGS84
-from jaxgeo.io._proj import unit_normals
+from jaxgeo.io._proj import UNKNOWN_CRS, unit_normals
 from jaxgeo.io.errors import DemError, TableError
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part, vertical_part
@@ -85,7 +84,7 @@ def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]
     """
     try:
         whole = pyproj.CRS.from_user_input(crs)
-    except CRSError as error:
+    except UNKNOWN_CRS as error:
         raise TableError(f"{where}: crs = {crs!r} is unknown to PROJ; expected for example 'EPSG:32617'.") from error
     horizontal = horizontal_part(whole)
     if not (horizontal.is_projected or horizontal.is_geographic):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 
 import pyproj
-from pyproj.exceptions import CRSError
 
 from jaxgeo.io._columns import Columns, read_columns
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
+from jaxgeo.io._proj import UNKNOWN_CRS
 from jaxgeo.io.errors import TableError
 
 # What columns may be called. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
@@ -84,7 +84,7 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
             check_crs(f"{columns.table.path}", text, TableError)
             try:
                 return pyproj.CRS.from_user_input(text)
-            except CRSError:
+            except UNKNOWN_CRS:
                 continue
     return None
 

@@ -10,12 +10,15 @@ import numpy as np
 import pyproj
 from pyproj.aoi import AreaOfInterest
 from pyproj.datadir import append_data_dir, get_user_data_dir  # pyright: ignore[reportPrivateImportUsage]
-from pyproj.exceptions import ProjError
+from pyproj.exceptions import CRSError, ProjError
 from pyproj.transformer import Transformer, TransformerGroup
 
 from jaxgeo.io._quietly import quietly
 
 DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
+
+# What pyproj raises over a CRS that it does not know; text that UTF-8 cannot hold it cannot even ask for.
+UNKNOWN_CRS = (CRSError, UnicodeEncodeError)
 
 # The wheels of pyproj carry no grids and ignore PROJ_DATA. This adds the EGM96 grid of the package, and nothing else.
 append_data_dir(str(DATA))

@@ -19,7 +19,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._checks import check_is, require_x64
-from jaxgeo._destination import destination
+from jaxgeo._destination import UNWRITABLE, destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.io._cells import Rows, safe_cell
@@ -255,7 +255,7 @@ def _csv(told: _Told) -> bytes:
             writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
             writer.writerow({name: safe_cell(name) for name in line})
         writer.writerow({name: safe_cell(_text(value, decimals.get(name))) for name, value in line.items()})
-    return stream.getvalue().encode()
+    return stream.getvalue().encode("utf-8", UNWRITABLE)
 
 
 def _text(value: Any, decimals: int | None) -> Any:
@@ -282,7 +282,7 @@ def _geojson(told: _Told) -> bytes:
         feature["properties"] = {name: _json(value) for name, value in feature["properties"].items()}
     texts = (json.dumps(feature, allow_nan=False, ensure_ascii=False) for feature in features)
     text = json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [\n' + ",\n".join(texts) + "\n]}\n"
-    return text.encode()
+    return text.encode("utf-8", UNWRITABLE)
 
 
 def _named_crs(told: _Told) -> dict[str, Any]:

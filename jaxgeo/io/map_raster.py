@@ -13,11 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyproj
-from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 
 from jaxgeo.earth import WGS84
-from jaxgeo.io._proj import NoOperation, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, operation
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
@@ -168,7 +167,7 @@ def checked_crs(name: str, crs: Any) -> pyproj.CRS:
     """The horizontal part of a CRS that pyproj takes. Raises `ValueError` for one that is no map."""
     try:
         flat = horizontal_part(pyproj.CRS.from_user_input(crs))
-    except CRSError as error:
+    except UNKNOWN_CRS as error:
         raise ValueError(f"{name}: PROJ does not know the crs {crs!r}: {error}") from error
     if not (flat.is_geographic or flat.is_projected):
         raise ValueError(f"{name}: a map needs a projected or geographic crs; {flat.name!r} is a {flat.type_name}.")

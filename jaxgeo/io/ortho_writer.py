@@ -60,7 +60,7 @@ class OrthoWriter:
         self._descriptions = None if descriptions is None else tuple(descriptions)
         self._partial = self.target.with_name(f".jaxgeo-{secrets.token_hex(4)}.partial")
         self._sink: Any = None
-        self._written = WrittenWindows(tuple(raster.shape))
+        self._written = WrittenWindows(raster.shape)
 
     def __enter__(self) -> OrthoWriter:
         try:

@@ -11,10 +11,9 @@ import numpy as np
 import pyproj
 from pyproj.crs import CompoundCRS
 from pyproj.enums import TransformDirection
-from pyproj.exceptions import CRSError
 from pyproj.transformer import Transformer
 
-from jaxgeo.io._proj import NoOperation, how_to_get, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, operation
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.geoid_grid import check_grids_of, grid_by_path, wrapped
 
@@ -169,7 +168,7 @@ def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
         return pathlib.Path(asked)
     try:
         crs = pyproj.CRS.from_user_input(asked)
-    except CRSError as error:
+    except UNKNOWN_CRS as error:
         raise VerticalDatumError(f"vertical_datum={asked!r} is unknown to PROJ; {USUAL_CHOICES}.") from error
     part = vertical_part(crs)
     if part is None:

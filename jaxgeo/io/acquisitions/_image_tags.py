@@ -289,11 +289,11 @@ def _number(value: Any) -> float | None:
         return _number(value[0]) if len(value) == 1 else None
     parts = value.split("/") if isinstance(value, str) else [value]
     try:
-        numbers = [number_in(part) if isinstance(part, str) else float(part) for part in parts]
-        if None in numbers or len(numbers) > 2:
+        found = [number_in(part) if isinstance(part, str) else float(part) for part in parts]
+        numbers = [number for number in found if number is not None]
+        if len(numbers) < len(found) or len(numbers) > 2:
             return None
-        first, second = (*numbers, 1.0)[:2]
-        result = first / second
+        result = numbers[0] / numbers[1] if len(numbers) == 2 else numbers[0]
     except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         return None
     return result if math.isfinite(result) else None
