@@ -134,12 +134,13 @@ def weakest(
         points = np.asarray(_points_along(problem, equations, of_images, jnp.asarray(shared) * scale_shared))
         own = np.abs(shared) / np.max(np.abs(vector))
         found.append(_described(ready, solution, float(strength), (np.asarray(of_images), own, points)))
-    for strength, vector in zip(*(share_left(weak) if weak is not None else ((), ())), strict=True):
-        parts = weak.apart.images, weak.apart.shared / scale_shared[None], weak.apart.points
-        images, shared, points = (np.asarray(jnp.tensordot(vector, part, 1)) for part in parts)
-        largest = np.max(np.abs(shared), initial=0.0)
-        own = np.abs(shared) / (largest if largest > 0.0 else 1.0)
-        found.append(_described(ready, solution, float(strength), (images, own, points)))
+    if weak is not None:
+        for strength, vector in zip(*share_left(weak), strict=True):
+            parts = weak.apart.images, weak.apart.shared / scale_shared[None], weak.apart.points
+            images, shared, points = (np.asarray(jnp.tensordot(vector, part, 1)) for part in parts)
+            largest = np.max(np.abs(shared), initial=0.0)
+            own = np.abs(shared) / (largest if largest > 0.0 else 1.0)
+            found.append(_described(ready, solution, float(strength), (images, own, points)))
     return sorted(found, key=lambda direction: direction.strength)[:most]
 
 
