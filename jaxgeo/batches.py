@@ -27,8 +27,8 @@ def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int 
     if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
         raise ValueError(f"size must be an integer of at least 1, the number of items at a time; got {size!r}.")
     leaves = [leaf for leaf in jax.tree.leaves(many) if eqx.is_array_like(leaf)]
-    counts = {np.shape(leaf)[0] if np.ndim(leaf) else None for leaf in leaves}
-    if len(counts) != 1 or counts & {None, 0}:
+    counts = {np.shape(leaf)[0] if np.ndim(leaf) else 0 for leaf in leaves}
+    if len(counts) != 1 or 0 in counts:
         told = sorted(str(np.shape(leaf)) for leaf in leaves)
         raise ValueError(
             f"many must be arrays with one leading axis of at least one item; got shapes {', '.join(told)}."
