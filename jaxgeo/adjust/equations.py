@@ -28,7 +28,7 @@ class Equations(Record):
 
     Of the images (n, c, c), of what they share, and of the points (3, 3, rows), with the gradients; `coupling`
     (c, 3, obs) between image and point of each measurement, `shared_coupling` (lenses, 3, rows) between a point and the
-    lenses that images share.
+    lenses that images share. `control_root` is the root of the weight that the loss leaves to each control point.
     """
 
     cost: Scalar
@@ -41,6 +41,7 @@ class Equations(Record):
     image_gradient: Float[Array, "n c"]
     shared_gradient: Float[Array, " s"]
     point_gradient: Float[Array, "3 rows"]
+    control_root: Float[Array, " rows"]
 
 
 def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
@@ -130,6 +131,7 @@ def _normal(
         coupling=coupling,
         shared_coupling=jnp.concatenate(shared_coupling, axis=-1) if shared_coupling else jnp.zeros((0, 3, rows)),
         point_gradient=g,
+        control_root=root,
         **sums,
     )
 

@@ -77,10 +77,12 @@ class Observing(Record):
         return jax.vmap(one)(images, points)
 
 
-def observing(problem: Problem, values: Values) -> Observing:
-    """The observations other than image points at some values."""
+def observing(problem: Problem, values: Values, control_root: Float[Array, " rows"] | None = None) -> Observing:
+    """The observations other than image points at some values; `control_root` is the root of the weight that a robust
+    loss leaves to each control point."""
     free, rows, n = problem.free_point, values.points.shape[0], problem.n
-    control = problem.known_point * free[:, None, :]
+    root = jnp.ones(rows) if control_root is None else control_root
+    control = problem.known_point * free[:, None, :] * root[:, None, None]
     height, slope = jnp.zeros(rows), jnp.zeros((rows, 3))
     if problem.terrain is not None:
         height, slope = problem.terrain.linearised(values.points)
@@ -96,7 +98,7 @@ def observing(problem: Problem, values: Values) -> Observing:
         terrain=slope * free,
         by_pose=by[..., :POSE] * problem.free_pose[:, None, :],
         by_shared=navigation_columns(problem, by),
-        of_control=known_points(problem, values),
+        of_control=known_points(problem, values) * root[:, None],
         of_terrain=height,
         of_navigation=off,
         weights=(jnp.linalg.norm(control, axis=2), jnp.linalg.norm(slope, axis=1), weights),

@@ -105,7 +105,7 @@ def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: 
 @eqx.filter_jit
 def motions_apart(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions:
     """The motions that are held, by the scale of the reduced normal equations."""
-    observed = observing(problem, values)
+    observed = observing(problem, values, equations.control_root)
     whole = whole_of(problem, values, observed)
     combos = whole.combos * (whole.held + whole.free)[:, None]
     images, points = (jnp.einsum("dm,m...->d...", combos, x) for x in (whole.images, whole.points))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from jaxgeo.adjust import (
     Fixed,
     Free,
     GroundPoints,
+    Huber,
     ImagePoints,
     Images,
     InnerConstraints,
@@ -250,3 +252,34 @@ def test_a_resection_is_the_same_in_any_unit(unit: float) -> None:
     line = np.linspace(0.0, 1.0, count)[:, None] * np.array([[400.0, 300.0, 20.0]]) * unit
     with pytest.raises(ValueError, match="lie in one line"):
         resected(simulated().sensor.camera, seen.uv, line)
+
+
+@pytest.mark.slow
+def test_a_robust_loss_weighs_weak_control_as_larger_standard_deviations_would() -> None:
+    loss, block = Huber(), on_control(100.0, 0.01)
+    assert block.control is not None
+    place = block.control.place.copy()
+    place[1] += [600.0, -400.0, 0.0]
+    block = replace(block, control=GroundPoints(block.control.name, place, 100.0))
+    robust = adjust(block, loss=loss, screen=None)
+    seen = block.observations
+    of_points = root(loss, robust.residuals / seen.sigma)
+    off = np.array([robust.places[name] for name in block.control.name.tolist()]) - place
+    of_control = root(loss, off / 100.0)
+    assert of_control.min() < 0.9
+    assert of_control.max() == 1.0
+    heavier = replace(
+        block,
+        observations=ImagePoints(seen.image, seen.point, seen.uv, seen.sigma / of_points[:, None]),
+        control=GroundPoints(block.control.name, place, 100.0 / of_control[:, None] * np.ones(3)),
+    )
+    plain = adjust(heavier, screen=None)
+    sigma = np.sqrt(np.diagonal(plain.covariance))
+    size = np.outer(sigma, sigma)
+    np.testing.assert_allclose(robust.covariance / size, plain.covariance / size, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(robust.images.centre, plain.images.centre, rtol=0.0, atol=0.1)
+
+
+def root(loss: Huber, weighted: np.ndarray) -> np.ndarray:
+    """Of the weights that the loss leaves, by weighted residuals (k, ...)."""
+    return np.sqrt(np.asarray(loss.weight(jnp.asarray(np.sum(weighted**2, axis=1)))))
