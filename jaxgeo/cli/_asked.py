@@ -34,7 +34,7 @@ GroundDem = Annotated[
     typer.Option(
         "--dem",
         metavar="FILE",
-        help="Elevation model, a file or a URL; repeat it for several tiles.",
+        help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles.",
         rich_help_panel=SEEN,
     ),
 ]

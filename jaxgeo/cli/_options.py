@@ -18,7 +18,9 @@ SceneFile = Annotated[
 ]
 DemFiles = Annotated[
     list[str],
-    typer.Option("--dem", metavar="FILE", help="Elevation model, a file or a URL; repeat it for several tiles."),
+    typer.Option(
+        "--dem", metavar="FILE", help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles."
+    ),
 ]
 Nodata = Annotated[
     list[float] | None,

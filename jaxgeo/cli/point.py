@@ -34,7 +34,8 @@ def point_command(
     dem: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FILE", help="Elevation model, a file or a URL, that may hide the target; repeat it for tiles."
+            metavar="FILE",
+            help="Elevation model that may hide the target: a file, or a URL with --allow-remote; repeat it for tiles.",
         ),
     ] = None,
     target: Annotated[

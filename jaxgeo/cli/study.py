@@ -111,7 +111,8 @@ def gu2017_command(
     ] = None,
     reference: Annotated[pathlib.Path | None, typer.Option(help="Orthoimage of the same ground.")] = None,
     dem: Annotated[
-        list[str] | None, typer.Option(help="Elevation model, a file or a URL; repeat it for several tiles.")
+        list[str] | None,
+        typer.Option(help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles."),
     ] = None,
     scene: Annotated[
         pathlib.Path | None, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")
