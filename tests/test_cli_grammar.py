@@ -106,7 +106,7 @@ LONG_LINES = [
     f"report {SCENE} --shots shots.csv --details 0 -o out.html",
     f"footprint {SCENE} --shots shots.csv --vertical-datum EPSG:5773 --height-datum ellipsoid --tolerance 30 "
     "-o out.geojson --crs EPSG:32616 --edges --json --debug",
-    f"point {SCENE} --target 36.27,-84.268 --vertical-datum EPSG:5773 --height-datum ellipsoid --json --debug",
+    f"point {SCENE} --target 36.27,-84.268,900 --vertical-datum EPSG:5773 --height-datum ellipsoid --json --debug",
     f"overlap {SCENE} --navigation flight.csv --times 101,103 --along rows --vertical-datum EPSG:5773 "
     "--height-datum ellipsoid -o out.csv --format csv --json --debug",
     f"overlap {SCENE} --shots shots.csv",

@@ -90,7 +90,7 @@ def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any
     return found
 
 
-def _is_written_so(param: Any, text: str, number: float) -> bool:
+def _is_written_so(param: Any, text: str, number: float | int) -> bool:
     if text.strip().lower() in WORDS.get(param.name, ()):
         return True
     return (number_in(text) if isinstance(number, float) else whole_in(text)) == number
