@@ -2,65 +2,30 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.metadata
-import io
-import json
-import math
 import os
 import pathlib
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-import shapely
 from shapely.geometry.base import BaseGeometry
 
 from jaxgeo._checks import check_is, require_x64
-from jaxgeo._destination import UNWRITABLE, destination
+from jaxgeo._destination import destination
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
-from jaxgeo.io._cells import Rows, safe_cell
 from jaxgeo.io._ellipses import ellipse_polygons
-from jaxgeo.io._features import DECIMALS, Feature
-from jaxgeo.io._fix_columns import FIX_DECIMALS, Figures, checked_attributes, figures_of, no_figures, rows_of
-from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
-from jaxgeo.io._kml import Placemark, kml, kmz
-from jaxgeo.io._layers import Layer, geopackage
+from jaxgeo.io._fix_columns import Figures, checked_attributes, figures_of, no_figures, rows_of
+from jaxgeo.io._fix_formats import KML_WRITERS, PLACE, WGS84, WRITERS, FixTable
 from jaxgeo.io._map_crs import MapCRS, code_of, described, map_crs
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.io.geoid import EGM96, degrees_of
 from jaxgeo.status import Status
 
-PLACE = ("map_x", "map_y", "map_z")  # of a table
 TAKEN = ("kind", "mgrs", *PLACE, "crs", "vertical_datum", "fid", "geom", "geometry", "ellipse")
-# What an outline does not say again of its fix.
-POINT_ONLY = ("fix_", "slant_", "incidence_", "slope_", "cov_", "bias_", "mgrs", "vertical_datum", "status_text")
 UNITS = {"_m": "m", "_m2": "m^2", "_deg": "deg", "azimuth_deg": "deg clockwise from north, of the longer semi-axis"}
-WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
-
-
-class _Told(NamedTuple):
-    """What is written of n fixes: rows, coordinates (n, 3) on the map, NaN where there are none, and outlines.
-
-    Columns named in `carried` are the caller's.
-    """
-
-    name: str
-    chart: MapCRS
-    rows: list[dict[str, Any]]
-    places: np.ndarray
-    outlines: list[BaseGeometry | None]
-    kinds: list[str]
-    carried: frozenset[str]
-    metadata: Mapping[str, Any]
-
-    @property
-    def points(self) -> list[BaseGeometry | None]:
-        """Points with heights; None of a fix without coordinates."""
-        return [shapely.Point(place) if np.isfinite(place).all() else None for place in self.places]
 
 
 def write_fixes(
@@ -156,12 +121,12 @@ def check_fix_file(
     fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
     figures = None if probability is None else no_figures(count, probability)
     told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
-    one = slice(None) if write in (_kml, _kmz) else slice(1)  # texts that cannot be in KML may stand in any row
+    one = slice(None) if write in KML_WRITERS else slice(1)  # texts that cannot be in KML may stand in any row
     write(told._replace(rows=told.rows[one], places=told.places[one], outlines=told.outlines[one]))
 
 
 def _chart(target: pathlib.Path, crs: Any, heights: Any, near: Geodetic) -> MapCRS:
-    chart_of = _kml_crs if _writer(target) in (_kml, _kmz) else map_crs
+    chart_of = _kml_crs if _writer(target) in KML_WRITERS else map_crs
     lat, lon, _ = degrees_of(near)
     return chart_of(f"{target}", crs, heights, _extent(lon, lat))
 
@@ -176,16 +141,16 @@ def _told(
     mgrs: bool,
     reasons: Any,
     ellipses: bool,
-) -> _Told:
+) -> FixTable:
     rows = _rows(f"{target}", fixes, figures, attributes, chart, mgrs, reasons)
     lat, lon, height = degrees_of(fixes.position)
     places = chart.points(f"{target}", lon, lat, height)
     outlines, kinds = _outlines(f"{target}", chart, fixes, figures if ellipses else None)
     carried = frozenset(str(name) for row in attributes or () for name in row)
-    return _Told(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
+    return FixTable(f"{target}", chart, rows, places, outlines, kinds, carried, _metadata(chart, figures))
 
 
-def _writer(target: pathlib.Path) -> Callable[[_Told], bytes]:
+def _writer(target: pathlib.Path) -> Callable[[FixTable], bytes]:
     try:
         return WRITERS[target.suffix.lower()]
     except KeyError:
@@ -272,128 +237,3 @@ def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:
     told["units"] = UNITS
     told["statuses"] = {one.name: one.message for one in Status}
     return told
-
-
-def _outline_row(told: _Told, i: int) -> dict[str, Any]:
-    whole = told.rows[i]
-    row = {name: whole[name] for name in whole if name in told.carried or not name.startswith(POINT_ONLY)}
-    return {"index": row.pop("index"), "kind": told.kinds[i]} | row
-
-
-def _csv(told: _Told) -> bytes:
-    """No outlines, but the semi-axes; coordinates on the map in columns of their own."""
-    decimals = dict(zip(PLACE, [10 if told.chart.flat.is_geographic else 4] * 2 + [4], strict=True)) | FIX_DECIMALS
-    stream = io.StringIO(newline="")
-    writer = None
-    for row, place in zip(told.rows, told.places, strict=True):
-        mapped = {name: x if math.isfinite(x) else None for name, x in zip(PLACE, place.tolist(), strict=True)}
-        line = row | mapped | {"crs": told.metadata["crs"]}
-        line["vertical_datum"] = line.pop("vertical_datum")  # as the last
-        if writer is None:
-            writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
-            writer.writerow({name: safe_cell(name) for name in line})
-        writer.writerow({name: safe_cell(_text(value, decimals.get(name))) for name, value in line.items()})
-    return stream.getvalue().encode("utf-8", UNWRITABLE)
-
-
-def _text(value: Any, decimals: int | None) -> Any:
-    """A cell: empty for None."""
-    return value if value is None or decimals is None else f"{value:.{decimals}f}"
-
-
-def _geojson(told: _Told) -> bytes:
-    """Points, then outlines, in one collection; `kind` says which is which, and a member "jaxgeo" what all share."""
-    decimals = int(DECIMALS[told.chart.flat.is_geographic])
-    features = []
-    for row, place in zip(told.rows, told.places, strict=True):
-        known = np.isfinite(place).all()
-        at = [round(x, n) for x, n in zip(place.tolist(), (decimals, decimals, 4), strict=True)] if known else None
-        geometry = {"type": "Point", "coordinates": at} if known else None
-        own = {"index": row["index"], "kind": "fix"} | row
-        features.append({"type": "Feature", "geometry": geometry, "properties": own})
-    for i, outline in enumerate(told.outlines):
-        if outline is not None:
-            mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
-            features.append({"type": "Feature", "geometry": mapped, "properties": _outline_row(told, i)})
-    head: dict[str, Any] = {"type": "FeatureCollection"} | _named_crs(told) | {"jaxgeo": told.metadata}
-    for feature in features:
-        feature["properties"] = {name: _json(value) for name, value in feature["properties"].items()}
-    texts = (json.dumps(feature, allow_nan=False, ensure_ascii=False) for feature in features)
-    text = json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [\n' + ",\n".join(texts) + "\n]}\n"
-    return text.encode("utf-8", UNWRITABLE)
-
-
-def _named_crs(told: _Told) -> dict[str, Any]:
-    """The member by which GeoJSON named a CRS before RFC 7946; none for its own, WGS 84 with ellipsoidal heights."""
-    chart = told.chart
-    if code_of(chart.crs) in WGS84:
-        return {}
-    code = code_of(chart.crs) or code_of(chart.flat)  # a map with ellipsoidal heights has no code: those go without
-    if code is None:
-        raise ValueError(
-            f"{told.name}: GeoJSON names a crs by its code, and {chart.crs.name!r} has none that PROJ knows; "
-            f"write a .gpkg or a .parquet."
-        )
-    authority, numbers = code.split(":")
-    parts = [f"{authority}::{number}" for number in numbers.split("+")]
-    urn = f"urn:ogc:def:crs:{parts[0]}" if len(parts) == 1 else f"urn:ogc:def:crs,{','.join(f'crs:{p}' for p in parts)}"
-    return {"crs": {"type": "name", "properties": {"name": urn}}}
-
-
-def _json(value: Any) -> Any:
-    """JSON has no NaN and no infinities: they are null."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _geopackage(told: _Told) -> bytes:
-    fixes = [Feature(point, row) for point, row in zip(told.points, told.rows, strict=True)]
-    layers = {"fixes": Layer(fixes, told.chart.crs, "Point Z")}
-    drawn = [Feature(one, _outline_row(told, i)) for i, one in enumerate(told.outlines) if one is not None]
-    if drawn:
-        kinds = {one.geometry.geom_type for one in drawn if one.geometry is not None}
-        layers["ellipses"] = Layer(drawn, told.chart.flat, "Polygon" if kinds == {"Polygon"} else "Unknown")
-    with tempfile.TemporaryDirectory() as folder:
-        return geopackage(told.name, pathlib.Path(folder) / "fixes.gpkg", layers, told.metadata)
-
-
-def _parquet(told: _Told) -> bytes:
-    columns = {name: [row[name] for row in told.rows] for name in told.rows[0]}
-    geometries = {"geometry": GeometryColumn(told.points, told.chart.crs)}
-    if any(one is not None for one in told.outlines):
-        geometries["ellipse"] = GeometryColumn(told.outlines, told.chart.flat)
-        columns["kind"] = [None if one is None else kind for one, kind in zip(told.outlines, told.kinds, strict=True)]
-    return geoparquet(columns, geometries, told.metadata)
-
-
-def _kml(told: _Told) -> bytes:
-    points, areas = [], []
-    for i, (row, place) in enumerate(zip(told.rows, told.places, strict=True)):
-        known = bool(np.isfinite(place).all())
-        style = "lost" if not known else "fix" if row["status"] == Status.hit.name else "uncertain"
-        title = f"{row.get('name') or f'fix {i}'}"
-        at = tuple(place.tolist()) if known else None
-        points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at))
-        if told.outlines[i] is not None:
-            areas.append(Placemark(f"{told.kinds[i]} of {title}", "area", _outline_row(told, i), told.outlines[i]))
-    share = told.metadata.get("probability")
-    about = "Heights of points are above mean sea level, EGM96; fix_height_m is above the WGS 84 ellipsoid."
-    about += f" Outlines hold the truth with a probability of {share:g}." if areas else ""
-    try:
-        return kml("Fixes", about, {"Fixes": points} | ({"Ellipses": areas} if areas else {}))
-    except ValueError as error:
-        raise ValueError(f"{told.name}: {error}") from error
-
-
-def _kmz(told: _Told) -> bytes:
-    return kmz(_kml(told))
-
-
-WRITERS: dict[str, Callable[[_Told], bytes]] = {
-    ".csv": _csv,
-    ".geojson": _geojson,
-    ".json": _geojson,
-    ".gpkg": _geopackage,
-    ".parquet": _parquet,
-    ".kml": _kml,
-    ".kmz": _kmz,
-}

@@ -1,0 +1,178 @@
+"""The formats of files of fixes: CSV, GeoJSON, GeoPackage, GeoParquet, KML and KMZ, each as bytes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import pathlib
+import tempfile
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from jaxgeo._destination import UNWRITABLE
+from jaxgeo.io._cells import Rows, safe_cell
+from jaxgeo.io._features import DECIMALS, Feature
+from jaxgeo.io._fix_columns import FIX_DECIMALS
+from jaxgeo.io._geoparquet import GeometryColumn, geoparquet
+from jaxgeo.io._kml import Placemark, kml, kmz
+from jaxgeo.io._layers import Layer, geopackage
+from jaxgeo.io._map_crs import MapCRS, code_of
+from jaxgeo.status import Status
+
+PLACE = ("map_x", "map_y", "map_z")  # of a table
+# What an outline does not say again of its fix.
+POINT_ONLY = ("fix_", "slant_", "incidence_", "slope_", "cov_", "bias_", "mgrs", "vertical_datum", "status_text")
+WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
+
+
+class FixTable(NamedTuple):
+    """What is written of n fixes: rows, coordinates (n, 3) on the map, NaN where there are none, and outlines.
+
+    Columns named in `carried` are the caller's.
+    """
+
+    name: str
+    chart: MapCRS
+    rows: list[dict[str, Any]]
+    places: np.ndarray
+    outlines: list[BaseGeometry | None]
+    kinds: list[str]
+    carried: frozenset[str]
+    metadata: Mapping[str, Any]
+
+    @property
+    def points(self) -> list[BaseGeometry | None]:
+        """Points with heights; None of a fix without coordinates."""
+        return [shapely.Point(place) if np.isfinite(place).all() else None for place in self.places]
+
+
+def _outline_row(table: FixTable, i: int) -> dict[str, Any]:
+    whole = table.rows[i]
+    row = {name: whole[name] for name in whole if name in table.carried or not name.startswith(POINT_ONLY)}
+    return {"index": row.pop("index"), "kind": table.kinds[i]} | row
+
+
+def _csv(table: FixTable) -> bytes:
+    """No outlines, but the semi-axes; coordinates on the map in columns of their own."""
+    decimals = dict(zip(PLACE, [10 if table.chart.flat.is_geographic else 4] * 2 + [4], strict=True)) | FIX_DECIMALS
+    stream = io.StringIO(newline="")
+    writer = None
+    for row, place in zip(table.rows, table.places, strict=True):
+        mapped = {name: x if math.isfinite(x) else None for name, x in zip(PLACE, place.tolist(), strict=True)}
+        line = row | mapped | {"crs": table.metadata["crs"]}
+        line["vertical_datum"] = line.pop("vertical_datum")  # as the last
+        if writer is None:
+            writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
+            writer.writerow({name: safe_cell(name) for name in line})
+        writer.writerow({name: safe_cell(_text(value, decimals.get(name))) for name, value in line.items()})
+    return stream.getvalue().encode("utf-8", UNWRITABLE)
+
+
+def _text(value: Any, decimals: int | None) -> Any:
+    """A cell: empty for None."""
+    return value if value is None or decimals is None else f"{value:.{decimals}f}"
+
+
+def _geojson(table: FixTable) -> bytes:
+    """Points, then outlines, in one collection; `kind` says which is which, and a member "jaxgeo" what all share."""
+    decimals = int(DECIMALS[table.chart.flat.is_geographic])
+    features = []
+    for row, place in zip(table.rows, table.places, strict=True):
+        known = np.isfinite(place).all()
+        at = [round(x, n) for x, n in zip(place.tolist(), (decimals, decimals, 4), strict=True)] if known else None
+        geometry = {"type": "Point", "coordinates": at} if known else None
+        own = {"index": row["index"], "kind": "fix"} | row
+        features.append({"type": "Feature", "geometry": geometry, "properties": own})
+    for i, outline in enumerate(table.outlines):
+        if outline is not None:
+            mapped = shapely.geometry.mapping(shapely.transform(outline, lambda ring: np.round(ring, decimals)))
+            features.append({"type": "Feature", "geometry": mapped, "properties": _outline_row(table, i)})
+    head: dict[str, Any] = {"type": "FeatureCollection"} | _named_crs(table) | {"jaxgeo": table.metadata}
+    for feature in features:
+        feature["properties"] = {name: _json(value) for name, value in feature["properties"].items()}
+    texts = (json.dumps(feature, allow_nan=False, ensure_ascii=False) for feature in features)
+    text = json.dumps(head, ensure_ascii=False)[:-1] + ', "features": [\n' + ",\n".join(texts) + "\n]}\n"
+    return text.encode("utf-8", UNWRITABLE)
+
+
+def _named_crs(table: FixTable) -> dict[str, Any]:
+    """The member by which GeoJSON named a CRS before RFC 7946; none for its own, WGS 84 with ellipsoidal heights."""
+    chart = table.chart
+    if code_of(chart.crs) in WGS84:
+        return {}
+    code = code_of(chart.crs) or code_of(chart.flat)  # a map with ellipsoidal heights has no code: those go without
+    if code is None:
+        raise ValueError(
+            f"{table.name}: GeoJSON names a crs by its code, and {chart.crs.name!r} has none that PROJ knows; "
+            f"write a .gpkg or a .parquet."
+        )
+    authority, numbers = code.split(":")
+    parts = [f"{authority}::{number}" for number in numbers.split("+")]
+    urn = f"urn:ogc:def:crs:{parts[0]}" if len(parts) == 1 else f"urn:ogc:def:crs,{','.join(f'crs:{p}' for p in parts)}"
+    return {"crs": {"type": "name", "properties": {"name": urn}}}
+
+
+def _json(value: Any) -> Any:
+    """JSON has no NaN and no infinities: they are null."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _geopackage(table: FixTable) -> bytes:
+    fixes = [Feature(point, row) for point, row in zip(table.points, table.rows, strict=True)]
+    layers = {"fixes": Layer(fixes, table.chart.crs, "Point Z")}
+    drawn = [Feature(one, _outline_row(table, i)) for i, one in enumerate(table.outlines) if one is not None]
+    if drawn:
+        kinds = {one.geometry.geom_type for one in drawn if one.geometry is not None}
+        layers["ellipses"] = Layer(drawn, table.chart.flat, "Polygon" if kinds == {"Polygon"} else "Unknown")
+    with tempfile.TemporaryDirectory() as folder:
+        return geopackage(table.name, pathlib.Path(folder) / "fixes.gpkg", layers, table.metadata)
+
+
+def _parquet(table: FixTable) -> bytes:
+    columns = {name: [row[name] for row in table.rows] for name in table.rows[0]}
+    geometries = {"geometry": GeometryColumn(table.points, table.chart.crs)}
+    if any(one is not None for one in table.outlines):
+        geometries["ellipse"] = GeometryColumn(table.outlines, table.chart.flat)
+        columns["kind"] = [None if one is None else kind for one, kind in zip(table.outlines, table.kinds, strict=True)]
+    return geoparquet(columns, geometries, table.metadata)
+
+
+def _kml(table: FixTable) -> bytes:
+    points, areas = [], []
+    for i, (row, place) in enumerate(zip(table.rows, table.places, strict=True)):
+        known = bool(np.isfinite(place).all())
+        style = "lost" if not known else "fix" if row["status"] == Status.hit.name else "uncertain"
+        title = f"{row.get('name') or f'fix {i}'}"
+        at = tuple(place.tolist()) if known else None
+        points.append(Placemark(title if known else f"{title}: {row['status']}", style, row, at))
+        if table.outlines[i] is not None:
+            areas.append(Placemark(f"{table.kinds[i]} of {title}", "area", _outline_row(table, i), table.outlines[i]))
+    share = table.metadata.get("probability")
+    about = "Heights of points are above mean sea level, EGM96; fix_height_m is above the WGS 84 ellipsoid."
+    about += f" Outlines hold the truth with a probability of {share:g}." if areas else ""
+    try:
+        return kml("Fixes", about, {"Fixes": points} | ({"Ellipses": areas} if areas else {}))
+    except ValueError as error:
+        raise ValueError(f"{table.name}: {error}") from error
+
+
+def _kmz(table: FixTable) -> bytes:
+    return kmz(_kml(table))
+
+
+WRITERS: dict[str, Callable[[FixTable], bytes]] = {
+    ".csv": _csv,
+    ".geojson": _geojson,
+    ".json": _geojson,
+    ".gpkg": _geopackage,
+    ".parquet": _parquet,
+    ".kml": _kml,
+    ".kmz": _kmz,
+}
+KML_WRITERS = (_kml, _kmz)  # of one CRS, that cannot be chosen
