@@ -186,7 +186,11 @@ class _Snooping:
         points, control = self.tests(adjustment) if tests is None else tests
         points = replace(points, statistic=np.where(self.kept.rows, points.statistic, 0.0))
         control = replace(control, statistic=np.where(self.kept.control, control.statistic, 0.0))
-        return [b for b in named(self.block, points, control, self.limit) if self.can_go(b)]
+        found = named(self.block, points, control, self.limit)
+        left = np.unique(self.block.observations.image[self.kept.rows], return_counts=True)[1]
+        if np.min(left) > 1:  # an image loses one measurement at most with any of them, as each point is in it once
+            return found
+        return [blunder for blunder in found if self.can_go(blunder)]
 
     def can_go(self, blunder: Blunder) -> bool:
         """Whether every image has measurements left without it."""

@@ -19,7 +19,8 @@ RASTERS = (".msk", ".ovr", ".aux", ".rrd")
 XML = ".aux.xml"
 DEEPEST = 2  # masks of overviews, and the like
 MOST_XML = 64 * 2**20  # bytes
-MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA_HEADER_TAG")
+AUX, HFA = ".aux", b"EHFA_HEADER_TAG"
+MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", HFA)
 OVERVIEWS, BASE = "overview_file", ":::BASE:::"
 
 
@@ -30,6 +31,8 @@ def check_beside(path: str, error: type[ValueError]) -> list[str]:
         check_regular(file, error)
         if file.lower().endswith(XML):
             _check_xml(file, error)
+        elif file.lower().endswith(AUX) and not head_of(file, error).startswith(HFA):
+            continue  # GDAL looks at its first bytes, too: LaTeX, for one, writes such files
         elif not head_of(file, error).startswith(MAGICS):
             raise error(
                 f"{path}: GDAL would open {file} beside it as its mask or overviews, and that is no TIFF file. "

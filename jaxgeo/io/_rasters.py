@@ -15,7 +15,7 @@ import numpy as np
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import DatasetReader
 
-from jaxgeo.io._beside import check_beside, check_overviews_named, head_of
+from jaxgeo.io._beside import MAGICS, check_beside, check_overviews_named, head_of
 from jaxgeo.io._gdal import GDAL_ERRORS, options
 from jaxgeo.io._memory_at_hand import check_fits
 from jaxgeo.io._quietly import quietly
@@ -40,6 +40,8 @@ DOCUMENTS = {
     b"<GDAL_WMTS": "WMTS", b"<Capabilities": "WMTS", b"stac_version": "STAC", b"<GDALTileIndexDataset": "tile index",
     b"<MRF_META": "MRF", b"PCIDSK": "PCIDSK", b"OziExplorer": "OziExplorer", b"<kml": "KML", b"SQLite format": "SQLite",
 }  # fmt: skip
+ARCHIVES = (b"PK\3\4", b"\x1f\x8b", b"BZh", b"7z\xbc\xaf")  # by which files of them begin
+OPENED = (*MAGICS, b"\x89PNG", b"\xff\xd8\xff", b"CDF", b"GIF8", b"NITF")  # of DRIVERS; such a file is damaged
 VRT = b"<VRTDataset"
 MOST_NESTED = 16  # VRTs in VRTs
 
@@ -58,7 +60,7 @@ def open_raster(
         try:
             data = DatasetReader(given, driver=chosen)
         except GDAL_ERRORS as reason:
-            raise error(f"{name}: {_why(name, reach, error, what)}{reason}") from reason
+            raise error(f"{name}: {_why(name, reach, error, what)}{reason}{_way_out(name, reach, error)}") from reason
         with contextlib.ExitStack() as until_checked:
             until_checked.enter_context(data)
             _check_opened(name, data, reach, error)
@@ -180,6 +182,18 @@ def _why(name: str, reach: Reach, error: type[ValueError], what: str) -> str:
         if kind is not None:
             return _of_document(kind) + " GDAL: "
     return f"not {what} that GDAL can open, or a damaged one: "
+
+
+def _way_out(name: str, reach: Reach, error: type[ValueError]) -> str:
+    """What to do with a local file that none of the drivers opens, as a sentence of its own."""
+    if not is_local(name) or not os.path.isfile(name):
+        return ""
+    head = head_of(name, error)
+    if head.startswith(ARCHIVES):
+        return " It is an archive: unpack it first, and name the raster in it."
+    if reach.remote or not head or _document(head) is not None or head.startswith(OPENED):
+        return ""
+    return f" Is it of another of GDAL's formats? {ALLOW_REMOTE}, or write it to a GeoTIFF first (gdal_translate)."
 
 
 def _document(head: bytes) -> str | None:

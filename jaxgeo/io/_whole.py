@@ -9,6 +9,8 @@ from __future__ import annotations
 import functools
 import os
 import re
+import zipfile
+import zlib
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -20,6 +22,8 @@ TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
 RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "LCP": 0,
        "NGSGEOID": 0, "RST": 0, "ROI_PAC": 0, "SAGA": 0, "SRTMHGT": 0}  # fmt: skip
 EXACT = ("BT", "GSBG", "GTX")  # nothing may come behind their values
+ARCHIVES = (".zip", ".sg-grd-z")
+PACKED = (".hgt", ".raw", ".sdat")  # raw files that GDAL takes from an archive
 CLASSIC = b"CDF"  # the first bytes of netCDF files that are never compressed
 # Without a way back, so that its time is linear.
 NUMBER = rb"[+-]?(?:[0-9]++(?:[.,][0-9]*+)?+|[.,][0-9]++)(?:[eE][+-]?[0-9]++)?+"
@@ -43,9 +47,28 @@ def mistake_of(data: DatasetReader) -> str:
         needed = RAW.get(data.driver, 0) + data.width * data.height * sum(
             np.dtype(name).itemsize for name in data.dtypes
         )
+        if path.lower().endswith(ARCHIVES):
+            return _of_packed(path, needed)
         there = os.path.getsize(path)
         is_whole = there == needed if data.driver in EXACT else there >= needed
         return "" if is_whole else f"by its header it has {needed} bytes, and {there} are there"
+    return ""
+
+
+def _of_packed(path: str, needed: int) -> str:
+    """What is wrong with the raw file in an archive (an SRTM tile, .hgt.zip), whose checksum GDAL does not look at."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                if not member.filename.lower().endswith(PACKED):
+                    continue
+                if member.file_size != needed:
+                    return f"by its header it has {needed} bytes, and {member.file_size} are in the archive"
+                with archive.open(member) as file:
+                    while file.read(PART):  # at its end the checksum is compared
+                        pass
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as reason:
+        return f"the archive cannot be unpacked ({reason})"
     return ""
 
 

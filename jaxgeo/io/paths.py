@@ -11,7 +11,7 @@ from typing import Any
 from jaxgeo.io._gdal import GDAL_ERRORS
 from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import DemError
-from jaxgeo.io.reach import HERE, Reach, is_remote
+from jaxgeo.io.reach import HERE, Reach, file_in, is_remote
 
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -47,10 +47,17 @@ def with_full_names(asked: Mapping[str, Any]) -> dict[str, Any]:
     is_grid = isinstance(datum, os.PathLike) or (isinstance(datum, str) and os.path.isfile(datum))
     return {
         **asked,
-        "path_or_paths": [name if is_remote(name) else os.path.abspath(name) for name in map(os.fspath, names)],
+        "path_or_paths": [_with_full_name(os.fspath(name)) for name in names],
         "vertical_datum": pathlib.Path(datum).absolute() if is_grid else datum,
         "cache": None if cache is None else os.path.abspath(cache),
     }
+
+
+def _with_full_name(name: str) -> str:
+    if is_remote(name):
+        return name
+    file = None if os.path.exists(name) else file_in(name)
+    return os.path.abspath(name) if file is None else name.replace(file, os.path.abspath(file), 1)
 
 
 def files_behind(path: str | os.PathLike[str], reach: Reach = HERE) -> list[str]:
@@ -70,7 +77,7 @@ def are_all_named(paths: Paths) -> bool:
 
 
 def _expanded(name: str) -> list[str]:
-    if is_remote(name):
+    if is_remote(name) or (file_in(name) is not None and not os.path.exists(name)):
         return [name]
     if os.path.isdir(name):
         return [name] if os.path.exists(os.path.join(name, "hdr.adf")) else _in_folder(name)  # one ESRI grid

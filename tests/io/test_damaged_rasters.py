@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import zipfile
 import zlib
 
 import numpy as np
@@ -96,3 +97,18 @@ def test_a_deflated_block_that_goes_on_is_refused(tmp_path: pathlib.Path, tiled:
         read_dem(path, vertical_datum="ellipsoid")
     with pytest.raises(ImageError, match="damaged"):
         read_image(path)
+
+
+@pytest.mark.parametrize("name", ["N44E005.hgt.zip", "N44E005.SRTMGL3.hgt.zip"])
+def test_an_srtm_tile_in_its_archive_is_read_unless_it_is_damaged(tmp_path: pathlib.Path, name: str) -> None:
+    """As the tiles are distributed; GDAL does not look at the archive's checksum."""
+    path, rows = tmp_path / name, np.arange(1201)
+    heights = (200 + 100 * np.sin(rows[:, None] / 90.0) * np.cos(rows / 70.0)).astype(">i2")
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("N44E005.hgt", heights.tobytes())
+    np.testing.assert_array_equal(read_image(path)[0][0], heights)
+    whole = path.read_bytes()
+    for at in (len(whole) // 3, len(whole) // 2):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :])
+        with pytest.raises(ImageError, match=r"hgt\.zip"):
+            read_image(path)

@@ -7,6 +7,7 @@ Held against: what `read_dem` gives of the same files (see `test_read_dem`). The
 from __future__ import annotations
 
 import pathlib
+import pickle
 import re
 
 import jax
@@ -26,7 +27,7 @@ from support.mosaics import (
     same,
     write_vrt,
 )
-from support.rasters import write
+from support.rasters import hills, write
 
 from jaxgeo import Fix, Ray, Status
 from jaxgeo.io import DemError, intersect_files, open_dem, read_dem
@@ -157,3 +158,15 @@ def test_a_damaged_tile_is_named_when_a_ray_needs_it(ridge: pathlib.Path, tmp_pa
     assert np.all(np.asarray(intersect_files(rays_to([30.0], [150.0], 110.0, 0.0, 0.3, 2000.0), files).ok))
     with pytest.raises(DemError, match=r"n5e5\.tif: rows \d+ to \d+ cannot be read; the file is damaged"):
         intersect_files(rays_to([110.0], [110.0], 110.0, 0.0, 0.3, 2000.0), files)
+
+
+@pytest.mark.parametrize("name", ["vrt://{}?bands=1", "GTIFF_DIR:1:{}"])
+def test_a_part_of_a_file_is_opened_also_from_a_pickle_in_another_folder(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    write(tmp_path / "a.tif", hills((9, 11)))
+    monkeypatch.chdir(tmp_path)
+    kept = pickle.dumps(open_dem(name.format("a.tif"), vertical_datum="ellipsoid"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert "9 x 11 posts" in repr(pickle.loads(kept))

@@ -413,3 +413,10 @@ def test_void_ceiling_is_passed_on(tmp_path: pathlib.Path) -> None:
     heights[2, 2] = np.nan
     dem = read_dem(write(tmp_path / "dem.tif", heights), vertical_datum=0, void_ceiling=2000.0)
     assert float(np.asarray(dem.void_ceiling)) == 2000.0
+
+
+def test_a_file_beside_that_is_no_auxiliary_file_of_gdal_is_passed_over(tmp_path: pathlib.Path) -> None:
+    """LaTeX writes map.aux beside map.tif; GDAL opens such a file only if its first bytes are those of Imagine."""
+    write(tmp_path / "map.tif", hills((9, 11)))
+    (tmp_path / "map.aux").write_text("\\relax \n")
+    read_dem(tmp_path / "map.tif", vertical_datum="ellipsoid")

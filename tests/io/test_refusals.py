@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import pickle
+import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from rasterio.control import GroundControlPoint
 from rasterio.transform import Affine
 from support.rasters import DEGREE, hills, write
@@ -20,6 +22,18 @@ from jaxgeo.io.scene import SceneError
 
 HERE = Affine(DEGREE, 0, 5.0, 0, -DEGREE, 45.0)
 LAMBERT = "+proj=lcc +lat_1=45 +lat_2=46 +lat_0=45.5 +lon_0=3 +ellps=GRS80"
+
+
+def archive(path: pathlib.Path) -> pathlib.Path:
+    with zipfile.ZipFile(path.with_suffix(".zip"), "w") as sink:
+        sink.write(write(path, hills((5, 6))), "dem.tif")
+    return path.with_suffix(".zip")
+
+
+def of_another_format(path: pathlib.Path) -> pathlib.Path:
+    """One that GDAL reads, but that is on no list here."""
+    rasterio.shutil.copy(write(path, hills((5, 6)).astype(np.float32)), path.with_suffix(".kro"), driver="KRO")
+    return path.with_suffix(".kro")
 
 
 def text_file(path: pathlib.Path) -> pathlib.Path:
@@ -81,6 +95,8 @@ def plain(**changes: Any) -> Callable[[pathlib.Path], pathlib.Path]:
 
 REFUSED: dict[str, tuple[Callable[[pathlib.Path], pathlib.Path], dict[str, Any], str]] = {
     "not a raster": (text_file, {}, r"not a raster that GDAL can open"),
+    "an archive": (archive, {}, r"It is an archive: unpack it first"),
+    "another format": (of_another_format, {}, r"Pass allow_remote=True .*, or write it to a GeoTIFF first"),
     "truncated": (truncated, {}, r"rows 0 to 200 cannot be read; the file is damaged or cut short"),
     "corrupt": (corrupt, {}, r"rows 0 to 200 cannot be read; the file is damaged or cut short"),
     "no band": (plain(), {"band": 2}, r"there is no band 2; the file has 1"),
@@ -156,7 +172,7 @@ REFUSED: dict[str, tuple[Callable[[pathlib.Path], pathlib.Path], dict[str, Any],
 def test_the_message_names_the_file_and_the_reason(tmp_path: pathlib.Path, kind: str) -> None:
     make, given, reason = REFUSED[kind]
     path = make(tmp_path / "dem.tif")
-    name = "" if kind == "height_unit" else r"dem\.tif: "
+    name = "" if kind == "height_unit" else rf"dem\{path.suffix}: "
     options: dict[str, Any] = {"vertical_datum": "ellipsoid"} | given
     with pytest.raises(DemError, match="(?s)" + name + ".*" + reason):
         read_dem(path, **options)
