@@ -18,7 +18,7 @@ import numpy as np
 import pyproj
 import pytest
 from rasterio.transform import Affine
-from tests.support.fuzz_seeds import BAL
+from tests.fuzz.sound_files import BAL
 
 from jaxgeo import Geodetic, Pose
 from jaxgeo.adjust import ImagePoints

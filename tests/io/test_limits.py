@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.fuzz_seeds import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
+from tests.fuzz.sound_files import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
 
 from jaxgeo.io import read_acquisition, read_bal, read_image_points, read_opensfm_cameras
 from jaxgeo.io._bounded import check_nesting, check_nesting_of_json, read_bytes

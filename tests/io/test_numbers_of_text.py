@@ -10,7 +10,7 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.fuzzed_readers import READERS
+from tests.fuzz.readers import READERS
 
 from jaxgeo._text_numbers import number_in, whole_in, words_of
 

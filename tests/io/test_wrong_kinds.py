@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.support.fuzz_programs import POSITIONS
-from tests.support.fuzz_seeds import CAMERA, EXTERIOR, INTERIOR, RECONSTRUCTION
-from tests.support.fuzzed_readers import READERS
+from tests.fuzz.sound_exports import POSITIONS
+from tests.fuzz.sound_files import CAMERA, EXTERIOR, INTERIOR, RECONSTRUCTION
+from tests.fuzz.readers import READERS
 
 from jaxgeo.demo import scene_file
 

@@ -15,7 +15,7 @@ from support.statuses import Marched, aimed, differences
 
 from jaxgeo import Dem, Geodetic, Ray, Status, intersect
 from jaxgeo.io import read_dem
-from jaxgeo.io.extent import camera_beside, extent_deg
+from jaxgeo.io.extent import place_beside, extent_deg
 from jaxgeo.terrain import GeographicGrid
 
 STEP, TURN = 0.5, 720  # deg between posts of a row, and how many go round
@@ -128,8 +128,8 @@ def test_a_file_that_goes_all_round_the_earth_is_closed(
     for lon in (first, first + 180.0):
         assert held_against(march_of(first, TURN, POLAR, wraps=True), same, lon, POLAR, RAYS)["hit"] > 0.4 * RAYS
     assert extent_deg(dem)[::2] == (-180.0, 180.0)
-    assert camera_beside(dem, 89.37, 179.9) is None
-    assert camera_beside(dem, 80.0, 0.0) is not None
+    assert place_beside(dem, 89.37, 179.9) is None
+    assert place_beside(dem, 80.0, 0.0) is not None
 
 
 def test_heights_go_on_across_the_seam():
