@@ -118,15 +118,10 @@ def test_geojson_keeps_what_has_no_place(shots_file, tmp_path: pathlib.Path) -> 
 
 
 @pytest.mark.parametrize("pixel", ["inf,1", "nan,1", "-inf,nan", "1e400,1"])
-def test_geojson_of_a_pixel_that_is_no_number(pixel: str) -> None:
-    arguments = [f"--pixel={pixel}", "--pixel", "1199.5,2399.5", "--format", "geojson"]
-    result = run("locate", "--scene", scene_file(), "--dem", DEM, "--no-accuracy", *arguments)
-    assert result.exit_code == 0, result.stderr
-    wrong, right = json.loads(result.stdout)["features"]
-    assert wrong["geometry"] is None
-    assert wrong["properties"]["u"] is None
-    assert wrong["properties"]["status"] == "invalid_input"
-    assert right["properties"]["status"] == "hit"
+def test_a_pixel_that_is_no_number_is_refused(pixel: str) -> None:
+    result = run("locate", "--scene", scene_file(), "--dem", DEM, "--no-accuracy", f"--pixel={pixel}")
+    assert result.exit_code == 2
+    assert f"--pixel '{pixel}': expected COLUMN,ROW" in " ".join(result.stderr.split())
 
 
 def test_only_the_readings_of_the_gimbal_are_numbers(shots_file) -> None:

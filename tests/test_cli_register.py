@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pathlib
+import shutil
 import sys
 import warnings
 
@@ -270,7 +271,7 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS[:1], "much", *SIGMAS[2:]], ["--position-sigma 'much'", "NORTH,EAST,DOWN"]),
     ([*REGISTER, *SIGMAS[:1], "1,2", *SIGMAS[2:]], ["'1,2'", "one number in m"]),
     ([*REGISTER, *SIGMAS[:3], "-0.3"], ["--attitude-sigma -0.3", "zero or more"]),
-    ([*REGISTER, *SIGMAS[:3], "nan"], ["--attitude-sigma nan", "finite"]),
+    ([*REGISTER, *SIGMAS[:3], "nan"], ["--attitude-sigma 'nan'", "one number in deg"]),
     ([*REGISTER, *SIGMAS[:3], "0"], ["--attitude-sigma 0", "nothing errs"]),
     ([*REGISTER, *SIGMAS, "--reference-sigma", "-1"], ["--reference-sigma -1"]),
     ([*REGISTER, *SIGMAS, "--dem-correlation", "-500"], ["--dem-correlation -500", "a distance is zero or more"]),
@@ -341,7 +342,7 @@ def inputs(tmp_path_factory) -> dict[str, pathlib.Path]:
     }
     write_image(folder / "x_status.tif", np.ones((1, ROWS, COLS), np.uint8))
     (folder / "link.tif").symlink_to(found["IMAGE"])
-    (folder / "tile.tif").symlink_to(DEM)
+    shutil.copy(DEM, folder / "tile.tif")
     (folder / "tiles.vrt").write_text(VRT)
     (folder / "taken" / "report.json").mkdir(parents=True)
     text = found["SCENE"].read_text()

@@ -18,6 +18,7 @@ import numpy as np
 from rasterio.io import DatasetReader
 
 TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
+ARC = ("AAIGrid", "GRASSASCIIGrid")  # whose values begin with the first line that begins with no letter
 # Bytes of the header of files that hold their values as they are, at least.
 RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "LCP": 0,
        "NGSGEOID": 0, "RST": 0, "ROI_PAC": 0, "SAGA": 0, "SRTMHGT": 0}  # fmt: skip
@@ -83,6 +84,9 @@ def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, i
     del stamp  # part of the key only: another time or size is another file
     count = 0
     with open(path, "rb") as file:
+        if driver in ARC and (name := _indented(file.read(PART))):
+            return f"the line of {name[:SHOWN].decode('ascii', 'backslashreplace')} in its header begins with a blank"
+        file.seek(0)
         for part in _parts(file, driver):
             if VALUES.fullmatch(part) is None:
                 words = part.split()
@@ -108,6 +112,17 @@ def _parts(file: BinaryIO, driver: str) -> Iterator[bytes]:
         if len(rest) > PART:
             yield rest  # no word is that long
             return
+
+
+def _indented(text: bytes) -> bytes:
+    """The first word of a line of the header that begins with a blank: GDAL takes the values to begin there."""
+    for line in text.splitlines():
+        words = line.split()
+        if words and (ONE_VALUE.fullmatch(words[0]) or not words[0][:1].isalpha()):
+            break
+        if words and line[:1].isspace():
+            return words[0]
+    return b""
 
 
 def _below_header(text: bytes, driver: str) -> bytes:

@@ -27,6 +27,7 @@ def grid(path: pathlib.Path, text: str) -> pathlib.Path:
     [
         ("5.5", "5.5.5", "'5.5.5'"),
         ("5.5", "5x5", "'5x5'"),
+        ("\nyllcorner", "\n\tyllcorner", "yllcorner in its header begins with a blank"),
         ("0.01", "0.010.01", "'0.010.01'"),
         ("1 2", "12", "8 values"),
         ("7 8", "7 8 8", "10 values"),

@@ -137,12 +137,6 @@ def test_gigabytes_are_refused_by_their_length(tmp_path: pathlib.Path, ending: s
     refused(FILE_BYTES, path, read_bytes)
 
 
-@pytest.mark.skipif(not LINUX, reason="a device that does not end")
-def test_a_file_without_an_end_is_refused() -> None:
-    with lowered(FILE_BYTES, 10 * MIB):
-        refused(FILE_BYTES, pathlib.Path("/dev/zero"), read_image_points)
-
-
 @pytest.mark.parametrize(
     "name, content, read, kind",
     [("c.toml", CAMERA_TOML, read_camera, SceneError), ("i.yaml", INTERIOR, read_orthority_cameras, TableError)],

@@ -64,6 +64,7 @@ def _exposures(data: bytes, checked: bool, undulation: float | None) -> Iterator
         lat, lon = known["lat"], known["lon"]
         for above in _heights(known, lat, lon, undulation):
             time = int.from_bytes(items[2], "big") / 1e6
+            time = time if time < 1e11 else 0.0  # in three thousand years: a clock that is not set
             yield [time, lat, lon, above, known["heading"], pitch, roll, known["azimuth"], known["elevation"]]  # type: ignore[list-item]
 
 
