@@ -18,7 +18,6 @@ import numpy as np
 import pyproj
 import pytest
 from rasterio.transform import Affine
-from tests.fuzz.sound_files import BAL
 
 from jaxgeo import Geodetic, Pose
 from jaxgeo.adjust import ImagePoints
@@ -36,6 +35,7 @@ from jaxgeo.io import (
 )
 from jaxgeo.io.registration_report import write_registration_report
 from jaxgeo.io.scene import read_scene
+from tests.fuzz.sound_files import BAL
 from tests.support.made_fixes import ALPS, made
 
 RASTER = MapRaster(pyproj.CRS("EPSG:32632"), Affine(5.0, 0.0, 650_000.0, 0.0, -5.0, 5_207_000.0), (200, 200))

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.fuzz.sound_files import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
 
 from jaxgeo.io import read_acquisition, read_bal, read_image_points, read_opensfm_cameras
 from jaxgeo.io._bounded import check_nesting, check_nesting_of_json, read_bytes
@@ -46,6 +45,7 @@ from jaxgeo.io.limits import (
     Limit,
 )
 from jaxgeo.io.scene import SceneError, read_camera
+from tests.fuzz.sound_files import BAL, CAMERA, DJI, IMAGE_POINTS, INTERIOR
 from tests.support.drone_image_files import packet, write_image
 from tests.support.klv_packets import local_set
 

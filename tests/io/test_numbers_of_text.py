@@ -10,9 +10,9 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.fuzz.readers import READERS
 
 from jaxgeo._text_numbers import number_in, whole_in, words_of
+from tests.fuzz.readers import READERS
 
 # Of each reader of text a number in one of its sound files; "47.1" becomes "4_7.1" and so on.
 PLACES = {

@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from tests.fuzz.sound_files import GCP, OPK, ORIENTATIONS, RECONSTRUCTION, raster
 
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.io import read_dem, read_gcp_list, read_opensfm, read_orientations, write_fixes
+from tests.fuzz.sound_files import GCP, OPK, ORIENTATIONS, RECONSTRUCTION, raster
 from tests.support.made_fixes import made
 
 NONE = (

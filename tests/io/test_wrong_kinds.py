@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.fuzz.sound_exports import POSITIONS
-from tests.fuzz.sound_files import CAMERA, EXTERIOR, INTERIOR, RECONSTRUCTION
-from tests.fuzz.readers import READERS
 
 from jaxgeo.demo import scene_file
+from tests.fuzz.readers import READERS
+from tests.fuzz.sound_exports import POSITIONS
+from tests.fuzz.sound_files import CAMERA, EXTERIOR, INTERIOR, RECONSTRUCTION
 
 KINDS = (None, True, 0, -1, 1e308, 10**30, "", "x" * 3000, "\u0661", "-", [], [[]], [None], {}, {"a": {}}, [1, 2, 3, 4])
 READS = {reader.name: reader for reader in READERS}

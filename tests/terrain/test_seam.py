@@ -15,7 +15,7 @@ from support.statuses import Marched, aimed, differences
 
 from jaxgeo import Dem, Geodetic, Ray, Status, intersect
 from jaxgeo.io import read_dem
-from jaxgeo.io.extent import place_beside, extent_deg
+from jaxgeo.io.extent import extent_deg, place_beside
 from jaxgeo.terrain import GeographicGrid
 
 STEP, TURN = 0.5, 720  # deg between posts of a row, and how many go round
