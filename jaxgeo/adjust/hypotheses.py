@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +29,12 @@ class Hypotheses:
     directions: np.ndarray
     statistic: np.ndarray
     error: np.ndarray
+
+    def alone(self, rows: list[int]) -> Hypotheses:
+        """The same, with a statistic of zero for all measurements but some."""
+        statistic = np.zeros_like(self.statistic)
+        statistic[rows] = self.statistic[rows]
+        return replace(self, statistic=statistic)
 
 
 def limit(alpha: float) -> float:

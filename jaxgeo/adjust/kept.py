@@ -28,15 +28,19 @@ class Kept:
 
     def whole(self, block: Block) -> Kept:
         """Less the measurements of points that are left with a single ray and are no control any more."""
-        seen, control = block.observations, control_of(block)
-        _, point = np.unique(seen.point, return_inverse=True)
-        often = np.bincount(point, weights=self.rows, minlength=point.max() + 1)[point] >= 2
-        known = np.isin(seen.point, control.name[self.control])
-        return Kept(self.rows & (often | known), self.control)
+        names, point = block.observations.point_numbers
+        often = np.bincount(point, weights=self.rows, minlength=len(names)) >= 2
+        known = np.isin(names, control_of(block).name[self.control])
+        return Kept(self.rows & (often | known)[point], self.control)
+
+    def of_images(self, block: Block) -> np.ndarray:
+        """How many measurements are left in each image that has any in the block."""
+        names, image = block.observations.image_numbers
+        return np.bincount(image, weights=self.rows, minlength=len(names))
 
     def leaves_every_image(self, block: Block) -> bool:
         """Whether something is left in each image."""
-        return len(np.unique(block.observations.image[self.rows])) == len(block.images)
+        return int(np.sum(self.of_images(block) > 0)) == len(block.images)
 
 
 def control_of(block: Block) -> GroundPoints:

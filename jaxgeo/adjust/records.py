@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -48,14 +49,24 @@ class ImagePoints:
     def __len__(self) -> int:
         return len(self.image)
 
+    @cached_property
+    def image_numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """(names in order, the place (n,) of each row's image among them)."""
+        return np.unique(self.image, return_inverse=True)
+
+    @cached_property
+    def point_numbers(self) -> tuple[np.ndarray, np.ndarray]:
+        """(names in order, the place (n,) of each row's point among them)."""
+        return np.unique(self.point, return_inverse=True)
+
     def of(self, rows: Any) -> ImagePoints:
         """Some of the measurements, by index or flag."""
         return ImagePoints(self.image[rows], self.point[rows], self.uv[rows], self.sigma[rows])
 
     def seen_often(self, least: int = 2, known: Sequence[str] = ()) -> ImagePoints:
         """The measurements of points that are seen in `least` images or more, or are among those `known`."""
-        _, point, counts = np.unique(self.point, return_inverse=True, return_counts=True)
-        return self.of((counts[point] >= least) | np.isin(self.point, list(known)))
+        names, point = self.point_numbers
+        return self.of(((np.bincount(point) >= least) | np.isin(names, list(known)))[point])
 
     @classmethod
     def joined(cls, parts: Sequence[ImagePoints]) -> ImagePoints:

@@ -108,6 +108,8 @@ def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -
     point = np.concatenate([seen.point, known.name])
     image = np.concatenate([seen.image, np.full(len(known), "")])
     found, k = [], len(seen)
+    if not np.any(statistic > least):
+        return found
     rows_of = _rows_of(point)
     for at in np.argsort(-statistic, kind="stable"):
         if statistic[at] <= least:

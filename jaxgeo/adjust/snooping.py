@@ -187,8 +187,8 @@ class _Snooping:
         points = replace(points, statistic=np.where(self.kept.rows, points.statistic, 0.0))
         control = replace(control, statistic=np.where(self.kept.control, control.statistic, 0.0))
         found = named(self.block, points, control, self.limit)
-        left = np.unique(self.block.observations.image[self.kept.rows], return_counts=True)[1]
-        if np.min(left) > 1:  # an image loses one measurement at most with any of them, as each point is in it once
+        # An image loses one measurement at most with any of them, as each point is in it once.
+        if np.min(self.kept.of_images(self.block)) > 1:
             return found
         return [blunder for blunder in found if self.can_go(blunder)]
 
@@ -233,6 +233,8 @@ class _Snooping:
         waiting = [key for key, blunder in self.found.items() if blunder is None]
         if not waiting:
             return
+        of_points, of_control = ([row for of, row in waiting if of == kind] for kind in (IMAGE_POINT, CONTROL_POINT))
+        points, control = points.alone(of_points), control.alone(of_control)
         tested = {(b.kind, b.row): b for b in named(self.block, points, control, 0.0)}
         screened = {(one.kind, one.row): one.sigmas for one in self.screened.aside}
         seen = self.block.observations
