@@ -250,7 +250,7 @@ MISTAKES = [
     ([*TARGET, "--target", "36.2"], ["'36.2'", "LAT,LON"]),
     ([*TARGET, "--target", "36.2,-84.2"], ["give its height too", "--dem"]),
     ([*TARGET, "--target", "96.2,-84.2,100"], ["96.2", "deg"]),
-    ([*TARGET, "--target", "46.2,-84.2", "--dem", DEM], ["no ground there"]),
+    ([*TARGET, "--target", "46.2,-84.2", "--dem", DEM], ["the elevation model reaches from", "beside it"]),
     ([*TARGET, "--line-of-sight", "250"], ["'250'", "AZIMUTH,DEPRESSION"]),
     ([*TARGET, "--line-of-sight", "250,100"], ["depression", "90"]),
     ([*TARGET, "--line-of-sight", "250,18", "--dem", DEM], ["--dem goes with --target"]),

@@ -49,7 +49,7 @@ class Commands(TyperGroup):
             return super().main(**given, **extra)
         try:
             code = super().main(**given, **extra)
-            print(end="", flush=True)  # of no effect where stdout was closed
+            _flush_stdout(is_told=code == MISTAKE)
         except MistakeOfUse as error:
             if type(error).__name__ != "NoArgsIsHelpError":  # what it has to say is on the screen
                 tell(in_a_line(error))
@@ -69,6 +69,16 @@ class Commands(TyperGroup):
         if code == INTERRUPTED:
             tell("interrupted")
         sys.exit(code if isinstance(code, int) else DONE)
+
+
+def _flush_stdout(is_told: bool) -> None:
+    """Write what is left; if that cannot be done, say so, unless it `is_told` already."""
+    try:
+        print(end="", flush=True)  # of no effect where stdout was closed
+    except OSError:
+        if not is_told:
+            raise
+        _close_stdout()
 
 
 def _close_stdout() -> None:

@@ -98,7 +98,7 @@ REFUSED: dict[str, tuple[Callable[[pathlib.Path], pathlib.Path], dict[str, Any],
     "an archive": (archive, {}, r"It is an archive: unpack it first"),
     "another format": (of_another_format, {}, r"Pass allow_remote=True .*, or write it to a GeoTIFF first"),
     "truncated": (truncated, {}, r"rows 0 to 200 cannot be read; the file is damaged or cut short"),
-    "corrupt": (corrupt, {}, r"rows 0 to 200 cannot be read; the file is damaged or cut short"),
+    "corrupt": (corrupt, {}, r"the file is damaged: the block in row \d+ and column 0 of its blocks does not fit"),
     "no band": (plain(), {"band": 2}, r"there is no band 2; the file has 1"),
     "no CRS": (plain(crs=None), {}, r"names no coordinate reference system.*gdal_edit"),
     "local CRS": (
