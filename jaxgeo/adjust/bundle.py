@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -34,6 +34,12 @@ SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the d
 NEAREST = 50  # steps that bring a free network to where it started
 
 
+POOR_STARTS = (
+    "The orientations that it starts from are poor, for their rays miss each other in general: better ones may be all "
+    "that it needs, and what disagrees with these may be right."
+)
+
+
 @portable
 class NotConverged(RuntimeError):
     """The iterations did not come to an end: `log` tells how they went, `diagnosis` what stands out where they ended,
@@ -43,6 +49,8 @@ class NotConverged(RuntimeError):
         self.log, self.diagnosis, self.screened = solution.log, diagnosis, screened.aside
         last = solution.log[-1]
         before = f" Set aside before the first iteration: {screened.words()}." if screened.aside else ""
+        if screened.poor:
+            before = f" {POOR_STARTS}{before}"
         super().__init__(
             f"the adjustment has not converged in {last.number} iterations; the cost is {last.cost:.6g}, the last step "
             f"promised to lessen it by {last.promised:.3g}.{before} {diagnosis}"
@@ -99,6 +107,7 @@ def adjust(
     if screen is not None and screened.poor and block.control is not None:
         ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
         screened, start = start_by_ties(block, ready, screened, screen)
+        screened = replace(screened, poor=True)
     if screened.aside:
         warnings.warn(
             f"set aside before the first iteration: {screened.words()}. Correct or leave them out; "

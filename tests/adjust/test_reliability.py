@@ -27,7 +27,7 @@ from jaxgeo.adjust import (
     without_blunders,
 )
 from jaxgeo.adjust.problem import prepared
-from tests.support.simulated_block import CONTROL, SIGMA_UV, simulated
+from tests.support.simulated_block import CONTROL, SIGMA_UV, disturbed, simulated
 
 BLUNDER = np.array([8.0, -6.0])  # px: ten of them
 
@@ -216,6 +216,12 @@ def test_control_is_tested_by_its_own_redundancy(good: Adjustment) -> None:
         block = replace(block, control=GroundPoints(block.control.name, place, 0.02))
         fails += sum(one.kind == "control point" for one in blunders(adjust(block), alpha=0.2))
     assert 1 <= fails <= 12  # of 24 with 0.2 each
+
+
+def test_a_run_without_end_from_poor_starts_says_so_first() -> None:
+    block = replace(disturbed(simulated().block(), 50.0, 0.2), navigation=None)
+    with pytest.raises(NotConverged, match=r"the last step promised .* The orientations that it starts from are poor"):
+        adjust(block, solver=Solver(most=1))
 
 
 def test_a_run_without_end_tells_what_stands_out(good: Adjustment) -> None:
