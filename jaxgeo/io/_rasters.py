@@ -203,6 +203,6 @@ def _document(head: bytes) -> str | None:
 
 def _of_document(kind: str) -> str:
     return (
-        f"this is a document of GDAL's ({kind}) that names other places, on the network perhaps. {ALLOW_REMOTE}, or "
+        f"this is of a kind of GDAL's ({kind}) that may name other places, on the network perhaps. {ALLOW_REMOTE}, or "
         f"write what it shows to a file first (gdal_translate)."
     )
