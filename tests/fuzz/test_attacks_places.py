@@ -96,7 +96,7 @@ def test_nor_from_a_folder_of_tiles(tmp_path: pathlib.Path, server: Requests) ->
     write(tmp_path / "a.tif", POSTS)
     (tmp_path / "b.tif").write_text(wms(server.address))
     for read in (_dem, RASTERS["dem on disk"]):
-        with pytest.raises(DemError, match=r"b\.tif: this is a document of GDAL's \(WMS\)"):
+        with pytest.raises(DemError, match=r"b\.tif: this is of a kind of GDAL's \(WMS\)"):
             read(tmp_path)
     assert server.taken() == []
 
