@@ -135,7 +135,7 @@ WRONG_RECORDS = [
     (at("lat_deg", 3, "36.3.1"), ["flight.csv, row 5, column lat_deg", "'36.3.1' is not a number", "deg"]),
     (at("lat_deg", 3, "136.3"), ["row 5, column lat_deg", "136.3 is outside [-90, 90] deg"]),
     (at("pitch_deg", 0, "nan"), ["row 2, column pitch_deg", "unknown (nan)"]),
-    (at("height_m", 0, "inf"), ["row 2, column height_m", "inf is outside"]),
+    (at("height_m", 0, "inf"), ["row 2, column height_m", "'inf' is not a number; expected m"]),
     (at("time_s", 2, ""), ["row 4, column time_s", "unknown (empty); expected s."]),
     ({"time_s": BACKWARDS}, ["rows 6 and 7, column time_s", "time running backwards, from 1000.4 s to 1000.25 s"]),
     ({"time_s": TWICE}, ["rows 6 and 7, column time_s", "time stands still"]),
