@@ -25,7 +25,7 @@ from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
 from jaxgeo.adjust.terrain_heights import OnTerrain
-from jaxgeo.adjust.tie_start import start_by_ties
+from jaxgeo.adjust.tie_start import start_by_ties, taken_back
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weak_datum import share_left
 from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
@@ -95,7 +95,8 @@ def adjust(
     ground (`OnTerrain`). `told` hears of every iteration.
 
     Before the first iteration, image points and control that disagree with all others by more than `screen` standard
-    deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` name them. None screens nothing.
+    deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` name them. What agrees once the
+    others are adjusted is taken back. None screens nothing.
 
     Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
     for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log and a diagnosis,
@@ -108,6 +109,17 @@ def adjust(
         ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
         screened, start = start_by_ties(block, ready, screened, screen)
         screened = replace(screened, poor=True)
+    full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+    ready = masked(block, full, screened.kept)
+    solution = solve(ready.problem, loss, solver, told, start)
+    if screen is not None and screened.aside and solution.converged:
+        before, screened = screened.aside, taken_back(block, full, solution.values, screened, screen)
+        if len(screened.aside) < len(before):
+            full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
+            ready = masked(block, full, screened.kept)
+            first, solution = solution, solve(ready.problem, loss, solver, told, solution.values)
+            more = (replace(one, number=one.number + first.log[-1].number) for one in solution.log[1:])
+            solution = solution._replace(log=(*first.log, *more))
     if screened.aside:
         warnings.warn(
             f"set aside before the first iteration: {screened.words()}. Correct or leave them out; "
@@ -115,9 +127,7 @@ def adjust(
             RuntimeWarning,
             stacklevel=2,
         )
-    ready = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
-    block, ready = block_of(block, screened.kept), masked(block, ready, screened.kept)
-    return adjusted(block, unknowns, ready, solve(ready.problem, loss, solver, told, start), loss, datum, screened)
+    return adjusted(block_of(block, screened.kept), unknowns, ready, solution, loss, datum, screened)
 
 
 def adjusted(

@@ -14,7 +14,7 @@ from jaxgeo.adjust.control_consensus import Motion
 from jaxgeo.adjust.kept import Kept, control_of, masked
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.problem import Prepared
-from jaxgeo.adjust.screening import Screen, screened_again
+from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen, screened_again
 from jaxgeo.adjust.solve import Solver, solve
 from jaxgeo.adjust.values import Values, with_interior
 
@@ -47,16 +47,28 @@ def start_by_ties(
         if not all(bool(np.all(np.isfinite(np.asarray(x)))) for x in (values.centre, values.points, values.lens)):
             return TieStart(screened, None)
     assert values is not None
-    centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
-    R = _nearest_rotations(R)
-    images = Images(block.images.name, block.images.camera, centre, R)
-    lenses = zip(full.names.camera, values.lens, strict=True)
-    cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
-    again, motion = screened_again(replace(block, images=images, cameras=cameras), sigmas)
+    again, motion = screened_from(block, full, values, sigmas)
     held = block.navigation is not None or not np.all(np.asarray(problem.free_pose) > 0.0)
     if motion is not None and not held:
         values = _moved(values, motion)
     return TieStart(again, values)
+
+
+def screened_from(block: Block, full: Prepared, values: Values, sigmas: float) -> tuple[Screen, Motion | None]:
+    """The screening of a block from orientations and interiors that were adjusted, and the motion onto its control."""
+    centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
+    images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))
+    lenses = zip(full.names.camera, values.lens, strict=True)
+    cameras = {name: with_interior(block.cameras[name], lens) for name, lens in lenses}
+    return screened_again(replace(block, images=images, cameras=cameras), sigmas)
+
+
+def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, sigmas: float) -> Screen:
+    """The screening less what agrees with the others once these are adjusted: the start was poor there, not they."""
+    again = screened_from(block, full, values, sigmas)[0].kept
+    kept = Kept(screened.kept.rows | again.rows, screened.kept.control | again.control).whole(block)
+    flags = {IMAGE_POINT: kept.rows, CONTROL_POINT: kept.control}
+    return replace(screened, kept=kept, aside=tuple(one for one in screened.aside if not flags[one.kind][one.row]))
 
 
 def _moved(values: Values, motion: Motion) -> Values:
