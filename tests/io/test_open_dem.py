@@ -156,7 +156,7 @@ def test_a_damaged_tile_is_named_when_a_ray_needs_it(ridge: pathlib.Path, tmp_pa
     bad.write_bytes(content)
     files = open_dem(tmp_path / "tiles", vertical_datum="ellipsoid")
     assert np.all(np.asarray(intersect_files(rays_to([30.0], [150.0], 110.0, 0.0, 0.3, 2000.0), files).ok))
-    with pytest.raises(DemError, match=r"n5e5\.tif: the file is damaged: the block in row 0 and column 0 of its blocks"):
+    with pytest.raises(DemError, match=r"n5e5\.tif: the file is damaged: the block in row 0 and column 0"):
         intersect_files(rays_to([110.0], [110.0], 110.0, 0.0, 0.3, 2000.0), files)
 
 
