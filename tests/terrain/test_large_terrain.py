@@ -58,7 +58,9 @@ def test_an_array_that_is_too_large_is_refused_before_memory_is_taken() -> None:
         Dem.from_array(posts, grid)
 
 
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: pathlib.Path) -> None:
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "large.tif"
     with rasterio.open(
         path,
@@ -77,6 +79,7 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: pathlib
     ):
         pass
     assert path.stat().st_size < 1e6
+    monkeypatch.setattr("jaxgeo.io._memory_at_hand.memory_at_hand", lambda: 1 << 50)  # bytes: else that is told first
     with pytest.raises(DemError, match=r"large\.tif: 40200 x 40200 posts .* too many.*bounds=.*open_dem"):
         read_dem(path, vertical_datum=50.0)
 
