@@ -1,4 +1,4 @@
-"""How the command `jaxgeo` ends when it is told to stop: at once or in order, in one line, with nothing partial left.
+"""How the command `jaxgeo` ends when a signal stops it: at once or in order, in one line, with nothing partial left.
 
 The package imports this module before JAX, and it imports little itself, so that signals are handled from the start.
 A program that imports jaxgeo keeps its own handlers: only the command installs these.
@@ -27,7 +27,7 @@ CLEARED = b"\r\x1b[2K\x1b[?25h"  # a terminal without the spinner, and with its 
 
 
 class _State:
-    """What has happened so far. One signal is told, and unwinds the main thread, once."""
+    """What has happened so far. One signal is reported, and unwinds the main thread, once."""
 
     def __init__(self) -> None:
         self.is_heeding = False

@@ -260,7 +260,7 @@ class _Snooping:
             self.record((blunder.kind, blunder.row), blunder)
 
     def record(self, key: tuple[str, int], blunder: Blunder) -> None:
-        self.found.pop(key, None)  # in the order in which they are told
+        self.found.pop(key, None)  # in the order in which they are found
         self.found[key] = blunder
         if self.told is not None:
             self.told(blunder)

@@ -41,5 +41,10 @@ def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the came
     return (
         f"the elevation model reaches from {south:.4f} to {north:.4f} deg north and {west:.4f} to {east:.4f} deg east; "
         f"{what} is at {lat_deg:.4f} deg north, {(lon + 180.0) % 360.0 - 180.0:.4f} deg east, "
-        f"{off / 1000.0:.3g} km beside it"
+        f"{_kilometres(off)} km beside it"
     )
+
+
+def _kilometres(metres: float) -> str:
+    """Three digits, and no power of ten."""
+    return f"{metres / 1000.0:,.0f}" if metres >= 1e5 else f"{metres / 1000.0:.3g}"
