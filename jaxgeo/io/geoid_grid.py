@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import pathlib
 import re
 from typing import Any
@@ -142,7 +143,12 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
         whole_rows = [Window(0, int(row), data.width, 1) for row in rows]  # pyright: ignore[reportCallIssue]
         stored = np.array([data.read(band, window=row)[0, cols] for row in whole_rows])
         mask = np.array([data.read_masks(band, window=row)[0, cols] for row in whole_rows]) == 0
-        values = stored.astype(np.float64) * data.scales[band - 1] + data.offsets[band - 1]
+        scale, offset = data.scales[band - 1], data.offsets[band - 1]
+        if not (math.isfinite(scale) and math.isfinite(offset) and scale != 0.0):
+            raise VerticalDatumError(
+                f"vertical_datum: the geoid grid {name} states scale {scale:g} and offset {offset:g}; it is damaged."
+            )
+        values = stored.astype(np.float64) * scale + offset
         a, b, c, d, e, f = data.transform[:6]
         box = data.bounds
     row, col = np.meshgrid(rows, cols, indexing="ij")

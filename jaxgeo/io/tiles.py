@@ -6,6 +6,7 @@ import collections
 import contextvars
 import dataclasses
 import functools
+import math
 import os
 
 import numpy as np
@@ -175,8 +176,19 @@ def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -
             datum_field=data.tags().get("DTED_VerticalDatum", "").strip() or None,
             reach=reach,
         )
+        _check_scale(tile)
         xml = data.tags(ns="xml:VRT").get("xml:VRT", "") if data.driver == "VRT" else ""
     return _with_sources(tile, xml) if xml else tile
+
+
+def _check_scale(tile: Tile) -> None:
+    """Raises `DemError` where scale and offset of the file give every post one height, or none."""
+    if math.isfinite(tile.scale) and math.isfinite(tile.offset) and tile.scale != 0.0:
+        return
+    raise DemError(
+        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which no post has a "
+        f"height of its own. Write the right ones into it, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
+    )
 
 
 def _with_sources(tile: Tile, xml: str) -> Tile:

@@ -122,6 +122,16 @@ def test_a_grid_that_is_not_in_degrees_is_refused(tmp_path: pathlib.Path) -> Non
         undulation(45.0, 3.0, path)
 
 
+@pytest.mark.parametrize("changes", [{"scale": 0.0}, {"scale": float("inf")}, {"offset": float("nan")}])
+def test_a_grid_that_gives_all_posts_one_value_or_none_is_refused(
+    tmp_path: pathlib.Path, changes: dict[str, float]
+) -> None:
+    affine = Affine(0.25, 0.0, 2.875, 0.0, -0.25, 45.125)
+    path = write(tmp_path / "geoid.tif", hills((20, 20)).astype(np.float32), affine=affine, **changes)
+    with pytest.raises(VerticalDatumError, match=r"geoid grid .*geoid\.tif states scale"):
+        undulation(44.0, 4.0, path)
+
+
 def test_a_grid_in_projs_own_folder_is_held_against_its_posts(
     tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

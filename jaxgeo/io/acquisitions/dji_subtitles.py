@@ -16,8 +16,9 @@ from jaxgeo.sensor import FrameCamera
 
 FORM = "subtitle file of DJI"
 _DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
-# A field and its number, which ends there: not before 1_0, 0x10, 1e5, digits of other scripts or damaged bytes.
-FIELD = re.compile(rf"\b([A-Za-z_]+)\s*:\s*([-+]?{_DECIMAL}(?:/{_DECIMAL})?)(?=m?(?:[ \t\r\n\])}}>,;]|$))")
+FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?[0-9][^ \t\r\n\])}>,;]*)")
+PLAIN = re.compile(rf"[-+]?{_DECIMAL}")
+NUMBER = re.compile(rf"([-+]?{_DECIMAL}(?:/{_DECIMAL})?)m?")  # no 1_0, 0x10, 1e5, digits of other scripts, damaged bytes
 CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
 TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware
@@ -31,6 +32,7 @@ NAMES = {
 }
 MEASURED = frozenset({*NAMES.values(), "abs_alt", "altitude", "framecnt"})  # once in a record
 MOST_FRAMES = 1e9
+MOST_SHOWN = 40  # characters of what is no number
 ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
 
 
@@ -100,15 +102,18 @@ def _blocks(path: str | os.PathLike[str]) -> list[str]:
 def _record(path: object, index: int, block: str) -> LogRecord:
     text = re.sub(r"<[^>]*>", " ", block)
     fields: dict[str, str] = {}
-    for name, value in FIELD.findall(text):
+    for name, word in FIELD.findall(text):
         name = SPELLINGS.get(name.lower()) or name.lower()
+        number = NUMBER.fullmatch(word)
+        value = number[1] if number else word[:MOST_SHOWN]
         if name in MEASURED and fields.get(name, value) != value:
             raise TableError(
                 f"{path}, subtitle {index + 1}: {name} is {fields[name]} and {value}: the time between two records (a "
                 f"line such as 00:00:00,000 --> 00:00:00,033) is missing or damaged."
             )
-        fields[name] = value
-    values = {name: float(value) if "/" not in value else value for name, value in fields.items()}
+        if number or name in MEASURED:
+            fields[name] = value
+    values = {name: float(value) if PLAIN.fullmatch(value) else value for name, value in fields.items()}
     numbers = {ours: _number(values.get(theirs)) for ours, theirs in NAMES.items()}
     numbers["altitude"] = _number(values.get("abs_alt", values.get("altitude")))
     stamp = TIME.search(text)
