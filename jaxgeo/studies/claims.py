@@ -1,0 +1,157 @@
+"""What a paper prints, beside what was obtained here, and the verdict that the two numbers give."""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from jaxgeo.studies.sheet import Cell, Sheet
+
+Values = float | bool | Sequence[float]
+
+
+class Verdict(enum.Enum):
+    """How a printed result stands."""
+
+    reproduced = "reproduced"
+    explained = "differs, explained"
+    unexplained = "differs, unexplained"
+    not_from_print = "not reproducible from print"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A cause of a difference, with the run that shows it: put in, it gives `obtained`, which is to be `expected`.
+
+    For a result the expected values are the printed ones, for a misprinted formula those of the right formula.
+    """
+
+    cause: str
+    obtained: Values
+    expected: Values
+    tolerance: Values
+
+    @property
+    def holds(self) -> bool:
+        """Whether the run bears out the cause."""
+        return is_within(self.obtained, self.expected, self.tolerance)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An equation, table, figure or statement of a paper: what is printed and what was obtained, in the same unit.
+
+    - `paper` as in "Li 2023"; `item` as in "Eq. 7", "Table 3, hill", "Fig. 5" or "Section 5.1"; `statement` says what
+      the numbers are.
+    - `printed` is a number, several, or whether something holds; None where the print gives nothing to hold a result
+      against, and `reason` says why.
+    - `tolerance` bounds the differences that count as reproduced: the print's last digit or, of random results, so many
+      standard errors. Absolute, one for all values or one for each.
+    - `function` is the full name of what computes it here.
+
+    Raises `ValueError` where the values do not match in number, or a printed value, or else a reason, is missing.
+    """
+
+    paper: str
+    item: str
+    statement: str
+    printed: Values | None
+    obtained: Values | None
+    tolerance: Values = 0.0
+    unit: str = ""
+    function: str = ""
+    explanation: Explanation | None = None
+    reason: str = ""
+    digits: str = ".5g"
+
+    def __post_init__(self) -> None:
+        if self.printed is None and not self.reason:
+            raise ValueError(f"{self.paper}, {self.item}: without a printed value a reason is needed.")
+        if self.printed is not None and self.obtained is None:
+            raise ValueError(f"{self.paper}, {self.item}: a printed value needs an obtained one.")
+        if self.printed is not None and self.obtained is not None:
+            is_within(self.obtained, self.printed, self.tolerance)
+
+    @property
+    def verdict(self) -> Verdict:
+        """What follows from the numbers; an explanation counts only if its own run bears it out."""
+        if self.printed is None or self.obtained is None:
+            return Verdict.not_from_print
+        if is_within(self.obtained, self.printed, self.tolerance):
+            return Verdict.reproduced
+        return Verdict.explained if self.explanation is not None and self.explanation.holds else Verdict.unexplained
+
+    @property
+    def remark(self) -> str:
+        """The reason or the cause, with the numbers that bear it out or do not."""
+        if self.explanation is None:
+            return self.reason
+        with_it, expected = (shown(x, self.digits) for x in (self.explanation.obtained, self.explanation.expected))
+        bears = f"with it {with_it}, expected {expected}"
+        told = f"{self.explanation.cause} ({bears})" if self.explanation.holds else ""
+        return " ".join(text for text in (self.reason, told) if text)
+
+
+def is_within(obtained: Values, expected: Values, tolerance: Values) -> bool:
+    """Whether every value is finite and within the tolerance of the expected one. Raises `ValueError` for sizes that
+    differ."""
+    found, wanted = _numbers(obtained), _numbers(expected)
+    bounds = _numbers(tolerance) * (len(wanted) if len(_numbers(tolerance)) == 1 else 1)
+    if not len(found) == len(wanted) == len(bounds):
+        raise ValueError(f"{len(found)} obtained, {len(wanted)} expected values and {len(bounds)} tolerances.")
+    return all(math.isfinite(a) and abs(a - b) <= bound for a, b, bound in zip(found, wanted, bounds, strict=True))
+
+
+def shown(values: Values | None, digits: str) -> str:
+    """Values as text."""
+    if values is None:
+        return "–"
+    if isinstance(values, bool):
+        return "yes" if values else "no"
+    return " / ".join(format(value, digits) for value in _numbers(values))
+
+
+def claims_sheet(claims: Sequence[Claim]) -> Sheet:
+    """All claims with their verdicts."""
+    rows: list[list[Cell]] = []
+    for one in claims:
+        printed, obtained = (shown(values, one.digits) for values in (one.printed, one.obtained))
+        rows.append(
+            [
+                one.paper,
+                one.item,
+                one.statement,
+                printed,
+                obtained,
+                one.unit,
+                one.verdict.value,
+                one.function,
+                one.remark,
+            ]
+        )
+    names = ("paper", "item", "what", "printed", "obtained", "unit", "verdict", "function", "remark")
+    counts = ", ".join(f"{sum(one.verdict is kind for one in claims)} {kind.value}" for kind in Verdict)
+    return Sheet("claims", "Verdicts", dict.fromkeys(names, ""), rows, f"{len(claims)} in all: {counts}.")
+
+
+def resolve(name: str) -> object:
+    """The function or class of a full name. Raises `ValueError` where there is none."""
+    parts = name.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[cut:]:
+            if not hasattr(found, part):
+                raise ValueError(f"there is no {part} in {found!r} ({name}).")
+            found = getattr(found, part)
+        return found
+    raise ValueError(f"{name} is the name of nothing that can be imported.")
+
+
+def _numbers(values: Values) -> list[float]:
+    return [float(value) for value in values] if isinstance(values, Sequence) else [float(values)]
