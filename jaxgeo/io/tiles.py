@@ -186,7 +186,7 @@ def _check_scale(tile: Tile) -> None:
     if math.isfinite(tile.scale) and math.isfinite(tile.offset) and tile.scale != 0.0:
         return
     raise DemError(
-        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which they are all "
+        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which all are "
         f"equal or unknown. Write the right ones into it, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
     )
 
