@@ -148,6 +148,7 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "demo -o picture.png --write-scene scene.toml --json --debug",
+    "study all -o out --seed 1 --json --debug",
     "study li2020 -o out --json --debug",
     "study li2023 -o out --samples 100 --seed 1 --json --debug",
     "study xue2019 -o out --size 500 --trials 3 --seed 1 --json --debug",
@@ -394,7 +395,7 @@ def test_completion_is_shown(shell: str, words: str, monkeypatch) -> None:
         ("jaxgeo footprint --tol", {"--tolerance"}),
         ("jaxgeo rectify --interpolation ", {"nearest", "bilinear", "cubic"}),
         ("jaxgeo overlap --along c", {"columns"}),
-        ("jaxgeo study ", {"li2020", "li2023", "xue2019", "gu2017"}),
+        ("jaxgeo study ", {"all", "li2020", "li2023", "xue2019", "gu2017"}),
     ],
 )
 def test_completion_completes(typed: str, expected: set[str]) -> None:

@@ -139,18 +139,15 @@ def claims_sheet(claims: Sequence[Claim]) -> Sheet:
 
 def resolve(name: str) -> object:
     """The function or class of a full name. Raises `ValueError` where there is none."""
-    parts = name.split(".")
-    for cut in range(len(parts), 0, -1):
-        try:
-            found: object = importlib.import_module(".".join(parts[:cut]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[cut:]:
-            if not hasattr(found, part):
-                raise ValueError(f"there is no {part} in {found!r} ({name}).")
-            found = getattr(found, part)
-        return found
-    raise ValueError(f"{name} is the name of nothing that can be imported.")
+    first, *others = name.split(".")
+    try:
+        found: object = importlib.import_module(first)
+        for count, part in enumerate(others, 1):
+            prefix = ".".join([first, *others[:count]])
+            found = getattr(found, part) if hasattr(found, part) else importlib.import_module(prefix)
+    except ImportError as error:
+        raise ValueError(f"{name} names nothing that can be imported: {error}.") from None
+    return found
 
 
 def _numbers(values: Values) -> list[float]:
