@@ -19,8 +19,10 @@ def exposure(path: pathlib.Path, found: Any) -> None:
     """Position, height and angles as XMP of DJI states them, else as EXIF does; heights above the ellipsoid."""
     content = path.read_bytes()
     tags, exif = _xmp(content), _gps(content)
-    lat = _stated(tags, ("GpsLatitude", "Latitude"), _dms(exif, 2))
-    lon = _stated(tags, ("GpsLongitude", "GpsLongtitude", "Longitude"), _dms(exif, 4))
+    lat = _stated(tags, ("GpsLatitude", "Latitude"), None)
+    lon = _stated(tags, ("GpsLongitude", "GpsLongtitude", "Longitude"), None)
+    if lat is None or lon is None:  # half a position is none
+        lat, lon = _dms(exif, 2), _dms(exif, 4)
     below = exif.get(5) in ((1,), (3,))
     height = _stated(tags, ("AbsoluteAltitude",), -exif[6][0] if below and 6 in exif else exif.get(6, (None,))[0])
     pose = found.shots.pose.position

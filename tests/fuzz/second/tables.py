@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-import json
 import pathlib
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +19,7 @@ from tests.fuzz.second.compared import (
     egm96,
     in_map,
     number,
+    of_json,
     of_opk,
     same,
     same_attitude,
@@ -252,7 +252,7 @@ def positions(path: pathlib.Path, table: Any) -> None:
     if table.form == "DJI marks of photos":
         _marks(text, table)
     elif table.form == "OpenDroneMap report":
-        features = json.loads(text)["features"]
+        features = of_json(path.read_bytes())["features"]
         lon, lat, height = np.array([feature["geometry"]["coordinates"] for feature in features], np.float64).T
         same_names("images", table.names, [feature["properties"]["filename"] for feature in features])
         same_places(table.position, lat, lon, height)
