@@ -74,7 +74,7 @@ def ascii_grid(path: pathlib.Path, found: Any) -> None:
     marked = np.isclose(values, header.get("nodata_value", np.nan), rtol=1e-7)
     assert not (known & marked).any(), "a post is known whose value is NODATA_value"
     same("heights", posts[known], values[known], 1e-6 * max(1.0, float(np.abs(values[known]).max())))
-    step = [header.get("cellsize", header.get(name)) for name in ("dx", "dy")]
+    step = [header["cellsize" if "cellsize" in header else name] for name in ("dx", "dy")]
     inset = 0.0 if "xllcorner" in header and "yllcorner" in header else 0.5
     west, south = (header[f"{axis}ll{'center' if inset else 'corner'}"] for axis in "xy")
     corner = rasterio.Affine(step[0], 0.0, west - inset * step[0], 0.0, -step[1], south + (rows - inset) * step[1])
