@@ -54,9 +54,9 @@ def _segments(content: bytes) -> list[bytes]:
         marker, size = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
         if content[at] != 0xFF or marker in (0x00, 0xFF):
             at += 1  # what is no marker is passed over
-        elif marker in (0x01, *range(0xD0, 0xD9)):
-            at += 2
-        elif marker in (0xD9, 0xDA):
+        elif marker in (0x01, 0xC8, *range(0xD0, 0xDA), *range(0xF0, 0xFE)):
+            at += 2  # no length follows, nor in what a decoder skips behind markers of extensions
+        elif marker == 0xDA:
             break
         else:
             found += [content[at + 4 : at + 2 + size]] if marker == 0xE1 else []
