@@ -64,8 +64,8 @@ def ascii_grid(path: pathlib.Path, found: Any) -> None:
     """ncols, nrows, a corner, cell size, perhaps NODATA_value; then numbers, row by row from the north."""
     lines = path.read_bytes().decode("latin-1").splitlines()
     start = next(k for k, line in enumerate(lines) if re.match(r"\s*[-+.0-9]", line))
-    pairs = re.findall(r"([A-Za-z_]+)\s+([-+.0-9][-+.0-9eE]*)", " ".join(lines[:start]))
-    header = {name.lower(): float(value) for name, value in reversed(pairs)}  # the first of each
+    pairs = re.findall(r"([A-Za-z_]+)\s+([-+.,0-9][-+.,0-9eE]*)", " ".join(lines[:start]))
+    header = {name.lower(): float(value.replace(",", ".")) for name, value in reversed(pairs)}  # the first
     words = " ".join(lines[start:]).split()
     rows, cols = int(header["nrows"]), int(header["ncols"])
     values = np.array([float(word.replace(",", ".")) for word in words], np.float64).reshape(rows, cols)
