@@ -21,6 +21,10 @@ UNITS = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0) | di
     ("ft", "foot", "feet"), 0.3048
 )
 
+GRID_HEADER = re.compile(
+    r"(?<!\S)(ncols|nrows|[xy]ll(?:corner|center)|cellsize|dx|dy|nodata_value)\s+(\S+)", re.IGNORECASE
+)
+
 
 def opened(path: pathlib.Path) -> Any:
     """An open raster."""
@@ -64,7 +68,7 @@ def ascii_grid(path: pathlib.Path, found: Any) -> None:
     """ncols, nrows, a corner, cell size, perhaps NODATA_value; then numbers, row by row from the north."""
     lines = path.read_bytes().decode("latin-1").splitlines()
     start = next(k for k, line in enumerate(lines) if re.match(r"\s*[-+.0-9]", line))
-    pairs = re.findall(r"([A-Za-z_]+)\s+([-+.,0-9][-+.,0-9eE]*)", " ".join(lines[:start]))
+    pairs = GRID_HEADER.findall(" ".join(lines[:start]))
     header = {name.lower(): float(value.replace(",", ".")) for name, value in reversed(pairs)}  # the first
     words = " ".join(lines[start:]).split()
     rows, cols = int(header["nrows"]), int(header["ncols"])
