@@ -259,7 +259,7 @@ def positions(path: pathlib.Path, table: Any) -> None:
     elif table.form == "OpenDroneMap report":
         features = of_json(path.read_bytes())["features"]
         lon, lat, height = np.array([feature["geometry"]["coordinates"] for feature in features], np.float64).T
-        same_names("images", table.names, [feature["properties"]["filename"] for feature in features])
+        same_names("images", table.names, [str(feature["properties"]["filename"]).strip() for feature in features])
         same_places(table.position, lat, lon, height)
     elif table.form == "OpenDroneMap geo.txt":
         _geo(text, table)
