@@ -17,11 +17,16 @@ from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, FIRST,
 from jaxgeo.studies.li2020.flight import Sighting, StripPair
 from jaxgeo.studies.li2020.influence import folding
 from jaxgeo.studies.li2020.report import Report
-from jaxgeo.studies.li2020.strips import MOUNTAINS, PLAIN, PLANNED, Strips
+from jaxgeo.studies.li2020.strips import AS_IN_THE_PAPER, MOUNTAINS, PLAIN, PLANNED, Strips
 from jaxgeo.studies.pictures import draw_all
 
 COLOURS = {FIRST: EDGE, EXPECTED: SIGHT, ACTUAL: FIX, COMPENSATED: "#1a7f5a"}
-TIMINGS = {"fixed period": (FIX, "o"), "velocity-height": ("#b3893b", "s"), "ground shared": (SIGHT, "^")}
+TIMINGS = {
+    "fixed period": (HIDDEN, "d"),
+    AS_IN_THE_PAPER: (FIX, "o"),
+    "velocity-height": ("#b3893b", "s"),
+    "ground shared": (SIGHT, "^"),
+}
 GROUNDS = {
     PLAIN: f"Level ground at {PLANNED:.0f} m, as planned (Fig. 11 in kind)",
     MOUNTAINS: f"Mountains, planned as level ground at {PLANNED:.0f} m (Fig. 12 in kind)",
