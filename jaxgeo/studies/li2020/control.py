@@ -85,9 +85,7 @@ def _strip() -> Strip:
 
 def _flown(strip: Strip, row: tuple[float, bool, float], flights: int, seed: int) -> Control:
     attitude, is_compensated, control = row
-    noise = FlightNoise.from_degrees(
-        heading=attitude, pitch=attitude, roll=attitude, gimbal=control, lasting=LASTING
-    )
+    noise = FlightNoise.from_degrees(heading=attitude, pitch=attitude, roll=attitude, gimbal=control, lasting=LASTING)
     compensation = Compensation(attitude=is_compensated)
     found = fly(strip, noise, key=jax.random.key(seed), flights=flights, compensation=compensation)
     near = np.asarray(found.near)

@@ -37,7 +37,7 @@ TURNS = np.linspace(0.0, 1.2, 61)  # deg
 def write(report: Report, folder: pathlib.Path) -> None:
     """All pictures into a folder."""
     pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
-        "footprints.png": (lambda figure: draw_footprints(outlines(), figure), (11.0, 3.9)),
+        "footprints.png": (lambda figure: draw_footprints(report.outlines or outlines(), figure), (11.0, 3.9)),
         "attitude.png": (lambda figure: draw_attitude(report.sightings, report.pairs, figure), (10.0, 4.2)),
         "folding.png": (draw_folding, (6.4, 4.4)),
     }

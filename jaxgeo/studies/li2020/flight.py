@@ -134,9 +134,7 @@ def pairs() -> list[StripPair]:
                 along_ground=on_ground,
                 across_sight=across,
                 held=float(
-                    transform.overlap_along(
-                        projection, steady[k], steady[k + 1], bearing=bearings[0], length=length
-                    )
+                    transform.overlap_along(projection, steady[k], steady[k + 1], bearing=bearings[0], length=length)
                 ),
                 length=length,
                 flown=float(flown[k]),

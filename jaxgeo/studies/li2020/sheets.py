@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxgeo.studies.li2020 import printed
+from jaxgeo.studies.li2020.causes import Cause, Products, needed_factors
 from jaxgeo.studies.li2020.compensation import Compensation
 from jaxgeo.studies.li2020.control import Control
 from jaxgeo.studies.li2020.flight import Sighting, StripPair, mean_depression, overlap_of_azimuth_error
@@ -54,6 +55,25 @@ def influence_sheet(found: Sequence[Influence]) -> Sheet:
         "distance: it folds where the second frame falls behind the first, and a roll's shift across counts as a step."
     )
     return Sheet("influence", "Attitude and overlap (Tables 1 to 3)", columns, rows, note)
+
+
+def causes_sheet(found: Sequence[Cause], combined: Products) -> Sheet:
+    """What was tried to explain the factor of Table 2."""
+    rows: list[list[Cell]] = [
+        [one.factor, one.entries, one.elsewhere, one.tried]
+        for one in sorted(found, key=lambda one: abs(one.factor - 1.02155))
+    ]
+    low, high = needed_factors()
+    columns = {"factor": ".5f", "entries right": "d", "of Tables 1 and 3": "d", "tried": ""}
+    note = (
+        f"Table 2 is Eq 19 times {low:.5f} to {high:.5f}, as its five entries are rounded. Each row puts one thing "
+        "into the computation: the factor at 1°, how many of the five entries come out, and, of a quantity set to what "
+        "would be needed, how many of the ten of Tables 1 and 3 stay right. Nothing that the paper names gives the "
+        "factor; what would give it contradicts Tables 1 and 3, or stands nowhere in the paper. Of "
+        f"{combined.count} products of powers of two such quantities {combined.hits} meet the window, and by chance "
+        f"{combined.by_chance:.1f} would: a hit among them says nothing. The factor stays unexplained."
+    )
+    return Sheet("causes", "Causes tried for the factor of Table 2", columns, rows, note)
 
 
 def compensation_sheet(found: Sequence[Compensation]) -> Sheet:
@@ -213,9 +233,9 @@ def control_sheet(found: Sequence[Control]) -> Sheet:
         f"The paper's camera, near end {printed.OFF_NADIR:.0f}° off nadir, "
         f"{printed.TABLE_4[0].height_above_ground:.0f} m over level ground, in drawn noise: standard deviations of "
         "heading, pitch and roll, and of each drive's reading, anew for every frame. Spread: standard deviation of the "
-        "overlap at the near end; by formula: Eqs 18 and 19 and the mirror's gain of two, for small angles. Gaps: share "
-        f"of pairs that leave one with {printed.OVERLAP:.0%} wished. What is left without an error of control is the "
-        "image's turning about the line of sight, since the near end lies beside it."
+        "overlap at the near end; by formula: Eqs 18 and 19 and the mirror's gain of two, for small angles. Gaps: "
+        f"share of pairs that leave one with {printed.OVERLAP:.0%} wished. What is left without an error of control is "
+        "the image's turning about the line of sight, since the near end lies beside it."
     )
     return Sheet("control", "Errors of the gimbal's control (the paper's later work)", columns, rows, note)
 
