@@ -126,7 +126,7 @@ def _tables(report: Report) -> list[Claim]:
     best = max(report.causes, key=lambda one: (one.entries, one.elsewhere or 0))
     tried = (
         f"The entries are Eq 19 times {low:.5f} to {high:.5f}, and the transform of coordinates says Eq 19. "
-        f"{len(report.causes)} causes were put in, see the sheet of causes: none of those that the paper names gives it. "
+        f"{len(report.causes)} causes were put in, see the sheet of causes: none that the paper names gives it. "
         f"{best.tried.capitalize()} to give all five entries, stands nowhere in the paper."
     )
     return [

@@ -52,19 +52,22 @@ def equations() -> list[Claim]:
 def _claim(
     number: int | str,
     statement: str,
-    wanted: Sequence[float] | np.ndarray,
-    obtained: Sequence[float] | np.ndarray,
+    wanted: Any,
+    obtained: Any,
     function: str,
     *,
     unit: str = "",
     tolerance: float | Sequence[float] | None = None,
     cause: str = "",
-    right: Sequence[float] | np.ndarray | None = None,
-    independent: Sequence[float] | np.ndarray | None = None,
+    right: Any = None,
+    independent: Any = None,
     reason: str = "",
 ) -> Claim:
-    """Printed formula and function at the same inputs; a misprint has a `cause`, and the values of the formula put
-    `right`, which are to be those of the function, and the `independent` ones where there are such."""
+    """Numbers, or arrays of them, by the printed formula and by the function at the same inputs.
+
+    A misprint has a `cause`, and the values of the formula put `right`, which are to be those of the function, and the
+    `independent` ones where there are such.
+    """
     shown, found = (_listed(values) for values in (wanted, obtained))
     bounds = _bounds(found, tolerance)
     explanation = None
@@ -126,7 +129,7 @@ def _frames() -> list[Claim]:
     gimbal = Gimbal.two_axis()
     theta, phi = ANGLES[1]
     ours = gimbal.R_base_from_head(jnp.array([-theta, phi])).T
-    turned = R_from_heading_pitch_roll(*ATTITUDES[1]).T
+    turned = _R_ned_from_body(ATTITUDES[1]).T
     return [
         _claim(
             3,
@@ -169,7 +172,7 @@ def _earth() -> list[Claim]:
     ecef = [np.asarray(WGS84.to_ecef(place)) for place in places]
     on_it = [np.asarray(WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=0.0))) for lat, lon, _ in PLACES]
     points = [p + np.array([1000.0, -2000.0, 500.0]) for p in ecef[:2]]
-    exact = [WGS84.to_geodetic(p) for p in ecef]
+    exact = [WGS84.to_geodetic(jnp.asarray(p)) for p in ecef]
     degrees_and_metres = [3e-9, 1e-3] * 2
     return [
         _claim(  # Eq 5: x^2 / RE^2 + y^2 / RE^2 + z^2 / RP^2 = 1
@@ -421,7 +424,7 @@ def _rays() -> list[Claim]:
             "the three ratios of a target and its image",
             [[sight[0] / sight[1], 1.0, 1.0] for sight in sights],
             [[one] * 3 for one in ratio],
-            "locate",
+            "locate.locate",
             tolerance=[1e-7 * abs(one) for one in ratio for _ in range(3)],
             cause="every denominator is the same coordinate of T' - S",
             right=[sight / image for sight, image in zip(sights, images, strict=True)],
@@ -432,7 +435,7 @@ def _rays() -> list[Claim]:
             "range to the ground at 500 m",
             [_range_of_eq_15(centre, sight, 500.0) for sight in sights],
             ranges,
-            "locate",
+            "locate.locate",
             unit="m",
             tolerance=0.03,
             reason="The axes lengthened by the height are good to 6 mm of height, here some 2 cm of range.",
@@ -576,7 +579,7 @@ def _compensation() -> list[Claim]:
     aims = [_sight_of_eq_23(attitude, angles) for attitude, angles in zip(ATTITUDES, straight, strict=True)]
     heads = [_sight_of_eq_24(*one) for one in zip(changed, straight, aims, strict=True)]
     ours = [
-        compensation_of_eqs_25_26(R_from_heading_pitch_roll(*attitude), *angles, jnp.asarray(aim))
+        compensation_of_eqs_25_26(_R_ned_from_body(attitude), *angles, jnp.asarray(aim))
         for attitude, angles, aim in zip(changed, straight, aims, strict=True)
     ]
     by_eq_25 = [-math.atan(x / math.sqrt(y**2 + z**2)) for x, y, z in heads]
@@ -594,7 +597,7 @@ def _compensation() -> list[Claim]:
             "line of sight in the camera after a change of attitude",
             heads,
             [
-                line_of_sight_head(R_from_heading_pitch_roll(*attitude), *angles, jnp.asarray(aim))
+                line_of_sight_head(_R_ned_from_body(attitude), *angles, jnp.asarray(aim))
                 for attitude, angles, aim in zip(changed, straight, aims, strict=True)
             ],
             "coverage.compensation_formulas.line_of_sight_head",
@@ -620,6 +623,10 @@ def _compensation() -> list[Claim]:
             unit="rad",
         ),
     ]
+
+
+def _R_ned_from_body(attitude: tuple[float, ...]) -> Any:
+    return R_from_heading_pitch_roll(*(jnp.asarray(angle) for angle in attitude))
 
 
 def _pose(attitude: tuple[float, float, float]) -> Pose:
