@@ -62,6 +62,7 @@ def _claim(
     right: Any = None,
     independent: Any = None,
     reason: str = "",
+    digits: str = ".5g",
 ) -> Claim:
     """Numbers, or arrays of them, by the printed formula and by the function at the same inputs.
 
@@ -87,6 +88,7 @@ def _claim(
         f"jaxgeo.{function}",
         explanation,
         reason,
+        digits,
     )
 
 
@@ -216,6 +218,7 @@ def _earth() -> list[Claim]:
             "earth.classical.to_geodetic_successive",
             unit="°, m",
             tolerance=degrees_and_metres,
+            digits=".11g",
             cause="the exponent of the radius N is -1/2",
             right=[_geodetic_of_eq_8(p, -0.5) for p in ecef[:2]],
             independent=[[np.rad2deg(found.lat), found.height] for found in exact[:2]],
@@ -304,6 +307,7 @@ def _map() -> list[Claim]:
             "earth.classical.meridian_arc",
             unit="m",
             tolerance=1e-6,
+            digits=".10g",
             cause="the second term is -B1 sin 2B, not -A1 sin 2B",
             right=[_arc_of_eq_11(lat, second=1, last=693_693) for lat in lats],
             independent=rights,
@@ -316,6 +320,7 @@ def _map() -> list[Claim]:
             "earth.classical.meridian_arc",
             unit="m",
             tolerance=1e-7,
+            digits=".15g",
             cause="the last term of A1 is 693693/1048576, not 6936933/1048576",
             right=[_arc_of_eq_11(lat, second=1, last=693_693) for lat in lats],
             independent=rights,
@@ -674,6 +679,7 @@ def _timing() -> list[Claim]:
             ours,
             f"coverage.geometry.{name}",
             unit=more.get("unit", ""),
+            digits=".8g",
             cause=more.get("cause", stands),
             right=[more.get("right", formula)(*one[:2], opening(one[2]), *one[3:]) for one in more["cases"]],
         )

@@ -146,13 +146,18 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
         label="drawn, ± 2 standard errors",
     )
     left.set(xscale="log", yscale="log", xlabel="error of each drive, °", ylabel="spread of the overlap, points")
+    left.set_xticks(sigmas, [f"{sigma:g}" for sigma in sigmas], minor=False)
+    left.set_xticks([], minor=True)
+    left.set_yticks([1.0, 2.0, 5.0, 10.0, 20.0], ["1", "2", "5", "10", "20"])
+    left.set_yticks([], minor=True)
     left.set(title="Errors of the gimbal's control")
     styles = {"planned height": (FIX, "-"), "velocity-height": (SIGHT, "--")}
     markers = {"fractal": "o", "example terrain": "s"}
-    for (timing, (colour, line)), (ground, marker) in itertools.product(styles.items(), markers.items()):
+    kinds = itertools.product(styles.items(), markers.items())
+    for beside, ((timing, (colour, line)), (ground, marker)) in zip((-3.0, -1.0, 1.0, 3.0), kinds, strict=True):
         some = [one for one in relief if (one.timing, one.ground) == (timing, ground)]
         right.errorbar(
-            [one.relief for one in some],
+            [one.relief + beside for one in some],  # m, so that the bars do not cover each other
             [100.0 * one.off for one in some],
             yerr=[100.0 * one.off_error for one in some],
             color=colour,
@@ -164,7 +169,8 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
         )
     planned = sorted({(one.relief, one.by_height) for one in relief})
     right.plot([x for x, _ in planned], [100.0 * y for _, y in planned], color="0.6", zorder=0, label="by Eq 28")
-    right.set(xlabel="relief, standard deviation of heights, m", ylabel="rms off the wish, points", ylim=(0.0, None))
+    right.set(xlabel="relief, standard deviation of heights, m", ylabel="rms off the wish, points", ylim=(0.0, 4.2))
+    right.set(xlim=(0.0, 215.0), xticks=[x for x, _ in planned])
     right.set(title="Relief of the ground, ± 95 % over places")
     for ax in (left, right):
         ax.legend(frameon=False, fontsize=9, loc="upper left")
