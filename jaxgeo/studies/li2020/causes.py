@@ -121,6 +121,9 @@ def _variants() -> dict[str, np.ndarray]:
         "slant range of a round Earth in the frame's length alone": _eq_19(CHANGES) * flat_slant / slant,
         "height over the point's tangent plane in the offset alone": _eq_19(CHANGES) * (HEIGHT + drop) / HEIGHT,
         "both of these the wrong way round": _eq_19(CHANGES) * ((HEIGHT + drop) / HEIGHT) ** 2,
+        "the same, with rays bent as by an Earth of 7/6 of the radius": _eq_19(CHANGES)
+        * ((HEIGHT + _curved(RADIUS * 7.0 / 6.0)[2]) / HEIGHT) ** 2,
+        "arc for tangent and frame for its chord": math.cos(THETA) * CHANGES / OMEGA,
         "offset at the aircraft's radius": _eq_19(CHANGES) * (RADIUS + HEIGHT) / RADIUS,
         "frame's length of the pitched frame": _eq_19(CHANGES) * np.cos(CHANGES),
         "step as a distance, with the offset across": np.hypot(
@@ -202,10 +205,10 @@ def _sight(pitch: float, roll: float, theta: float, phi: float) -> np.ndarray:
     return np.array([x, y, z])
 
 
-def _curved() -> tuple[float, float, float]:
+def _curved(radius: float = RADIUS) -> tuple[float, float, float]:
     """On a sphere: incidence at the ground, slant range, and by how much lower the point lies than the plane below."""
-    incidence = math.asin((RADIUS + HEIGHT) / RADIUS * math.sin(THETA))
-    slant = RADIUS * math.sin(incidence - THETA) / math.sin(THETA)
+    incidence = math.asin((radius + HEIGHT) / radius * math.sin(THETA))
+    slant = radius * math.sin(incidence - THETA) / math.sin(THETA)
     return incidence, slant, slant * math.cos(THETA) - HEIGHT
 
 

@@ -269,7 +269,7 @@ def _figures(report: Report) -> list[Claim]:
             report,
             "Fig. 7",
             "1° of heading, pitch and roll: the frame lies far from the expected one, the images gape",
-            "coverage.overlap",
+            "coverage.overlap.overlap",
             lambda: _apart(report),
         ),
         _in_flight(
@@ -358,7 +358,7 @@ def _text(report: Report) -> list[Claim]:
             report,
             "Section 2.1",
             "the overlap is least at the near end",
-            "coverage.overlap",
+            "coverage.overlap.overlap",
             lambda: _near_is_least(report),
         ),
         _agreement(report, "Section 3.1", "both methods agree for one angle"),

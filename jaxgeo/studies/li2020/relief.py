@@ -57,8 +57,11 @@ class Relief:
     gaps: float
 
 
-def reliefs(relief: Sequence[float] = RELIEF, *, places: int = PLACES) -> list[Relief]:
-    """Each ground and relief, timed over the mean height, as the paper does, and over the ground that is seen."""
+def reliefs(relief: Sequence[float] = RELIEF, *, places: int = PLACES, seed: int = 0) -> list[Relief]:
+    """Each ground and relief, timed over the mean height, as the paper does, and over the ground that is seen.
+
+    `seed` gives other fractal ground; the places of the example terrain stay.
+    """
     terrain = example_dem()
     posts = np.asarray(terrain.posts)
     level = float(posts.mean())
@@ -68,7 +71,7 @@ def reliefs(relief: Sequence[float] = RELIEF, *, places: int = PLACES) -> list[R
     }
     found = []
     for ground in (FRACTAL, EXAMPLE):
-        shapes = [_shape(ground, posts, place) for place in range(places)]
+        shapes = [_shape(ground, posts, seed * places + place) for place in range(places)]
         for size in relief:
             grounds = [terrain.with_posts(level + size * shape) for shape in shapes]
             for name, timing in timings.items():

@@ -40,8 +40,8 @@ class Report:
 
 def run(*, flights: bool = True, seed: int = 0) -> Report:
     """The study. Without `flights` the footprints of Figs. 7 and 8, the strips of Figs. 11 and 12, and those with
-    errors of control and over relief, which take by far the most time, are left out. By `seed` the errors of control
-    are drawn; nothing else is left to chance, but for the relief, of seeds of its own."""
+    errors of control and over relief, which take by far the most time, are left out. `seed` redraws all that is
+    random: the errors of control and the fractal ground."""
     seen, overlaps, influences = sightings(), pairs(), tables_1_to_3()
     found = Report(
         influences=influences,
@@ -55,7 +55,9 @@ def run(*, flights: bool = True, seed: int = 0) -> Report:
     )
     if not flights:
         return found
-    return replace(found, outlines=outlines(), strips=strips(), controls=controls(seed=seed), reliefs=reliefs())
+    return replace(
+        found, outlines=outlines(), strips=strips(), controls=controls(seed=seed), reliefs=reliefs(seed=seed)
+    )
 
 
 def sheets_of(report: Report) -> list[Sheet]:
