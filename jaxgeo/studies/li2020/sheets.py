@@ -235,8 +235,8 @@ def control_sheet(found: Sequence[Control]) -> Sheet:
         "heading, pitch and roll, and of each drive's reading, anew for every frame. Spread: standard deviation of the "
         "overlap at the near end; by formula: Eqs 18 and 19 and the mirror's gain of two, for small angles. Gaps: "
         f"share of pairs that leave one with {printed.OVERLAP:.0%} wished. What is left without an error of control is "
-        "the image's turning about the line of sight, since the near end lies beside it. The same draws serve all rows, "
-        "so that their means go together."
+        "the image's turning about the line of sight, since the near end lies beside it. The same draws serve all "
+        "rows, so that their means go together."
     )
     return Sheet("control", "Errors of the gimbal's control (the paper's later work)", columns, rows, note)
 
