@@ -127,7 +127,7 @@ def _tables(report: Report) -> list[Claim]:
     tried = (
         f"The entries are Eq 19 times {low:.5f} to {high:.5f}, and the transform of coordinates says Eq 19. "
         f"{len(report.causes)} causes were put in, see the sheet of causes: none that the paper names gives it. "
-        f"{best.tried.capitalize()} to give all five entries, stands nowhere in the paper."
+        f"What gives all five entries, {best.tried}, stands nowhere in the paper."
     )
     return [
         _claim(
@@ -137,6 +137,7 @@ def _tables(report: Report) -> list[Claim]:
             heading[:4],
             "coverage.geometry.overlap_change_by_heading",
             tolerance=LAST_DIGIT,
+            reason=f"To one unit of the last digit; the third would be rounded to {heading[2]:.4f}.",
         ),
         _claim(
             "Table 1",
@@ -235,7 +236,7 @@ def _table_4(report: Report) -> list[Claim]:
             unit="points",
             reason="The print has whole percents.",
             explanation=Explanation(
-                "the printed angles' own error, which the images do not show: with the line of sight held on its mean",
+                "The printed angles' own error, which the images do not show: with the line of sight held on its mean",
                 100.0 * float(held.std(ddof=1)),
                 100.0 * float(np.std([one.printed for one in pairs], ddof=1)),
                 1.0,
