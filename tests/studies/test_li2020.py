@@ -15,7 +15,7 @@ from jaxgeo.studies.claims import Verdict, resolve
 from jaxgeo.studies.li2020 import printed
 from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, outlines
 from jaxgeo.studies.li2020.causes import needed_factors
-from jaxgeo.studies.li2020.claims import LEFT_OUT
+from jaxgeo.studies.li2020.claim_parts import LEFT_OUT
 from jaxgeo.studies.li2020.control import Control, controls
 from jaxgeo.studies.li2020.flight import mean_depression, overlap_of_azimuth_error
 from jaxgeo.studies.li2020.influence import folding
