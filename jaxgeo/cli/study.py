@@ -43,17 +43,24 @@ Folder = Annotated[
 
 
 @studies.command("li2020", epilog=examples_of("li2020"))
-def li2020_command(output: Folder = None, as_json: AsJson = False, debug: Debug = False) -> None:
-    """The overlap analysis of Li et al. (2020) beside ours: attitude, compensation, strips in flight, timing.
+def li2020_command(
+    output: Folder = None,
+    seed: Annotated[int, typer.Option(help="Of errors of the gimbal's control and of fractal ground.")] = 0,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """The overlap analysis of Li et al. (2020) beside ours: attitude, compensation, strips in flight, timing,
+    and what errors of the gimbal's control and relief of the ground do.
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
     with mistakes_told(debug):
+        _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import li2020
 
-        _show(li2020, li2020.run, output, inputs if as_json else None)
+        _show(li2020, lambda: li2020.run(seed=seed), output, inputs if as_json else None)
 
 
 @studies.command("li2023", epilog=examples_of("li2023"))

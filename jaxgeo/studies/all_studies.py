@@ -19,7 +19,7 @@ TITLES = {
 }
 RUNS: dict[str, Callable[[Any, int], Any]] = {
     "li2023": lambda study, seed: study.run(seed=seed),
-    "li2020": lambda study, seed: study.run(),
+    "li2020": lambda study, seed: study.run(seed=seed),
     "xue2019": lambda study, seed: study.run(seed),
     "gu2017": lambda study, seed: study.run(seed),
 }
