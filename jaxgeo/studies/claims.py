@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import importlib
+import importlib.util
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -140,14 +142,15 @@ def claims_sheet(claims: Sequence[Claim]) -> Sheet:
 def resolve(name: str) -> object:
     """The function or class of a full name. Raises `ValueError` where there is none."""
     first, *others = name.split(".")
-    try:
-        found: object = importlib.import_module(first)
-        for count, part in enumerate(others, 1):
-            prefix = ".".join([first, *others[:count]])
-            found = getattr(found, part) if hasattr(found, part) else importlib.import_module(prefix)
-    except ImportError as error:
-        raise ValueError(f"{name} names nothing that can be imported: {error}.") from None
-    return found
+    found: list[object] = [importlib.import_module(first)] if importlib.util.find_spec(first) is not None else []
+    for count, part in enumerate(others, 1):  # a function may have the name of its module: both are followed
+        here: list[object] = [getattr(one, part) for one in found if hasattr(one, part)]
+        with contextlib.suppress(ImportError):
+            here.append(importlib.import_module(".".join([first, *others[:count]])))
+        found = here
+    if not found:
+        raise ValueError(f"{name} names nothing that can be imported.")
+    return found[0]
 
 
 def _numbers(values: Values) -> list[float]:
