@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyproj
 
-from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.classical.iterated import to_geodetic_simultaneous, to_geodetic_successive
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor.exposure import line_of_sight
@@ -94,9 +94,9 @@ def _eq_5() -> Claim:
         origin, direction = ecef_as_printed(row.lat, row.lon, printed.ALTITUDE), sight_as_printed(row)
         height = row.target[2]
         axes = np.array([A + height, A + height, (A + height) * math.sqrt(1.0 - E2)])
-        printed_heights.append(_height_of(origin + _near(origin / axes, direction / axes) * direction))
+        printed_heights.append(_height_of(origin + near_range(origin / axes, direction / axes) * direction))
         axes = np.array([A + height, A + height, B + height])
-        mended.append(_height_of(origin + _near(origin / axes, direction / axes) * direction))
+        mended.append(_height_of(origin + near_range(origin / axes, direction / axes) * direction))
         ours.append(_height_of(_fix(row)))
     return Claim(
         PAPER,
@@ -222,11 +222,27 @@ def sight_as_printed(row: printed.Terrain) -> np.ndarray:
     lat, lon = math.radians(row.lat), math.radians(row.lon)
     north = np.array([-math.sin(lat) * math.cos(lon), -math.sin(lat) * math.sin(lon), math.cos(lat)])
     east = np.array([-math.sin(lon), math.cos(lon), 0.0])
-    R_ecef_from_ned = np.stack([north, east, np.cross(north, east)], axis=1)
+    return np.stack([north, east, np.cross(north, east)], axis=1) @ sight_ned_as_printed(row)
+
+
+def sight_ned_as_printed(row: printed.Terrain) -> np.ndarray:
+    """The same in north, east, down."""
     heading, pitch, roll = (math.radians(x) for x in (printed.HEADING, printed.PITCH, printed.ROLL))
     outer, inner = math.radians(-row.outer), math.radians(row.inner)
     R_ned_from_body = _about_z(heading) @ _about_y(pitch) @ _about_x(roll)
-    return R_ecef_from_ned @ R_ned_from_body @ _about_x(outer) @ _about_y(inner) @ np.array([0.0, 0.0, 1.0])
+    return R_ned_from_body @ _about_x(outer) @ _about_y(inner) @ np.array([0.0, 0.0, 1.0])
+
+
+def sight_ned(row: printed.Terrain) -> np.ndarray:
+    """Our line of sight of a row of Table 2, in north, east, down."""
+    shot = printed.shot_of(row)
+    direction = line_of_sight(printed.sensor(), shot, jnp.zeros(()), jnp.asarray(printed.UV))[1]
+    return np.asarray(R_ecef_from_ned(shot.pose.position)).T @ np.asarray(direction)
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between two directions."""
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
 
 
 def _fix(row: printed.Terrain) -> np.ndarray:
@@ -235,10 +251,10 @@ def _fix(row: printed.Terrain) -> np.ndarray:
     return np.asarray(look.aim(FIRST_HIT).fix.ecef)
 
 
-def _near(origin: np.ndarray, direction: np.ndarray) -> float:
-    """Range to the near point of the unit sphere."""
+def near_range(origin: np.ndarray, direction: np.ndarray) -> float:
+    """Range to the near point of the unit sphere; NaN where there is none."""
     a, b, c = direction @ direction, origin @ direction, origin @ origin - 1.0
-    return float((-b - math.sqrt(b * b - a * c)) / a)
+    return float((-b - math.sqrt(b * b - a * c)) / a) if b * b >= a * c else math.nan
 
 
 def _latitude(point: np.ndarray, N: float, height: float, inverted: bool) -> float:
