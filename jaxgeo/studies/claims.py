@@ -93,7 +93,7 @@ class Claim:
             return self.reason
         with_it, expected = (shown(x, self.digits) for x in (self.explanation.obtained, self.explanation.expected))
         bears = f"with it {with_it}, expected {expected}"
-        told = f"{self.explanation.cause} ({bears})" if self.explanation.holds else ""
+        told = f"{self.explanation.cause} ({bears})" if self.verdict is Verdict.explained else ""
         return " ".join(text for text in (self.reason, told) if text)
 
 

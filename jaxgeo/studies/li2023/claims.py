@@ -13,7 +13,9 @@ import numpy as np
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.equations import PAPER, angle_deg, equations, sight_ned
+from jaxgeo.studies.li2023.misprints import one_digit
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
+from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.li2023.tilts import printed_rms
 from jaxgeo.studies.scenes import profile_dem, profile_ray
 from jaxgeo.studies.terrain_searches import approaches, run_from
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 ERRORS = 3.0  # standard errors of the paper's own draws within which a random result counts as reproduced
 LAST_DIGIT = 5e-5  # of angles and lines of sight, which have four
 LENGTHS = {"lat_rms": 0.002, "lon_rms": 0.001}  # deg, of the conclusions
+WORDS = {"lat": "latitude", "lon": "longitude", "outer": "outer angle", "inner": "inner angle"}
 CEP_MOUNTAIN = 200.0  # m, of the abstract
 SKETCHES = {
     "Fig. 1": "a sketch of the camera in its frame",
@@ -55,7 +58,8 @@ def claims_of(report: Report) -> list[Claim]:
 
 def claim(item: str, statement: str, wanted: object, obtained: object, function: str, **more: object) -> Claim:
     """A claim of this paper; `function` without the package's name."""
-    return Claim(PAPER, item, statement, wanted, obtained, function=f"jaxgeo.{function}", **more)  # type: ignore[arg-type]
+    name = f"jaxgeo.{function}" if function else ""
+    return Claim(PAPER, item, statement, wanted, obtained, function=name, **more)  # type: ignore[arg-type]
 
 
 def _tables(report: Report) -> Iterator[Claim]:
@@ -74,32 +78,32 @@ def _tables(report: Report) -> Iterator[Claim]:
 
 
 def _table_2(report: Report) -> Iterator[Claim]:
-    """The targets are printed to a centimetre, the angles to 1e-4 deg, which is up to `rounding` m on the ground."""
-    others = {one.terrain: math.hypot(one.north, one.east) for one in report.targets}
+    """Held against the print's rounding: 1e-4 deg of the aircraft's place and of the angles. What of one digit changed
+    comes nearest is the explanation, if it comes within that."""
     for one in report.targets[: len(printed.TERRAINS)]:
         row = printed.TERRAINS[one.terrain]
-        slant = 0.5e-4 * math.radians(1.0) * _range(row)
-        rounding = slant / math.cos(math.radians(row.outer)) + 2.0 * slant
-        explained = None
-        if one.terrain == "mountain":
-            other = report.targets[-1]
-            explained = Explanation(
-                f"with an inner angle of {printed.MOUNTAIN_INNER}° it lies as near as the plain's",
-                (other.north, other.east),
-                (0.0, 0.0),
-                others["plain"],
-            )
+        along_meridian, along_parallel = metres_per_radian(printed.target_of(row))
+        half = 0.5e-4 * math.radians(1.0)
+        turned = half * _range(row) * (1.0 / math.cos(math.radians(row.outer)) + 1.0)
+        rounding = (half * along_meridian + turned, half * along_parallel + turned)
+        best = one_digit(one.terrain)[0]
         yield claim(
             f"Table 2, {one.terrain}",
-            "target at the printed height, north and east of the printed one; the angles are printed to 1e-4°",
+            "target at the printed height, north and east of the printed one",
             (0.0, 0.0),
             (one.north, one.east),
             "locate",
             tolerance=rounding,
             unit="m",
-            explanation=explained,
+            explanation=Explanation(
+                f"{WORDS[best.quantity]} {best.changed:.4f}° for {best.printed:.4f}°: so far off it is then, in m",
+                best.miss,
+                0.0,
+                math.hypot(*rounding),
+            ),
             digits="+.2f",
-            reason=f"It lies {others[one.terrain]:.1f} m off.",
+            reason=f"It lies {math.hypot(one.north, one.east):.1f} m off; the print's rounding is {rounding[0]:.1f} m "
+            f"north and {rounding[1]:.1f} m east.",
         )
 
 
@@ -179,7 +183,7 @@ def _cep_of(linear: Accuracy, rms_ned: np.ndarray) -> float:
 
 def _figures(report: Report) -> Iterator[Claim]:
     for item, what in SKETCHES.items():
-        yield claim(item, what, None, None, "locate", reason="It has no numbers.")
+        yield claim(item, what, None, None, "", reason="There are no numbers to hold a result against.")
     found = report.inclination
     grows = bool(np.all(np.diff(found.full, axis=0) > 0.0) and np.all(np.diff(found.full, axis=1) > 0.0))
     low, high = (float(found.full[k, k]) for k in (0, -1))

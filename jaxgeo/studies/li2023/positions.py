@@ -161,11 +161,12 @@ def fractal_name(name: str) -> str:
 
 
 def fractal_ground(name: str, *, size: int, seed: int) -> Dem:
-    """Made-up terrain about the printed target of a row, whose height is its mean."""
+    """Made-up terrain about the printed target of a row, whose height is the mean of its middle."""
     target = printed.target_of(printed.TERRAINS[name])
     posts = fractal_posts(size, spacing=SPACING, rms_slope=RMS_SLOPES[name], seed=seed)
     centre = Geodetic(lat=target.lat, lon=target.lon, height=0.0)
-    return tangent_dem(posts - posts.mean() + float(target.height), SPACING, centre)
+    inner = slice(size // 2 - int(MIDDLE / SPACING), size // 2 + int(MIDDLE / SPACING) + 1)
+    return tangent_dem(posts - posts[inner, inner].mean() + float(target.height), SPACING, centre)
 
 
 def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
