@@ -136,9 +136,14 @@ def error_table(
     terrain = ConstantHeight(ground)
     columns, rows = ((jnp.arange(count) + 0.5) / count * PIXELS - 0.5 for count in ties)
     uv = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(columns, rows)], axis=1)
-    place = jax.vmap(lambda uv: locate(sensor, shot, uv, terrain))(uv).position
+    place = _places(sensor, shot, uv, terrain)
     points = TiePoints(uv, place, jnp.zeros((uv.shape[0], 2, 2)))
     return tuple(_row(case, sensor, shot, terrain, points) for case in cases)
+
+
+@jax.jit
+def _places(sensor: Sensor, shot: Shot, uv: Float[Array, "ties 2"], terrain: ConstantHeight) -> Geodetic:
+    return jax.vmap(lambda uv: locate(sensor, shot, uv, terrain))(uv).position
 
 
 PIXELS = 2000

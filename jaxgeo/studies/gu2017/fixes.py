@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgeo._numerics import safe_sqrt
-from jaxgeo.locate import locate
 from jaxgeo.register import Registration
 from jaxgeo.sensor import Sensor, Shot
-from jaxgeo.studies.gu2017.scene import Imaged
+from jaxgeo.studies.gu2017.scene import Imaged, points_seen
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
@@ -62,7 +61,13 @@ def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = No
     sensor = im.sensor if sensor is None else sensor
     uv = jnp.asarray(lattice(im.sensor))
     numbers = jnp.asarray(covariance), jnp.asarray(im.tie_errors.terrain, float)
-    return Fixes(*(np.asarray(x) for x in _fixed(sensor, shot, im.terrain, im.errors, *numbers, uv)))
+    given = alike((sensor, shot, im.terrain, im.errors, *numbers, uv))
+    return Fixes(*(np.asarray(x) for x in _fixed(*given)))
+
+
+def alike(tree: Any) -> Any:
+    """The same numbers as arrays of one type, by which JAX tells programs apart: one serves wherever they come from."""
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)) if eqx.is_inexact_array_like(x) else x, tree)
 
 
 def direct(im: Imaged, given: Shot | None = None) -> Fixes:
@@ -81,7 +86,7 @@ def truth(im: Imaged) -> Float[np.ndarray, "n 3"] | None:
     """What the pixels of the lattice truly see, ECEF, m; None where that is not known."""
     if im.true is None or im.ground is None:
         return None
-    return np.asarray(_seen(im.sensor, im.true, im.ground, jnp.asarray(lattice(im.sensor))))
+    return points_seen(im.sensor, im.true, im.ground, lattice(im.sensor))
 
 
 def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
@@ -124,8 +129,3 @@ def _fixed(
         return jnp.asarray(found.fix.ecef), found.cov_enu[:2, :2], found.aim.R_ecef_from_enu
 
     return jax.vmap(one)(uv)
-
-
-@eqx.filter_jit
-def _seen(sensor: Sensor, shot: Shot, terrain: AbstractTerrain, uv: Any) -> jax.Array:
-    return jax.vmap(lambda pixel: jnp.asarray(locate(sensor, shot, pixel, terrain).ecef))(uv)
