@@ -6,6 +6,7 @@ Eqs 1, 2, 4 and 6 are pictures in the copy at hand; they are taken in the form t
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -128,7 +129,7 @@ def derivatives(of: Inputs, point: Array, uv: Array) -> tuple[Array, Array]:
     return np.stack(A, axis=1), np.stack(B, axis=1)
 
 
-def _slope(function, at: Array, k: int, step: float) -> Array:  # noqa: ANN001
+def _slope(function: Callable[[Array], Array], at: Array, k: int, step: float) -> Array:
     there, back = at.copy(), at.copy()
     there[k], back[k] = at[k] + step, at[k] - step
     return (function(there) - function(back)) / (2.0 * step)
@@ -162,8 +163,8 @@ def eq1(of: Inputs) -> Claim:
         PAPER,
         "Eq. 1",
         "pixels of four ground points, 75 deg off nadir",
-        list(np.ravel(printed)),
-        list(np.ravel(ours)),
+        [float(x) for x in np.ravel(printed)],
+        [float(x) for x in np.ravel(ours)],
         1e-6,
         "px",
         "jaxgeo.project",
@@ -215,8 +216,8 @@ def eq3(of: Inputs) -> Claim:
         PAPER,
         "Eq. 3",
         "covariance in ECEF (XX XY XZ YY YZ ZZ), 50 m, 0.5 deg, 5 m",
-        list(printed[upper]),
-        list(ours[upper]),
+        [float(x) for x in printed[upper]],
+        [float(x) for x in ours[upper]],
         1e-4 * float(np.trace(ours)),
         "m2",
         "jaxgeo.uncertainty.propagate",
@@ -247,8 +248,8 @@ def eq5(of: Inputs) -> list[Claim]:
             Explanation(
                 "A and B have changed places: B, by the ground, gives three unknowns; the derivatives by the six "
                 "parameters and the sign -F give the step",
-                list(righted),
-                list(ours),
+                [float(x) for x in righted],
+                [float(x) for x in ours],
                 [1e-6 * max(1.0, abs(x)) for x in ours],
             ),
             digits=".5g",
@@ -293,8 +294,8 @@ def eq6(of: Inputs) -> Claim:
         PAPER,
         "Eq. 6",
         "covariance of a tie in ECEF (XX XY XZ YY YZ ZZ), 3 m and 5 m",
-        list(printed[upper]),
-        list(ours[upper]),
+        [float(x) for x in printed[upper]],
+        [float(x) for x in ours[upper]],
         1e-9,
         "m2",
         "jaxgeo.register.gu2017.ground_covariance",
@@ -305,22 +306,20 @@ def eq6(of: Inputs) -> Claim:
 def eq7(of: Inputs) -> list[Claim]:
     """Covariance of the parameters; by the formula, and by the update."""
     A, B = zip(*(derivatives(of, p, uv) for p, uv in zip(of.points, of.uv, strict=True)), strict=True)
-    ground = tie_covariance(math.radians(LAT), math.radians(LON), REGISTRATION, TERRAIN)
+    lat, lon = (np.asarray(x) for x in _placed(jnp.asarray(of.points)))
+    grounds = [tie_covariance(*place, REGISTRATION, TERRAIN) for place in zip(lat, lon, strict=True)]
     swapped = np.zeros((3, 3))
     normal = np.zeros((6, 6))
-    for a, b in zip(A, B, strict=True):
+    for a, b, ground in zip(A, B, grounds, strict=True):
         inner = np.linalg.inv(b[:2] @ ground @ b[:2].T)
         normal += a[:2, :6].T @ inner @ a[:2, :6]
         swapped += b[:2].T @ inner @ b[:2]
     sigmas = np.repeat([POSITION, math.radians(ATTITUDE)], 3)
-    righted = np.sqrt(np.diag(np.linalg.inv(normal + np.diag(sigmas**-2.0))))
+    righted = _sigmas(np.linalg.inv(normal + np.diag(sigmas**-2.0)))
     look = Look(of.sensor, of.shot, jnp.asarray(0.0), jnp.zeros(2), ConstantHeight(GROUND))
     _, J, by_ground = _conditions(look, of.errors, jnp.asarray(of.uv), jnp.asarray(of.points), jnp.asarray(GROUND))
-    all_of_them = jnp.broadcast_to(jnp.asarray(ground), (len(of.uv), 3, 3))
     prior = jnp.asarray(of.errors.covariance())
-    ours = np.sqrt(np.diag(np.asarray(parameter_covariance(J[:, :2], by_ground[:, :2], all_of_them, prior))))
-    position = [*righted[:3], *np.sort(np.degrees(righted[3:]))]
-    mine = [*ours[:3], *np.sort(np.degrees(ours[3:]))]
+    ours = _sigmas(np.asarray(parameter_covariance(J[:, :2], by_ground[:, :2], jnp.asarray(np.stack(grounds)), prior)))
     updated = _updated_sigmas(of)
     return [
         Claim(
@@ -328,31 +327,30 @@ def eq7(of: Inputs) -> list[Claim]:
             "Eq. 7",
             "parameters that have a covariance",
             float(len(swapped)),
-            float(len(ours)),
+            float(len(prior)),
             0.0,
             "",
             "jaxgeo.register.gu2017.parameter_covariance",
             Explanation(
-                "A and B have changed places; righted, and with the navigation as prior, standard deviations of "
-                "position north, east, down in m and of three angles in deg, in order of size",
-                position,
-                mine,
-                [1e-4 * abs(x) for x in mine],
+                "A and B have changed places; righted, and with the navigation as prior, standard deviations of the "
+                "position north, east, down in m and along the axes of the ellipsoid of the three angles in deg",
+                righted,
+                ours,
+                [1e-4 * x for x in ours],
             ),
             digits=".4g",
         ),
         Claim(
             PAPER,
             "Eq. 7, update",
-            "position north, east, down by the righted equation, m, and by the update",
-            position[:3],
-            updated[:3],
-            [0.02 * x for x in position[:3]],
-            "m",
+            "position north, east, down, m, and angles, deg, by the righted equation; and by the update",
+            righted,
+            updated,
+            [2e-3 * x for x in righted],
+            "",
             "jaxgeo.register.update",
-            reason="Printed: the equation with A and B in their places. The ties lie at places that differ a little in "
-            "their east and north, which the equation is given for the point under the camera.",
-            digits=".3f",
+            reason="Printed: the equation with A and B in their places, and the navigation as prior.",
+            digits=".4g",
         ),
     ]
 
@@ -362,10 +360,17 @@ def _updated_sigmas(of: Inputs) -> list[float]:
     ties = TiePoints(of.uv, Geodetic(lat=lat, lon=lon, height=np.zeros(len(lat))), np.zeros((len(lat), 2, 2)))
     told = TieErrors(registration=REGISTRATION, terrain=TERRAIN)
     found = update(of.sensor, of.shot, ties, ConstantHeight(GROUND), of.errors, told)
-    return [float(x) for x in np.sqrt(np.diag(np.asarray(found.cov_error)))]
+    return _sigmas(np.asarray(found.cov_error))
 
 
-def _rows_and_weights(A) -> tuple[jax.Array, jax.Array]:  # noqa: ANN001
+def _sigmas(cov: Array) -> list[float]:
+    """Standard deviations of the position, m, and along the axes of the ellipsoid of the angles, deg: whatever axes
+    these are about."""
+    angles = np.degrees(np.sqrt(np.linalg.eigvalsh(cov[3:, 3:])))
+    return [float(x) for x in (*np.sqrt(np.diag(cov)[:3]), *angles)]
+
+
+def _rows_and_weights(A: Sequence[Array]) -> tuple[jax.Array, jax.Array]:
     J = np.stack([a[:2, :6] for a in A])
     return jnp.asarray(J), jnp.broadcast_to(jnp.eye(2), (len(J), 2, 2))
 

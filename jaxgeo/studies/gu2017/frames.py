@@ -44,8 +44,9 @@ ALONE, CARRIED, SELDOM = "each by itself", "carried over", "every third, carried
 
 
 class Frame(NamedTuple):
-    """A frame by one way: errors over flights (n,) of the position of the aircraft and of the fix in the middle, m, root
-    mean squares of what was foretold of them, and whether it was registered. `relief` (n,) says over which ground."""
+    """A frame by one way: errors over flights (n,) of the position of the aircraft and of the fix in the middle, m,
+    root mean squares of what was foretold of them, and whether it was registered. `relief` (n,) says over which ground.
+    """
 
     way: str
     number: int
@@ -130,8 +131,7 @@ def _flown(im: Imaged, model: ErrorModel, rng: np.random.Generator) -> list[_Flo
         sees = np.flatnonzero(np.isfinite(p_ecef[:, 0]))[:TIES]
         uv = uv[sees]
         lat, lon = (
-            np.asarray(x)
-            for x in _on_map(jnp.asarray(p_ecef[sees]), jnp.asarray(MATCHED * rng.normal(size=(TIES, 2))))
+            np.asarray(x) for x in _on_map(jnp.asarray(p_ecef[sees]), jnp.asarray(MATCHED * rng.normal(size=(TIES, 2))))
         )
         none = np.zeros((TIES, 2, 2))
         made.append(_Flown(given, true, TiePoints(uv, Geodetic(lat=lat, lon=lon, height=np.zeros(TIES)), none)))

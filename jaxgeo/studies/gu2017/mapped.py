@@ -78,6 +78,7 @@ def blocks(
     above_chance: float = 1.0,
     *,
     peaks: int = 4,
+    largest_sigma: float = 1.0,
 ) -> Blocks:
     """Blocks of `size` cells, sought where a `covariance` of their shifts, cells2, allows with a probability: one for
     all, so that one program serves. Candidates correlate `above_chance` times better than chance has it (see
@@ -85,7 +86,13 @@ def blocks(
     centres = blocks_of(here.ortho.known, size)
     cov = np.broadcast_to(np.asarray(covariance, float), (len(centres), 2, 2))
     pair = here.grey, here.ortho.known, here.reference, np.asarray(here.im.reference.known)
-    options = {"size": size, "probability": probability, "above_chance": above_chance, "peaks": peaks}
+    options: Any = {
+        "size": size,
+        "probability": probability,
+        "above_chance": above_chance,
+        "peaks": peaks,
+        "largest_sigma": largest_sigma,
+    }
     matches = match(*pair, centres, cov, **options)
     shifts = here.shifts(np.asarray(matches.centre), size)
     return Blocks(matches, shifts, _true(here, np.asarray(matches.centre), size))

@@ -53,8 +53,8 @@ class Sight(NamedTuple):
 class Imaged(NamedTuple):
     """An image, a map and a terrain, and what the navigation says. `image` is (rows, cols), `known` where it shows
     anything; `given` is the shot of the navigation, `terrain` the elevation model. `true` and `ground` are the shot and
-    the ground that there were, `clear` (bands, rows, cols) the image before it was spoilt, `sight` what its pixels truly
-    see: None where not known."""
+    the ground that there were, `clear` (bands, rows, cols) the image before it was spoilt, `sight` what its pixels
+    truly see: None where not known."""
 
     sensor: Sensor
     given: Shot
