@@ -265,7 +265,7 @@ def _searches(found: Sequence[Searched]) -> list[Claim]:
             Explanation("with the smaller navigation errors it does", bool(min(far) >= MUCH), True, 0.0),
         )
     )
-    claims += [_stable(near, whole) for near, whole in pairs]
+    claims += [_stable(near, whole, pairs) for near, whole in pairs]
     plain = pairs[0][0]
     number, wrong = plain.chosen["K-means"]
     claims.append(
@@ -281,8 +281,9 @@ def _searches(found: Sequence[Searched]) -> list[Claim]:
     return claims
 
 
-def _stable(near: Searched, whole: Searched) -> Claim:
-    """What the constraint does to the choice."""
+def _stable(near: Searched, whole: Searched, pairs: Sequence[tuple[Searched, Searched]]) -> Claim:
+    """What the constraint does to the choice; a failure is put down to the choice and the size of blocks, if in the
+    same navigation and texture smaller ones, chosen by the pose, do not fail."""
     sought, draws = near.sought, near.draws
     parts = []
     for one in (near, whole):
@@ -291,9 +292,16 @@ def _stable(near: Searched, whole: Searched) -> Claim:
             f"{one.search}: best candidates wrong {one.best_wrong} of {one.candidates} ({low:.0%} to {high:.0%}), "
             + ", ".join(f"{way} {n[1]} of {n[0]}, of no use in {one.useless[way]}" for way, n in one.chosen.items())
         )
+    alike = [
+        one
+        for one, _ in pairs
+        if (one.sought.position, one.sought.period) == (sought.position, sought.period)
+        and one.sought.block <= sought.block
+    ]
+    best = min(alike, key=lambda one: one.useless["pose"])
     cause = (
-        "the navigation's errors turn and stretch the image, so that its blocks have no shift in common; the choice by "
-        "the pose, in the same search, is right in all draws"
+        "the navigation's errors turn and stretch the image, so that its blocks have no shift in common: chosen by the "
+        f"pose, blocks of {best.sought.block} are right; draws in which they are not"
     )
     return _holds(
         f"Section 2.2, {sought.name}",
@@ -302,7 +310,7 @@ def _stable(near: Searched, whole: Searched) -> Claim:
         MATCH,
         f"{sought.position:g} m, {sought.attitude_deg:g} deg, blocks of {sought.block}, {draws} draws. "
         + f"{'; '.join(parts)}.",
-        Explanation(cause, float(near.useless["pose"]), 0.0, 0.0),
+        Explanation(cause, float(best.useless["pose"]), 0.0, 0.0),
     )
 
 
@@ -362,11 +370,10 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
     claims = []
     for number, noise in enumerate(dict.fromkeys(one.noise for one in by_size)):
         rows = [one for one in by_size if one.noise == noise]
-        best = min(rows, key=lambda one: one.spread.rms or math.inf)
+        best = min(rows, key=lambda one: one.pose)
         told = "; ".join(
-            f"{one.size}: {one.spread.rms:.2f} ± {one.half:.2f} m, {one.ties:.0f} ties, {one.failed:.0%} failed"
+            f"{one.size}: {one.pose:.2f} ± {one.half:.2f} px, {one.ties:.0f} ties, {one.failed:.0%} failed"
             for one in rows
-            if one.spread.rms is not None
         )
         near = min(rows, key=lambda one: abs(one.size - printed.BLOCK))
         pairs = [a - b for a, b in zip(near.each, best.each, strict=False)]
@@ -375,14 +382,14 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
             Claim(
                 PAPER,
                 "Section 2.3, size" if number == 0 else f"Section 2.3, size, noise {noise:g}",
-                "side of the blocks with the least error of fixes",
+                "side of the blocks with the least error of the pose",
                 float(printed.BLOCK),
                 float(best.size),
                 60.0,
                 "cells",
                 MATCH,
                 reason=f"Noise {noise:g}: {told}. {near.size} less {best.size} in the same trials: {gap:+.2f} ± "
-                f"{half:.2f} m.",
+                f"{half:.2f} px.",
                 digits=".0f",
             )
         )
@@ -397,12 +404,12 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
                 f"of {middle.blocks:.0f}.",
             )
         )
-    rms = [one.spread.rms or math.nan for one in by_ties]
-    told = "; ".join(f"{one.ties:.0f}: {one.spread.rms:.2f} ± {one.half:.2f} m" for one in by_ties)
+    rms = [one.pose for one in by_ties]
+    told = "; ".join(f"{one.ties:.0f}: {one.pose:.2f} ± {one.half:.2f} px" for one in by_ties)
     claims.append(
         _holds(
             "Section 2.3, ties",
-            "the more ties, the smaller the errors of fixes, from the fewest to the most",
+            "the more ties, the smaller the error of the pose, from the fewest to the most",
             bool(np.all(np.diff(rms) < 0.0)),
             UPDATE,
             told + ".",

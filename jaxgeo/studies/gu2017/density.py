@@ -12,15 +12,15 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.register import PoseConsensus, TieErrors, TiePoints, Update, update
 from jaxgeo.sensor import Shot
-from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, spread, truth
+from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, pose_error, spread, truth
 from jaxgeo.studies.gu2017.intervals import mean
 from jaxgeo.studies.gu2017.mapped import Mapped, allowed, blocks, mapped, ties_of, unknowns
 from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, seen_again
 
-SIZES = (64, 100, 150, 300, 450, 600)  # cells
+SIZES = (64, 100, 150, 300, 600)  # cells
 COUNTS = (5, 10, 20, 40, 80)
 LEFT = (3.0, 0.03)  # m, deg: errors as a first pass may leave them
-NOISES = (0.1, 8.0)  # of the image, times its own standard deviation
+NOISES = (0.1, 2.0)  # of the image, times its own standard deviation
 ROUNDS, MORE = 4, 1.02
 SUBSETS = 3
 MOST_TIES = 512  # of an update
@@ -29,8 +29,8 @@ PEAKS = 2  # candidates of a block
 
 class Dense(NamedTuple):
     """Updates by ties of blocks of a size, in an image of so much noise: means over trials of how many blocks and ties
-    there are, and of the share of blocks whose best candidate is wrong or that have none; how far off fixes are, with
-    half of the 95 % interval of the root mean square error over trials."""
+    there are, and of the share of blocks whose best candidate is wrong or that have none; how far off fixes are, and
+    the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial."""
 
     size: int
     noise: float
@@ -40,6 +40,7 @@ class Dense(NamedTuple):
     ties: float
     registration: float
     spread: Spread
+    pose: float
     half: float
     each: tuple[float, ...]
 
@@ -117,8 +118,8 @@ def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched)
         return []
     fixes = fixes_of(im, found.shot, found.cov_error, found.sensor)
     spread_ = spread(fixes, truth(im))
-    off = math.nan if spread_.rms is None else spread_.rms
-    return [Dense(*case, 1, matched.number, matched.failed, ties.count, registration, spread_, math.inf, (off,))]
+    off = pose_error(im, found.sensor, found.shot)
+    return [Dense(*case, 1, matched.number, matched.failed, ties.count, registration, spread_, off, math.inf, (off,))]
 
 
 def _with(im: Imaged, shot: Shot, ties: TiePoints, registration: float) -> tuple[Update, float]:
@@ -139,11 +140,12 @@ def _mean(rows: Sequence[Dense]) -> Dense:
     table = np.array([[np.nan if x is None else x for x in row.spread] for row in rows], float)
     rms, sigma = (float(np.sqrt(np.mean(table[:, k] ** 2))) for k in (0, 2))
     ce90, foretold, squares = (float(np.mean(table[:, k])) for k in (1, 3, 4))
-    each = tuple(float(x) for x in table[:, 0])
+    each = tuple(x for row in rows for x in row.each)
     return rows[0]._replace(
         trials=len(rows),
         **{name: float(np.mean([getattr(r, name) for r in rows])) for name in AVERAGED},
         spread=Spread(rms, ce90, sigma, foretold, squares, round(float(np.mean(table[:, 5])))),
+        pose=mean(each)[0],
         half=mean(each)[1],
         each=each,
     )

@@ -112,9 +112,9 @@ def tie_covariance(lat: float, lon: float, registration: float, terrain: float) 
 
 def moved_conditions(of: Inputs, errors: Array, point: Array, uv: Array) -> Array:
     """Eqs 1 and 2 (px, px, m) with the camera moved by m north, east, down, turned by rad about its axes, and the
-    ground higher by m."""
+    ground higher by m. A navigation's angles are those to the level, which turns as the camera moves."""
     S = of.S + of.R_ecef_from_ned @ errors[:3]
-    R = _small_turn(errors[3:6]) @ of.R_camera_from_ecef
+    R = _small_turn(errors[3:6]) @ of.R_camera_from_ecef @ of.R_ecef_from_ned @ _level(errors[:3]).T
     a = float(WGS84.a)
     third = 0.5 * a * height_condition(point, GROUND + errors[6])
     return np.append(collinearity(S, R, point) + 0.5 * (SIDE - 1) - uv, third)
@@ -133,6 +133,19 @@ def _slope(function: Callable[[Array], Array], at: Array, k: int, step: float) -
     there, back = at.copy(), at.copy()
     there[k], back[k] = at[k] + step, at[k] - step
     return (function(there) - function(back)) / (2.0 * step)
+
+
+def _level(ned: Array) -> Array:
+    """Axes of north, east, down in ECEF, so many m from the aperture."""
+    a, b, lat = float(WGS84.a), float(WGS84.b), math.radians(LAT)
+    squared = 1.0 - (b / a) ** 2
+    bend = 1.0 - squared * math.sin(lat) ** 2
+    across = a / math.sqrt(bend)
+    along = across * (1.0 - squared) / bend
+    lon = math.radians(LON) + ned[1] / ((across + HEIGHT) * math.cos(lat))
+    lat = lat + ned[0] / (along + HEIGHT)
+    s, c, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    return np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
 
 
 def _small_turn(w: Array) -> Array:
@@ -218,7 +231,7 @@ def eq3(of: Inputs) -> Claim:
         "covariance in ECEF (XX XY XZ YY YZ ZZ), 50 m, 0.5 deg, 5 m",
         [float(x) for x in printed[upper]],
         [float(x) for x in ours[upper]],
-        1e-4 * float(np.trace(ours)),
+        1e-8 * float(np.trace(ours)),
         "m2",
         "jaxgeo.uncertainty.propagate",
         reason="The height of the ground is taken among the parameters: without it A Sigma A' is singular.",
@@ -336,7 +349,7 @@ def eq7(of: Inputs) -> list[Claim]:
                 "position north, east, down in m and along the axes of the ellipsoid of the three angles in deg",
                 righted,
                 ours,
-                [1e-4 * x for x in ours],
+                [1e-6 * x for x in ours],
             ),
             digits=".4g",
         ),
@@ -346,7 +359,7 @@ def eq7(of: Inputs) -> list[Claim]:
             "position north, east, down, m, and angles, deg, by the righted equation; and by the update",
             righted,
             updated,
-            [2e-3 * x for x in righted],
+            [1e-6 * x for x in righted],
             "",
             "jaxgeo.register.update",
             reason="Printed: the equation with A and B in their places, and the navigation as prior.",

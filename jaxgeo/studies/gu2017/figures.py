@@ -122,19 +122,19 @@ def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figu
         _whiskers(left, at, rows, colour, f"noise {noise:g}")
         middle.plot(at, [100.0 * one.failed for one in rows], "o-", color=colour, label=f"noise {noise:g}")
         for one in rows if noise == by_size[0].noise else ():
-            left.annotate(
-                f"{one.ties:.0f}", (one.size, one.spread.rms or 0.0), xytext=(3, 6), textcoords="offset points"
-            )
+            left.annotate(f"{one.ties:.0f}", (one.size, one.pose), xytext=(3, 6), textcoords="offset points")
     _whiskers(right, [one.ties for one in by_ties], by_ties, FIX, "")
-    left.set(title="Size of blocks (numbers: ties)", xlabel="block, cells", ylabel="RMS of fixes, m", ylim=(0.0, None))
+    left.set(
+        title="Size of blocks (numbers: ties)", xlabel="block, cells", ylabel="error of the pose, px", ylim=(0.0, None)
+    )
     middle.set(title="Blocks that fail", xlabel="block, cells", ylabel="%", ylim=(0.0, None))
-    right.set(title="Number of ties", xlabel="ties", ylabel="RMS of fixes, m", xscale="log", ylim=(0.0, None))
+    right.set(title="Number of ties", xlabel="ties", ylabel="error of the pose, px", xscale="log", ylim=(0.0, None))
     figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=2, loc="outside lower center")
 
 
 def _whiskers(ax: Axes, at: Sequence[float], rows: Sequence[Dense], colour: str, label: str) -> None:
-    rms, half = [one.spread.rms or np.nan for one in rows], [one.half for one in rows]
-    ax.errorbar(at, rms, yerr=half, fmt="o-", color=colour, capsize=3, label=label)
+    pose, half = [one.pose for one in rows], [one.half for one in rows]
+    ax.errorbar(at, pose, yerr=half, fmt="o-", color=colour, capsize=3, label=label)
 
 
 def draw_frames(found: Sequence[Frame], figure: Figure) -> None:

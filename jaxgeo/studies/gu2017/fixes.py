@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxgeo._numerics import safe_sqrt
 from jaxgeo.register import Registration
 from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.studies.gu2017.scene import Imaged, points_seen
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
@@ -89,6 +90,17 @@ def truth(im: Imaged) -> Float[np.ndarray, "n 3"] | None:
     return points_seen(im.sensor, im.true, im.ground, lattice(im.sensor))
 
 
+def pose_error(im: Imaged, sensor: Sensor, shot: Shot) -> float:
+    """Root mean square distance in px between the pixels of the lattice and where a shot has what they truly see: what
+    the pose alone is off, whatever the elevation model. NaN where the truth is not known."""
+    true = truth(im)
+    if true is None:
+        return float("nan")
+    known, uv = np.isfinite(true[:, 0]), lattice(im.sensor)
+    there = np.asarray(_imaged(*alike((sensor, shot)), jnp.asarray(np.where(known[:, None], true, true[known][0]))))
+    return float(np.sqrt(np.mean(np.sum((there - uv)[known] ** 2, axis=1))))
+
+
 def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
     """How far off fixes are, over the pixels that have one."""
     known = np.isfinite(fixes.cov).all(axis=(1, 2))
@@ -129,3 +141,8 @@ def _fixed(
         return jnp.asarray(found.fix.ecef), found.cov_enu[:2, :2], found.aim.R_ecef_from_enu
 
     return jax.vmap(one)(uv)
+
+
+@eqx.filter_jit
+def _imaged(sensor: Sensor, shot: Shot, points: Any) -> jax.Array:
+    return jax.vmap(lambda p: image_of_point(sensor, shot, jnp.asarray(0.0), p, None)[0])(points)

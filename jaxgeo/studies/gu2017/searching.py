@@ -46,9 +46,10 @@ class Sought(NamedTuple):
 SCENES = (
     Sought("plain", 10.0, 0.05, 100),  # the navigations of the paper's first two rows; some 16 blocks
     Sought("plain, far off", 50.0, 0.5, 100),
+    Sought("small, far off", 50.0, 0.5, 40),
     Sought("repeated", 10.0, 0.05, 64, 4.0, 0.0, LOOSE, period=24, share=0.97),
     Sought("repeated, far off", 50.0, 0.5, 64, 4.0, 0.0, LOOSE, period=24, share=0.97),
-    Sought("noisy, small blocks", 10.0, 0.05, 64, 10.0, 0.0, LOOSE),
+    Sought("noisy", 10.0, 0.05, 64, 25.0, 0.0, LOOSE),
 )
 CONSTRAINED, WHOLE = "3 sigma", "unconstrained"
 

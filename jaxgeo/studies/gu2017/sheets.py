@@ -125,13 +125,15 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
     rows: list[list[Cell]] = []
     for one in found:
         case: list[Cell] = [one.noise, one.size, one.trials, one.blocks, one.failed, one.ties, one.registration]
-        rows.append([*case, one.half, *_spread(one.spread)])
+        rows.append([*case, one.pose, one.half, *_spread(one.spread)])
     columns = {"noise": "g", "block": "d", "trials": "d", "blocks": ".1f", "failed": ".1%", "ties": ".1f"}
-    columns |= {"registration": ".2f", "±": ".2f"} | SPREAD
+    columns |= {"registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
     note = (
         f"An image of {WIDTH} x {HEIGHT} px on cells of {FINE_CELL:g} m; blocks in cells; noise in parts of the "
         "image's own spread. m in plan, over trials with other noise, light, elevation model and pose, which is off by "
-        f"{LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified; ± is half the 95 % interval of the RMS. "
+        f"{LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified; pose: how far off "
+        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval. RMS and CE90 of "
+        "fixes are mostly of the height of each pixel's own ground. "
         "failed: without a candidate, or the best one wrong. The paper: the more blocks the better, and about "
         f"{printed.BLOCK} px a side, as smaller ones fail. registration: what the residuals of ties come to beside the "
         "terrain's heights."
@@ -142,9 +144,9 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
 def ties_sheet(found: Sequence[Dense]) -> Sheet:
     """Numbers of ties."""
     rows: list[list[Cell]] = [
-        [int(one.ties), one.trials, one.registration, one.half, *_spread(one.spread)] for one in found
+        [int(one.ties), one.trials, one.registration, one.pose, one.half, *_spread(one.spread)] for one in found
     ]
-    columns = {"ties": "d", "trials": "d", "registration": ".2f", "±": ".2f"} | SPREAD
+    columns = {"ties": "d", "trials": "d", "registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
     note = f"Ties drawn from those of the smallest blocks, {SUBSETS} times in each trial; m in plan, as above."
     return Sheet("ties", "Number of ties (section 2.3)", columns, rows, note)
 
@@ -166,14 +168,14 @@ def searches_sheet(found: Sequence[Searched]) -> Sheet:
     scenes = dict.fromkeys(one.sought for one in found)
     told = "; ".join(
         f"{one.name}: navigation {one.position:g} m, {one.attitude_deg:g} deg, noise {one.noise:g} of the image's own "
-        f"spread, candidates from {one.above_chance:g} times chance on and up to {one.largest_sigma:g} cells of sigma"
+        f"spread, candidates from {one.above_chance:g} times chance on and of {one.largest_sigma:g} cells of sigma"
         + (f", texture that repeats every {one.period} cells in {one.share:.0%} of its variance" if one.period else "")
         for one in scenes
     )
     note = (
         f"{told}. Blocks of so many cells of {CELL:g} m on the map, as the paper compares them, the image of {WIDTH} x "
         f"{HEIGHT} px rectified once from the navigation; all counts are sums over draws of noise, light, errors of "
-        f"the navigation and of the elevation model. unconstrained: {FAR:g} cells to all sides. within: the true shift is "
+        f"the navigation and of the elevation model. unconstrained: {FAR:g} cells around. within: the true shift is "
         "within the constraint. Wrong: farther than 3 cells from the median of the true shifts over the block. best: a "
         "block's best candidate, before any choice; then how many each choice takes, how many of these are wrong, and "
         f"in how many draws it is useless: more than {SPOILT:.0%} of its blocks wrong, or fewer than 3."
