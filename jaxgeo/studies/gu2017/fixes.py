@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from jaxgeo.studies.gu2017.scene import Imaged, points_seen
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
+
+Tree = TypeVar("Tree")
 
 ACROSS, DOWN = 6, 4  # pixels of the lattice
 GRAZING = 3.0
@@ -66,7 +68,7 @@ def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = No
     return Fixes(*(np.asarray(x) for x in _fixed(*given)))
 
 
-def alike(tree: Any) -> Any:
+def alike(tree: Tree) -> Tree:
     """The same numbers as arrays of one type, by which JAX tells programs apart: one serves wherever they come from."""
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)) if eqx.is_inexact_array_like(x) else x, tree)
 

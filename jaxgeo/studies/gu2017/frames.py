@@ -184,6 +184,7 @@ def _off(im: Imaged, frame: _Flown, shot: Any, cov: Any) -> list[float]:
     fixes = fixes_of(of_frame, shot, cov)
     pixels = lattice(of_frame.sensor)
     near = int(np.argmin(np.linalg.norm(pixels - np.mean(pixels, axis=0), axis=1)))
+    assert im.ground is not None
     off = fixes.off(points_seen(*alike((of_frame.sensor, frame.true)), im.ground, pixels))[near]
     sigma = float(np.sqrt(np.trace(np.asarray(cov)[:3, :3])))
     return [

@@ -16,7 +16,7 @@ from jaxgeo.studies.gu2017.scene import Imaged, in_fine_cells, made
 from jaxgeo.studies.gu2017.searching import Searched, searches
 from jaxgeo.studies.sheet import Sheet, write_sheets
 
-TRIALS = 4  # of blocks, with other noise, light, elevation model and pose
+TRIALS = 3  # of blocks, with other noise, light, elevation model and pose
 
 
 @dataclass(frozen=True)

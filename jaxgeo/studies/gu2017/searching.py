@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -140,7 +140,7 @@ def _searched(here: Mapped, sought: Sought, name: str, cov: np.ndarray) -> Searc
 def _summed(rows: Sequence[Searched]) -> Searched:
     """All draws together."""
     names = ("draws", "blocks", "cells", "candidates", "inside", "best_wrong")
-    totals = {name: sum(getattr(row, name) for row in rows) for name in names}
+    totals: dict[str, Any] = {name: sum(getattr(row, name) for row in rows) for name in names}
     later = rows[1:] if len(rows) > 1 else rows
     totals["seconds"] = float(np.mean([row.seconds for row in later]))
     totals["chosen"] = {
