@@ -30,7 +30,7 @@ SETTLED = {
     "Table 1, steady": Verdict.reproduced,
     "Table 1, bad terrain and registration": Verdict.reproduced,
     "Abstract": Verdict.reproduced,
-    "Section 2.4": Verdict.explained,
+    "Section 2.4": Verdict.reproduced,
     "Fig. 5, factor": Verdict.explained,
     "Fig. 5, probability": Verdict.explained,
     "Section 2.2, 3 sigma": Verdict.explained,

@@ -38,10 +38,10 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
         table = pool.submit(accuracy)
         im = made(seed) if image is None else image
         in_turn = pool.submit(frames, im, seed=seed)
+        sought = pool.submit(searches, im, seed)
         done = flow(im, seed=seed)
         whole, fewer = ([], []) if im.sight is None else by_size(in_fine_cells(im, seed), range(seed, seed + TRIALS))
-        sought = searches(im, seed)
-        return Report(im, table.result(), done, whole, fewer, sought, in_turn.result())
+        return Report(im, table.result(), done, whole, fewer, sought.result(), in_turn.result())
 
 
 def sheets_of(report: Report) -> list[Sheet]:
