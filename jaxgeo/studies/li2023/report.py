@@ -12,6 +12,8 @@ from jaxgeo.studies.li2023 import printed, sheets
 from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import Accuracy, over_fractal_ground, over_level_ground
+from jaxgeo.studies.li2023.search_sheets import search_sheets
+from jaxgeo.studies.li2023.searches import RAYS, TERRAINS, Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
 from jaxgeo.studies.sheet import Sheet, write_sheets
@@ -31,12 +33,16 @@ class Report:
     targets: list[Target]
     positions: list[Accuracy]
     tilts: list[Tilt]
+    searches: Comparison
 
 
-def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Report:
+def run(
+    *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
+) -> Report:
     """The study, with so many samples for each row of a table; on made-up terrain they are shared among its places.
+    The searches run over so many terrains of each kind with so many rays each.
 
-    Raises `ValueError` for a number of samples or places that is not positive.
+    Raises `ValueError` for a number of samples or places that is not positive, and as `compare_searches`.
     """
     for name, number, least in (("samples", samples, 2), ("places", places, 1)):
         if number < least:
@@ -56,6 +62,7 @@ def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Repor
             *over_fractal_ground(samples=-(-samples // places), key=keys[3], places=places),
         ],
         tilts=implied_tilts(),
+        searches=compare_searches(terrains=terrains, rays=rays, seed=seed),
     )
 
 
@@ -68,6 +75,7 @@ def sheets_of(report: Report) -> list[Sheet]:
         sheets.positions_sheet(report.positions),
         sheets.circles_sheet(report.positions),
         sheets.tilts_sheet(report.tilts),
+        *search_sheets(report.searches),
     ]
 
 
