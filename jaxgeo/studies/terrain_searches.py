@@ -184,12 +184,14 @@ def study(scene: Scene, searches: dict[str, AbstractSearch] | None = None, *, re
 
 @dataclass(frozen=True)
 class Found:
-    """One search over a batch of rays: for each its evaluations, its `Outcome` code and its range in m (of a search of
-    the literature that did not converge the last one, of others NaN without a hit); and the time in us per ray."""
+    """One search over a batch of rays: for each its evaluations, its `Outcome` code, its range in m (of a search of the
+    literature that did not converge the last one, of others NaN without a hit) and the height of its point above the
+    ground in m (of searches of the literature, else NaN); and the time in us per ray."""
 
     evaluations: np.ndarray
     outcomes: np.ndarray
     distance: np.ndarray
+    clearance: np.ndarray
     us_per_ray: float
 
 
@@ -219,7 +221,7 @@ class Over:
             go = functools.partial(run_from, self.begun, self.dem, search)
             run = go()
             codes, distance = outcomes(run, self.first), np.asarray(run.distance)
-            evaluations = np.asarray(run.evaluations)
+            evaluations, clearance = np.asarray(run.evaluations), np.asarray(run.clearance)
         else:
             go = functools.partial(located, self.rays, self.dem, search)
             distance = np.asarray(go()[0])
@@ -230,8 +232,8 @@ class Over:
                 if is_bisection
                 else first_hit_evaluations(self.rays, self.dem, self.first)
             )
-            evaluations = np.asarray(asked)
-        return Found(evaluations, codes, distance, _median_seconds(go, repeats) * 1e6 / self.first.size)
+            evaluations, clearance = np.asarray(asked), np.full(distance.shape, np.nan)
+        return Found(evaluations, codes, distance, clearance, _median_seconds(go, repeats) * 1e6 / self.first.size)
 
 
 def outcomes(run: Run, first: np.ndarray, tolerance: float = SAME_CROSSING) -> np.ndarray:

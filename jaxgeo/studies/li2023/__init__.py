@@ -7,12 +7,15 @@ from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
 from jaxgeo.studies.li2023.positions import Accuracy, Judged, over_fractal_ground, over_level_ground, over_real_ground
 from jaxgeo.studies.li2023.report import Report, run, sheets_of, write_pictures, write_tables
+from jaxgeo.studies.li2023.search_claims import plane_claims, search_claims
+from jaxgeo.studies.li2023.searches import Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
 
 __all__ = [
     "Accuracy",
     "Cause",
+    "Comparison",
     "Inclination",
     "Judged",
     "Pointing",
@@ -21,13 +24,16 @@ __all__ = [
     "Tilt",
     "causes",
     "claims_of",
+    "compare_searches",
     "fig_5",
     "implied_tilts",
     "over_fractal_ground",
     "over_level_ground",
     "over_real_ground",
+    "plane_claims",
     "pointing_errors",
     "run",
+    "search_claims",
     "sheets_of",
     "table_2",
     "write_pictures",

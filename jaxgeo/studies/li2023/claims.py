@@ -15,6 +15,7 @@ from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.equations import PAPER, angle_deg, equations, sight_ned
 from jaxgeo.studies.li2023.misprints import one_digit
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
+from jaxgeo.studies.li2023.search_claims import plane_claims, search_claims
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.li2023.tilts import printed_rms
 from jaxgeo.studies.scenes import profile_dem, profile_ray
@@ -53,6 +54,8 @@ def claims_of(report: Report) -> list[Claim]:
         *_figures(report),
         *_section_5_1(report),
         *_conclusions(report),
+        *plane_claims(),
+        *search_claims(report.searches),
     ]
 
 

@@ -21,6 +21,8 @@ from jaxgeo.studies.li2023.positions import (
     over_level_ground,
     over_real_ground,
 )
+from jaxgeo.studies.li2023.search_sheets import search_sheets
+from jaxgeo.studies.li2023.searches import RAYS, TERRAINS, Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
 from jaxgeo.studies.sheet import Sheet, write_sheets
@@ -42,13 +44,17 @@ class Report:
     judged: list[Judged]
     tilts: list[Tilt]
     causes: list[Cause]
+    searches: Comparison
 
 
-def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Report:
+def run(
+    *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
+) -> Report:
     """The study, with so many samples for each row of a table; on made-up and real terrain they are shared among its
-    places. All that is random is drawn from `seed`: samples, terrains, and places.
+    places. The searches run over so many terrains of each kind with so many rays each. All that is random is drawn from
+    `seed`: samples, terrains, places and rays.
 
-    Raises `ValueError` for a number of samples or places that is not positive.
+    Raises `ValueError` for a number of samples or places that is not positive, and as `compare_searches`.
     """
     for name, number, least in (("samples", samples, 2), ("places", places, 1)):
         if number < least:
@@ -70,6 +76,7 @@ def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Repor
         judged=[*judged, *real_judged],
         tilts=implied_tilts(),
         causes=causes(),
+        searches=compare_searches(terrains=terrains, rays=rays, seed=seed),
     )
 
 
@@ -86,6 +93,7 @@ def sheets_of(report: Report) -> list[Sheet]:
         sheets.judged_sheet(report.judged),
         sheets.causes_sheet(report.causes),
         sheets.tilts_sheet(report.tilts),
+        *search_sheets(report.searches),
         claims_sheet(claims_of(report)),
     ]
 

@@ -1,4 +1,4 @@
-"""Section 3, section 4 and Table 4: the searches side by side over many terrains, and what would give the printed table.
+"""Sections 3 and 4 and Table 4: the searches side by side over many terrains, and what would give the printed table.
 
 The tiles of the paper were never published, nor K and M of the segmented search, the size of the target's area, or what
 a "time" holds. Terrains are made up (see `make_scene`), at the depressions of Table 2, and redrawn with every seed.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from jaxgeo.studies.scenes import Scene, make_scene
-from jaxgeo.studies.terrain_searches import PRINTED_MS, SAME_CROSSING, Found, Over, outcomes_of_ranges
+from jaxgeo.studies.terrain_searches import PRINTED_MS, Found, Over, outcomes_of_ranges
 from jaxgeo.terrain import (
     AbstractSearch,
     AbstractStudiedSearch,
@@ -50,6 +50,12 @@ SEARCHES: dict[str, AbstractSearch] = {
     "first hit": FirstHit(),
 }
 IN_PRINT = ("exhaustive", "improved", "segmented", "fast")  # the columns of Table 4
+FREE_MOUNTAIN = "nearest of all, mountain alone"
+FREE = "nearest of all"
+FREE_AND_CONSTANT = "nearest of all, with a constant"
+SINGLE = "nearest single rays"
+SINGLE_AND_CONSTANT = "nearest single rays, with a constant"
+OTHER_SLOPE = (Outcome.farther_hit, Outcome.nearer_hit)
 NOT_CONVERGED = (Outcome.cycled, Outcome.diverged, Outcome.failed)
 
 
@@ -75,6 +81,7 @@ MOUNTAINS = {
     "posts 60 m apart": KINDS["mountain"]._replace(spacing=60.0),
 }
 EPSILONS = (0.2, 0.5, 1.0, 2.0)  # m; 2 m is a tenth of the DEM's 20 m
+CONSTANTS = (0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0)  # evaluations
 STEPS = (3, 4, 5, 6, 8)  # K
 SEGMENTS = (4, 10, 16, 32)  # M
 LIMITS = (20, 100, 400, 1000)  # of the improved search
@@ -126,6 +133,15 @@ class Choice:
         logs = [np.log(_off(self.ratios(kind), kind)) for kind in (self.costs if kinds is None else kinds)]
         return float(np.exp(np.sqrt(np.mean(np.square(logs)))))
 
+    def gives_print(self, kinds: Iterable[str] | None = None) -> bool:
+        """Whether every ratio of these kinds is near enough to the printed one."""
+        return self.farthest(kinds) <= GIVES_PRINT
+
+    def distance_of_times(self) -> float:
+        """The same of all printed times about the one factor that suits them best: from terrain to terrain too."""
+        logs = [np.log(np.array(costs) / printed_times(kind)) for kind, costs in self.costs.items()]
+        return float(np.exp(np.std(np.concatenate(logs))))
+
 
 def _off(ratios: Sequence[float], kind: str) -> np.ndarray:
     return np.exp(np.abs(np.log(np.array(ratios) / printed_ratios(kind))))
@@ -133,8 +149,13 @@ def _off(ratios: Sequence[float], kind: str) -> np.ndarray:
 
 def printed_ratios(kind: str) -> tuple[float, ...]:
     """Times of Table 4 of exhaustive, improved and segmented search over those of the fast one."""
-    *others, fast = (PRINTED_MS[kind][name] for name in IN_PRINT)
+    *others, fast = printed_times(kind)
     return tuple(ms / fast for ms in others)
+
+
+def printed_times(kind: str) -> tuple[float, ...]:
+    """Times of Table 4 in ms of exhaustive, improved, segmented and fast search."""
+    return tuple(float(PRINTED_MS[kind][name]) for name in IN_PRINT)
 
 
 @dataclass(frozen=True)
@@ -179,10 +200,15 @@ class Comparison:
         is_beyond = evaluations > 1 + 2 * steps
         return float(is_beyond.mean()), float(evaluations[is_beyond].sum() / evaluations.sum())
 
-    @property
-    def best(self) -> Choice:
-        """Of all choices that were tried on every kind of terrain, the one nearest to the print."""
-        return min((one for one in self.choices if len(one.costs) == len(KINDS)), key=Choice.distance)
+    def single_savings(self, kind: str) -> np.ndarray:
+        """The share of evaluations that the fast search saves against the segmented one, of every single ray."""
+        segmented, fast = (self.evaluations(kind, name) for name in ("segmented", "fast"))
+        return 1.0 - fast / segmented
+
+    def nearest(self, group: str) -> Choice:
+        """Of the choices of a group that were tried on every kind of terrain, the one nearest to the printed ratios."""
+        of_all = [one for one in self.choices if one.group == group and len(one.costs) == len(KINDS)]
+        return min(of_all, key=Choice.distance)
 
     def _by_terrain(self, kind: str, search: str, by: Callable[[np.ndarray], float]) -> list[float]:
         return [float(by(one.found.evaluations)) for one in self.of(kind, search)]
@@ -233,16 +259,16 @@ def compare_searches(*, terrains: int = TERRAINS, rays: int = RAYS, seed: int = 
                 for name, search in SEARCHES.items()
             }
             # Beside itself the first hit is always right: it is held against the exhaustive search.
-            tried = np.where(found["exhaustive"].outcomes >= Outcome.cycled, np.nan, found["exhaustive"].distance)
-            first = found["first hit"]
-            codes = outcomes_of_ranges(first.distance[:few], tried)
+            exhaustive, first = found["exhaustive"], found["first hit"]
+            there = np.where(exhaustive.outcomes >= Outcome.cycled, np.nan, exhaustive.distance)
+            codes = outcomes_of_ranges(first.distance[:few], there)
             found["first hit"] = replace(first, outcomes=codes)
             agrees.append(float(np.mean(codes == Outcome.first_hit)))
             trials += [Trial(kind, one, name, what) for name, what in found.items()]
         agreement[kind] = interval(np.mean, agrees)
     segmented = _savings_by_segments(over["mountain"])
-    tried = {kind: begun[:TUNED] for kind, begun in over.items()}
-    choices = [*choices_of_methods(tried, few), *choices_of_terrain(seeds[:TUNED], rays, size)]
+    tried = {kind: [one.fewer(few) for one in begun[:TUNED]] for kind, begun in over.items()}
+    choices = [*choices_of_methods(tried), *choices_of_terrain(seeds[:TUNED], rays, size)]
     return Comparison(trials, agreement, segmented, choices, rays)
 
 
@@ -303,72 +329,100 @@ def _at(search: AbstractStudiedSearch, eps: float) -> AbstractStudiedSearch:
 STATISTICS: dict[str, Callable[[np.ndarray], float]] = {"mean": np.mean, "median": np.median, "maximum": np.max}
 
 
-def choices_of_methods(over: dict[str, Sequence[Over]], few: int) -> list[Choice]:
-    """The choices of the methods: each alone beside the standard ones, and the best of all of them together.
+Asked = dict[str, np.ndarray]  # by column of Table 4: evaluations (variants, rays)
 
-    Costs are evaluations; `few` rays of each terrain stand for all where the exhaustive search runs.
-    """
-    asked: dict[tuple[float, str, str], dict[str, np.ndarray]] = {}
-    fewer = {kind: [one.fewer(few) for one in begun] for kind, begun in over.items()}
-    for eps, (method, tried) in itertools.product(EPSILONS, variants().items()):
-        # Heights are most of the exhaustive search's time, and few rays say how many they are.
-        on = fewer if method == "exhaustive" or eps != EPS else over
-        for name, search in tried.items():
-            asked[eps, method, name] = {
-                kind: np.concatenate([one.find(_at(search, eps)).evaluations for one in begun])
-                for kind, begun in on.items()
-            }
-    standard = {method: next(iter(tried)) for method, tried in variants().items()}
+
+def choices_of_methods(over: Mapping[str, Sequence[Over]]) -> list[Choice]:
+    """The choices of the methods: each alone beside the standard ones, and the nearest to the print of all together, by
+    evaluations over many rays, with a constant that every time holds, and of one single ray of each terrain."""
+    names = {method: list(tried) for method, tried in variants().items()}
+    standard = {method: tried[0] for method, tried in names.items()}
     standard |= {"improved": "secant, at most 100 steps", "segmented": "K = 6, M = 16"}
+    asked = {eps: {kind: _ask(begun, eps) for kind, begun in over.items()} for eps in EPSILONS}
 
     def choice(group: str, name: str, chosen: dict[str, str], eps: float = EPS, statistic: str = "mean") -> Choice:
-        of = STATISTICS[statistic]
-        costs = {
-            kind: tuple(float(of(asked[eps, method, chosen[method]][kind])) for method in IN_PRINT) for kind in over
-        }
+        of, rows = STATISTICS[statistic], [(method, names[method].index(chosen[method])) for method in IN_PRINT]
+        costs = {kind: tuple(float(of(found[method][i])) for method, i in rows) for kind, found in asked[eps].items()}
         return Choice(group, name, costs)
 
-    choices = [choice("as in the searches' sheet", "mean evaluations, eps 0.2 m", standard)]
-    choices += [choice("counted", f"{name} of a ray's evaluations", standard, EPS, name) for name in STATISTICS][1:]
-    choices += [choice("eps", f"{eps} m", standard, eps) for eps in EPSILONS[1:]]
-    choices += [
-        choice(method, name, standard | {method: name})
+    return [
+        choice("standard", "mean of evaluations, eps 0.2 m", standard),
+        *(choice("counted", f"{name} of evaluations", standard, EPS, name) for name in list(STATISTICS)[1:]),
+        *(choice("eps", f"{eps} m", standard, eps) for eps in EPSILONS[1:]),
+        *(
+            choice(method, name, standard | {method: name})
+            for method, tried in names.items()
+            for name in tried
+            if name != standard[method]
+        ),
+        *_nearest_of_all(asked, names),
+    ]
+
+
+def _ask(over: Sequence[Over], eps: float) -> Asked:
+    """Evaluations of every variant of every search of Table 4 for the rays over some terrains, one after the other."""
+    return {
+        method: np.stack(
+            [
+                np.concatenate([one.find(_at(search, eps)).evaluations for one in over]).astype(float)
+                for search in tried.values()
+            ]
+        )
         for method, tried in variants().items()
-        for name in tried
-        if name != standard[method]
-    ]
-    combined = [
-        (dict(zip(variants(), names, strict=True)), eps, statistic)
-        for names in itertools.product(*variants().values())
-        for eps in EPSILONS
-        for statistic in ("mean", "median")
-    ]
-    made = [(choice("", "", *one), one) for one in combined]
-    for group, kinds in (("best of all on mountains", ("mountain",)), ("best of all on the three", tuple(over))):
-        best, (chosen, eps, statistic) = min(made, key=lambda one: one[0].distance(kinds))
-        text = "; ".join(f"{method}: {name}" for method, name in chosen.items())
-        choices.append(replace(best, group=group, name=f"{statistic}, eps {eps} m; {text}"))
-    choices.append(_with_overhead(made))
+    }
+
+
+def _nearest_of_all(asked: dict[float, dict[str, Asked]], names: dict[str, list[str]]) -> list[Choice]:
+    """Of every combination the ones nearest to the printed ratios: by means or medians of many rays and by single rays,
+    without and with a constant that all times hold."""
+    choices = []
+    none = CONSTANTS[:1]
+    for group, kinds, constants, is_single in (
+        (FREE_MOUNTAIN, ["mountain"], none, False),
+        (FREE, list(KINDS), none, False),
+        (FREE_AND_CONSTANT, list(KINDS), CONSTANTS, False),
+        (SINGLE, list(KINDS), none, True),
+        (SINGLE_AND_CONSTANT, list(KINDS), CONSTANTS, True),
+    ):
+        found = []
+        statistics = ["of one ray"] if is_single else ["mean", "median"]
+        for eps, constant, statistic in itertools.product(asked, constants, statistics):
+            costs = {kind: _costs(asked[eps][kind], constant, None if is_single else statistic) for kind in KINDS}
+            distance, chosen, rays = _nearest({kind: costs[kind] for kind in kinds})
+            of = {kind: tuple(float(costs[kind][m][chosen[m], rays.get(kind, 0)]) for m in IN_PRINT) for kind in KINDS}
+            text = "; ".join(f"{method}: {names[method][i]}" for method, i in chosen.items())
+            held = f"a constant worth {constant:.0f} evaluations, " if constant else ""
+            found.append((distance, Choice(group, f"{held}{statistic}, eps {eps} m; {text}", of)))
+        choices.append(min(found, key=lambda one: one[0])[1])
     return choices
 
 
-def _with_overhead(made: list[tuple[Choice, tuple[dict[str, str], float, str]]]) -> Choice:
-    """The choice nearest to the print if each time also holds a constant that no search has a part in."""
-    constants = np.concatenate([[0.0], np.geomspace(1.0, 3000.0, 40)])
+def _costs(asked: Asked, constant: float, statistic: str | None) -> Asked:
+    """Evaluations and a constant, of every ray or a statistic of all rays as if of one."""
+    if statistic is None:
+        return {method: found + constant for method, found in asked.items()}
+    of = STATISTICS[statistic]
+    return {method: np.array([[of(x)] for x in found]) + constant for method, found in asked.items()}
 
-    def added(choice: Choice, constant: float) -> Choice:
-        return replace(choice, costs={kind: tuple(x + constant for x in xs) for kind, xs in choice.costs.items()})
 
-    kinds = list(made[0][0].costs)
-    printed = np.log([printed_ratios(kind) for kind in kinds])
-    costs = np.array([[choice.costs[kind] for kind in kinds] for choice, _ in made])  # (choices, kinds, searches)
-    whole = costs[None] + constants[:, None, None, None]
-    off = np.square(np.log(whole[..., :3] / whole[..., 3:]) - printed).mean(axis=(-1, -2))
-    i, j = np.unravel_index(off.argmin(), off.shape)
-    choice, (chosen, eps, statistic) = made[j]
-    text = "; ".join(f"{method}: {name}" for method, name in chosen.items())
-    name = f"a constant worth {constants[i]:.0f} evaluations; {statistic}, eps {eps} m; {text}"
-    return replace(added(choice, float(constants[i])), group="best of all on the three", name=name)
+def _nearest(costs: dict[str, Asked]) -> tuple[float, dict[str, int], dict[str, int]]:
+    """The variants of every search, the same for all kinds, and the ray of each kind, with which the ratios are nearest
+    to the print: the sum of the squared logarithms, the variants, the rays."""
+    found = []
+    logs = {kind: {method: np.log(x) for method, x in of.items()} for kind, of in costs.items()}
+    for fast in range(len(next(iter(costs.values()))["fast"])):
+        off = {}
+        for kind, of in logs.items():
+            apart = [
+                np.square(of[method] - of["fast"][fast] - math.log(ratio))
+                for method, ratio in zip(IN_PRINT, printed_ratios(kind), strict=False)
+            ]
+            off[kind] = apart[0][:, None, None] + apart[1][None, :, None] + apart[2][None, None, :]
+        total = np.sum([x.min(axis=-1) for x in off.values()], axis=0)
+        at = tuple(int(i) for i in np.unravel_index(total.argmin(), total.shape))
+        rays = {kind: int(x[at].argmin()) for kind, x in off.items()}
+        found.append((float(total[at]), dict(zip(IN_PRINT, (*at, fast), strict=True)), rays))
+    return min(found, key=lambda one: one[0])
 
 
 def choices_of_terrain(seeds: Sequence[int], rays: int, size: int) -> list[Choice]:
@@ -379,8 +433,3 @@ def choices_of_terrain(seeds: Sequence[int], rays: int, size: int) -> list[Choic
         asked = [np.concatenate([one.find(SEARCHES[method]).evaluations for one in over]) for method in IN_PRINT]
         choices.append(Choice("terrain", name, {"mountain": tuple(float(x.mean()) for x in asked)}))
     return choices
-
-
-def is_crossing(distance: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Whether ranges in m are of the same crossing."""
-    return np.abs(distance - first) <= SAME_CROSSING
