@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from jaxgeo.studies.li2023.searches import (
+    EPSILONS,
     FREE,
     FREE_AND_CONSTANT,
     GIVES_PRINT,
@@ -21,6 +24,7 @@ from jaxgeo.studies.li2023.searches import (
     Comparison,
     Interval,
     printed_ratios,
+    variants,
 )
 from jaxgeo.studies.sheet import Cell, Sheet
 from jaxgeo.studies.terrain_searches import PRINTED_MS
@@ -169,15 +173,17 @@ def settings_sheet(found: Comparison) -> Sheet:
 def settings_note(found: Comparison) -> str:
     """Whether any choice gives the print, and how near the nearest come."""
     free, held, single, single_held = (found.nearest(g) for g in (FREE, FREE_AND_CONSTANT, SINGLE, SINGLE_AND_CONSTANT))
+    together = math.prod(len(tried) for tried in variants().values()) * len(EPSILONS) * 2
     return (
         f"Off: the typical factor between ratios and printed ones, on mountains (printed {_ratios('mountain')}), on "
         f"all three kinds, and of all times about one common factor. Costs are evaluations over {TUNED} terrains "
-        f"of each kind. {settings_verdict(found)} With everything left open chosen to suit, the means or medians of "
-        f"many rays are off by a factor {free.distance():.2f}, at worst {free.farthest():.2f}, and if all times hold a "
-        f"constant besides, by {held.distance():.2f}, at worst {held.farthest():.2f}. If one ray may be picked for each terrain "
-        f"as well, by {single.distance():.2f} ({single.farthest():.2f}) without and {single_held.distance():.2f} "
-        f"({single_held.farthest():.2f}) with a constant: single targets, picked to suit, show nothing, and even they "
-        f"leave the times from terrain to terrain off by {single_held.distance_of_times():.2f}."
+        f"of each kind. {settings_verdict(found)} With everything left open chosen to suit, of {together} combinations, "
+        f"the means or medians of many rays are off by a factor {free.distance():.2f}, at worst {free.farthest():.2f}, "
+        f"and if all times hold a constant besides, by {held.distance():.2f}, at worst {held.farthest():.2f}. If one "
+        f"ray may be picked for each terrain as well, by {single.distance():.2f} ({single.farthest():.2f}) without and "
+        f"{single_held.distance():.2f} ({single_held.farthest():.2f}) with a constant: single targets, picked to suit, "
+        f"show nothing, and even they leave the times from terrain to terrain off by "
+        f"{single_held.distance_of_times():.2f}."
     )
 
 
