@@ -177,9 +177,9 @@ def settings_note(found: Comparison) -> str:
     return (
         f"Off: the typical factor between ratios and printed ones, on mountains (printed {_ratios('mountain')}), on "
         f"all three kinds, and of all times about one common factor. Costs are evaluations over {TUNED} terrains "
-        f"of each kind. {settings_verdict(found)} With everything left open chosen to suit, of {together} combinations, "
-        f"the means or medians of many rays are off by a factor {free.distance():.2f}, at worst {free.farthest():.2f}, "
-        f"and if all times hold a constant besides, by {held.distance():.2f}, at worst {held.farthest():.2f}. If one "
+        f"of each kind. {settings_verdict(found)} With everything left open chosen to suit, of {together} "
+        f"combinations, the means or medians of many rays are off by a factor {free.distance():.2f}, at worst "
+        f"{free.farthest():.2f}, and if all times hold a constant besides, by {held.distance():.2f}, at worst {held.farthest():.2f}. If one "
         f"ray may be picked for each terrain as well, by {single.distance():.2f} ({single.farthest():.2f}) without and "
         f"{single_held.distance():.2f} ({single_held.farthest():.2f}) with a constant: single targets, picked to suit, "
         f"show nothing, and even they leave the times from terrain to terrain off by "
