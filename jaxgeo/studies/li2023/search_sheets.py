@@ -179,11 +179,11 @@ def settings_note(found: Comparison) -> str:
         f"all three kinds, and of all times about one common factor. Costs are evaluations over {TUNED} terrains "
         f"of each kind. {settings_verdict(found)} With everything left open chosen to suit, of {together} "
         f"combinations, the means or medians of many rays are off by a factor {free.distance():.2f}, at worst "
-        f"{free.farthest():.2f}, and if all times hold a constant besides, by {held.distance():.2f}, at worst {held.farthest():.2f}. If one "
-        f"ray may be picked for each terrain as well, by {single.distance():.2f} ({single.farthest():.2f}) without and "
-        f"{single_held.distance():.2f} ({single_held.farthest():.2f}) with a constant: single targets, picked to suit, "
-        f"show nothing, and even they leave the times from terrain to terrain off by "
-        f"{single_held.distance_of_times():.2f}."
+        f"{free.farthest():.2f}, and if all times hold a constant besides, by {held.distance():.2f}, at worst "
+        f"{held.farthest():.2f}. If one ray may be picked for each terrain as well, by {single.distance():.2f} "
+        f"({single.farthest():.2f}) without and {single_held.distance():.2f} ({single_held.farthest():.2f}) with a "
+        f"constant: single targets, picked to suit, show nothing, and even they leave the times from terrain to "
+        f"terrain off by {single_held.distance_of_times():.2f}."
     )
 
 
