@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import functools
 import math
 import os
 from types import SimpleNamespace
@@ -239,6 +240,7 @@ def test_claims_are_complete(level, pointing) -> None:
 @pytest.mark.slow
 def test_the_command_writes_tables_and_pictures(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("XLA_FLAGS", os.environ.get("XLA_FLAGS", ""))  # the command would leave its own behind
+    monkeypatch.setattr(li2023, "run", functools.partial(li2023.run, terrains=2, rays=8))
     result = CliRunner().invoke(app, ["study", "li2023", "--output", str(tmp_path / "new"), "--samples", "2400"])
     assert result.exit_code == 0, result.output
     names = {path.name for path in (tmp_path / "new").iterdir()}

@@ -10,10 +10,10 @@ import numpy as np
 
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.li2023 import printed
+from jaxgeo.studies.li2023.claims_on_searches import search_claims
 from jaxgeo.studies.li2023.equations import PAPER, angle_deg, equations, sight_ned
 from jaxgeo.studies.li2023.misprints import one_digit
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
-from jaxgeo.studies.li2023.search_claims import search_claims
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.li2023.tilts import printed_rms
 from jaxgeo.uncertainty import presets

@@ -54,9 +54,14 @@ def run(
     places. The searches run over so many terrains of each kind with so many rays each. All that is random is drawn from
     `seed`: samples, terrains, places and rays.
 
-    Raises `ValueError` for a number of samples or places that is not positive, and as `compare_searches`.
+    Raises `ValueError` for fewer than two samples or terrains, one place or eight rays.
     """
-    for name, number, least in (("samples", samples, 2), ("places", places, 1)):
+    for name, number, least in (
+        ("samples", samples, 2),
+        ("places", places, 1),
+        ("terrains", terrains, 2),
+        ("rays", rays, 8),
+    ):
         if number < least:
             raise ValueError(f"{name} must be at least {least}; got {number}.")
     keys = jax.random.split(jax.random.key(seed), 5)

@@ -126,7 +126,7 @@ class Choice:
 
     def farthest(self, kinds: Iterable[str] | None = None) -> float:
         """The greatest factor between a ratio and the printed one, over these kinds or all that there are."""
-        return max(_off(self.ratios(kind), kind).max() for kind in (self.costs if kinds is None else kinds))
+        return max(float(_off(self.ratios(kind), kind).max()) for kind in (self.costs if kinds is None else kinds))
 
     def distance(self, kinds: Iterable[str] | None = None) -> float:
         """The factor between ratios and printed ones: the exponential of the rms of the logarithms."""
@@ -160,11 +160,9 @@ def printed_times(kind: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that is found about the searches: trials, the first hits' agreement with the exhaustive search, mean savings
-    by K and M on mountains, and the choices tried."""
+    """All that is found about the searches: trials, mean savings by K and M on mountains, and the choices tried."""
 
     trials: list[Trial]
-    agreement: dict[str, Interval]
     segmented: dict[tuple[int, int], Interval]
     choices: list[Choice]
     rays: int
@@ -214,7 +212,7 @@ class Comparison:
         return [float(by(one.found.evaluations)) for one in self.of(kind, search)]
 
 
-def interval(statistic: Callable[..., np.ndarray], *values: Sequence[float]) -> Interval:
+def interval(statistic: Callable[..., np.ndarray | np.floating], *values: Sequence[float]) -> Interval:
     """A statistic of one value for each terrain, or several in pairs, with the percentile bootstrap over terrains."""
     data = [np.asarray(one) for one in values]
     drawn = bootstrap(
@@ -230,11 +228,11 @@ def interval(statistic: Callable[..., np.ndarray], *values: Sequence[float]) -> 
     return Interval(float(statistic(*data, axis=-1)), float(low), float(high), float(drawn.standard_error))
 
 
-def _quotient(above: np.ndarray, below: np.ndarray, axis: int = -1) -> np.ndarray:
+def _quotient(above: np.ndarray, below: np.ndarray, axis: int = -1) -> np.ndarray | np.floating:
     return np.mean(above, axis=axis) / np.mean(below, axis=axis)
 
 
-def _saving(segmented: np.ndarray, fast: np.ndarray, axis: int = -1) -> np.ndarray:
+def _saving(segmented: np.ndarray, fast: np.ndarray, axis: int = -1) -> np.ndarray | np.floating:
     return 1.0 - _quotient(fast, segmented, axis=axis)
 
 
@@ -250,9 +248,8 @@ def compare_searches(*, terrains: int = TERRAINS, rays: int = RAYS, seed: int = 
     seeds = [int(x) for x in np.random.default_rng(seed).integers(2**31, size=terrains)]
     few = rays // 4
     over = {kind: [Over.of(_scene(kind, what, one, rays, size)) for one in seeds] for kind, what in KINDS.items()}
-    trials, agreement = [], {}
+    trials = []
     for kind, begun in over.items():
-        agrees = []
         for one, drawn in zip(seeds, begun, strict=True):
             found = {
                 name: (drawn.fewer(few) if name == "exhaustive" else drawn).find(search, repeats=1)
@@ -263,13 +260,11 @@ def compare_searches(*, terrains: int = TERRAINS, rays: int = RAYS, seed: int = 
             there = np.where(exhaustive.outcomes >= Outcome.cycled, np.nan, exhaustive.distance)
             codes = outcomes_of_ranges(first.distance[:few], there)
             found["first hit"] = replace(first, outcomes=codes)
-            agrees.append(float(np.mean(codes == Outcome.first_hit)))
             trials += [Trial(kind, one, name, what) for name, what in found.items()]
-        agreement[kind] = interval(np.mean, agrees)
     segmented = _savings_by_segments(over["mountain"])
     tried = {kind: [one.fewer(few) for one in begun[:TUNED]] for kind, begun in over.items()}
     choices = [*choices_of_methods(tried), *choices_of_terrain(seeds[:TUNED], rays, size)]
-    return Comparison(trials, agreement, segmented, choices, rays)
+    return Comparison(trials, segmented, choices, rays)
 
 
 def _scene(name: str, kind: Kind, seed: int, rays: int, size: int) -> Scene:
