@@ -15,7 +15,7 @@ from jaxgeo.studies.li2023.equations import PAPER, angle_deg, equations, sight_n
 from jaxgeo.studies.li2023.misprints import one_digit
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
 from jaxgeo.studies.li2023.targets import metres_per_radian
-from jaxgeo.studies.li2023.tilts import printed_rms
+from jaxgeo.studies.li2023.tilts import Tilt, printed_rms
 from jaxgeo.uncertainty import presets
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def _tables(report: Report) -> Iterator[Claim]:
         unit="°",
     )
     yield from _table_2(report)
-    yield from _table_3(report)
+    yield from table_3(report.positions, report.tilts)
 
 
 def _table_2(report: Report) -> Iterator[Claim]:
@@ -100,14 +100,14 @@ def _range(row: printed.Terrain) -> float:
     return (printed.ALTITUDE - row.target[2]) / math.cos(math.radians(row.outer))
 
 
-def _table_3(report: Report) -> Iterator[Claim]:
+def table_3(positions: list[Accuracy], tilts: list[Tilt]) -> Iterator[Claim]:
     """Over level ground, and on the plane whose tilt fits best: the paper's own tile is not published."""
-    tilts = {one.terrain: one for one in report.tilts}
+    planes = {one.terrain: one for one in tilts}
     for name, row in printed.TERRAINS.items():
-        linear = _one(report.positions, name, "linear")
+        linear = _one(positions, name, "linear")
         wanted = printed_rms(row)[[1, 0, 2]]
         spread = ERRORS / math.sqrt(2.0 * printed.DRAWS)
-        tilted = tilts[name]
+        tilted = planes[name]
         yield claim(
             f"Table 3, {name}",
             "RMS of the target north, east and in height, over level ground",
