@@ -5,13 +5,13 @@ from __future__ import annotations
 import gc
 import os
 import pathlib
-import secrets
 import subprocess
 import sys
 from collections.abc import Iterator
 
 import jax
 import pytest
+from support.fuzz_seed import VARIABLE, fuzz_seed
 
 PROJECT = pathlib.Path(__file__).resolve().parents[1]
 gc.set_threshold(100_000, 20, 20)  # tracing makes and keeps so many small things that looking for cycles takes its time
@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    os.environ.setdefault("JAXGEO_FUZZ_SEED", str(secrets.randbelow(10**6) + 2))  # workers take it from here
+    os.environ[VARIABLE] = fuzz_seed(PROJECT, os.environ.get(VARIABLE))  # workers take it from here
     if "XLA_FLAGS" in os.environ:
         return
     os.environ["XLA_FLAGS"] = QUICK_TO_COMPILE
@@ -54,7 +54,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_report_header() -> str:
-    return f"mutants of files: JAXGEO_FUZZ_SEED={os.environ['JAXGEO_FUZZ_SEED']}"
+    return f"mutants of files: {VARIABLE}={os.environ[VARIABLE]}"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -66,7 +66,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         slowest, grown = (max(column) for column in list(zip(*told, strict=True))[3:])
         terminalreporter.write_line(
             f"{refused + answered} mutants of files: {refused} refused, {answered} answers, {wrong} wrong; slowest "
-            f"{slowest:.2f} s, memory + {grown / 1e6:.0f} MB; JAXGEO_FUZZ_SEED={os.environ['JAXGEO_FUZZ_SEED']}"
+            f"{slowest:.2f} s, memory + {grown / 1e6:.0f} MB; {VARIABLE}={os.environ[VARIABLE]}"
         )
 
 

@@ -335,7 +335,7 @@ def test_readings_must_come_from_somewhere(tmp_path: pathlib.Path, flight) -> No
 def test_study_of_overlap(tmp_path: pathlib.Path, monkeypatch) -> None:
     """Tables on the screen; with a folder, made where it is missing, files of them and pictures."""
     short = li2020.run(flights=False)
-    monkeypatch.setattr("jaxgeo.studies.li2020.run", lambda: short)
+    monkeypatch.setattr("jaxgeo.studies.li2020.run", lambda **_: short)
     folder = tmp_path / "a" / "study"
     result = run("study", "li2020", "--output", folder)
     assert result.exit_code == 0, result.output

@@ -148,7 +148,8 @@ PARSED = [  # whose files are not made here, or whose work is that of lines that
     "--stream 1 --errors e --no-velocities --interior i --gimbal 1,2,3 -o out.html",
     f"register {SMALL} --reference ortho.tif {SIGMAS} --gimbal-sigma 0.1 -o out",
     "demo -o picture.png --write-scene scene.toml --json --debug",
-    "study li2020 -o out --json --debug",
+    "study all -o out --seed 1 --json --debug",
+    "study li2020 -o out --seed 1 --json --debug",
     "study li2023 -o out --samples 100 --seed 1 --json --debug",
     "study xue2019 -o out --size 500 --trials 3 --seed 1 --json --debug",
     "study gu2017 -o out --seed 1 --image a --reference b --dem c --scene d --vertical-datum EPSG:5773 "
@@ -394,7 +395,7 @@ def test_completion_is_shown(shell: str, words: str, monkeypatch) -> None:
         ("jaxgeo footprint --tol", {"--tolerance"}),
         ("jaxgeo rectify --interpolation ", {"nearest", "bilinear", "cubic"}),
         ("jaxgeo overlap --along c", {"columns"}),
-        ("jaxgeo study ", {"li2020", "li2023", "xue2019", "gu2017"}),
+        ("jaxgeo study ", {"all", "li2020", "li2023", "xue2019", "gu2017"}),
     ],
 )
 def test_completion_completes(typed: str, expected: set[str]) -> None:
@@ -558,7 +559,7 @@ def test_studies_as_json(monkeypatch) -> None:
     from jaxgeo.studies.sheet import Sheet
 
     sheet = Sheet("one", "One", {"what": "", "how much": ".1f"}, [["a", 1.23456], ["b", None]], "Made up.")
-    study = SimpleNamespace(run=lambda: None, sheets_of=lambda _: [sheet])
+    study = SimpleNamespace(run=lambda **_: None, sheets_of=lambda _: [sheet])
     monkeypatch.setattr("jaxgeo.studies.li2020.run", study.run)
     monkeypatch.setattr("jaxgeo.studies.li2020.sheets_of", study.sheets_of)
     result = run("study li2020 --json")

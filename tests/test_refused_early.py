@@ -151,6 +151,7 @@ COMMANDS = (
     ("jaxgeo study xue2019 --trials -1", "trials must be 0 or more"),
     ("jaxgeo study xue2019 --seed -1", "--seed -1"),
     ("jaxgeo study gu2017 --seed -1", "--seed -1"),
+    ("jaxgeo study all --seed -1", "--seed -1"),
     ("jaxgeo study gu2017 --image image.tif", "needs --reference, --dem, --scene as well"),
     ("jaxgeo study gu2017 --position-sigma 3", "is of a real image"),
     (f"{GU} --position-sigma -1", "needs a standard deviation above zero"),

@@ -19,7 +19,7 @@ from jaxgeo.adjust.diagnosis import Diagnosis, diagnosed
 from jaxgeo.adjust.equations import linearised
 from jaxgeo.adjust.kept import block_of, masked, set_aside
 from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
-from jaxgeo.adjust.observing import Observing, observing
+from jaxgeo.adjust.observing import observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
@@ -194,12 +194,8 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
 def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
     """Least eigenvalue of each point's normal matrix (m,), image points and other observations with weights of one."""
     own, problem = ready.order.row_of_point, ready.problem
-    observed = _observing(problem, solution.values)
     free = np.asarray(problem.free_point)[own]
-    weighted, alike = (
-        np.concatenate([np.asarray(x.control)[own], np.asarray(x.terrain)[own, None]], axis=1) * free[:, None, :]
-        for x in (observed, observed.alike(jnp.ones(())))
-    )
+    weighted, alike = (np.asarray(x)[own] * free[:, None, :] for x in _observed_points(problem, solution.values))
     normal = np.moveaxis(np.asarray(solution.equations.points), -1, 0)[own]
     of_images = (normal - np.einsum("mki,mkj->mij", weighted, weighted)) * free[:, :, None] * free[:, None, :]
     size = np.trace(of_images, axis1=1, axis2=2)[:, None, None]
@@ -222,8 +218,11 @@ def _unheld(problem: Any, values: Any) -> Any:
 
 
 @eqx.filter_jit
-def _observing(problem: Any, values: Any) -> Observing:
-    return observing(problem, values)
+def _observed_points(problem: Any, values: Any) -> list[Any]:
+    """Derivatives of control and terrain by each point (rows, 4, 3), with their weights and with weights of one."""
+    observed = observing(problem, values)
+    each = (observed, observed.alike(jnp.ones(())))
+    return [jnp.concatenate([x.control, x.terrain[:, None]], axis=1) for x in each]
 
 
 @eqx.filter_jit

@@ -17,6 +17,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._record import Record
@@ -136,7 +137,8 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
 
 def are_weak(motions: Motions) -> bool:
     """Whether some motion is held by little."""
-    return bool(jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK * motions.of_parts)))
+    kept, weight, of_parts = (np.asarray(x) for x in (motions.kept, motions.weight, motions.of_parts))
+    return bool(np.any((kept > 0.0) & (np.diagonal(weight) < WEAK * of_parts)))
 
 
 def _slabs(band: Band) -> tuple[int, int]:
@@ -147,8 +149,9 @@ def _slabs(band: Band) -> tuple[int, int]:
 def _orthonormal(rows: Float[Array, "7 k"], weight: Float[Array, " k"]) -> tuple[Array, Array]:
     """(coefficients (7, 7), lower triangular, of combinations of rows that are orthonormal with weights; 1 for those
     that exist)."""
-    found, there = jnp.zeros((7, 7)), jnp.zeros(7)
-    for i in range(7):
+
+    def one_more(i: Array, made: tuple[Array, Array]) -> tuple[Array, Array]:
+        found, there = made
         own = jnp.eye(7)[i]
         before = jnp.sum(weight * rows[i] ** 2)
         for _ in range(2):  # twice is enough
@@ -158,8 +161,9 @@ def _orthonormal(rows: Float[Array, "7 k"], weight: Float[Array, " k"]) -> tuple
         after = jnp.sum(weight * row**2)
         exists = (before > 0.0) & (after > SEEN * before)
         own = jnp.where(exists, own / jnp.sqrt(jnp.where(exists, after, 1.0)), 0.0)
-        found, there = found.at[i].set(own), there.at[i].set(exists.astype(jnp.float64))
-    return found, there
+        return found.at[i].set(own), there.at[i].set(exists.astype(jnp.float64))
+
+    return jax.lax.fori_loop(0, 7, one_more, (jnp.zeros((7, 7)), jnp.zeros(7)))
 
 
 def with_holds(problem: Problem, matrix: Tridiagonal, motions: Motions, datum: bool) -> Tridiagonal:

@@ -52,9 +52,12 @@ def _check_characters(path: object, found: Any) -> None:
 
 
 def value_of(where: str, content: Any, key: str) -> Any:
-    """What stands under a key; `where` names the table. Raises `TableError`, as all below."""
+    """What stands under a key; `where` names the table, whose keys may be none or numbers in YAML.
+
+    Raises `TableError`, as all below.
+    """
     if not isinstance(content, dict) or key not in content:
-        found = ", ".join(list(content)[:8]) if isinstance(content, dict) else shown(content)
+        found = ", ".join(map(str, list(content)[:8])) if isinstance(content, dict) else shown(content)
         raise TableError(f"{where}: {key} is missing; found {found or 'nothing'}.")
     return content[key]
 

@@ -10,7 +10,7 @@ import pyproj
 from pyproj.crs import CompoundCRS
 from pyproj.transformer import Transformer
 
-from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.vertical import HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
 
@@ -120,7 +120,7 @@ def described(chart: MapCRS) -> Mapping[str, Any]:
 
 def _known(name: str, what: str, given: Any) -> pyproj.CRS:
     try:
-        return pyproj.CRS.from_user_input(given)
+        return known_crs(given)
     except UNKNOWN_CRS as error:
         raise ValueError(f"{name}: PROJ does not know {what} = {given!r}: {error}") from error
 

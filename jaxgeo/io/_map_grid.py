@@ -10,7 +10,7 @@ import numpy as np
 import pyproj
 
 from jaxgeo.earth import WGS84
-from jaxgeo.io._proj import UNKNOWN_CRS, unit_normals
+from jaxgeo.io._proj import UNKNOWN_CRS, known_crs, unit_normals
 from jaxgeo.io.errors import DemError, TableError
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part, vertical_part
@@ -83,7 +83,7 @@ def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]
     Raises `TableError` for one that PROJ does not know or that has no plane or geographic coordinates.
     """
     try:
-        whole = pyproj.CRS.from_user_input(crs)
+        whole = known_crs(crs)
     except UNKNOWN_CRS as error:
         raise TableError(f"{where}: crs = {crs!r} is unknown to PROJ; expected for example 'EPSG:32617'.") from error
     horizontal = horizontal_part(whole)

@@ -9,7 +9,7 @@ import pyproj
 from jaxgeo.io._columns import Columns, read_columns
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._csv import POSE_COLUMNS, Limits
-from jaxgeo.io._proj import UNKNOWN_CRS
+from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io.errors import TableError
 
 # What columns may be called. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
@@ -83,7 +83,7 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
         for text in (found[1], name[1] if name else ""):  # the whole of it, else by its name
             check_crs(f"{columns.table.path}", text, TableError)
             try:
-                return pyproj.CRS.from_user_input(text)
+                return known_crs(text)
             except UNKNOWN_CRS:
                 continue
     return None

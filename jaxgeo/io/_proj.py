@@ -51,6 +51,16 @@ class NoOperation(ValueError):
         self.missing = missing
 
 
+def known_crs(given: Any) -> pyproj.CRS:
+    """The CRS of a text, a code or a `pyproj.CRS`, of whose parts PROJ can make CRSs too: damaged ones show only there.
+
+    Raises one of `UNKNOWN_CRS`.
+    """
+    crs = pyproj.CRS.from_user_input(given)
+    _ = crs.geodetic_crs, crs.source_crs, crs.sub_crs_list
+    return crs
+
+
 def operation(source: Any, target: Any, area: tuple[float, float, float, float] | None = None) -> Operation:
     """The best operation from `source` to `target` (x or longitude first) that is available here; never a ballpark one.
 

@@ -7,6 +7,7 @@ and zero for the values that some raw files are too short for. Both would be hei
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 import re
 import zipfile
@@ -19,6 +20,11 @@ from rasterio.io import DatasetReader
 
 TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
 ARC = ("AAIGrid", "GRASSASCIIGrid")  # whose values begin with the first line that begins with no letter
+# Where GDAL takes those values to begin: at the first or the second character of a line, if that is no letter.
+BEGIN_OF_GDAL = re.compile(rb"(?<=[\r\n])[A-Za-z]?(?=[^A-Za-z\r\n]|null |nan )", re.IGNORECASE)
+PLACES = ((b"xllcorner", b"yllcorner"), (b"xllcenter", b"yllcenter"))  # without a pair GDAL places a grid at (0, 0)
+STATED = (b"ncols", b"nrows", b"cellsize", b"dx", b"dy", b"nodata_value", *PLACES[0], *PLACES[1],
+          *(b"north:", b"south:", b"east:", b"west:", b"rows:", b"cols:", b"null:"))  # fmt: skip
 # Bytes of the header of files that hold their values as they are, at least.
 RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "LCP": 0,
        "NGSGEOID": 0, "RST": 0, "ROI_PAC": 0, "SAGA": 0, "SRTMHGT": 0}  # fmt: skip
@@ -31,6 +37,7 @@ NUMBER = rb"[+-]?(?:[0-9]++(?:[.,][0-9]*+)?+|[.,][0-9]++)(?:[eE][+-]?[0-9]++)?+"
 VALUE = rb"(?>" + NUMBER + rb"|[+-]?(?:nan|inf|1\.#(?:qnan|snan|ind|inf)0*+)|\*)"
 VALUES = re.compile(rb"\s*+(?:" + VALUE + rb"\s++)*+", re.IGNORECASE)
 ONE_VALUE = re.compile(VALUE, re.IGNORECASE)
+AS_GDAL_SPLITS = bytes.maketrans(b"\t\r\n", b"   ")  # the words of a header; a form feed is a part of one
 TO_SPACES = bytes.maketrans(b",;", b"  ")  # separators of XYZ
 PART = 1 << 20  # bytes of a text that are looked at at a time
 SHOWN = 40  # characters of a word in a message
@@ -84,14 +91,14 @@ def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, i
     del stamp  # part of the key only: another time or size is another file
     count = 0
     with open(path, "rb") as file:
-        if driver in ARC and (name := _indented(file.read(PART))):
-            return f"the line of {name[:SHOWN].decode('ascii', 'backslashreplace')} in its header begins with a blank"
+        if driver in ARC and (mistake := _of_header(file.read(PART), driver)):
+            return mistake
         file.seek(0)
         for part in _parts(file, driver):
             if VALUES.fullmatch(part) is None:
                 words = part.split()
                 wrong = next((word for word in words if not ONE_VALUE.fullmatch(word)), words[-1])
-                return f"{wrong[:SHOWN].decode('ascii', 'backslashreplace')!r} in it is not a number"
+                return f"{_shown(wrong)!r} in it is not a number"
             count += len(part.split())
     if driver == "AAIGrid" and count != shape[0] * shape[1]:
         return f"it holds {count} values, and its header says {shape[0]} x {shape[1]}"
@@ -100,7 +107,8 @@ def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, i
 
 def _parts(file: BinaryIO, driver: str) -> Iterator[bytes]:
     """The words that should be numbers, in parts that end between words, each with white space at its end."""
-    rest = _below_header(file.read(PART), driver)
+    text = file.read(PART)
+    rest = text[_begin(text) :]
     while True:
         new = file.read(PART)
         text = (rest + new).translate(TO_SPACES) if driver == "XYZ" else rest + new
@@ -114,25 +122,44 @@ def _parts(file: BinaryIO, driver: str) -> Iterator[bytes]:
             return
 
 
-def _indented(text: bytes) -> bytes:
-    """The first word of a line of the header that begins with a blank: GDAL takes the values to begin there."""
-    for line in text.splitlines():
-        words = line.split()
-        if words and (ONE_VALUE.fullmatch(words[0]) or not words[0][:1].isalpha()):
-            break
-        if words and line[:1].isspace():
-            return words[0]
-    return b""
+def _of_header(text: bytes, driver: str) -> str:
+    """What is wrong with the first lines of a text grid: GDAL takes others for values, or its place is not stated."""
+    begin = _begin(text)
+    found = BEGIN_OF_GDAL.search(text)
+    begin_of_gdal = found.end() if found else len(text)
+    first, last = sorted((begin, begin_of_gdal))
+    if text[first:last].strip():
+        wrong, right = (_shown(text[at:].split()[0]) if text[at:].split() else "" for at in (begin_of_gdal, begin))
+        return f"GDAL takes its values to begin at {wrong!r}, not at {right!r}"
+    words = [word for word in text[:begin].translate(AS_GDAL_SPLITS).split(b" ") if word]
+    stated: dict[bytes, bytes] = {}
+    for name, value in itertools.pairwise([*words, b""]):
+        name = name.lower()
+        if name not in STATED:
+            continue
+        if not ONE_VALUE.fullmatch(value):
+            return f"{_shown(value)!r}, which its header states as {_plain(name)}, is not a number"
+        if stated.setdefault(name, value) != value:
+            return f"its header states {_plain(name)} twice, as {_shown(stated[name])} and {_shown(value)}"
+    if driver == "AAIGrid" and not any(all(name in stated for name in pair) for pair in PLACES):
+        return "its header states neither xllcorner and yllcorner nor xllcenter and yllcenter, so that it has no place"
+    return ""
 
 
-def _below_header(text: bytes, driver: str) -> bytes:
-    """Text from the first line on that begins with a number; before it, a value of the header that is none."""
-    start, wrong = 0, b""
+def _shown(word: bytes) -> str:
+    return word[:SHOWN].decode("ascii", "backslashreplace")
+
+
+def _plain(name: bytes) -> str:
+    return name.decode().rstrip(":")
+
+
+def _begin(text: bytes) -> int:
+    """Where the values of a text grid begin: with the first line whose first word is a number, or begins as one."""
+    at = 0
     for line in text.splitlines(keepends=True):
         words = line.split()
         if words and (ONE_VALUE.fullmatch(words[0]) or not words[0][:1].isalpha()):
             break
-        if driver == "AAIGrid" and len(words) == 2 and not ONE_VALUE.fullmatch(words[1]):
-            wrong = wrong or words[1] + b" "
-        start += len(line)
-    return wrong + text[start:]
+        at += len(line)
+    return at

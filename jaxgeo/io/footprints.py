@@ -19,7 +19,7 @@ from jaxgeo._destination import destination
 from jaxgeo.coverage.footprint import Footprint
 from jaxgeo.io._features import Feature, encoded, has_heights
 from jaxgeo.io._outlines import line, outline, runs
-from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, known_crs, operation
 from jaxgeo.io.vertical import horizontal_part
 from jaxgeo.status import Status
 
@@ -157,7 +157,7 @@ def _checked_attributes(target: pathlib.Path, attributes: Any, count: int) -> li
 
 def _checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Seen]) -> _Map:
     try:
-        known = pyproj.CRS.from_user_input(crs)
+        known = known_crs(crs)
     except UNKNOWN_CRS as error:
         raise ValueError(f"{target}: PROJ does not know the crs {crs!r}: {error}") from error
     is_3d = known.is_geographic and len(known.axis_info) == 3 and not known.is_compound

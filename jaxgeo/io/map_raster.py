@@ -16,7 +16,7 @@ import pyproj
 from rasterio.transform import Affine
 
 from jaxgeo.earth import WGS84
-from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, Operation, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, Operation, known_crs, operation
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import FileMap, file_map
@@ -168,7 +168,7 @@ def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain
 def checked_crs(name: str, crs: Any) -> pyproj.CRS:
     """The horizontal part of a CRS that pyproj takes. Raises `ValueError` for one that is no map."""
     try:
-        flat = horizontal_part(pyproj.CRS.from_user_input(crs))
+        flat = horizontal_part(known_crs(crs))
     except UNKNOWN_CRS as error:
         raise ValueError(f"{name}: PROJ does not know the crs {crs!r}: {error}") from error
     if not (flat.is_geographic or flat.is_projected):

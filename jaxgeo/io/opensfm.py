@@ -181,6 +181,11 @@ def _placed(
     lat, lon, altitude = (number_of(where, lla, key) for key in ("latitude", "longitude", "altitude"))
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0):
         raise TableError(f"{where}: latitude {lat:g}, longitude {lon:g} deg are not on the Earth.")
+    if lat == 0.0 and lon == 0.0:
+        raise TableError(
+            f"{where}: latitude and longitude are zero, which is written where no image has a position. Reconstruct "
+            f"with positions, or take reference_lla out to read it in a frame of its own."
+        )
     low, high, _ = POSE_COLUMNS["height_m"]
     if not low <= altitude <= high:
         raise TableError(f"{where}: altitude {altitude:g} m is outside [{low:g}, {high:g}] m.")

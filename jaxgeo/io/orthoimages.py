@@ -6,8 +6,6 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-import pyproj
-from pyproj.exceptions import CRSError
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -15,6 +13,7 @@ from rasterio.windows import Window
 from jaxgeo._checks import require_x64
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io.errors import DemError, ImageError
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.images import Bands, chosen_bands, opened, read_bands
@@ -124,9 +123,9 @@ def _raster_of_file(name: str, data: DatasetReader, reach: Reach) -> MapRaster:
             f"gdal_edit -a_srs EPSG:32632 {name}."
         )
     try:
-        whole = pyproj.CRS.from_wkt(data.crs.to_wkt())
+        whole = known_crs(data.crs.to_wkt())
         crs = horizontal_part(whole)
-    except (CRSError, *GDAL_ERRORS) as error:
+    except (*UNKNOWN_CRS, *GDAL_ERRORS) as error:
         raise ImageError(f"{name}: PROJ does not understand the file's CRS: {error}") from error
     if not reach.outside:
         check_crs(name, whole, ImageError)

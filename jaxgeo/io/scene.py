@@ -25,7 +25,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.io._bounded import check_dotted_keys, check_nesting, read_bytes
 from jaxgeo.io._mistakes import explain
-from jaxgeo.io._proj import UNKNOWN_CRS
+from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io._schema import AirTable, CameraFile, CameraTable, GimbalTable, MountTable, PoseTable, SceneTable
 from jaxgeo.io.errors import OutsideDatum, RefusedFile, VerticalDatumError, one_line
@@ -293,7 +293,7 @@ def _shift_of(datum: str, thread: int) -> HeightShift:
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:
     """Direction of a map's grid north at a position in rad, clockwise from true north."""
     try:
-        crs = pyproj.CRS.from_user_input(map_crs)
+        crs = known_crs(map_crs)
     except UNKNOWN_CRS as error:
         raise ValueError(
             f"[pose] map_crs = {map_crs!r} is unknown to PROJ; expected for example 'EPSG:32617'."

@@ -154,6 +154,8 @@ MARKS = (
     Sentinel("position errors", ("sigma north", "sigma east", "sigma up"), all_zero, "they were not estimated"),
     Sentinel("time", ("week", "time of week"), all_zero, "a receiver without time writes zeros"),
 )
+# Fields of records of an SBET.
+SBET = (Sentinel("position", ("lat", "lon"), all_zero, "records that were never written are zeros"),)
 
 
 def _parts(value: Any) -> tuple[Any, ...]:
@@ -211,4 +213,5 @@ SENTINELS: dict[str, tuple[Sentinel, ...]] = {
     "subtitles": SUBTITLES,
     "AirData": AIRDATA,
     "marks": MARKS,
+    "SBET": SBET,
 }

@@ -11,7 +11,6 @@ import os
 
 import numpy as np
 import pyproj
-from pyproj.exceptions import CRSError
 from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.io import DatasetReader
 from rasterio.transform import Affine
@@ -20,6 +19,7 @@ from rasterio.windows import Window
 from jaxgeo.io._crs_reach import check_crs
 from jaxgeo.io._deflate import Block, damaged_block
 from jaxgeo.io._gdal import GDAL_ERRORS, refused_as
+from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io._rasters import open_raster
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.reach import HERE, Reach, is_local
@@ -186,8 +186,8 @@ def _check_scale(tile: Tile) -> None:
     if math.isfinite(tile.scale) and math.isfinite(tile.offset) and tile.scale != 0.0:
         return
     raise DemError(
-        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which all are "
-        f"equal or unknown. Write the right ones into it, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
+        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which no post has "
+        f"a height of its own. Write the right ones into it, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
     )
 
 
@@ -223,10 +223,13 @@ def _centred(corner: Affine) -> Affine:
     return Affine(a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
 
 
+_known_crs = functools.lru_cache(maxsize=256)(known_crs)
+
+
 def _crs(path: str, data: DatasetReader, reach: Reach) -> pyproj.CRS:
     try:
-        crs = _crs_of(data.crs.to_wkt())
-    except (CRSError, *GDAL_ERRORS) as error:
+        crs = _known_crs(data.crs.to_wkt())
+    except (*UNKNOWN_CRS, *GDAL_ERRORS) as error:
         raise DemError(f"{path}: PROJ does not understand the file's coordinate reference system: {error}") from error
     if not reach.outside:
         check_crs(path, crs, DemError)
@@ -234,11 +237,6 @@ def _crs(path: str, data: DatasetReader, reach: Reach) -> pyproj.CRS:
     if not (flat.is_geographic or flat.is_projected):
         raise DemError(f"{path}: {crs.name!r} ({crs.type_name}) does not say where on the Earth the file lies.")
     return crs
-
-
-@functools.lru_cache(maxsize=256)
-def _crs_of(wkt: str) -> pyproj.CRS:
-    return pyproj.CRS.from_wkt(wkt)
 
 
 def _check_holds_heights(path: str, data: DatasetReader, band: int) -> None:

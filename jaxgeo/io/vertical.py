@@ -13,7 +13,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.enums import TransformDirection
 from pyproj.transformer import Transformer
 
-from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, operation
+from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, known_crs, operation
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.geoid_grid import check_grids_of, grid_by_path, wrapped
 
@@ -167,7 +167,7 @@ def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
     if isinstance(asked, str) and _looks_like_path(asked):
         return pathlib.Path(asked)
     try:
-        crs = pyproj.CRS.from_user_input(asked)
+        crs = known_crs(asked)
     except UNKNOWN_CRS as error:
         raise VerticalDatumError(f"vertical_datum={asked!r} is unknown to PROJ; {USUAL_CHOICES}.") from error
     part = vertical_part(crs)

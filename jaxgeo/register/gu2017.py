@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._typing import Matrix3, Scalar, Vector3
@@ -136,12 +137,21 @@ def error_table(
     terrain = ConstantHeight(ground)
     columns, rows = ((jnp.arange(count) + 0.5) / count * PIXELS - 0.5 for count in ties)
     uv = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(columns, rows)], axis=1)
-    place = jax.vmap(lambda uv: locate(sensor, shot, uv, terrain))(uv).position
+    size = -(-uv.shape[0] // LOCATED) * LOCATED  # few sizes, few programs
+    lat, lon, up = (np.asarray(x)[: uv.shape[0]] for x in _places(sensor, shot, np.resize(uv, (size, 2)), terrain))
+    place = Geodetic(lat=lat, lon=lon, height=up)
     points = TiePoints(uv, place, jnp.zeros((uv.shape[0], 2, 2)))
     return tuple(_row(case, sensor, shot, terrain, points) for case in cases)
 
 
+@jax.jit
+def _places(sensor: Sensor, shot: Shot, uv: Float[Array, "ties 2"], terrain: ConstantHeight) -> tuple[Array, ...]:
+    place = jax.vmap(lambda uv: locate(sensor, shot, uv, terrain))(uv).position
+    return jnp.asarray(place.lat), jnp.asarray(place.lon), jnp.asarray(place.height)
+
+
 PIXELS = 2000
+LOCATED = 32  # pixels at once
 MIDDLE = (0.5 * (PIXELS - 1), 0.5 * (PIXELS - 1))
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import importlib
+import importlib.util
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,7 +93,7 @@ class Claim:
             return self.reason
         with_it, expected = (shown(x, self.digits) for x in (self.explanation.obtained, self.explanation.expected))
         bears = f"with it {with_it}, expected {expected}"
-        told = f"{self.explanation.cause} ({bears})" if self.explanation.holds else ""
+        told = f"{self.explanation.cause} ({bears})" if self.verdict is Verdict.explained else ""
         return " ".join(text for text in (self.reason, told) if text)
 
 
@@ -139,18 +141,16 @@ def claims_sheet(claims: Sequence[Claim]) -> Sheet:
 
 def resolve(name: str) -> object:
     """The function or class of a full name. Raises `ValueError` where there is none."""
-    parts = name.split(".")
-    for cut in range(len(parts), 0, -1):
-        try:
-            found: object = importlib.import_module(".".join(parts[:cut]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[cut:]:
-            if not hasattr(found, part):
-                raise ValueError(f"there is no {part} in {found!r} ({name}).")
-            found = getattr(found, part)
-        return found
-    raise ValueError(f"{name} is the name of nothing that can be imported.")
+    first, *others = name.split(".")
+    found: list[object] = [importlib.import_module(first)] if importlib.util.find_spec(first) is not None else []
+    for count, part in enumerate(others, 1):  # a function may have the name of its module: both are followed
+        here: list[object] = [getattr(one, part) for one in found if hasattr(one, part)]
+        with contextlib.suppress(ImportError):
+            here.append(importlib.import_module(".".join([first, *others[:count]])))
+        found = here
+    if not found:
+        raise ValueError(f"{name} names nothing that can be imported.")
+    return found[0]
 
 
 def _numbers(values: Values) -> list[float]:

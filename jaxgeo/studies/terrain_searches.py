@@ -162,36 +162,78 @@ def study(scene: Scene, searches: dict[str, AbstractSearch] | None = None, *, re
     `approaches`) for those of the literature, search and polish for bisection and the first hit. A batch waits for its
     slowest ray.
     """
-    rays, dem = scene.rays, scene.dem
-    first = np.asarray(located(rays, dem, FIRST_HIT)[0])
-    begun = approaches(rays, dem)
+    over = Over.of(scene)
     rows = []
     for name, search in (SEARCHES if searches is None else searches).items():
-        if isinstance(search, AbstractStudiedSearch):
-            go = functools.partial(run_from, begun, dem, search)
-            run = go()
-            codes, distance, evaluations = outcomes(run, first), np.asarray(run.distance), np.asarray(run.evaluations)
-        else:
-            go = functools.partial(located, rays, dem, search)
-            distance = np.asarray(go()[0])
-            codes = _outcomes_of_ranges(distance, first)
-            is_bisection = isinstance(search, Bisection)
-            asked = bisection_evaluations(rays, dem) if is_bisection else first_hit_evaluations(rays, dem, first)
-            evaluations = np.asarray(asked)
-        is_farther = codes == Outcome.farther_hit
+        found = over.find(search, repeats=repeats)
+        is_farther = found.outcomes == Outcome.farther_hit
         rows.append(
             Row(
                 scene=scene.name,
                 search=name,
-                evaluations=float(evaluations.mean()),
-                median_evaluations=float(np.median(evaluations)),
-                most_evaluations=int(evaluations.max()),
-                shares=tuple(float(np.mean(codes == outcome.value)) for outcome in Outcome),
-                farthest=float(np.nanmax((distance - first)[is_farther])) if is_farther.any() else 0.0,
-                us_per_ray=_median_seconds(go, repeats) * 1e6 / first.size,
+                evaluations=float(found.evaluations.mean()),
+                median_evaluations=float(np.median(found.evaluations)),
+                most_evaluations=int(found.evaluations.max()),
+                shares=tuple(float(np.mean(found.outcomes == outcome.value)) for outcome in Outcome),
+                farthest=float(np.nanmax((found.distance - over.first)[is_farther])) if is_farther.any() else 0.0,
+                us_per_ray=found.us_per_ray,
             )
         )
     return rows
+
+
+@dataclass(frozen=True)
+class Found:
+    """One search over a batch of rays: for each its evaluations, its `Outcome` code, its range in m (of a search of the
+    literature that did not converge the last one, of others NaN without a hit) and the height of its point above the
+    ground in m (of searches of the literature, else NaN); and the time in us per ray."""
+
+    evaluations: np.ndarray
+    outcomes: np.ndarray
+    distance: np.ndarray
+    clearance: np.ndarray
+    us_per_ray: float
+
+
+@dataclass(frozen=True)
+class Over:
+    """A batch of rays over a terrain with what all searches share: approaches, and ranges of first hits in m."""
+
+    rays: Ray
+    dem: Dem
+    begun: Approach
+    first: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene) -> Over:
+        """All rays of a scene."""
+        rays, dem = scene.rays, scene.dem
+        return cls(rays, dem, approaches(rays, dem), np.asarray(located(rays, dem, FIRST_HIT)[0]))
+
+    def fewer(self, count: int) -> Over:
+        """The first `count` rays."""
+        rays, begun, first = jax.tree.map(lambda x: x[:count], (self.rays, self.begun, self.first))
+        return Over(rays, self.dem, begun, first)
+
+    def find(self, search: AbstractSearch, *, repeats: int = 0) -> Found:
+        """Run one search; its time is the median of `repeats` further calls, NaN without them."""
+        if isinstance(search, AbstractStudiedSearch):
+            go = functools.partial(run_from, self.begun, self.dem, search)
+            run = go()
+            codes, distance = outcomes(run, self.first), np.asarray(run.distance)
+            evaluations, clearance = np.asarray(run.evaluations), np.asarray(run.clearance)
+        else:
+            go = functools.partial(located, self.rays, self.dem, search)
+            distance = np.asarray(go()[0])
+            codes = outcomes_of_ranges(distance, self.first)
+            is_bisection = isinstance(search, Bisection)
+            asked = (
+                bisection_evaluations(self.rays, self.dem)
+                if is_bisection
+                else first_hit_evaluations(self.rays, self.dem, self.first)
+            )
+            evaluations, clearance = np.asarray(asked), np.full(distance.shape, np.nan)
+        return Found(evaluations, codes, distance, clearance, _median_seconds(go, repeats) * 1e6 / self.first.size)
 
 
 def outcomes(run: Run, first: np.ndarray, tolerance: float = SAME_CROSSING) -> np.ndarray:
@@ -199,8 +241,8 @@ def outcomes(run: Run, first: np.ndarray, tolerance: float = SAME_CROSSING) -> n
     return np.asarray(jax.vmap(outcome_of, (0, 0, None))(run, jnp.asarray(first), jnp.asarray(tolerance)))
 
 
-def _outcomes_of_ranges(distance: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Outcomes of searches that either give a range or NaN."""
+def outcomes_of_ranges(distance: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """`Outcome` codes of searches that give a range in m or NaN, beside first hits at ranges `first` in m."""
     away = distance - first
     codes = np.where(away < -SAME_CROSSING, Outcome.nearer_hit, Outcome.farther_hit)
     codes = np.where(np.abs(away) <= SAME_CROSSING, Outcome.first_hit, codes)

@@ -1,8 +1,11 @@
 """Every reader on damaged, cut and strange files: a refusal in one line or what the bytes state; no traceback, no hang.
 
 A few mutants of each reader are read always. With `--slow` 20,000 over all readers: most of a fixed seed, the others of
-one that is new in each run. It stands in the head of pytest's output; JAXGEO_FUZZ_SEED repeats it. JAXGEO_FUZZ_MUTANTS
-is how many are read of each reader in place of 550: `JAXGEO_FUZZ_MUTANTS=5000 pytest --slow tests/fuzz`.
+one that is a checksum of the sources of `jaxgeo/` and `tests/fuzz/`: other mutants after every change of them, the same
+in every run over the same sources, so that a failure repeats. It stands in the head and the closing lines of pytest's
+output. `JAXGEO_FUZZ_SEED=8101` reads those of another seed, `JAXGEO_FUZZ_SEED=random` of one drawn for the run.
+JAXGEO_FUZZ_MUTANTS is how many are read of each reader in place of 550: `JAXGEO_FUZZ_MUTANTS=5000 pytest --slow
+tests/fuzz`.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from support.fuzz_seed import VARIABLE, fuzz_seed, seed_of_sources
 
 from tests.fuzz.readers import READERS
 from tests.fuzz.reading import Reader, read_mutants
@@ -36,7 +40,7 @@ def check(reader: Reader, folder: pathlib.Path, seed: int, numbers: range, recor
     print(f"{reader.name}: {found}")
     record("mutants", [found.refused, found.answered, sum(map(len, found.wrong.values())), found.slowest, found.grown])
     wrong = "\n".join(f"mutants {which[:5]} ({len(which)}): {what}" for what, which in found.wrong.items())
-    assert not found.wrong, f"{reader.name}, JAXGEO_FUZZ_SEED={seed}: {found}\n{wrong}"
+    assert not found.wrong, f"{reader.name}, {VARIABLE}={seed}: {found}\n{wrong}"
     assert found.refused + found.answered == len(numbers)
     assert found.refused > 0
 
@@ -55,7 +59,24 @@ def test_many_mutants_are_refused_in_a_line_or_read(
 ) -> None:
     fresh = round(FRESH * MANY)
     check(reader, tmp_path, FIXED_SEED, range(FEW, FEW + MANY - fresh), record_property)
-    check(reader, tmp_path, int(os.environ["JAXGEO_FUZZ_SEED"]), range(fresh), record_property)
+    check(reader, tmp_path, int(os.environ[VARIABLE]), range(fresh), record_property)
+
+
+def test_the_seed_of_a_run_is_that_of_the_sources(tmp_path: pathlib.Path) -> None:
+    for name in ("jaxgeo/io/one.py", "jaxgeo/two.py", "tests/fuzz/three.py", "tests/four.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"x = 1\n")
+    first = seed_of_sources(tmp_path)
+    assert first not in (0, FIXED_SEED)
+    assert fuzz_seed(tmp_path, None) == fuzz_seed(tmp_path, "") == str(first)
+    (tmp_path / "tests" / "four.py").write_bytes(b"x = 2\n")  # decides nothing here
+    assert seed_of_sources(tmp_path) == first
+    (tmp_path / "jaxgeo" / "io" / "one.py").write_bytes(b"x = 2\n")
+    second = seed_of_sources(tmp_path)
+    (tmp_path / "tests" / "fuzz" / "three.py").rename(tmp_path / "tests" / "fuzz" / "five.py")
+    assert len({first, second, seed_of_sources(tmp_path)}) == 3
+    assert fuzz_seed(tmp_path, "8101") == "8101"
+    assert len({fuzz_seed(tmp_path, "random") for _ in range(20)}) > 10
 
 
 TESTS = pathlib.Path(__file__).parents[1] / "io"

@@ -27,7 +27,17 @@ def grid(path: pathlib.Path, text: str) -> pathlib.Path:
     [
         ("5.5", "5.5.5", "'5.5.5'"),
         ("5.5", "5x5", "'5x5'"),
-        ("\nyllcorner", "\n\tyllcorner", "yllcorner in its header begins with a blank"),
+        ("\nyllcorner", "\n\tyllcorner", "begin at 'yllcorner', not at '1'"),
+        ("\nxll", "\nx\x0cll", "begin at 'llcorner', not at '1'"),
+        ("NODATA_value", "N0DATA_value", "begin at '0DATA_value', not at '1'"),
+        ("1 2 3", "inf 2 3", "begin at '4', not at 'inf'"),
+        ("xllcorner 5.0\n", "", "neither xllcorner and yllcorner nor xllcenter"),
+        ("xllcorner", "xxllcorner", "neither xllcorner and yllcorner nor xllcenter"),
+        ("xllcorner", "xllcorner\x0c", "neither xllcorner and yllcorner nor xllcenter"),
+        ("yllcorner", "yllcenter", "neither xllcorner and yllcorner nor xllcenter"),
+        ("xllcorner ", "xllcorner a b ", "'a', which its header states as xllcorner, is not a number"),
+        ("NODATA_value -9999", "NODATA_value", "'', which its header states as nodata_value, is not a number"),
+        ("cellsize 0.01", "yllcorner 46.0\ncellsize 0.01", "states yllcorner twice, as 45.0 and 46.0"),
         ("0.01", "0.010.01", "'0.010.01'"),
         ("1 2", "12", "8 values"),
         ("7 8", "7 8 8", "10 values"),
@@ -41,6 +51,13 @@ def test_words_of_a_text_grid_that_are_no_numbers_are_no_heights(
     with pytest.raises(DemError, match="damaged") as error:
         read_dem(grid(tmp_path / "b.asc", GRID.replace(old, new)), vertical_datum="ellipsoid")
     assert words in str(error.value)
+
+
+def test_a_grid_of_grass_that_states_an_edge_twice_is_refused(tmp_path: pathlib.Path) -> None:
+    text = "north: 46\nsouth: 45\neast: 6\nwest: 5\nrows: 2\ncols: 3\n1 2 3\n4 5.5 6\n"
+    read_dem(grid(tmp_path / "a.asc", text), vertical_datum="ellipsoid")
+    with pytest.raises(DemError, match="states east twice, as 6 and 7"):
+        read_dem(grid(tmp_path / "b.asc", text.replace("east: 6", "east: 6\neast: 7")), vertical_datum="ellipsoid")
 
 
 @pytest.mark.parametrize("written", ["1e3 2 3", "+1 -2 3", ".5 2 3", "nan 2 3", "1,5 2 3", "1\t2\r\n3"])

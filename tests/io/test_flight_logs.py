@@ -239,9 +239,8 @@ def test_a_number_of_subtitles_that_goes_on_in_damaged_bytes_is_none(tmp_path: p
 
 
 def test_a_damaged_second_value_of_subtitles_is_no_reason_to_take_the_first(tmp_path: pathlib.Path) -> None:
-    place = (
-        "[latitude: 47.1] [longitude: 8.25] [longitude: 120.0a] [abs_alt: 610.5] [gb_yaw: 1 gb_pitch: -45 gb_roll: 0]"
-    )
+    angles = "[gb_yaw: 1 gb_pitch: -45 gb_roll: 0]"
+    place = f"[latitude: 47.1] [longitude: 8.25] [longitude: 120.0a] [abs_alt: 610.5] {angles}"
     (tmp_path / "a.SRT").write_text(f"1\n00:00:00,000 --> 00:00:00,033\n{place}\n")
     with pytest.raises(TableError, match=r"subtitle 1: longitude is 8\.25 and 120\.0a"):
         read_acquisition(tmp_path / "a.SRT", height_datum="ellipsoid")

@@ -239,6 +239,7 @@ REFUSED = {
     "point": (content(points={"5": {"color": [1]}}), "points, 5: coordinates is missing; found color"),
     "points": (content(points=[1]), "points: expected points by name"),
     "reference": (content(reference_lla={"latitude": 1.0}), "reference_lla: longitude is missing; found latitude"),
+    "nowhere": (content(reference_lla={"latitude": 0, "longitude": 0.0, "altitude": 0}), "longitude are zero, which"),
     "latitude": (content(reference_lla={"latitude": 91.0, "longitude": 0, "altitude": 0}), "latitude 91, longitude 0"),
     "twice": ('[{"cameras": {}, "cameras": {}}]', "'cameras' stands twice in one table"),
 }  # fmt: skip

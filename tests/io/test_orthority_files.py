@@ -274,6 +274,7 @@ WRONG_CAMERAS: dict[str, tuple[Any, str]] = {
     "a list": ("- 1", r"expected cameras by name; got \[1\]"),
     "empty": ("", "expected cameras by name; got None"),
     "twice": ("dmc: {type: pinhole, type: brown}", "'type' stands twice in one table"),
+    "a key of no text": ("dmc: {~: brown, 1: 2}", "dmc: type is missing; found None, 1"),
     "bomb": ("a: &a [1, 1]\nb: [*a, *a]", "line 2: references"),
 }  # fmt: skip
 

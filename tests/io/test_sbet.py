@@ -274,7 +274,7 @@ def test_a_real_trajectory(jaxgeo_test_data: pathlib.Path) -> None:
     assert abs(np.rad2deg(course - found.poses.heading[0])) < 5.0
 
 
-def changed(row: int, column: int, value: float) -> np.ndarray:
+def changed(row: int, column: int | slice, value: float) -> np.ndarray:
     records = flight()
     records[row, column] = value
     return records
@@ -297,6 +297,8 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "no frame": (lambda: other_velocities(1.0), r"of the positions, at 60.1 m/s \(medians\). Export the file"),
     "latitude": (lambda: changed(7, 1, 1.6), r"record 7: lat is 1.6, outside \[-1.5708, 1.5708\] rad"),
     "nan": (lambda: changed(9, 7, np.nan), "record 9: roll is nan, outside"),
+    "nowhere": (lambda: changed(9, slice(1, 17), 0.0), "record 9: latitude and longitude are zero"),
+    "never written": (lambda: np.zeros((1, 17)), "record 0: latitude and longitude are zero"),
     "speed": (lambda: changed(9, 4, 3e4), "record 9: velocity_x is 30000, outside"),
     "backwards": (lambda: flight()[::-1], "records 0 and 1: time running backwards, from 345603 s to 345602.98 s"),
     "twice": (lambda: flight()[[0, 1, 1, 2]], "records 1 and 2: time stands still"),

@@ -72,6 +72,7 @@ EXAMPLES: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = {
         pair(0.0, 0.01, "sigma north", "sigma east", "sigma up"),
         pair(0.0, 2312.0, "week", "time of week"),
     ],
+    "SBET": [pair(0.0, 0.8, "lat", "lon")],
     "KLV": [
         pair(0, 1, "Precision Time Stamp (us)"),
         pair(0.0, 4.2e-8, "Sensor Latitude (deg)", "Sensor Longitude (deg)"),

@@ -7,14 +7,25 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+import rasterio
 
 from jaxgeo.cli._refusals import is_refusal
-from jaxgeo.io import read_dem, read_gcp_list, read_opensfm, read_orientations, write_fixes
-from tests.fuzz.sound_files import GCP, OPK, ORIENTATIONS, RECONSTRUCTION, raster
+from jaxgeo.io import (
+    DemError,
+    ImageError,
+    read_dem,
+    read_gcp_list,
+    read_opensfm,
+    read_orientations,
+    read_orthoimage,
+    write_fixes,
+)
+from tests.fuzz.sound_files import GCP, OPK, ORIENTATIONS, RECONSTRUCTION, raster, vrt
 from tests.support.made_fixes import made
 
 NONE = (
@@ -23,8 +34,10 @@ NONE = (
     "PROJCS[" * 500,
     '{"type":"GeographicCRS"}', "EPSG:4326+9999", "+proj=merc +a=0", "+proj=merc +a=nan", "/etc/passwd", "x" * 300,
     "+proj=utm +zone=32 +nadgrids=nope.gsb +type=crs", "EPSG:4978",
+    rasterio.CRS.from_epsg(32651).to_wkt().replace('"EPSG","4326"', '"EPSG","4326("'),
 )  # fmt: skip
 OTHER_KINDS = (10**30, -1, 4326.5, float("nan"), float("inf"), True, b"EPSG:4326", [], {})
+DAMAGED = rasterio.CRS.from_epsg(4326).to_wkt().replace('"EPSG","4326"', '"EPSG","4326("')
 FEW = {"map of orientations", "datum of orientations"}
 
 
@@ -60,3 +73,17 @@ def test_what_is_no_crs_is_refused_in_words(tmp_path: pathlib.Path, asked: str) 
             if not (is_refusal(error) or type(error).__name__ == "TypeCheckError"):  # of the tests' own checks
                 raise AssertionError(f"{one!r}: {type(error).__name__}") from error
     assert refused > 20
+
+
+@pytest.mark.parametrize("read", [lambda path: read_dem(path, vertical_datum="ellipsoid"), read_orthoimage])
+def test_a_raster_with_a_crs_of_which_proj_understands_no_part_is_refused(
+    tmp_path: pathlib.Path, read: Callable[[pathlib.Path], Any]
+) -> None:
+    """PROJ makes a CRS of it, and stumbles when it is asked for the geographic CRS in it."""
+    path = tmp_path / "a.vrt"
+    path.write_bytes(vrt(tmp_path)[0])
+    read(path)
+    srs = re.compile("<SRS>.*</SRS>", re.DOTALL)
+    path.write_text(srs.sub(f"<SRS>{DAMAGED.replace(chr(34), '&quot;')}</SRS>", path.read_text()))
+    with pytest.raises((DemError, ImageError), match=r"a\.vrt: PROJ does not understand the file's"):
+        read(path)

@@ -62,5 +62,5 @@ def test_functions_are_found_by_their_names() -> None:
     assert resolve("math.hypot") is math.hypot
     assert resolve("jaxgeo.studies.claims.Claim.verdict") is Claim.verdict
     for name in ("math.nothing", "nothing.at.all"):
-        with pytest.raises(ValueError, match=r"no nothing in|name of nothing"):
+        with pytest.raises(ValueError, match="names nothing that can be imported"):
             resolve(name)

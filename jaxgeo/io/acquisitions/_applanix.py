@@ -10,6 +10,7 @@ from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.navigation import WEEK
+from jaxgeo.io.sentinels import SBET
 
 # Numbers of a record, all float64, little-endian. Velocities are along the axes of the wander frame (`_wander`);
 # accelerations and rates are not used: the file does not say whether rates are against the Earth or the stars.
@@ -87,7 +88,7 @@ def clock_of(path: str, records: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def numbers_of(path: str, records: np.ndarray, picked: np.ndarray) -> Fields:
-    """The fields in use of some records, in range."""
+    """The fields in use of some records, in range and at a known place."""
     rows = np.asarray(records[picked])
     numbers = {name: np.array(rows[:, FIELDS.index(name)], np.float64) for name in LIMITS}
     for name, (low, high, unit) in LIMITS.items():
@@ -98,6 +99,12 @@ def numbers_of(path: str, records: np.ndarray, picked: np.ndarray) -> Fields:
                 f"{path}, record {picked[row]}: {name} is {numbers[name][row]:.9g}, outside [{low:.6g}, {high:.6g}] "
                 f"{unit}; the file is damaged, or no SBET."
             )
+    nowhere = np.flatnonzero((numbers["lat"] == 0.0) & (numbers["lon"] == 0.0))
+    if len(nowhere):
+        raise TableError(
+            f"{path}, record {picked[nowhere[0]]}: latitude and longitude are zero ({SBET[0].reason}); the file is "
+            f"damaged, or no SBET. Export it again, or take out the {len(nowhere)} records of that place."
+        )
     return numbers
 
 

@@ -18,9 +18,8 @@ FORM = "subtitle file of DJI"
 _DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
 FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?[0-9][^ \t\r\n\])}>,;]*)")
 PLAIN = re.compile(rf"[-+]?{_DECIMAL}")
-NUMBER = re.compile(
-    rf"([-+]?{_DECIMAL}(?:/{_DECIMAL})?)m?"
-)  # no 1_0, 0x10, 1e5, digits of other scripts, damaged bytes
+# No 1_0, 0x10, 1e5, digits of other scripts, damaged bytes.
+NUMBER = re.compile(rf"([-+]?{_DECIMAL}(?:/{_DECIMAL})?)m?")
 CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
 TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
 SPELLINGS = {"longtitude": "longitude"}  # of some firmware

@@ -2,6 +2,7 @@
 its table of errors, an image from end to end, ties and blocks, the constrained search, and frames in turn."""
 
 from jaxgeo.studies.gu2017.accuracy import Accuracy, Radii, accuracy, over_slope, radii, within
+from jaxgeo.studies.gu2017.claims import claims_of
 from jaxgeo.studies.gu2017.fixes import Fixes, Spread, fixes_of, lattice, spread, truth
 from jaxgeo.studies.gu2017.flow import Flow, Run, flow, one_run
 from jaxgeo.studies.gu2017.frames import Frame, frames
@@ -22,6 +23,7 @@ __all__ = [
     "Searched",
     "Spread",
     "accuracy",
+    "claims_of",
     "fixes_of",
     "flow",
     "frames",

@@ -23,7 +23,7 @@ from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import ErrorModel, Propagation, sources
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 
-COUNTS = {5: (5, 1), 10: (5, 2), 20: (5, 4), 50: (10, 5)}  # ties: in columns and rows
+COUNTS = {5: (5, 1), 10: (5, 2), 20: (5, 4), 30: (6, 5)}  # ties: in columns and rows
 FIELDS = (1.0, 2.0, 5.0, 10.0, 20.0)  # deg
 SLOPES = (-10.0, 0.0, 5.0, 10.0, 20.0)  # deg, rising away from the camera
 MIDDLE = CASES[3]  # 100 m, 1 deg, 20 m, 10 m

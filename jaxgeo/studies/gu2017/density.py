@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,73 +12,100 @@ import numpy as np
 from jaxgeo.earth import Geodetic
 from jaxgeo.register import PoseConsensus, TieErrors, TiePoints, Update, update
 from jaxgeo.sensor import Shot
-from jaxgeo.studies.gu2017.fixes import Spread, fixes_of, spread, truth
-from jaxgeo.studies.gu2017.mapped import Mapped, blocks, mapped, ties_of, unknowns
+from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, pose_error, spread, truth
+from jaxgeo.studies.gu2017.intervals import mean
+from jaxgeo.studies.gu2017.mapped import Mapped, allowed, blocks, mapped, ties_of, unknowns
 from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, seen_again
 
-SIZES = (64, 100, 150, 300)  # cells
-COUNTS = (5, 10, 20, 40)
+SIZES = (64, 100, 150, 300, 600)  # cells
+COUNTS = (5, 10, 20, 40, 80)
 LEFT = (3.0, 0.03)  # m, deg: errors as a first pass may leave them
+NOISES = (0.1, 2.0)  # of the image, times its own standard deviation
 ROUNDS, MORE = 4, 1.02
 SUBSETS = 3
+MOST_TIES = 512  # of an update
+PEAKS = 2  # candidates of a block
 
 
 class Dense(NamedTuple):
-    """Updates by ties of blocks of a size: how many blocks and ties, and how far off fixes are; means over trials."""
+    """Updates by ties of blocks of a size, in an image of so much noise: means over trials of how many blocks and ties
+    there are, and of the share of blocks whose best candidate is wrong or that have none; how far off fixes are, and
+    the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial."""
 
     size: int
+    noise: float
     trials: int
     blocks: float
+    failed: float
     ties: float
     registration: float
     spread: Spread
+    pose: float
+    half: float
+    each: tuple[float, ...]
 
 
-def by_size(im: Imaged, seeds: Sequence[int], sizes: Sequence[int] = SIZES) -> tuple[list[Dense], list[Dense]]:
-    """(by the size of blocks, by the number of ties of the smallest): other noise, light, terrain and pose each time.
+class _Matched(NamedTuple):
+    """Ties of the blocks that agree, of so many; and the share that failed."""
 
-    The image is rectified with a pose as a first pass leaves it, matched once, and the navigation updated by all ties.
-    Empty for an image whose true shot is not known.
+    number: int
+    failed: float
+    ties: TiePoints
+
+
+def by_size(
+    im: Imaged, seeds: Sequence[int], sizes: Sequence[int] = SIZES, noises: Sequence[float] = NOISES
+) -> tuple[list[Dense], list[Dense]]:
+    """(by noise and the size of blocks, by the number of ties of the smallest in little noise).
+
+    Each trial has other noise, light, elevation model and errors of the pose. The image is rectified with a pose as a
+    first pass leaves it, matched once, and the navigation updated by all ties. Empty for an image whose true shot is
+    not known.
     """
     if im.true is None or im.ground is None:
         return [], []
-    whole: dict[int, list[Dense]] = {size: [] for size in sizes}
+    whole: dict[tuple[float, int], list[Dense]] = {(noise, size): [] for noise in noises for size in sizes}
     fewer: dict[int, list[Dense]] = {count: [] for count in COUNTS}
-    for seed in seeds:
-        again = seen_again(im, seed)
+    told: dict[int, np.ndarray] = {}
+    for noise, seed in itertools.product(noises, seeds):
+        again = seen_again(im, seed, noise)
         rng = np.random.default_rng([seed, 9])
         shot = disturbed(im.true, rng, metres=LEFT[0], degrees=LEFT[1])
         here = mapped(again, shot, navigation(*LEFT))
         for size in sizes:
-            found = _ties(here, size)
-            if found is None:
+            told.setdefault(size, allowed(here, size))
+            found = _ties(here, size, told[size])
+            if found.ties.count < 3:
                 continue
-            number, ties = found
-            done = _updated(again, shot, size, number, ties)
-            whole[size] += [] if done is None else [done]
-            if size != min(sizes):
+            whole[noise, size] += _updated(again, shot, (size, noise), found)
+            if size != min(sizes) or noise != min(noises):
                 continue
             for count in COUNTS:
-                for _ in range(SUBSETS if count < ties.count else 0):
-                    some = rng.choice(ties.count, count, replace=False)
-                    done = _updated(again, shot, size, count, _of(ties, some))
-                    fewer[count] += [] if done is None else [done]
+                of_trial: list[Dense] = []
+                for _ in range(SUBSETS if count < found.ties.count else 0):
+                    some = rng.choice(found.ties.count, count, replace=False)
+                    of_trial += _updated(again, shot, (size, noise), found._replace(ties=_of(found.ties, some)))
+                fewer[count] += [_mean(of_trial)] if of_trial else []
     return [_mean(rows) for rows in whole.values() if rows], [_mean(rows) for rows in fewer.values() if rows]
 
 
-def _ties(here: Mapped, size: int) -> tuple[int, TiePoints] | None:
-    """(number of blocks, ties of those that agree); None where too few do."""
-    found = blocks(here, size, 0.999)
+def _ties(here: Mapped, size: int, cov: np.ndarray) -> _Matched:
+    found = blocks(here, size, 0.999, cov, peaks=PEAKS)
     chosen = PoseConsensus().choose(found.matches, found.jacobian, unknowns(here.errors))
+    known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.seen)
+    right = known & ~found.is_off(np.asarray(found.matches.shift)[:, 0]) & found.matches.is_candidate.any(axis=1)
     ties = ties_of(here, found, chosen)
-    return (len(found.true), ties) if ties.count >= 3 else None
+    if ties.count > MOST_TIES:
+        ties = _of(ties, np.linspace(0, ties.count - 1, MOST_TIES).astype(int))
+    return _Matched(int(known.sum()), 1.0 - float(right.sum()) / max(int(known.sum()), 1), ties)
 
 
-def _updated(im: Imaged, shot: Shot, size: int, number: int, ties: TiePoints) -> Dense | None:
+def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched) -> list[Dense]:
     """The update of the navigation by ties; registration is as uncertain as their residuals show, if there are enough.
 
-    None where it does not converge.
+    Empty where it does not converge.
     """
+    ties = matched.ties
     found, registration = _with(im, shot, ties, float(im.tie_errors.registration))
     for _ in range(ROUNDS if ties.count >= 10 else 0):
         sigma0 = float(found.sigma0_ties)
@@ -86,14 +115,16 @@ def _updated(im: Imaged, shot: Shot, size: int, number: int, ties: TiePoints) ->
         registration = float(np.hypot(registration, np.sqrt(sigma0**2 - 1.0) * np.hypot(own, registration)))
         found, registration = _with(im, shot, ties, registration)
     if not isinstance(found.shot, Shot) or not bool(found.ok):
-        return None
+        return []
     fixes = fixes_of(im, found.shot, found.cov_error, found.sensor)
-    return Dense(size, 1, number, ties.count, registration, spread(fixes, truth(im)))
+    spread_ = spread(fixes, truth(im))
+    off = pose_error(im, found.sensor, found.shot)
+    return [Dense(*case, 1, matched.number, matched.failed, ties.count, registration, spread_, off, math.inf, (off,))]
 
 
 def _with(im: Imaged, shot: Shot, ties: TiePoints, registration: float) -> tuple[Update, float]:
     errors = TieErrors(registration=registration, terrain=im.tie_errors.terrain)
-    return update(im.sensor, shot, ties, im.terrain, im.errors, errors), registration
+    return update(*alike((im.sensor, shot)), ties, im.terrain, im.errors, errors), registration
 
 
 def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:
@@ -106,17 +137,18 @@ def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:
 
 def _mean(rows: Sequence[Dense]) -> Dense:
     """Over trials: root mean squares, and means of the rest."""
-    each = np.array([[np.nan if x is None else x for x in row.spread] for row in rows], float)
-    rms, sigma = (float(np.sqrt(np.mean(each[:, k] ** 2))) for k in (0, 2))
-    ce90, foretold, squares = (float(np.mean(each[:, k])) for k in (1, 3, 4))
-    blocks_, ties, registration = (
-        float(np.mean([getattr(r, n) for r in rows])) for n in ("blocks", "ties", "registration")
+    table = np.array([[np.nan if x is None else x for x in row.spread] for row in rows], float)
+    rms, sigma = (float(np.sqrt(np.mean(table[:, k] ** 2))) for k in (0, 2))
+    ce90, foretold, squares = (float(np.mean(table[:, k])) for k in (1, 3, 4))
+    each = tuple(x for row in rows for x in row.each)
+    return rows[0]._replace(
+        trials=len(rows),
+        **{name: float(np.mean([getattr(r, name) for r in rows])) for name in AVERAGED},
+        spread=Spread(rms, ce90, sigma, foretold, squares, round(float(np.mean(table[:, 5])))),
+        pose=mean(each)[0],
+        half=mean(each)[1],
+        each=each,
     )
-    return Dense(
-        rows[0].size,
-        len(rows),
-        blocks_,
-        ties,
-        registration,
-        Spread(rms, ce90, sigma, foretold, squares, round(float(np.mean(each[:, 5])))),
-    )
+
+
+AVERAGED = ("blocks", "failed", "ties", "registration")

@@ -15,6 +15,7 @@ from jaxgeo.register import Orthoimage
 from jaxgeo.studies.gu2017.density import Dense
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import Frame
+from jaxgeo.studies.gu2017.intervals import rms
 from jaxgeo.studies.gu2017.report import Report
 from jaxgeo.studies.gu2017.scene import CELL, Imaged
 from jaxgeo.studies.gu2017.searching import WHOLE, Searched
@@ -31,9 +32,9 @@ def write(report: Report, folder: pathlib.Path) -> None:
         "circles.png": (lambda figure: draw_circles(report.flow, figure), (7.2, 7.6)),
     }
     if report.searches:
-        pictures["shifts.png"] = (lambda figure: draw_shifts(report.searches, figure), (14.0, 8.6))
+        pictures["shifts.png"] = (lambda figure: draw_shifts(report.searches, figure), (19.0, 8.6))
     if report.by_size:
-        pictures["blocks.png"] = (lambda figure: draw_blocks(report.by_size, report.by_ties, figure), (10.5, 4.2))
+        pictures["blocks.png"] = (lambda figure: draw_blocks(report.by_size, report.by_ties, figure), (13.0, 4.4))
     if report.frames:
         pictures["frames.png"] = (lambda figure: draw_frames(report.frames, figure), (10.5, 4.2))
     draw_all(pictures, folder)
@@ -61,7 +62,7 @@ def _shifts(one: Searched, ax: Axes) -> None:
     name = WHOLE if one.search == WHOLE else "within 3 sigma"
     ax.set(aspect="equal", adjustable="datalim", xlabel="east, m", ylabel="north, m")
     sought = one.sought
-    ax.set_title(f"{sought.position:g} m, {sought.attitude_deg:g} deg: {name}, {one.blocks} blocks", fontsize=10)
+    ax.set_title(f"{sought.name}: {name}", fontsize=10)
 
 
 def draw_images(im: Imaged, found: Flow, figure: Figure) -> None:
@@ -113,21 +114,27 @@ def draw_circles(found: Flow, figure: Figure) -> None:
 
 
 def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figure) -> None:
-    """Errors and what is foretold of them, by size of blocks and by number of ties."""
-    left, right = figure.subplots(1, 2)
-    sides = ((left, by_size, [one.size for one in by_size], "block, cells"),)
-    sides += ((right, by_ties, [one.ties for one in by_ties], "ties"),)
-    for ax, rows, at, label in sides:
-        ax.plot(at, [one.spread.ce90 for one in rows], "o-", color=FIX, label="found: 90 %")
-        ax.plot(at, [one.spread.foretold90 for one in rows], "--", color=SIGHT, label="foretold: CE90")
-        ax.set(xlabel=label, ylabel="m", ylim=(0.0, None))
-    for one in by_size:
-        left.annotate(
-            f"{one.ties:.0f} ties", (one.size, one.spread.ce90 or 0.0), xytext=(3, 6), textcoords="offset points"
-        )
-    left.set_title("Size of blocks")
-    right.set_title("Number of ties")
+    """Errors of fixes by size of blocks, in each noise, and by number of ties, with 95 % intervals."""
+    left, middle, right = figure.subplots(1, 3)
+    for noise, colour in zip(dict.fromkeys(one.noise for one in by_size), (FIX, EDGE, SIGHT), strict=False):
+        rows = [one for one in by_size if one.noise == noise]
+        at = [one.size for one in rows]
+        _whiskers(left, at, rows, colour, f"noise {noise:g}")
+        middle.plot(at, [100.0 * one.failed for one in rows], "o-", color=colour, label=f"noise {noise:g}")
+        for one in rows if noise == by_size[0].noise else ():
+            left.annotate(f"{one.ties:.0f}", (one.size, one.pose), xytext=(3, 6), textcoords="offset points")
+    _whiskers(right, [one.ties for one in by_ties], by_ties, FIX, "")
+    left.set(
+        title="Size of blocks (numbers: ties)", xlabel="block, cells", ylabel="error of the pose, px", ylim=(0.0, None)
+    )
+    middle.set(title="Blocks that fail", xlabel="block, cells", ylabel="%", ylim=(0.0, None))
+    right.set(title="Number of ties", xlabel="ties", ylabel="error of the pose, px", xscale="log", ylim=(0.0, None))
     figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=2, loc="outside lower center")
+
+
+def _whiskers(ax: Axes, at: Sequence[float], rows: Sequence[Dense], colour: str, label: str) -> None:
+    pose, half = [one.pose for one in rows], [one.half for one in rows]
+    ax.errorbar(at, pose, yerr=half, fmt="o-", color=colour, capsize=3, label=label)
 
 
 def draw_frames(found: Sequence[Frame], figure: Figure) -> None:
@@ -138,7 +145,8 @@ def draw_frames(found: Sequence[Frame], figure: Figure) -> None:
         rows = [one for one in found if one.way == way]
         at = [one.number for one in rows]
         for ax, what, sigma in ((left, "position", "sigma_position"), (right, "fix", "sigma_fix")):
-            ax.plot(at, [np.sqrt(np.mean(getattr(one, what) ** 2)) for one in rows], "o-", color=colour, label=way)
+            usual, half = zip(*(rms(getattr(one, what)) for one in rows), strict=True)
+            ax.errorbar(at, usual, yerr=half, fmt="o-", color=colour, capsize=3, label=way)
             ax.plot(at, [getattr(one, sigma) for one in rows], "--", color=colour)
     left.set(title="Position of the aircraft", xlabel="frame", ylabel="m (dashed: foretold)", ylim=(0.0, None))
     right.set(title="Fix in the middle", xlabel="frame", ylabel="m (dashed: foretold)", yscale="log")

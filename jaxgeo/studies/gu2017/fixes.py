@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,13 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgeo._numerics import safe_sqrt
-from jaxgeo.locate import locate
 from jaxgeo.register import Registration
 from jaxgeo.sensor import Sensor, Shot
-from jaxgeo.studies.gu2017.scene import Imaged
+from jaxgeo.sensor.exposure import image_of_point
+from jaxgeo.studies.gu2017.scene import Imaged, points_seen
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
+
+Tree = TypeVar("Tree")
 
 ACROSS, DOWN = 6, 4  # pixels of the lattice
 GRAZING = 3.0
@@ -62,7 +64,13 @@ def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = No
     sensor = im.sensor if sensor is None else sensor
     uv = jnp.asarray(lattice(im.sensor))
     numbers = jnp.asarray(covariance), jnp.asarray(im.tie_errors.terrain, float)
-    return Fixes(*(np.asarray(x) for x in _fixed(sensor, shot, im.terrain, im.errors, *numbers, uv)))
+    given = alike((sensor, shot, im.terrain, im.errors, *numbers, uv))
+    return Fixes(*(np.asarray(x) for x in _fixed(*given)))
+
+
+def alike(tree: Tree) -> Tree:
+    """The same numbers as arrays of one type, by which JAX tells programs apart: one serves wherever they come from."""
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)) if eqx.is_inexact_array_like(x) else x, tree)
 
 
 def direct(im: Imaged, given: Shot | None = None) -> Fixes:
@@ -81,7 +89,18 @@ def truth(im: Imaged) -> Float[np.ndarray, "n 3"] | None:
     """What the pixels of the lattice truly see, ECEF, m; None where that is not known."""
     if im.true is None or im.ground is None:
         return None
-    return np.asarray(_seen(im.sensor, im.true, im.ground, jnp.asarray(lattice(im.sensor))))
+    return points_seen(im.sensor, im.true, im.ground, lattice(im.sensor))
+
+
+def pose_error(im: Imaged, sensor: Sensor, shot: Shot) -> float:
+    """Root mean square distance in px between the pixels of the lattice and where a shot has what they truly see: what
+    the pose alone is off, whatever the elevation model. NaN where the truth is not known."""
+    true = truth(im)
+    if true is None:
+        return float("nan")
+    known, uv = np.isfinite(true[:, 0]), lattice(im.sensor)
+    there = np.asarray(_imaged(*alike((sensor, shot)), jnp.asarray(np.where(known[:, None], true, true[known][0]))))
+    return float(np.sqrt(np.mean(np.sum((there - uv)[known] ** 2, axis=1))))
 
 
 def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
@@ -127,5 +146,5 @@ def _fixed(
 
 
 @eqx.filter_jit
-def _seen(sensor: Sensor, shot: Shot, terrain: AbstractTerrain, uv: Any) -> jax.Array:
-    return jax.vmap(lambda pixel: jnp.asarray(locate(sensor, shot, pixel, terrain).ecef))(uv)
+def _imaged(sensor: Sensor, shot: Shot, points: Any) -> jax.Array:
+    return jax.vmap(lambda p: image_of_point(sensor, shot, jnp.asarray(0.0), p, None)[0])(points)

@@ -11,21 +11,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
-from jaxgeo.locate import locate
 from jaxgeo.register import Prior, TieErrors, TiePoints, Update, next_prior, update
 from jaxgeo.sensor import Pose, Shot
-from jaxgeo.studies.gu2017.fixes import fixes_of, lattice
+from jaxgeo.studies.gu2017.fixes import alike, fixes_of, lattice
 from jaxgeo.studies.gu2017.scene import (
     ABOVE,
     AZIMUTH,
     OFF_NADIR,
     Imaged,
     camera,
+    erring,
     looking_at,
     moved,
     navigation,
+    points_seen,
     target_on,
 )
+from jaxgeo.studies.scenes import fractal_posts
+from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import ErrorModel, InTime
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.sharing import Occasion
@@ -33,13 +36,17 @@ from jaxgeo.uncertainty.sharing import Occasion
 FRAMES, STEP, SPEED = 6, 5.0, 60.0  # number, s, m/s to the north
 DURATION = 60.0  # s, over which the navigation's errors fade
 TIES, MATCHED = 5, 3.0  # in each frame; m
+FLIGHTS = 4  # over each ground
+SLOPES = {"nearly level": 2.0, "made hills": 8.0, "mountains": 16.0}  # deg, rms
+CANDIDATES = 40  # pixels drawn for the ties of a frame: the first that see ground are taken
 EVERY = 3  # frames, of which one is registered
 ALONE, CARRIED, SELDOM = "each by itself", "carried over", "every third, carried over"
 
 
 class Frame(NamedTuple):
-    """A frame by one way: errors over trials (n,) of the position of the aircraft and of the fix in the middle, m, root
-    mean squares of what was foretold of them, and whether it was registered."""
+    """A frame by one way: errors over flights (n,) of the position of the aircraft and of the fix in the middle, m,
+    root mean squares of what was foretold of them, and whether it was registered. `relief` (n,) says over which ground.
+    """
 
     way: str
     number: int
@@ -48,6 +55,7 @@ class Frame(NamedTuple):
     sigma_position: float
     fix: np.ndarray
     sigma_fix: float
+    relief: tuple[str, ...]
 
 
 class _Flown(NamedTuple):
@@ -58,24 +66,44 @@ class _Flown(NamedTuple):
     ties: TiePoints
 
 
-def frames(im: Imaged, trials: int = 8, seed: int = 0) -> list[Frame]:
-    """Every frame by each way; over the ground and elevation model of a made scene, with simulated ties."""
+def frames(im: Imaged, flights: int = FLIGHTS, seed: int = 0) -> list[Frame]:
+    """Every frame by each way, with simulated ties; `flights` over each of several grounds.
+
+    Every flight has an elevation model of its own that errs. Empty for an image that was not made.
+    """
     if im.ground is None:
         return []
     model = navigation(sharing=InTime(DURATION))
     ways = {ALONE: [], CARRIED: [], SELDOM: []}
-    for trial in range(trials):
-        flown = _flown(im, model, np.random.default_rng([seed, trial, 11]))
-        for way, rows in ways.items():
-            rows.append(_gone_through(im, model, flown, way))
+    names = []
+    for place, (name, ground) in enumerate(grounds(im.ground, seed).items()):
+        for flight in range(flights):
+            names.append(name)
+            number = 100 * place + flight
+            over = im._replace(ground=ground, terrain=erring(ground, seed + number))
+            flown = _flown(over, model, np.random.default_rng([seed, number, 11]))
+            for way, rows in ways.items():
+                rows.append(_gone_through(over, model, flown, way))
     result = []
     for way, rows in ways.items():
-        table = np.array(rows)  # trials, frames, four numbers
+        table = np.array(rows)  # flights, frames, four numbers
         for k in range(FRAMES):
             away, sigma, fix, sigma_fix = table[:, k].T
             usual = [float(np.sqrt(np.mean(x**2))) for x in (sigma, sigma_fix)]
-            result.append(Frame(way, k + 1, _is_registered(way, k), away, usual[0], fix, usual[1]))
+            result.append(Frame(way, k + 1, _is_registered(way, k), away, usual[0], fix, usual[1], tuple(names)))
     return result
+
+
+def grounds(hills: Dem, seed: int = 0) -> dict[str, Dem]:
+    """The hills of the package's elevation model, and made ground of other slopes on the same posts."""
+    found = {"hills": hills}
+    rows, cols = np.asarray(hills.posts).shape
+    spacing = float(np.mean(np.asarray(hills.grid.cell_size())))
+    for number, (name, slope) in enumerate(SLOPES.items()):
+        size = max(rows, cols) + max(rows, cols) % 2
+        posts = fractal_posts(size, spacing=spacing, rms_slope=np.deg2rad(slope), seed=100 * seed + number)
+        found[name] = Dem.from_array(300.0 + posts[:rows, :cols], hills.grid)
+    return found
 
 
 def _is_registered(way: str, frame: int) -> bool:
@@ -98,25 +126,28 @@ def _flown(im: Imaged, model: ErrorModel, rng: np.random.Generator) -> list[_Flo
         given = moved(true, error[:3], error[3:])
         lens: Any = sensor.camera
         margin = np.array([lens.width, lens.height])
-        uv = rng.uniform(0.05, 0.95, (TIES, 2)) * margin
-        places = _on_map(sensor, true, im.ground, jnp.asarray(uv), jnp.asarray(MATCHED * rng.normal(size=(TIES, 2))))
-        lat, lon = (np.asarray(x) for x in places)
+        uv = rng.uniform(0.05, 0.95, (CANDIDATES, 2)) * margin
+        p_ecef = points_seen(*alike((sensor, true)), im.ground, uv)
+        sees = np.flatnonzero(np.isfinite(p_ecef[:, 0]))[:TIES]
+        uv = uv[sees]
+        lat, lon = (
+            np.asarray(x) for x in _on_map(jnp.asarray(p_ecef[sees]), jnp.asarray(MATCHED * rng.normal(size=(TIES, 2))))
+        )
         none = np.zeros((TIES, 2, 2))
         made.append(_Flown(given, true, TiePoints(uv, Geodetic(lat=lat, lon=lon, height=np.zeros(TIES)), none)))
         error = rho * error + np.sqrt(1.0 - rho**2) * sigma * rng.normal(size=6)
     return made
 
 
-@eqx.filter_jit
-def _on_map(sensor: Any, shot: Shot, ground: Any, uv: Any, off: Any) -> tuple[Any, Any]:
-    """(lat, lon) of what pixels see, moved by m east and north."""
+@jax.jit
+def _on_map(points: Any, off: Any) -> tuple[Any, Any]:
+    """(lat, lon) of points moved by m east and north."""
 
-    def one(pixel: Any, away: Any) -> tuple[Any, Any]:
-        place = locate(sensor, shot, pixel, ground)
-        moved_by = WGS84.to_geodetic(place.ecef + R_ecef_from_enu(place.position)[:, :2] @ away)
+    def one(point: Any, away: Any) -> tuple[Any, Any]:
+        moved_by = WGS84.to_geodetic(point + R_ecef_from_enu(WGS84.to_geodetic(point))[:, :2] @ away)
         return jnp.asarray(moved_by.lat), jnp.asarray(moved_by.lon)
 
-    return jax.vmap(one)(uv, off)
+    return jax.vmap(one)(points, off)
 
 
 def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: str) -> list[list[float]]:
@@ -127,18 +158,18 @@ def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: s
     for k, frame in enumerate(flown):
         prior = None if last is None or way == ALONE else next_prior(last[1], _occasion(last[0]), _occasion(k))
         if _is_registered(way, k):
-            found = update(camera(), frame.given, frame.ties, im.terrain, model, told, prior=prior)
+            found = update(*alike((camera(), frame.given)), frame.ties, im.terrain, model, told, prior=prior)
             last = k, found
-            rows.append(_off(im, frame, model, found.shot, found.cov_error))
+            rows.append(_off(im, frame, found.shot, found.cov_error))
         else:
             assert prior is not None
-            rows.append(_off(im, frame, model, *_foretold(im, frame, model, prior)))
+            rows.append(_off(im, frame, *_foretold(im, frame, model, prior)))
     return rows
 
 
 def _foretold(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
     """(the shot as the frames before have it, the covariance of its errors)."""
-    look = Look(camera(), frame.given, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+    look = Look(*alike((camera(), frame.given)), jnp.asarray(0.0), jnp.zeros(2), im.terrain)
     return _moved(model, look, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
 
 
@@ -147,15 +178,15 @@ def _moved(model: ErrorModel, look: Look, error: Any) -> Look:
     return model.moved(look, error)
 
 
-def _off(im: Imaged, frame: _Flown, model: ErrorModel, shot: Any, cov: Any) -> list[float]:
-    of_frame = im._replace(errors=model, sensor=camera())
-    away = WGS84.to_ecef(_position(shot.pose)) - WGS84.to_ecef(frame.true.pose.position)
+def _off(im: Imaged, frame: _Flown, shot: Any, cov: Any) -> list[float]:
+    of_frame = im._replace(errors=navigation(), sensor=camera())
+    away, R = (np.asarray(x) for x in _apart(*alike((shot.pose, frame.true.pose))))
     fixes = fixes_of(of_frame, shot, cov)
-    near = int(np.argmin(np.linalg.norm(lattice(of_frame.sensor) - np.mean(lattice(of_frame.sensor), axis=0), axis=1)))
-    true = _places(of_frame.sensor, frame.true, im.ground, jnp.asarray(lattice(of_frame.sensor)))
-    off = fixes.off(np.asarray(true))[near]
+    pixels = lattice(of_frame.sensor)
+    near = int(np.argmin(np.linalg.norm(pixels - np.mean(pixels, axis=0), axis=1)))
+    assert im.ground is not None
+    off = fixes.off(points_seen(*alike((of_frame.sensor, frame.true)), im.ground, pixels))[near]
     sigma = float(np.sqrt(np.trace(np.asarray(cov)[:3, :3])))
-    R = R_ecef_from_ned(frame.true.pose.position)
     return [
         float(np.linalg.norm(R.T @ away)),
         sigma,
@@ -164,10 +195,8 @@ def _off(im: Imaged, frame: _Flown, model: ErrorModel, shot: Any, cov: Any) -> l
     ]
 
 
-def _position(pose: Pose) -> Geodetic:
-    return pose.position
-
-
 @eqx.filter_jit
-def _places(sensor: Any, shot: Shot, ground: Any, uv: Any) -> Any:
-    return jax.vmap(lambda pixel: jnp.asarray(locate(sensor, shot, pixel, ground).ecef))(uv)
+def _apart(pose: Pose, true: Pose) -> tuple[jax.Array, jax.Array]:
+    """How far one pose lies from another in ECEF, m, and the axes of north, east, down there."""
+    away = WGS84.to_ecef(pose.position) - WGS84.to_ecef(true.position)
+    return away, R_ecef_from_ned(true.position)

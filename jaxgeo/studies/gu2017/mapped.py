@@ -12,19 +12,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.locate import locate
 from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, flattened, match, rectify
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
-from jaxgeo.sensor import Sensor, Shot
-from jaxgeo.studies.gu2017.scene import Imaged
-from jaxgeo.terrain import AbstractTerrain
+from jaxgeo.sensor import Shot
+from jaxgeo.studies.gu2017.scene import Imaged, between
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty import ErrorModel
 from jaxgeo.uncertainty.look import Look
 
 ASIDE = 1.0  # cells: standard deviation of what shifts a block beside the navigation's errors
-LATTICE = 7  # places along a side of a block, by which its true shift is told
+LATTICE = 4  # places along a side of a block, by which its true shift is told
 
 
 class Mapped(NamedTuple):
@@ -76,24 +74,37 @@ def blocks(
     here: Mapped,
     size: int,
     probability: float,
-    covariance: Any = None,
+    covariance: Float[np.ndarray, "2 2"],
     above_chance: float = 1.0,
     *,
-    most: int | None = None,
+    peaks: int = 4,
+    largest_sigma: float = 1.0,
 ) -> Blocks:
-    """Blocks of `size` cells, sought where the errors allow with a probability, or all with one `covariance`, cells2;
-    no more than `most` of them. Candidates correlate `above_chance` times better than chance has it (see `match`)."""
-    im = here.im
-    centres = blocks_of(here.ortho.known, size)[:most]
-    cov = here.shifts(centres, size).covariance(unknowns(here.errors)) + ASIDE**2 * np.eye(2)
-    if covariance is not None:
-        cov = np.broadcast_to(np.asarray(covariance, float), cov.shape)
-    cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
-    known = np.asarray(im.reference.known)
-    pair = here.grey, here.ortho.known, here.reference, known
-    matches = match(*pair, centres, cov, size=size, probability=probability, above_chance=above_chance)
+    """Blocks of `size` cells, sought where a `covariance` of their shifts, cells2, allows with a probability: one for
+    all, so that one program serves. Candidates correlate `above_chance` times better than chance has it (see
+    `match`)."""
+    centres = blocks_of(here.ortho.known, size)
+    cov = np.broadcast_to(np.asarray(covariance, float), (len(centres), 2, 2))
+    pair = here.grey, here.ortho.known, here.reference, np.asarray(here.im.reference.known)
+    options: Any = {
+        "size": size,
+        "probability": probability,
+        "above_chance": above_chance,
+        "peaks": peaks,
+        "largest_sigma": largest_sigma,
+    }
+    matches = match(*pair, centres, cov, **options)
     shifts = here.shifts(np.asarray(matches.centre), size)
     return Blocks(matches, shifts, _true(here, np.asarray(matches.centre), size))
+
+
+def allowed(here: Mapped, size: int) -> Float[np.ndarray, "2 2"]:
+    """The smallest multiple of the mean covariance of all blocks' shifts that is no less than that of any, cells2."""
+    found = here.shifts(blocks_of(here.ortho.known, size), size)
+    cov = found.covariance(unknowns(here.errors))[np.asarray(found.seen)] + ASIDE**2 * np.eye(2)
+    mean = np.mean(0.5 * (cov + np.swapaxes(cov, 1, 2)), axis=0)
+    root = np.linalg.inv(np.linalg.cholesky(mean))
+    return float(np.max(np.linalg.eigvalsh(root @ cov @ root.T))) * mean
 
 
 def unknowns(errors: ErrorModel) -> np.ndarray:
@@ -120,30 +131,18 @@ def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
 def _true(here: Mapped, centres: np.ndarray, size: int) -> np.ndarray:
     """Shifts (n, 2) in cells of what blocks show, the medians over a lattice in each; NaN where that is not known."""
     im = here.im
-    if im.true is None or im.ground is None:
+    if im.sight is None:
         return np.full((len(centres), 2), np.nan)
-    true, ground = im.true, im.ground
     steps = ((np.arange(LATTICE) + 0.5) / LATTICE - 0.5) * size
     lattice = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     places = (centres[:, None, :] + lattice[None, :, :]).reshape(-1, 2)
     on_map = np.clip(np.rint(places).astype(int), 0, np.array(here.ortho.shape) - 1)
     shown = here.ortho.known[on_map[:, 0], on_map[:, 1]]
-    uv = np.asarray(here.shifts(places, 2).uv)
-    there = in_chunks(lambda part: (_looked_at(im.sensor, true, ground, im.reference.grid, part),), uv)[0]
+    there = between(im.sight.places(im.reference.grid), np.asarray(here.shifts(places, 2).uv))
     away = np.where(shown[:, None], there - places, np.nan).reshape(len(centres), -1, 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of blocks that see nothing
         return np.nanmedian(away, axis=1)
-
-
-@eqx.filter_jit
-def _looked_at(sensor: Sensor, shot: Shot, ground: AbstractTerrain, grid: AbstractGrid, uv: Any) -> Array:
-    def one(pixel: Array) -> Array:
-        found = locate(sensor, shot, pixel, ground)
-        p_ecef = jnp.where(found.ok, found.ecef, jnp.array([WGS84.a, 0.0, 0.0]))
-        return jnp.where(found.ok, grid.rowcol(WGS84.normal_and_height(p_ecef)[0]), jnp.nan)
-
-    return jax.vmap(one)(uv)
 
 
 @eqx.filter_jit

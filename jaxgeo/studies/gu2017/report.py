@@ -6,16 +6,17 @@ import pathlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from jaxgeo.studies.claims import claims_sheet
 from jaxgeo.studies.gu2017 import sheets
 from jaxgeo.studies.gu2017.accuracy import Accuracy, accuracy
 from jaxgeo.studies.gu2017.density import Dense, by_size
 from jaxgeo.studies.gu2017.flow import Flow, flow
 from jaxgeo.studies.gu2017.frames import Frame, frames
-from jaxgeo.studies.gu2017.scene import Imaged, made
+from jaxgeo.studies.gu2017.scene import Imaged, in_fine_cells, made
 from jaxgeo.studies.gu2017.searching import Searched, searches
 from jaxgeo.studies.sheet import Sheet, write_sheets
 
-TRIALS = 3  # of blocks, with other noise, light and elevation model
+TRIALS = 3  # of blocks, with other noise, light, elevation model and pose
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,16 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
         table = pool.submit(accuracy)
         im = made(seed) if image is None else image
         in_turn = pool.submit(frames, im, seed=seed)
+        sought = pool.submit(searches, im, seed)
         done = flow(im, seed=seed)
-        whole, fewer = by_size(im, range(seed, seed + TRIALS))
-        sought = searches(im, seed)
-        return Report(im, table.result(), done, whole, fewer, sought, in_turn.result())
+        whole, fewer = ([], []) if im.sight is None else by_size(in_fine_cells(im, seed), range(seed, seed + TRIALS))
+        return Report(im, table.result(), done, whole, fewer, sought.result(), in_turn.result())
 
 
 def sheets_of(report: Report) -> list[Sheet]:
-    """The study's tables, in the order of the paper."""
+    """The study's tables, in the order of the paper, and the verdicts that follow from them."""
+    from jaxgeo.studies.gu2017.claims import claims_of  # it reads reports
+
     found = [
         sheets.errors_sheet(report.accuracy),
         sheets.sensitivity_sheet(report.accuracy),
@@ -56,7 +59,9 @@ def sheets_of(report: Report) -> list[Sheet]:
         found += [sheets.searches_sheet(report.searches)]
     if report.by_size:
         found += [sheets.blocks_sheet(report.by_size), sheets.ties_sheet(report.by_ties)]
-    return [*found, sheets.frames_sheet(report.frames)] if report.frames else found
+    if report.frames:
+        found += [sheets.frames_sheet(report.frames), sheets.grounds_sheet(report.frames)]
+    return [*found, claims_sheet(claims_of(report))]
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:

@@ -13,27 +13,48 @@ import scipy  # loads its parts when they are asked for
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.io import example_dem
 from jaxgeo.register import Orthoimage, TieErrors
-from jaxgeo.register.render import render
+from jaxgeo.register.render import met
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
+from jaxgeo.status import Status
 from jaxgeo.studies.scenes import fractal_posts
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight, Dem, TangentGrid
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty import ErrorModel, sources
+from jaxgeo.uncertainty.look import Look
 
-WIDTH, HEIGHT, FOCAL = 480, 300, 1708.0  # px: 16 by 10 deg
+WIDTH, HEIGHT, FOCAL = 2400, 1500, 8540.0  # px: 16 by 10 deg
+STRIDE = 5  # px between lines of sight that are followed to the ground; places between are interpolated
+JUMP = 4.0  # times the usual distance on the map of neighbouring lines of sight: a ridge hides what is between
 OFF_NADIR, AZIMUTH, ABOVE = 65.0, 20.0, 5000.0  # deg, deg, m over the ground
 TARGET = (36.300, -84.250)  # deg: hills of Tennessee
 CELLS, CELL = (960, 960), 10.0  # of the map, m
+FINE_CELLS, FINE_CELL = (1980, 1620), 3.0  # of the map under large blocks, m
 SIGMA_POSITION, SIGMA_ATTITUDE = 50.0, 0.5  # m, deg: the second row of the paper's table
 SIGMA_TERRAIN = 5.0  # m, of the elevation model, alike over
 ALIKE = 200.0  # m
 LEAST_MATCH = 0.5  # m: no tie is taken as better than that
 
 
+class Sight(NamedTuple):
+    """What lines of sight every `STRIDE` px meet, from 3 px beside the image on: `p_ecef` (rows, cols, 3) in m, NaN
+    where there is no ground."""
+
+    p_ecef: np.ndarray
+
+    def places(self, grid: AbstractGrid) -> np.ndarray:
+        """(rows, cols, 2): the (row, col) of a grid."""
+        shape = self.p_ecef.shape[:2]
+        flat = self.p_ecef.reshape(-1, 3)
+        known = np.isfinite(flat[:, 0])
+        found = np.asarray(_rowcol(grid, jnp.asarray(np.where(known[:, None], flat, [WGS84.a, 0.0, 0.0]))))
+        return np.where(known[:, None], found, np.nan).reshape(*shape, 2)
+
+
 class Imaged(NamedTuple):
     """An image, a map and a terrain, and what the navigation says. `image` is (rows, cols), `known` where it shows
     anything; `given` is the shot of the navigation, `terrain` the elevation model. `true` and `ground` are the shot and
-    the ground that there were, `clear` (bands, rows, cols) the image before it was spoilt: None where not known."""
+    the ground that there were, `clear` (bands, rows, cols) the image before it was spoilt, `sight` what its pixels
+    truly see: None where not known."""
 
     sensor: Sensor
     given: Shot
@@ -46,6 +67,7 @@ class Imaged(NamedTuple):
     true: Shot | None = None
     ground: Dem | None = None
     clear: np.ndarray | None = None
+    sight: Sight | None = None
 
 
 class World(NamedTuple):
@@ -98,24 +120,82 @@ def made(seed: int = 0) -> Imaged:
     return taken(there, camera(), true, given, seed)
 
 
-def taken(there: World, sensor: Sensor, true: Shot, given: Shot, seed: int) -> Imaged:
-    """The image of a shot, of other light than the map, with noise; `given` is what the navigation says."""
-    seen = render(sensor, true, there.reference, there.ground)
+def in_fine_cells(im: Imaged, seed: int) -> Imaged:
+    """The same shot of a map in cells about as small as the pixels. Raises `ValueError` for an image not made."""
+    if im.true is None or im.ground is None or im.sight is None:
+        raise ValueError("only an image that was made can be made again.")
+    fine = textured(im.ground, target_on(im.ground), FINE_CELLS, FINE_CELL, seed)
+    there = World(im.ground, fine, erring(im.ground, seed))
+    return taken(there, im.sensor, im.true, im.given, seed, im.sight)
+
+
+def shows(im: Imaged, reference: Orthoimage) -> Imaged:
+    """The same shot of another map. Raises `ValueError` for an image that was not made."""
+    if im.sight is None:
+        raise ValueError("only an image that was made can be made again.")
+    clear, known = shown(im.sight, reference, im.sensor)
+    return im._replace(reference=reference, clear=clear, known=known)
+
+
+def taken(there: World, sensor: Sensor, true: Shot, given: Shot, seed: int, sight: Sight | None = None) -> Imaged:
+    """The image of a shot, of other light than the map, with noise; `given` is what the navigation says.
+
+    `sight`, if it is known already, is what the shot sees of this ground.
+    """
+    sight = sight_of(sensor, true, there.ground) if sight is None else sight
+    clear, known = shown(sight, there.reference, sensor)
     errors = TieErrors(registration=LEAST_MATCH, terrain=SIGMA_TERRAIN)
-    known, reference, terrain = seen.known, there.reference, there.terrain
-    clear = np.asarray(seen.values)
-    image = spoilt(clear, seed)[0]
-    return Imaged(sensor, given, image, known, reference, terrain, navigation(), errors, true, there.ground, clear)
+    of_map = known, there.reference, there.terrain, navigation(), errors
+    return Imaged(sensor, given, spoilt(clear, seed)[0], *of_map, true, there.ground, clear, sight)
 
 
-def seen_again(im: Imaged, seed: int) -> Imaged:
+def sight_of(sensor: Sensor, shot: Shot, ground: AbstractTerrain) -> Sight:
+    """What a shot sees: the first ground that lines of sight meet."""
+    rows, cols = (np.arange(n // STRIDE + 2) * float(STRIDE) - 3.0 for n in _size(sensor))
+    uv = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
+    return Sight(points_seen(sensor, shot, ground, uv).reshape(len(rows), len(cols), 3))
+
+
+def points_seen(sensor: Sensor, shot: Shot, ground: AbstractTerrain, uv: np.ndarray) -> np.ndarray:
+    """Points (n, 3) in ECEF, m, of the first ground that pixels (n, 2) see; NaN without one."""
+    found = met(Look(sensor, shot, jnp.asarray(0.0), jnp.zeros(2), ground), np.asarray(uv, float))
+    return np.where((np.asarray(found.status) == Status.hit)[:, None], np.asarray(found.p_ecef), np.nan)
+
+
+def between(lattice: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Values at pixels (n, 2) between those (rows, cols, k) of a `Sight`."""
+    at = (np.asarray(uv)[:, ::-1].T + 3.0) / STRIDE
+    return np.stack([scipy.ndimage.map_coordinates(band, at, order=1) for band in np.moveaxis(lattice, -1, 0)], axis=-1)
+
+
+def shown(sight: Sight, reference: Orthoimage, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """(image (1, rows, cols) of a map along lines of sight, whether it is known)."""
+    places = sight.places(reference.grid)
+    far = [np.linalg.norm(np.diff(places, axis=axis, append=np.nan), axis=-1) for axis in (0, 1)]
+    torn = np.any([x > JUMP * np.nanmedian(x) for x in far], axis=0) | np.isnan(places[..., 0])
+    rows, cols = _size(sensor)
+    at = np.stack(np.meshgrid(*((np.arange(n) + 3.0) / STRIDE for n in (rows, cols)), indexing="ij"))
+    torn_here = scipy.ndimage.maximum_filter(torn, 3)[tuple(np.rint(at).astype(int))]
+    row, col = (scipy.ndimage.map_coordinates(np.nan_to_num(places[..., k]), at, order=1) for k in range(2))
+    inside = (row >= 0) & (col >= 0) & (row <= reference.shape[0] - 1) & (col <= reference.shape[1] - 1)
+    known = inside & ~torn_here
+    values = scipy.ndimage.map_coordinates(np.asarray(reference.values)[0], [row, col], order=1, mode="nearest")
+    return np.where(known, values, 0.0)[None], known
+
+
+def _size(sensor: Sensor) -> tuple[int, int]:
+    camera: Any = sensor.camera
+    return camera.height, camera.width
+
+
+def seen_again(im: Imaged, seed: int, noise: float = 0.1) -> Imaged:
     """The same shot in other light, with other noise, and an elevation model that errs otherwise.
 
     Raises `ValueError` for an image that was not made.
     """
     if im.clear is None or im.ground is None:
         raise ValueError("only an image that was made can be made again.")
-    return im._replace(image=spoilt(im.clear, seed)[0], terrain=erring(im.ground, seed))
+    return im._replace(image=spoilt(im.clear, seed, noise=noise)[0], terrain=erring(im.ground, seed))
 
 
 def target_on(terrain: Dem, north: float = 0.0) -> Geodetic:
@@ -165,6 +245,17 @@ def spoilt(image: np.ndarray, seed: int, *, depth: float = 0.35, blur: float = 0
     return flat + noise * np.std(flat) * rng.normal(size=flat.shape)
 
 
+def repeated(reference: Orthoimage, period: int, share: float) -> Orthoimage:
+    """A map whose texture repeats itself every `period` cells down and across, as orchards and streets do, but for a
+    part: `share` of its variance is of the pattern."""
+    values = np.asarray(reference.values, float)[0]
+    down, across = (np.arange(n) % period for n in values.shape)
+    tile = scipy.ndimage.gaussian_filter(np.random.default_rng(7).normal(size=(period, period)), 1.5, mode="wrap")
+    pattern = tile[down[:, None], across[None, :]] / np.std(tile)
+    mixed = np.sqrt(share) * pattern + np.sqrt(1.0 - share) * (values - np.mean(values)) / np.std(values)
+    return Orthoimage.of(np.mean(values) + np.std(values) * mixed, reference.grid)
+
+
 def textured(
     terrain: AbstractTerrain, centre: Geodetic, shape: tuple[int, int], cell: float, seed: int = 0
 ) -> Orthoimage:
@@ -198,3 +289,8 @@ def heights_on(terrain: AbstractTerrain, grid: AbstractGrid, shape: tuple[int, i
 @eqx.filter_jit
 def _posts_of(posts: AbstractGrid, cells: AbstractGrid, places: Any) -> Any:
     return jax.vmap(lambda place: posts.rowcol(WGS84.normal_and_height(surface_point(cells.normal(place)))[0]))(places)
+
+
+@eqx.filter_jit
+def _rowcol(grid: AbstractGrid, points: Any) -> Any:
+    return jax.vmap(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(points)

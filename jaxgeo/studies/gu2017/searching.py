@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,11 +12,13 @@ from jaxgeo.register import AbstractChoice, AffineCheck, Clusters, PoseConsensus
 from jaxgeo.register.choice import Chosen
 from jaxgeo.studies.gu2017 import printed
 from jaxgeo.studies.gu2017.accuracy import within
-from jaxgeo.studies.gu2017.mapped import Blocks, blocks, mapped, unknowns
-from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, spoilt
+from jaxgeo.studies.gu2017.mapped import Blocks, Mapped, allowed, blocks, mapped, unknowns
+from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, repeated, seen_again, shows
 
-FAR = 180.0  # cells to all sides: far beyond what the navigation allows
-WARM = 8  # blocks that go through a program at once
+FAR = 160.0  # cells to all sides: far beyond what the navigation allows
+DRAWS = 3  # of the noise, the navigation's errors and the elevation model's, in each scene
+LOOSE = 20.0  # cells: with this as the largest standard deviation of a match none is refused, as in the paper
+SPOILT = 0.1  # of the blocks chosen: with more wrong ones a choice is no longer of use
 CHOICES: dict[str, AbstractChoice] = {
     "K-means": Clusters(),
     "affine": AffineCheck(),
@@ -25,78 +28,123 @@ CHOICES: dict[str, AbstractChoice] = {
 
 class Sought(NamedTuple):
     """What is searched: standard deviations of the navigation, m and deg, side of a block in cells, noise of the image,
-    times its own standard deviation, and how far above chance a candidate has to correlate: zero takes all, as the
-    paper seems to."""
+    times its own standard deviation, how far above chance a candidate has to correlate (zero takes all, as the paper
+    seems to), up to which standard deviation in cells a match is kept, and the period of a texture that repeats itself,
+    cells, with its share of the variance."""
 
+    name: str
     position: float
     attitude_deg: float
     block: int
-    noise: float
-    above_chance: float
+    noise: float = 0.1
+    above_chance: float = 1.0
+    largest_sigma: float = 1.0
+    period: int = 0
+    share: float = 0.0
 
 
 SCENES = (
-    Sought(10.0, 0.05, 100, 0.1, 1.0),  # the navigations of the paper's first two rows; some 16 blocks
-    Sought(50.0, 0.5, 100, 0.1, 1.0),
-    Sought(50.0, 0.5, 64, 1.0, 0.0),  # a poor image in small blocks
+    Sought("plain", 10.0, 0.05, 100),  # the navigations of the paper's first two rows; some 16 blocks
+    Sought("plain, far off", 50.0, 0.5, 100),
+    Sought("small, far off", 50.0, 0.5, 40),
+    Sought("repeated", 10.0, 0.05, 64, 4.0, 0.0, LOOSE, period=24, share=0.97),
+    Sought("repeated, far off", 50.0, 0.5, 64, 4.0, 0.0, LOOSE, period=24, share=0.97),
+    Sought("noisy", 10.0, 0.05, 64, 25.0, 0.0, LOOSE),
 )
 CONSTRAINED, WHOLE = "3 sigma", "unconstrained"
 
 
 class Searched(NamedTuple):
-    """One search of all blocks: whole shifts compared, seconds (compiled before), how many blocks have a candidate, and
-    of how many the best one is wrong; by each choice how many were chosen, and how many of these wrong. Blocks count
-    whose true place is known."""
+    """One search of all blocks in some draws: whole shifts compared, seconds of a draw (the first, which compiles, left
+    out), how many blocks are known to show something, have a candidate, have their true shift within what was searched,
+    and of how many the best candidate is wrong; by each choice how many were chosen, how many of these wrong, and in
+    how many draws it is of no use: more than `SPOILT` of its blocks wrong, or fewer than 3 chosen. `found` and
+    `of_choices` are of the first draw."""
 
     sought: Sought
     search: str
+    draws: int
     blocks: int
     cells: int
     seconds: float
     candidates: int
+    inside: int
     best_wrong: int
     chosen: dict[str, tuple[int, int]]
+    useless: dict[str, int]
     found: Blocks
     of_choices: dict[str, Chosen]
 
 
-def searches(im: Imaged, seed: int = 0) -> list[Searched]:
-    """Constrained and unconstrained search of the same blocks, in each of the `SCENES`; none but of an image made."""
+def searches(im: Imaged, seed: int = 0, draws: int = DRAWS, scenes: Sequence[Sought] = SCENES) -> list[Searched]:
+    """Constrained and unconstrained search of the same blocks, in each of the scenes; none but of an image made."""
     if im.true is None or im.clear is None:
         return []
     rows = []
-    for sought in SCENES:
-        rng = np.random.default_rng([seed, 5])
-        given = disturbed(im.true, rng, metres=sought.position, degrees=sought.attitude_deg)
-        spoiled = im._replace(image=spoilt(im.clear, seed, noise=sought.noise)[0])
-        here = mapped(spoiled, given, navigation(sought.position, sought.attitude_deg))
-        probability = within(printed.SEARCHED)
-        for name, cov in ((CONSTRAINED, None), (WHOLE, ((FAR - 1.0) / printed.SEARCHED) ** 2 * np.eye(2))):
-            options = (sought.block, probability, cov, sought.above_chance)
-            blocks(here, *options, most=None if cov is None else WARM)  # compiles: all sizes of windows
-            began = time.perf_counter()
-            found = blocks(here, *options)
-            rows.append(_counted((sought, name), found, time.perf_counter() - began, unknowns(here.errors)))
+    for sought in scenes:
+        here = shows(im, repeated(im.reference, sought.period, sought.share)) if sought.period else im
+        rows += _of_scene(here, sought, range(seed, seed + draws))
     return rows
 
 
-def _counted(case: tuple[Sought, str], found: Blocks, seconds: float, cov: np.ndarray) -> Searched:
+def _of_scene(im: Imaged, sought: Sought, seeds: Sequence[int]) -> list[Searched]:
+    assert im.true is not None
+    errors = navigation(sought.position, sought.attitude_deg)
+    told: dict[str, np.ndarray] = {WHOLE: ((FAR - 1.0) / printed.SEARCHED) ** 2 * np.eye(2)}
+    found: dict[str, list[Searched]] = {CONSTRAINED: [], WHOLE: []}
+    for seed in seeds:
+        rng = np.random.default_rng([seed, 5])
+        given = disturbed(im.true, rng, metres=sought.position, degrees=sought.attitude_deg)
+        here = mapped(seen_again(im, seed, sought.noise), given, errors)
+        told.setdefault(CONSTRAINED, allowed(here, sought.block))
+        for name, rows in found.items():
+            rows.append(_searched(here, sought, name, told[name]))
+    return [_summed(rows) for rows in found.values()]
+
+
+def _searched(here: Mapped, sought: Sought, name: str, cov: np.ndarray) -> Searched:
+    began = time.perf_counter()
+    found = blocks(
+        here, sought.block, within(printed.SEARCHED), cov, sought.above_chance, largest_sigma=sought.largest_sigma
+    )
+    seconds = time.perf_counter() - began
     known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.seen)
     has_any = found.matches.is_candidate.any(axis=1) & known
-    best = np.asarray(found.matches.shift)[:, 0]
-    of_choices = {name: choice.choose(found.matches, found.jacobian, cov) for name, choice in CHOICES.items()}
-    chosen = {}
-    for name, one in of_choices.items():
+    true = found.true[known]
+    inside = np.einsum("ni,ni->n", true, np.linalg.solve(cov, true.T).T) <= printed.SEARCHED**2
+    of_choices = {
+        way: choice.choose(found.matches, found.jacobian, unknowns(here.errors)) for way, choice in CHOICES.items()
+    }
+    chosen, useless = {}, {}
+    for way, one in of_choices.items():
         mine = one.is_chosen & known
-        chosen[name] = int(mine.sum()), int((found.is_off(one.of(found.matches.shift)) & mine).sum())
+        number, wrong = int(mine.sum()), int((found.is_off(one.of(found.matches.shift)) & mine).sum())
+        chosen[way], useless[way] = (number, wrong), int(number < 3 or wrong > SPOILT * number)
     return Searched(
-        *case,
+        sought,
+        name,
+        1,
         blocks=int(known.sum()),
         cells=int(np.sum(np.asarray(found.matches.searched)[known])),
         seconds=seconds,
         candidates=int(has_any.sum()),
-        best_wrong=int((found.is_off(best) & has_any).sum()),
+        inside=int(inside.sum()),
+        best_wrong=int((found.is_off(np.asarray(found.matches.shift)[:, 0]) & has_any).sum()),
         chosen=chosen,
+        useless=useless,
         found=found,
         of_choices=of_choices,
     )
+
+
+def _summed(rows: Sequence[Searched]) -> Searched:
+    """All draws together."""
+    names = ("draws", "blocks", "cells", "candidates", "inside", "best_wrong")
+    totals: dict[str, Any] = {name: sum(getattr(row, name) for row in rows) for name in names}
+    later = rows[1:] if len(rows) > 1 else rows
+    totals["seconds"] = float(np.mean([row.seconds for row in later]))
+    totals["chosen"] = {
+        way: (sum(row.chosen[way][0] for row in rows), sum(row.chosen[way][1] for row in rows)) for way in CHOICES
+    }
+    totals["useless"] = {way: sum(row.useless[way] for row in rows) for way in CHOICES}
+    return rows[0]._replace(**totals)

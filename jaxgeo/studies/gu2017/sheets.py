@@ -13,9 +13,10 @@ from jaxgeo.studies.gu2017.accuracy import Accuracy, pose_rms, radii, within
 from jaxgeo.studies.gu2017.density import LEFT, SUBSETS, Dense
 from jaxgeo.studies.gu2017.fixes import Spread
 from jaxgeo.studies.gu2017.flow import Flow
-from jaxgeo.studies.gu2017.frames import DURATION, MATCHED, STEP, TIES, Frame
-from jaxgeo.studies.gu2017.scene import ABOVE, CELL, OFF_NADIR, SIGMA_TERRAIN
-from jaxgeo.studies.gu2017.searching import CHOICES, FAR, Searched
+from jaxgeo.studies.gu2017.frames import DURATION, MATCHED, SLOPES, STEP, TIES, Frame
+from jaxgeo.studies.gu2017.intervals import rms, share
+from jaxgeo.studies.gu2017.scene import ABOVE, CELL, FINE_CELL, HEIGHT, OFF_NADIR, SIGMA_TERRAIN, WIDTH
+from jaxgeo.studies.gu2017.searching import CHOICES, FAR, SPOILT, Searched
 from jaxgeo.studies.sheet import Cell, Sheet
 
 
@@ -121,23 +122,31 @@ def _spread(one: Spread) -> list[Cell]:
 
 def blocks_sheet(found: Sequence[Dense]) -> Sheet:
     """Sizes of blocks."""
-    rows: list[list[Cell]] = [
-        [one.size, one.trials, one.blocks, one.ties, one.registration, *_spread(one.spread)] for one in found
-    ]
-    columns = {"block, cells": "d", "trials": "d", "blocks": ".1f", "ties": ".1f", "registration": ".2f"} | SPREAD
+    rows: list[list[Cell]] = []
+    for one in found:
+        case: list[Cell] = [one.noise, one.size, one.trials, one.blocks, one.failed, one.ties, one.registration]
+        rows.append([*case, one.pose, one.half, *_spread(one.spread)])
+    columns = {"noise": "g", "block": "d", "trials": "d", "blocks": ".1f", "failed": ".1%", "ties": ".1f"}
+    columns |= {"registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
     note = (
-        f"Cells of {CELL:g} m; m in plan, means over trials with other noise, light, elevation model and pose, which "
-        f"is off by {LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified. The paper: the more blocks the "
-        f"better, and about {printed.BLOCK} px a side, as smaller ones fail. registration: what the residuals of ties "
-        "come to beside the terrain's heights."
+        f"An image of {WIDTH} x {HEIGHT} px on cells of {FINE_CELL:g} m; blocks in cells; noise in parts of the "
+        "image's own spread. m in plan, over trials with other noise, light, elevation model and pose, which is off by "
+        f"{LEFT[0]:g} m and {LEFT[1]:g} deg when the image is rectified; pose: how far off "
+        "what is truly there is imaged, whatever the elevation model; ± is half its 95 % interval. RMS and CE90 of "
+        "fixes are mostly of the height of each pixel's own ground. "
+        "failed: without a candidate, or the best one wrong. The paper: the more blocks the better, and about "
+        f"{printed.BLOCK} px a side, as smaller ones fail. registration: what the residuals of ties come to beside the "
+        "terrain's heights."
     )
     return Sheet("blocks", "Size of blocks (section 2.3)", columns, rows, note)
 
 
 def ties_sheet(found: Sequence[Dense]) -> Sheet:
     """Numbers of ties."""
-    rows: list[list[Cell]] = [[int(one.ties), one.trials, one.registration, *_spread(one.spread)] for one in found]
-    columns = {"ties": "d", "trials": "d", "registration": ".2f"} | SPREAD
+    rows: list[list[Cell]] = [
+        [int(one.ties), one.trials, one.registration, one.pose, one.half, *_spread(one.spread)] for one in found
+    ]
+    columns = {"ties": "d", "trials": "d", "registration": ".2f", "pose, px": ".2f", "±": ".2f"} | SPREAD
     note = f"Ties drawn from those of the smallest blocks, {SUBSETS} times in each trial; m in plan, as above."
     return Sheet("ties", "Number of ties (section 2.3)", columns, rows, note)
 
@@ -146,39 +155,30 @@ def searches_sheet(found: Sequence[Searched]) -> Sheet:
     """Constrained against unconstrained search."""
     rows: list[list[Cell]] = []
     for one in found:
-        chosen: list[Cell] = [number for name in CHOICES for number in one.chosen[name]]
         sought = one.sought
-        named = f"{sought.position:g} m, {sought.attitude_deg:g} deg"
-        case: list[Cell] = [
-            named,
-            sought.block,
-            sought.noise,
-            sought.above_chance,
-            one.search,
-            one.blocks,
-            one.cells / 1e3,
-        ]
-        rows.append([*case, one.seconds, one.candidates, one.best_wrong, *chosen])
-    columns = {
-        "navigation": "",
-        "block": "d",
-        "noise": ".1f",
-        "chance": ".0f",
-        "search": "",
-        "blocks": "d",
-        "thousand cells": ".1f",
-    }
-    columns |= {"seconds": ".2f"}
-    columns |= {"matched": "d", "best wrong": "d"}
+        case: list[Cell] = [sought.name, sought.block, one.search, one.draws, one.blocks, one.cells / 1e3, one.seconds]
+        low, high = share(one.best_wrong, one.candidates)
+        matched: list[Cell] = [one.inside, one.candidates, one.best_wrong, f"{low:.0%}-{high:.0%}"]
+        chosen: list[Cell] = [n for name in CHOICES for n in (*one.chosen[name], one.useless[name])]
+        rows.append([*case, *matched, *chosen])
+    columns = {"scene": "", "block": "d", "search": "", "draws": "d", "blocks": "d", "thousand cells": ".1f"}
+    columns |= {"seconds": ".2f", "within": "d", "matched": "d", "best wrong": "d", "95 %": ""}
     for name in CHOICES:
-        columns |= {name: "d", f"{name} wrong": "d"}
+        columns |= {name: "d", f"{name} wrong": "d", f"{name} useless": "d"}
+    scenes = dict.fromkeys(one.sought for one in found)
+    told = "; ".join(
+        f"{one.name}: navigation {one.position:g} m, {one.attitude_deg:g} deg, noise {one.noise:g} of the image's own "
+        f"spread, candidates from {one.above_chance:g} times chance on and of {one.largest_sigma:g} cells of sigma"
+        + (f", texture that repeats every {one.period} cells in {one.share:.0%} of its variance" if one.period else "")
+        for one in scenes
+    )
     note = (
-        f"Blocks of so many cells of {CELL:g} m on the map, as the paper compares them, the image rectified once from "
-        "the navigation; noise in parts of the image's own spread; chance: how many times better than "
-        "by chance a candidate has to correlate; unconstrained: "
-        f"{FAR:g} cells to all sides. Wrong: farther than 3 cells from the median of the true shifts over the block. "
-        "best: a block's best candidate, before any choice; then how many each choice takes, and how many of these "
-        "are wrong. K-means takes the image as shifted as a whole, which holds for small errors only."
+        f"{told}. Blocks of so many cells of {CELL:g} m on the map, as the paper compares them, the image of {WIDTH} x "
+        f"{HEIGHT} px rectified once from the navigation; all counts are sums over draws of noise, light, errors of "
+        f"the navigation and of the elevation model. unconstrained: {FAR:g} cells around. within: the true shift is "
+        "within the constraint. Wrong: farther than 3 cells from the median of the true shifts over the block. best: a "
+        "block's best candidate, before any choice; then how many each choice takes, how many of these are wrong, and "
+        f"in how many draws it is useless: more than {SPOILT:.0%} of its blocks wrong, or fewer than 3."
     )
     return Sheet("searches", "The constrained search, and three choices (section 2.2)", columns, rows, note)
 
@@ -187,22 +187,29 @@ def frames_sheet(found: Sequence[Frame]) -> Sheet:
     """Frames in turn."""
     rows: list[list[Cell]] = []
     for one in found:
-        position, fix = (float(np.sqrt(np.mean(x**2))) for x in (one.position, one.fix))
-        rows.append(
-            [one.way, one.number, "yes" if one.registered else "no", position, one.sigma_position, fix, one.sigma_fix]
-        )
-    columns = {
-        "way": "",
-        "frame": "d",
-        "registered": "",
-        "position": ".1f",
-        "sigma": ".1f",
-        "fix": ".1f",
-        "sigma ": ".1f",
-    }
+        position, fix = rms(one.position), rms(one.fix)
+        registered = "yes" if one.registered else "no"
+        rows.append([one.way, one.number, registered, *position, one.sigma_position, *fix, one.sigma_fix])
+    columns = {"way": "", "frame": "d", "registered": "", "position": ".1f", "±": ".1f", "sigma": ".1f"}
+    columns |= {"fix": ".1f", "± ": ".1f", "sigma ": ".1f"}
     note = (
-        f"Root mean squares over {len(found[0].position)} flights, all over one elevation model, m; errors of the "
-        f"navigation fade over {DURATION:g} s, frames are {STEP:g} s apart, each with {TIES} ties, simulated, that err "
+        f"Root mean squares over {len(found[0].position)} flights, each with an elevation model of other errors, m; "
+        "± is half the 95 % interval. Errors of the navigation fade over "
+        f"{DURATION:g} s, frames are {STEP:g} s apart, each with {TIES} ties, simulated, that err "
         f"by {MATCHED:g} m on the map and {SIGMA_TERRAIN:g} m in height. The paper names sequences as an extension."
     )
     return Sheet("frames", "Frames one after the other (section 4)", columns, rows, note)
+
+
+def grounds_sheet(found: Sequence[Frame]) -> Sheet:
+    """The last frame, ground by ground."""
+    last = [one for one in found if one.number == max(x.number for x in found)]
+    rows: list[list[Cell]] = []
+    for ground in dict.fromkeys(last[0].relief):
+        here = np.array([name == ground for name in last[0].relief])
+        for one in last:
+            rows.append([ground, one.way, int(here.sum()), *rms(one.position[here]), *rms(one.fix[here])])
+    columns = {"ground": "", "way": "", "flights": "d", "position": ".1f", "±": ".1f", "fix": ".1f", "± ": ".1f"}
+    slopes = ", ".join(f"{name} {slope:g}" for name, slope in SLOPES.items())
+    note = f"The last frame. Rms slopes of made ground, deg: {slopes}; the hills are the package's elevation model."
+    return Sheet("grounds", "The last frame over several grounds (section 4)", columns, rows, note)

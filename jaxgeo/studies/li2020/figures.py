@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pathlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,14 +15,21 @@ from matplotlib.lines import Line2D
 from jaxgeo.plot import EDGE, FIX, HIDDEN, SIGHT, footprints, legend
 from jaxgeo.studies.li2020 import printed
 from jaxgeo.studies.li2020.attitude import ACTUAL, COMPENSATED, EXPECTED, FIRST, Outlines, outlines
+from jaxgeo.studies.li2020.control import Control
 from jaxgeo.studies.li2020.flight import Sighting, StripPair
 from jaxgeo.studies.li2020.influence import folding
+from jaxgeo.studies.li2020.relief import Relief
 from jaxgeo.studies.li2020.report import Report
-from jaxgeo.studies.li2020.strips import MOUNTAINS, PLAIN, PLANNED, Strips
+from jaxgeo.studies.li2020.strips import AS_IN_THE_PAPER, MOUNTAINS, PLAIN, PLANNED, Strips
 from jaxgeo.studies.pictures import draw_all
 
 COLOURS = {FIRST: EDGE, EXPECTED: SIGHT, ACTUAL: FIX, COMPENSATED: "#1a7f5a"}
-TIMINGS = {"fixed period": (FIX, "o"), "velocity-height": ("#b3893b", "s"), "ground shared": (SIGHT, "^")}
+TIMINGS = {
+    "fixed period": (HIDDEN, "d"),
+    AS_IN_THE_PAPER: (FIX, "o"),
+    "velocity-height": ("#b3893b", "s"),
+    "ground shared": (SIGHT, "^"),
+}
 GROUNDS = {
     PLAIN: f"Level ground at {PLANNED:.0f} m, as planned (Fig. 11 in kind)",
     MOUNTAINS: f"Mountains, planned as level ground at {PLANNED:.0f} m (Fig. 12 in kind)",
@@ -32,12 +40,16 @@ TURNS = np.linspace(0.0, 1.2, 61)  # deg
 def write(report: Report, folder: pathlib.Path) -> None:
     """All pictures into a folder."""
     pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
-        "footprints.png": (lambda figure: draw_footprints(outlines(), figure), (11.0, 3.9)),
+        "footprints.png": (lambda figure: draw_footprints(report.outlines or outlines(), figure), (11.0, 3.9)),
         "attitude.png": (lambda figure: draw_attitude(report.sightings, report.pairs, figure), (10.0, 4.2)),
         "folding.png": (draw_folding, (6.4, 4.4)),
     }
     if report.strips:
-        pictures["strips.png"] = (lambda figure: draw_strips(report.strips, figure), (10.0, 5.8))
+        pictures["strips.png"] = (lambda figure: draw_strips(report.strips, figure), (10.0, 6.4))
+        pictures["later_work.png"] = (
+            lambda figure: draw_later_work(report.controls, report.reliefs, figure),
+            (10.0, 4.2),
+        )
     draw_all(pictures, folder)
 
 
@@ -115,6 +127,53 @@ def draw_strips(found: Sequence[Strips], figure: Figure) -> None:
         ax.set(title=title, ylabel="overlap at the near end, %", ylim=(0.0, 33.0))
         ax.legend(frameon=False, fontsize=9, loc="upper left", ncols=2)
     panels[1].set_xlabel("time, s")
+
+
+def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure: Figure) -> None:
+    """How the overlap scatters by errors of the gimbal's control, and how far relief takes it off the wish."""
+    left, right = figure.subplots(1, 2)
+    rows = [one for one in control if one.control > 0.0]
+    sigmas = np.array([one.control for one in rows])
+    left.plot(sigmas, [100.0 * one.formula for one in rows], color="0.6", linewidth=3.0, label="by formula")
+    left.errorbar(
+        sigmas,
+        [100.0 * one.spread for one in rows],
+        yerr=[200.0 * one.spread_error for one in rows],
+        color=FIX,
+        marker="o",
+        linestyle="none",
+        capsize=3,
+        label="drawn, ± 2 standard errors",
+    )
+    left.set(xscale="log", yscale="log", xlabel="error of each drive, °", ylabel="spread of the overlap, points")
+    left.set_xticks(sigmas, [f"{sigma:g}" for sigma in sigmas], minor=False)
+    left.set_xticks([], minor=True)
+    left.set_yticks([1.0, 2.0, 5.0, 10.0, 20.0], ["1", "2", "5", "10", "20"])
+    left.set_yticks([], minor=True)
+    left.set(title="Errors of the gimbal's control")
+    styles = {"planned height": (FIX, "-"), "velocity-height": (SIGHT, "--")}
+    markers = {"fractal": "o", "example terrain": "s"}
+    kinds = itertools.product(styles.items(), markers.items())
+    for beside, ((timing, (colour, line)), (ground, marker)) in zip((-3.0, -1.0, 1.0, 3.0), kinds, strict=True):
+        some = [one for one in relief if (one.timing, one.ground) == (timing, ground)]
+        right.errorbar(
+            [one.relief + beside for one in some],  # m, so that the bars do not cover each other
+            [100.0 * one.off for one in some],
+            yerr=[100.0 * one.off_error for one in some],
+            color=colour,
+            linestyle=line,
+            marker=marker,
+            markersize=4.5,
+            capsize=3,
+            label=f"{timing}, {ground}",
+        )
+    planned = sorted({(one.relief, one.by_height) for one in relief})
+    right.plot([x for x, _ in planned], [100.0 * y for _, y in planned], color="0.6", zorder=0, label="by Eq 28")
+    right.set(xlabel="relief, standard deviation of heights, m", ylabel="rms off the wish, points", ylim=(0.0, 4.2))
+    right.set(xlim=(0.0, 215.0), xticks=[x for x, _ in planned])
+    right.set(title="Relief of the ground, ± 95 % over places")
+    for ax in (left, right):
+        ax.legend(frameon=False, fontsize=9, loc="upper left")
 
 
 def draw_folding(figure: Figure) -> None:

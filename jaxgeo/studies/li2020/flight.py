@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -45,9 +46,10 @@ class StripPair:
     """Overlap of a strip with the one before: printed, by the step of Eq 16, and by the step along three directions.
 
     `along_track` is that of the aircraft's places from first to last, `along_ground` that of the located points from
-    first to last, `across_sight` the normal to the mean line of sight. The frame's length in m, by the slant
-    range, and the `speed` in m/s are those of the strip before. `flown` in m is the chord from place to place of the
-    aircraft.
+    first to last, `across_sight` the normal to the mean line of sight. `held` is along the track again, with the line
+    of sight of every strip on the mean: the part of the aircraft's places. The frame's length in m, by the slant range,
+    and the `speed` in m/s are those of the strip before. `flown` in m is the chord from place to place of the aircraft.
+    `turned` is by how much in deg the line of sight's azimuth changes from the one strip to the other.
     """
 
     strips: str
@@ -56,9 +58,18 @@ class StripPair:
     along_track: float
     along_ground: float
     across_sight: float
+    held: float
     length: float
     flown: float
     speed: float
+    turned: float
+
+    depression: float
+
+    @property
+    def off_deg(self) -> float:
+        """Change of the line of sight's azimuth, deg, that the difference to the print amounts to."""
+        return (self.by_eq_16 - self.printed) / overlap_of_azimuth_error(1.0, self.depression)
 
 
 class _Seen(NamedTuple):
@@ -76,7 +87,7 @@ def sightings() -> list[Sighting]:
     swapped = [strip._replace(roll=strip.pitch, pitch=strip.roll) for strip in printed.TABLE_4]
     swapped_azimuth, _ = _azimuth_and_depression(_seen(_shots(swapped)).sight_ned)
     aim = _direction(azimuth.mean(), depression.mean())
-    drives = np.degrees(jax.vmap(_drives_towards, in_axes=(0, None))(_shots(), aim))
+    drives = np.degrees(np.asarray(_held(_shots(), aim).gimbal_readings))
     return [
         Sighting(
             strip=k + 1,
@@ -95,10 +106,11 @@ def sightings() -> list[Sighting]:
 def pairs() -> list[StripPair]:
     """Overlaps of Table 4 over level ground, from the printed positions, heights, attitudes and drives."""
     seen, projection = _seen(_shots()), printed.gauss_krueger()
-    points = [jax.tree.map(lambda leaf, k=k: leaf[k], seen.point) for k in range(len(printed.TABLE_4))]
+    points = _points(seen)
     places = [printed.pose_of(strip).position for strip in printed.TABLE_4]
     convergence, _ = projection.convergence_and_scale(points[0].lat, points[0].lon)
-    azimuth, _ = _azimuth_and_depression(seen.sight_ned)
+    azimuth, depression = _azimuth_and_depression(seen.sight_ned)
+    steady = _points(_seen(_held(_shots(), _direction(azimuth.mean(), depression.mean()))))
     bearings = [
         transform.bearing_on_map(projection, places[0], places[-1]),
         transform.bearing_on_map(projection, points[0], points[-1]),
@@ -121,9 +133,14 @@ def pairs() -> list[StripPair]:
                 along_track=track,
                 along_ground=on_ground,
                 across_sight=across,
+                held=float(
+                    transform.overlap_along(projection, steady[k], steady[k + 1], bearing=bearings[0], length=length)
+                ),
                 length=length,
                 flown=float(flown[k]),
                 speed=printed.TABLE_4[k].speed_kmh / 3.6,
+                turned=float(azimuth[k + 1] - azimuth[k]),
+                depression=float(depression.mean()),
             )
         )
     return found
@@ -163,6 +180,17 @@ def _seen(shots: Shot) -> _Seen:
         )
 
     return jax.vmap(seen)(shots)
+
+
+def _points(seen: _Seen) -> list[Geodetic]:
+    """The ground points one by one."""
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], seen.point) for k in range(len(printed.TABLE_4))]
+
+
+def _held(shots: Shot, sight_ned: Vector3) -> Shot:
+    """The exposures with drives that put every line of sight on a direction."""
+    readings = jax.vmap(_drives_towards, in_axes=(0, None))(shots, sight_ned)
+    return eqx.tree_at(lambda shot: shot.gimbal_readings, shots, readings)
 
 
 def _drives_towards(shot: Shot, sight_ned: Vector3) -> Float[Array, "2"]:

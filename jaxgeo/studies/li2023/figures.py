@@ -31,7 +31,8 @@ LOOKS = {
 }
 LOG_TICKS = (70.0, 100.0, 200.0, 500.0, 1000.0)  # m
 LEVEL_AT = {"linear": -0.28, "sampled": -0.14}
-FRACTAL_AT = {"linear, facet": 0.04, "linear, footprint": 0.18, "sampled": 0.32}
+FRACTAL_AT = {"linear, facet": -0.02, "linear, footprint": 0.16, "sampled": 0.34}
+REAL_BY = 0.09
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
@@ -124,16 +125,17 @@ def _draw_rms(found: list[Accuracy], ax: Any) -> None:
         ax.plot([base - 0.4], [row.actual], "*", color=FIX, markersize=13, zorder=3, **first)
         ours = {key: group for key, group in groups(found).items() if key[0] == name}
         for (_, ground, method), group in ours.items():
-            offset = LEVEL_AT.get(method, 0.0) if ground == LEVEL_GROUND else FRACTAL_AT[method]
+            is_real = ground.startswith("real")
+            offset = LEVEL_AT.get(method, 0.0) if ground == LEVEL_GROUND else FRACTAL_AT[method] + REAL_BY * is_real
             colour, marker = LOOKS[method]
             rms = np.array([one.rms for one in group])
-            label = f"{method}, {'level' if ground == 'level' else 'made-up terrain'}"
+            label = f"{method}, {'level' if ground == LEVEL_GROUND else 'made-up (left) and real terrain (right)'}"
             face = "white" if ground == LEVEL_GROUND else colour
-            jitter = np.linspace(-0.035, 0.035, rms.size) if rms.size > 1 else np.zeros(1)
+            jitter = np.linspace(-0.03, 0.03, rms.size) if rms.size > 1 else np.zeros(1)
             ax.plot(
                 base + offset + jitter, rms, marker, color=colour, markersize=3.5, alpha=0.5 if rms.size > 1 else 0.0
             )
-            style = {"markerfacecolor": face, "markersize": 7.0, "linestyle": "none", "zorder": 4}
+            style = {"markerfacecolor": face, "markersize": 6.0, "linestyle": "none", "zorder": 4}
             shown = {} if label in seen else {"label": label}
             ax.plot([base + offset], [np.median(rms)], marker, color=colour, **style, **shown)
             seen.add(label)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,13 +15,14 @@ from jaxtyping import Array
 
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
+from jaxgeo.io.dem import example_dem
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.scenes import fractal_posts, tangent_dem
 from jaxgeo.terrain import AbstractTerrain, Dem
-from jaxgeo.uncertainty import Facet, Footprint, presets, propagate, sample
+from jaxgeo.uncertainty import Facet, Footprint, accuracy, presets, propagate, sample
 from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 from jaxgeo.uncertainty.slopes import AbstractSlope
@@ -65,6 +67,18 @@ class Accuracy:
     errors_enu: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What `jaxgeo.accuracy` answers at a place: the method chosen, in words, its CE90 in m, and the sampled one."""
+
+    terrain: str
+    ground: str
+    place: int
+    method: str
+    ce90: float
+    sampled_ce90: float
+
+
 def over_level_ground(*, samples: int, key: Array) -> list[Accuracy]:
     """The three rows of Table 3 on level ground at the heights of the printed targets: linear, and sampled."""
     rows = []
@@ -81,24 +95,64 @@ def over_fractal_ground(
     key: Array,
     places: int = 12,
     size: int = 601,
-    seed: int = 1,
+    seed: int = 0,
     names: Sequence[str] = tuple(RMS_SLOPES),
-) -> list[Accuracy]:
-    """Hill and mountain over made-up fractal terrain of a stated rms slope, at several places of it.
+) -> tuple[list[Accuracy], list[Judged]]:
+    """Hill and mountain over made-up fractal terrain of a stated rms slope: at each of several places, every one on a
+    terrain of its own, drawn from `seed`.
 
-    At each the ground is as high as the printed target, and the aircraft is moved sideways so that its line of sight
+    There the ground is as high as the printed target, and the aircraft is moved sideways so that its line of sight
     comes down there. The errors are propagated with the slope of the facet under the fix, with that of the footprint,
-    and sampled.
+    and sampled; `jaxgeo.accuracy` chooses among these by itself.
     """
-    rows = []
+    rows, judged = [], []
     for name in names:
-        dem = fractal_ground(name, size=size, seed=seed)
         what = (name, fractal_name(name))
-        for place, shot in enumerate(shots_in_sight(name, dem, places=places, seed=seed)):
-            rows.append(_linear(what, "linear, facet", shot, dem, Facet(), place))
-            rows.append(_linear(what, "linear, footprint", shot, dem, Footprint(), place))
-            rows.append(_drawn(what, shot, dem, samples, jax.random.fold_in(key, place), place))
-    return rows
+        for place in range(places):
+            drawn = terrain_seed(seed, place)
+            dem = fractal_ground(name, size=size, seed=drawn)
+            (shot,) = shots_in_sight(name, dem, places=1, seed=drawn)
+            _at(what, shot, dem, samples, jax.random.fold_in(key, place), place, rows, judged)
+    return rows, judged
+
+
+def over_real_ground(
+    *, samples: int, key: Array, places: int = 12, seed: int = 0, names: Sequence[str] = tuple(RMS_SLOPES)
+) -> tuple[list[Accuracy], list[Judged]]:
+    """Hill and mountain over the real elevation model that comes with the package, at places drawn from `seed`.
+
+    The aircraft is moved there and as high above the ground as above the printed target; angles are those of Table 2.
+    """
+    dem, rows, judged = example_dem(), [], []
+    for name in names:
+        what = (name, f"real, rms slope {math.degrees(_rms_slope(dem)):.0f}°")
+        for place, shot in enumerate(shots_over(name, dem, places=places, seed=seed)):
+            _at(what, shot, dem, samples, jax.random.fold_in(key, place), place, rows, judged)
+    return rows, judged
+
+
+def _at(
+    what: tuple[str, str],
+    shot: Shot,
+    dem: Dem,
+    samples: int,
+    key: Array,
+    place: int,
+    rows: list[Accuracy],
+    judged: list[Judged],
+) -> None:
+    """All methods at one place, appended to `rows` and `judged`."""
+    rows.append(_linear(what, "linear, facet", shot, dem, Facet(), place))
+    rows.append(_linear(what, "linear, footprint", shot, dem, Footprint(), place))
+    rows.append(_drawn(what, shot, dem, samples, key, place))
+    model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
+    found = accuracy(printed.sensor(), shot, printed.UV, dem, model, key=jax.random.fold_in(key, 1), count=samples)
+    judged.append(Judged(*what, place, found.trust.words, found.circular, rows[-1].ce90))
+
+
+def terrain_seed(seed: int, place: int) -> int:
+    """The seed of the terrain of a place."""
+    return int(np.random.SeedSequence([seed, place]).generate_state(1)[0])
 
 
 def fractal_name(name: str) -> str:
@@ -107,11 +161,12 @@ def fractal_name(name: str) -> str:
 
 
 def fractal_ground(name: str, *, size: int, seed: int) -> Dem:
-    """Made-up terrain about the printed target of a row, whose height is its mean."""
+    """Made-up terrain about the printed target of a row, whose height is the mean of its middle."""
     target = printed.target_of(printed.TERRAINS[name])
     posts = fractal_posts(size, spacing=SPACING, rms_slope=RMS_SLOPES[name], seed=seed)
     centre = Geodetic(lat=target.lat, lon=target.lon, height=0.0)
-    return tangent_dem(posts - posts.mean() + float(target.height), SPACING, centre)
+    inner = slice(size // 2 - int(MIDDLE / SPACING), size // 2 + int(MIDDLE / SPACING) + 1)
+    return tangent_dem(posts - posts[inner, inner].mean() + float(target.height), SPACING, centre)
 
 
 def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
@@ -122,16 +177,13 @@ def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]
     row = printed.TERRAINS[name]
     shot, shots = printed.shot_of(row), []
     level = _fix(shot, printed.level_ground(row.target[2]))
-    along_meridian, along_parallel = metres_per_radian(printed.target_of(row))
     for lat, lon in _places(dem, row.target[2], seed):
         if len(shots) == places:
             return shots
         position = shot.pose.position
         where = (position.lat + lat - level.position.lat, position.lon + lon - level.position.lon)
         moved = eqx.tree_at(lambda shot: (shot.pose.position.lat, shot.pose.position.lon), shot, where)
-        fix = _fix(moved, dem)
-        north, east = (fix.position.lat - lat) * along_meridian, (fix.position.lon - lon) * along_parallel
-        if bool(fix.ok) and math.hypot(north, east) <= NEAR:
+        if _sees(moved, dem, lat, lon):
             shots.append(moved)
     if len(shots) < places:
         raise ValueError(
@@ -140,14 +192,65 @@ def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]
     return shots
 
 
+def shots_over(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
+    """Shots of a row over other ground, at places of its middle drawn from `seed` that are in sight.
+
+    Raises `ValueError` if too few are.
+    """
+    row, shots = printed.TERRAINS[name], []
+    posts = np.asarray(dem.posts)
+    rows, cols = (np.arange(n)[int(0.3 * n) : int(0.7 * n)] for n in posts.shape)
+    rng = np.random.default_rng([seed, 13])
+    for rowcol in np.stack([rng.choice(rows, MOST_TRIED), rng.choice(cols, MOST_TRIED)], axis=1):
+        if len(shots) == places:
+            break
+        height = float(posts[tuple(rowcol)])
+        ((lat, lon),) = _latitudes(dem, rowcol[None])
+        shot = printed.shot_of(row)
+        where = (jnp.asarray(lat), jnp.asarray(lon), jnp.asarray(printed.ALTITUDE - row.target[2] + height))
+        shot = _moved(shot, where)
+        for _ in range(3):  # meridians converge otherwise there, so the step is taken again
+            level = _fix(shot, printed.level_ground(height)).position
+            position = shot.pose.position
+            shot = _moved(shot, (position.lat + lat - level.lat, position.lon + lon - level.lon, position.height))
+        if _sees(shot, dem, lat, lon):
+            shots.append(shot)
+    if len(shots) < places:
+        raise ValueError(f"{places} places are asked for, but only {len(shots)} are in sight; ask for fewer.")
+    return shots
+
+
+def _moved(shot: Shot, where: tuple[Any, Any, Any]) -> Shot:
+    position = lambda shot: (shot.pose.position.lat, shot.pose.position.lon, shot.pose.position.height)  # noqa: E731
+    return eqx.tree_at(position, shot, tuple(jnp.asarray(x, jnp.float64) for x in where))
+
+
+def _sees(shot: Shot, dem: Dem, lat: float, lon: float) -> bool:
+    """Whether the line of sight comes down at a place in rad."""
+    fix = _fix(shot, dem)
+    along_meridian, along_parallel = metres_per_radian(fix.position)
+    north, east = (fix.position.lat - lat) * along_meridian, (fix.position.lon - lon) * along_parallel
+    return bool(fix.ok) and math.hypot(float(north), float(east)) <= NEAR
+
+
 def _places(dem: Dem, height: float, seed: int) -> list[list[float]]:
     """Latitude and longitude in rad of posts in a terrain's middle that are about as high as asked, shuffled."""
     posts = np.asarray(dem.posts)
     rowcol = np.argwhere(np.abs(posts - height) <= LEVEL)
     rowcol = rowcol[np.all(np.abs(rowcol - (np.array(posts.shape) - 1) / 2.0) <= MIDDLE / SPACING, axis=1)]
-    rowcol = np.random.default_rng([seed, 11]).permutation(rowcol)[:MOST_TRIED]
+    return _latitudes(dem, np.random.default_rng([seed, 11]).permutation(rowcol)[:MOST_TRIED])
+
+
+def _latitudes(dem: Dem, rowcol: np.ndarray) -> list[list[float]]:
+    """Latitude and longitude in rad of posts."""
     x, y, z = np.asarray(jax.vmap(dem.grid.normal)(jnp.asarray(rowcol, jnp.float64))).T
     return np.stack([np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)], axis=1).tolist()
+
+
+def _rms_slope(dem: Dem) -> float:
+    """Arctangent, in rad, of the root of the mean squared gradient between posts."""
+    rows, cols = np.gradient(np.asarray(dem.posts), *np.asarray(dem.grid.cell_size()).tolist())
+    return float(np.arctan(np.sqrt(np.mean(rows**2 + cols**2))))
 
 
 def _fix(shot: Shot, terrain: AbstractTerrain) -> Fix:

@@ -16,6 +16,9 @@ DEM_SIGMA = 20.0  # m, section 5.2: ASTER GDEM V2
 UV = (3791.5, 24417.5)  # the middle of their image of 7584 columns and 48836 rows: the line of sight itself
 
 LOS_RMS = 0.0681  # deg, section 5.1
+ANGLE_SIGMAS = (0.05, 0.02, 0.02, 0.02, 0.02, 0.03, 0.01, 0.01, 0.01, 0.01)  # deg, Table 1, in its order
+DRAWS = 10_000  # of their simulation
+LOS_NOMINAL = (0.9386, -0.2277, 0.2592)  # section 5.1, north, east, down
 LOS_WITHIN = {0.10: 0.8624, 0.15: 0.984}  # share of the 10 000 pointing errors below an angle in deg
 LOS_BAND = (0.004, 0.05)  # deg, in which "more than 50 %" of them are said to fall
 

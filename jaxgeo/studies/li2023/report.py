@@ -8,10 +8,21 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from jaxgeo.studies.claims import claims_sheet
 from jaxgeo.studies.li2023 import printed, sheets
+from jaxgeo.studies.li2023.causes import Cause, causes
+from jaxgeo.studies.li2023.claims import claims_of
 from jaxgeo.studies.li2023.inclination import Inclination, fig_5
 from jaxgeo.studies.li2023.pointing import Pointing, pointing_errors
-from jaxgeo.studies.li2023.positions import Accuracy, over_fractal_ground, over_level_ground
+from jaxgeo.studies.li2023.positions import (
+    Accuracy,
+    Judged,
+    over_fractal_ground,
+    over_level_ground,
+    over_real_ground,
+)
+from jaxgeo.studies.li2023.search_sheets import search_sheets
+from jaxgeo.studies.li2023.searches import RAYS, TERRAINS, Comparison, compare_searches
 from jaxgeo.studies.li2023.targets import Target, table_2
 from jaxgeo.studies.li2023.tilts import Tilt, implied_tilts
 from jaxgeo.studies.sheet import Sheet, write_sheets
@@ -30,20 +41,30 @@ class Report:
     inclination: Inclination
     targets: list[Target]
     positions: list[Accuracy]
+    judged: list[Judged]
     tilts: list[Tilt]
+    causes: list[Cause]
+    searches: Comparison
 
 
-def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Report:
-    """The study, with so many samples for each row of a table; on made-up terrain they are shared among its places.
+def run(
+    *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
+) -> Report:
+    """The study, with so many samples for each row of a table; on made-up and real terrain they are shared among its
+    places. The searches run over so many terrains of each kind with so many rays each. All that is random is drawn from
+    `seed`: samples, terrains, places and rays.
 
-    Raises `ValueError` for a number of samples or places that is not positive.
+    Raises `ValueError` for a number of samples or places that is not positive, and as `compare_searches`.
     """
     for name, number, least in (("samples", samples, 2), ("places", places, 1)):
         if number < least:
             raise ValueError(f"{name} must be at least {least}; got {number}.")
-    keys = jax.random.split(jax.random.key(seed), 4)
+    keys = jax.random.split(jax.random.key(seed), 5)
     plain = printed.TERRAINS["plain"]
     level = f"level flight, {plain.outer:.2f}°"
+    each = -(-samples // places)
+    made_up, judged = over_fractal_ground(samples=each, key=keys[3], places=places, seed=seed)
+    real, real_judged = over_real_ground(samples=each, key=keys[4], places=places, seed=seed)
     return Report(
         pointing=[
             pointing_errors("plain of Table 2", printed.shot_of(plain), samples=samples, key=keys[0]),
@@ -51,11 +72,11 @@ def run(*, samples: int = SAMPLES, places: int = PLACES, seed: int = 0) -> Repor
         ],
         inclination=fig_5(FRAMES, SIGMAS),
         targets=table_2(),
-        positions=[
-            *over_level_ground(samples=samples, key=keys[2]),
-            *over_fractal_ground(samples=-(-samples // places), key=keys[3], places=places),
-        ],
+        positions=[*over_level_ground(samples=samples, key=keys[2]), *made_up, *real],
+        judged=[*judged, *real_judged],
         tilts=implied_tilts(),
+        causes=causes(),
+        searches=compare_searches(terrains=terrains, rays=rays, seed=seed),
     )
 
 
@@ -63,11 +84,17 @@ def sheets_of(report: Report) -> list[Sheet]:
     """The study's tables, in the order of the paper."""
     return [
         sheets.pointing_sheet(report.pointing),
+        sheets.sight_sheet(),
         sheets.inclination_sheet(report.inclination),
         sheets.targets_sheet(report.targets),
+        sheets.misprints_sheet(),
         sheets.positions_sheet(report.positions),
         sheets.circles_sheet(report.positions),
+        sheets.judged_sheet(report.judged),
+        sheets.causes_sheet(report.causes),
         sheets.tilts_sheet(report.tilts),
+        *search_sheets(report.searches),
+        claims_sheet(claims_of(report)),
     ]
 
 

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
-from jaxgeo.studies.li2023 import printed
+from jaxgeo.studies.li2023 import misprints, printed
+from jaxgeo.studies.li2023.causes import Cause
+from jaxgeo.studies.li2023.equations import angle_deg, sight_ned
 from jaxgeo.studies.li2023.inclination import Inclination
 from jaxgeo.studies.li2023.pointing import Pointing
-from jaxgeo.studies.li2023.positions import Accuracy
+from jaxgeo.studies.li2023.positions import Accuracy, Judged
 from jaxgeo.studies.li2023.targets import Target
 from jaxgeo.studies.li2023.tilts import Tilt, printed_rms
 from jaxgeo.studies.sheet import Cell, Sheet
 
 SHOWN_FRAMES = (60.0, 65.0, 70.0, 74.0, 78.0)  # deg
+SHOWN_MISPRINTS = 3  # of each row
 SHOWN_SIGMAS = (10.0, 20.0, 50.0, 100.0, 150.0, 190.0)  # m
 
 
@@ -33,9 +37,17 @@ def pointing_sheet(found: Sequence[Pointing]) -> Sheet:
         for text, claimed, linear, sampled in shares:
             error = float(np.sqrt(sampled * (1.0 - sampled) / one.angles.size))
             rows.append([name, f"{text}, share", claimed, linear, sampled, error])
+    off = {
+        limit: (share - found[0].linear_within[limit])
+        / float(np.sqrt(found[0].linear_within[limit] * (1.0 - found[0].linear_within[limit]) / printed.DRAWS))
+        for limit, share in printed.LOS_WITHIN.items()
+    }
+    shares_off = ", ".join(f"{off_by:+.1f} standard errors below {limit:.2f}°" for limit, off_by in off.items())
     note = (
-        f'Printed for the band {low}° to {high}° is "more than 50 %"; it holds less. Sampled: {found[0].angles.size} '
-        f"draws of the ten angles of Table 1; the paper drew 10 000, whose RMS has a standard error of 0.0004°."
+        f"The printed shares lie off the linear ones, in standard errors of the paper's {printed.DRAWS} draws: "
+        f'{shares_off}. Printed for the band {low}° to {high}° is "more than 50 %"; it holds less. Sampled: '
+        f"{found[0].angles.size} draws of the ten angles of Table 1; the RMS of the paper's has a standard "
+        f"error of {found[0].standard_error * np.sqrt(found[0].angles.size / printed.DRAWS):.4f}°."
     )
     columns = {
         "line of sight": "",
@@ -77,7 +89,7 @@ def targets_sheet(found: Sequence[Target]) -> Sheet:
     note = (
         f"Met at the printed heights; north and east: obtained minus printed. With an inner angle of "
         f"{printed.MOUNTAIN_INNER}° for the printed {printed.TERRAINS['mountain'].inner}° the mountain's target falls "
-        f"in with the others: the print is likely off by 0.1°."
+        f"in with the others (see the misprints)."
     )
     return Sheet("targets", "Targets from the frame angles of Table 2", columns, rows, note)
 
@@ -170,6 +182,76 @@ def _ground_note(found: Sequence[Accuracy]) -> str:
     return (
         "RMS = (north² + east² + height²)^½, as in the paper: the ten angles of Table 1, terrain heights to 20 m, the "
         "aircraft's position without error. The paper's tile is not published: level is ground of the printed height, "
-        f"made-up is fractal terrain of that rms slope, not the real one, with medians over {places} places and the "
-        "least and most RMS among them."
+        f"made-up is fractal terrain of that rms slope, each place on another, and real the elevation model that comes "
+        f"with the package, seen from as high above it; medians over {places} places, and the least and most RMS."
     )
+
+
+def judged_sheet(found: Sequence[Judged]) -> Sheet:
+    """What `jaxgeo.accuracy` answers by itself at the places of Table 3's sheets."""
+    rows: list[list[Cell]] = []
+    for terrain, ground in dict.fromkeys((one.terrain, one.ground) for one in found):
+        group = [one for one in found if (one.terrain, one.ground) == (terrain, ground)]
+        ratios = [one.ce90 / one.sampled_ce90 for one in group]
+        methods = Counter(one.method for one in group)
+        told = ", ".join(f"{method} {count}" for method, count in methods.most_common())
+        medians = [float(np.median([getattr(one, name) for one in group])) for name in ("ce90", "sampled_ce90")]
+        rows.append([terrain, ground, *medians, float(np.median(ratios)), min(ratios), max(ratios), told])
+    columns = {"terrain": "", "ground": "", "CE90, m": ".1f", "sampled, m": ".1f", "ratio": ".3f", "least": ".3f"}
+    columns |= {"most": ".3f", "chosen, places": ""}
+    note = "The method that jaxgeo.accuracy takes by itself at each place, and its CE90 beside that of other samples."
+    return Sheet("judged", "The verdict of accuracy", columns, rows, note)
+
+
+def causes_sheet(found: Sequence[Cause]) -> Sheet:
+    """Single causes of the errors against a map, the best fit first."""
+    actual = [row.actual for row in printed.TERRAINS.values()]
+    rows: list[list[Cell]] = [["as printed", "", None, *actual, None, None, None]]
+    for one in found:
+        rows.append([one.name, one.unit, one.amount, *one.errors.tolist(), one.left, one.sigmas, one.chance])
+    columns = {"single cause": "", "unit": "", "amount": ".3f", **{f"{name}, m": ".1f" for name in printed.TERRAINS}}
+    columns |= {"left (RMS), m": ".1f", "in σ": ".1f", "chance": ".1e"}
+    best, likely = found[0], [one for one in found if one.chance is not None and one.chance > 0.05]
+    names = ", ".join(one.name for one in likely)
+    told = (
+        f"the likely ones ({names}) leave {min(one.left for one in likely):.0f} m or more"
+        if likely
+        else "none of those with a stated standard deviation is likelier than 5 %"
+    )
+    note = (
+        f"Each quantity by itself in error by the same amount at all three targets, fitted by least squares to the "
+        f"errors against a map; σ as in Table 1 and {printed.DEM_SIGMA:.0f} m of the elevation model. The best, "
+        f"{best.name}, leaves {best.left:.0f} m; {told}."
+    )
+    return Sheet("causes", "Single causes of the actual errors (section 5.2)", columns, rows, note)
+
+
+def misprints_sheet() -> Sheet:
+    """The changes of one digit of Table 2 that bring each target nearest to the printed one."""
+    rows: list[list[Cell]] = []
+    counts = []
+    for name, off in misprints.misses().items():
+        tried = misprints.one_digit(name)
+        near = sum(one.miss < misprints.NEAR for one in tried)
+        counts.append(f"{name} {near} of {len(tried)}")
+        for one in tried[:SHOWN_MISPRINTS]:
+            rows.append([name, off, one.quantity, f"{one.printed:.4f}", f"{one.changed:.4f}", one.miss])
+    columns = {"terrain": "", "off as printed, m": ".1f", "quantity": "", "printed": "", "changed": ""}
+    note = (
+        f"One digit, or the sign, of latitude, longitude, outer or inner angle of a row changed; below "
+        f"{misprints.NEAR:.0f} m: {', '.join(counts)}. Where none is, one misprint in Table 2 does not "
+        f"explain the print; where several are, the last digits among them, the print cannot tell which."
+    )
+    return Sheet("misprints", "One digit of Table 2 changed", columns | {"then off, m": ".2f"}, rows, note)
+
+
+def sight_sheet() -> Sheet:
+    """The nominal line of sight of section 5.1 beside those of Table 2."""
+    nominal = np.array(printed.LOS_NOMINAL)
+    rows: list[list[Cell]] = [["printed, section 5.1", *printed.LOS_NOMINAL, None]]
+    for name, row in printed.TERRAINS.items():
+        ned = sight_ned(row)
+        rows.append([name, *ned.tolist(), angle_deg(nominal, ned)])
+    columns = {"line of sight": "", "north": ".4f", "east": ".4f", "down": ".4f", "off the printed, °": ".3f"}
+    note = "No row of Table 2 gives the printed one to its last digit."
+    return Sheet("sight", "Nominal line of sight (section 5.1)", columns, rows, note)

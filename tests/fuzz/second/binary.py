@@ -47,6 +47,7 @@ def _each_is_stated(found: Any, stated: np.ndarray) -> None:
     ours = np.column_stack([found.shots.time, *np.rad2deg(angles), pose.position.height, *turned])
     off = np.abs(ours[:, None] - stated[None])
     off[..., [2, 4, 6, 7, 8]] = np.abs((off[..., [2, 4, 6, 7, 8]] + 180.0) % 360.0 - 180.0)
+    off[..., 0] -= 4e-16 * np.abs(stated[:, 0])  # two roundings
     near = np.all(off <= np.array([2e-6, *[DEGREES] * 2, 1e-3, *[DEGREES] * 5]), axis=-1)
     missing = ~near.any(axis=1)
     assert not missing.any(), f"exposure {ours[missing][0]} is no packet that the bytes hold, of {len(stated)}"
@@ -59,11 +60,11 @@ def _exposures(data: bytes, checked: bool, undulation: float | None) -> Iterator
         known = {name: value for name, value in read.items() if np.isfinite(value)}
         pitch, roll = (known.get(f"full_{name}", known.get(name)) for name in ("pitch", "roll"))
         needed = [known.get(name) for name in ("lat", "lon", "heading", "azimuth", "elevation")] + [pitch, roll]
-        if None in needed or 2 not in items or len(items[2]) != 8:
+        if None in needed:
             continue
         lat, lon = known["lat"], known["lon"]
         for above in _heights(known, lat, lon, undulation):
-            time = int.from_bytes(items[2], "big") / 1e6
+            time = int.from_bytes(items[2], "big") / 1e6 if len(items.get(2, b"")) == 8 else 0.0
             time = time if time < 1e11 else 0.0  # in three thousand years: a clock that is not set
             yield [time, lat, lon, above, known["heading"], pitch, roll, known["azimuth"], known["elevation"]]  # type: ignore[list-item]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import struct
 from collections.abc import Sequence
@@ -37,6 +38,11 @@ def decoded(content: bytes) -> str:
         return content.decode()
     except UnicodeDecodeError:
         return content.decode("cp1252")
+
+
+def of_json(content: bytes) -> Any:
+    """JSON of a text file; a whole number of more digits than a double can hold is infinite, as Python refuses it."""
+    return json.loads(decoded(content), parse_int=lambda word: int(word) if len(word) < 400 else float(word))
 
 
 def same(what: str, ours: Any, theirs: Any, atol: float = 0.0, rtol: float = 1e-12) -> None:

@@ -19,8 +19,10 @@ def exposure(path: pathlib.Path, found: Any) -> None:
     """Position, height and angles as XMP of DJI states them, else as EXIF does; heights above the ellipsoid."""
     content = path.read_bytes()
     tags, exif = _xmp(content), _gps(content)
-    lat = _stated(tags, ("GpsLatitude", "Latitude"), _dms(exif, 2))
-    lon = _stated(tags, ("GpsLongitude", "GpsLongtitude", "Longitude"), _dms(exif, 4))
+    lat = _stated(tags, ("GpsLatitude", "Latitude"), None)
+    lon = _stated(tags, ("GpsLongitude", "GpsLongtitude", "Longitude"), None)
+    if lat is None or lon is None:  # half a position is none
+        lat, lon = _dms(exif, 2), _dms(exif, 4)
     below = exif.get(5) in ((1,), (3,))
     height = _stated(tags, ("AbsoluteAltitude",), -exif[6][0] if below and 6 in exif else exif.get(6, (None,))[0])
     pose = found.shots.pose.position
@@ -52,9 +54,9 @@ def _segments(content: bytes) -> list[bytes]:
         marker, size = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
         if content[at] != 0xFF or marker in (0x00, 0xFF):
             at += 1  # what is no marker is passed over
-        elif marker in (0x01, *range(0xD0, 0xD9)):
-            at += 2
-        elif marker in (0xD9, 0xDA):
+        elif marker in (0x01, 0xC8, *range(0xD0, 0xDA), *range(0xF0, 0xFE)):
+            at += 2  # no length follows, nor in what a decoder skips behind markers of extensions
+        elif marker == 0xDA:
             break
         else:
             found += [content[at + 4 : at + 2 + size]] if marker == 0xE1 else []

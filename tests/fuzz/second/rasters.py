@@ -21,6 +21,10 @@ UNITS = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0) | di
     ("ft", "foot", "feet"), 0.3048
 )
 
+GRID_HEADER = re.compile(
+    r"(?<!\S)(ncols|nrows|[xy]ll(?:corner|center)|cellsize|dx|dy|nodata_value)\s+(\S+)", re.IGNORECASE
+)
+
 
 def opened(path: pathlib.Path) -> Any:
     """An open raster."""
@@ -64,8 +68,8 @@ def ascii_grid(path: pathlib.Path, found: Any) -> None:
     """ncols, nrows, a corner, cell size, perhaps NODATA_value; then numbers, row by row from the north."""
     lines = path.read_bytes().decode("latin-1").splitlines()
     start = next(k for k, line in enumerate(lines) if re.match(r"\s*[-+.0-9]", line))
-    pairs = re.findall(r"([A-Za-z_]+)\s+([-+.0-9][-+.0-9eE]*)", " ".join(lines[:start]))
-    header = {name.lower(): float(value) for name, value in reversed(pairs)}  # the first of each
+    pairs = GRID_HEADER.findall(" ".join(lines[:start]))
+    header = {name.lower(): float(value.replace(",", ".")) for name, value in reversed(pairs)}  # the first
     words = " ".join(lines[start:]).split()
     rows, cols = int(header["nrows"]), int(header["ncols"])
     values = np.array([float(word.replace(",", ".")) for word in words], np.float64).reshape(rows, cols)
@@ -74,6 +78,11 @@ def ascii_grid(path: pathlib.Path, found: Any) -> None:
     marked = np.isclose(values, header.get("nodata_value", np.nan), rtol=1e-7)
     assert not (known & marked).any(), "a post is known whose value is NODATA_value"
     same("heights", posts[known], values[known], 1e-6 * max(1.0, float(np.abs(values[known]).max())))
+    step = [header["cellsize" if "cellsize" in header else name] for name in ("dx", "dy")]
+    inset = 0.0 if "xllcorner" in header and "yllcorner" in header else 0.5
+    west, south = (header[f"{axis}ll{'center' if inset else 'corner'}"] for axis in "xy")
+    corner = rasterio.Affine(step[0], 0.0, west - inset * step[0], 0.0, -step[1], south + (rows - inset) * step[1])
+    _same_map(found, corner, rasterio.CRS.from_epsg(4326), (rows, cols))
 
 
 def gtx(path: pathlib.Path, found: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pathlib
 import re
 import tomllib
@@ -20,6 +19,7 @@ from tests.fuzz.second.compared import (
     egm96,
     in_map,
     number,
+    of_json,
     of_opk,
     same,
     same_attitude,
@@ -35,10 +35,6 @@ OPENSFM_LENSES = {
     "radial": ("k1", "k2"),
     "brown": ("k1", "k2", "p1", "p2", "k3"),
 }
-
-
-def _json(path: pathlib.Path) -> Any:
-    return json.loads(decoded(path.read_bytes()))
 
 
 def same_camera(camera: Any, size: Any, focal: Any, principal: Any, lens: Mapping[str, Any]) -> None:
@@ -63,14 +59,14 @@ def _opensfm_camera(camera: Any, stated: Mapping[str, Any]) -> None:
 
 
 def cameras_of_opensfm(path: pathlib.Path, cameras: Mapping[str, Any]) -> None:
-    stated = _json(path)
+    stated = of_json(path.read_bytes())
     same_names("cameras", list(cameras), list(stated))
     for name, camera in cameras.items():
         _opensfm_camera(camera, stated[name])
 
 
 def _part(path: pathlib.Path) -> Any:
-    stated = _json(path)
+    stated = of_json(path.read_bytes())
     return stated[0] if isinstance(stated, list) else stated
 
 
@@ -144,7 +140,7 @@ def cameras_of_orthority(path: pathlib.Path, cameras: Mapping[str, Any]) -> None
 
 def exposures_of_orthority(path: pathlib.Path, found: Any) -> None:
     """GeoJSON: positions and angles in rad in the map `world_crs`."""
-    stated = _json(path)
+    stated = of_json(path.read_bytes())
     tags = [feature["properties"] for feature in stated["features"]]
     same_names("images", found.names, [one["filename"] for one in tags])
     x, y, z = np.array([one["xyz"] for one in tags], np.float64).T

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import itertools
-import json
 import pathlib
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +19,7 @@ from tests.fuzz.second.compared import (
     egm96,
     in_map,
     number,
+    of_json,
     of_opk,
     same,
     same_attitude,
@@ -90,9 +90,14 @@ def _split(text: str, separator: str, quote: str) -> list[list[str]]:
     how = {"delimiter": separator, "quotechar": quote, "skipinitialspace": separator == " "}
     reader = csv.reader(io.StringIO(text, newline=""), **how)
     try:
-        return [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)]
+        return [[_plain(cell.strip()) for cell in row] for row in reader if any(cell.strip() for cell in row)]
     except csv.Error:
         return []
+
+
+def _plain(cell: str) -> str:
+    """A cell without the apostrophe by which a spreadsheet takes `'-84.1` as a text and does not run it."""
+    return cell[1:] if re.match(r"'+[=+\-@]", cell) else cell
 
 
 def _with_point(cell: str) -> str:
@@ -252,9 +257,9 @@ def positions(path: pathlib.Path, table: Any) -> None:
     if table.form == "DJI marks of photos":
         _marks(text, table)
     elif table.form == "OpenDroneMap report":
-        features = json.loads(text)["features"]
+        features = of_json(path.read_bytes())["features"]
         lon, lat, height = np.array([feature["geometry"]["coordinates"] for feature in features], np.float64).T
-        same_names("images", table.names, [feature["properties"]["filename"] for feature in features])
+        same_names("images", table.names, [str(feature["properties"]["filename"]).strip() for feature in features])
         same_places(table.position, lat, lon, height)
     elif table.form == "OpenDroneMap geo.txt":
         _geo(text, table)
@@ -278,12 +283,17 @@ def _geo(text: str, table: Any) -> None:
     projection, *lines = [
         line.strip() for line in text.splitlines() if line.strip() and not line.strip().startswith("#")
     ]
-    words = [line.split() for line in lines]
+    words = [_words(line) for line in lines]
     same_names("images", table.names, [row[0] for row in words])
     x, y = ([number(row[k]) for row in words] for k in (1, 2))
     lat, lon, _ = in_map(crs_of(projection), x, y)
     height = [number(row[3]) for row in words] if table.has_heights else np.full(len(words), np.nan)
     same_places(table.position, lat, lon, height)
+
+
+def _words(line: str) -> list[str]:
+    """What blanks and tabs separate; other white space may be within the name of a file."""
+    return re.findall(r"[^ \t]+", line)
 
 
 def _of_header(rows: Rows, table: Any) -> None:
@@ -304,7 +314,7 @@ def ground_control(path: pathlib.Path, control: Any) -> None:
     """OpenDroneMap's gcp_list.txt: a projection, then x y z column row image [name]."""
     lines = [line.strip() for line in decoded(path.read_bytes()).splitlines()]
     projection, *rows = [line for line in lines if line and not line.startswith("#")]
-    words = [row.split() for row in rows]
+    words = [_words(row) for row in rows]
     any_of(
         iter((words, [[_with_point(word) for word in row] for row in words])), lambda w: _gcp(projection, w, control)
     )

@@ -1,0 +1,87 @@
+"""All studies on one HTML page: verdicts, tables, pictures, and the functions that computed them. Needs jinja2."""
+
+from __future__ import annotations
+
+import base64
+import importlib.metadata
+import inspect
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import jinja2
+
+from jaxgeo._destination import destination
+from jaxgeo.studies.claims import Claim, Verdict, resolve, shown
+from jaxgeo.studies.sheet import Sheet
+
+PACKAGE = "jaxgeo"
+
+
+@dataclass(frozen=True)
+class Study:
+    """One study for the page: `name` as in the command, its `title`, what was found, and files of its pictures."""
+
+    name: str
+    title: str
+    claims: Sequence[Claim]
+    sheets: Sequence[Sheet]
+    pictures: Sequence[pathlib.Path] = field(default_factory=tuple)
+
+    @property
+    def counts(self) -> list[tuple[Verdict, int]]:
+        """How many claims have each verdict."""
+        return [(kind, sum(one.verdict is kind for one in self.claims)) for kind in Verdict]
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function or class of the package as the page shows it."""
+
+    name: str
+    signature: str
+    doc: str
+    place: str
+
+
+def study_page(studies: Sequence[Study]) -> str:
+    """The page as one text of HTML, pictures within. Raises `ValueError` where a claim names no function."""
+    names = sorted({one.function for study in studies for one in study.claims if one.function})
+    loader = jinja2.PackageLoader("jaxgeo.studies", "templates")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals.update(shown=shown, embedded=_embedded)
+    totals = [(kind, sum(dict(study.counts)[kind] for study in studies)) for kind in Verdict]
+    return environment.get_template("page.html").render(
+        studies=studies,
+        totals=totals,
+        functions=[function_of(name) for name in names],
+        version=importlib.metadata.version(PACKAGE),
+    )
+
+
+def write_page(path: pathlib.Path, studies: Sequence[Study]) -> None:
+    """The page as a file, which appears when all of it is written. Raises `ValueError` where it cannot be written."""
+    with destination("path", path) as stream:
+        stream.write(study_page(studies))
+
+
+def function_of(name: str) -> Function:
+    """What the page shows of a function or class, by its full name. Raises `ValueError` where there is none."""
+    found = resolve(name)
+    target = inspect.unwrap(found) if callable(found) else found
+    target = target.fget if isinstance(target, property) else target
+    try:
+        signature = str(inspect.signature(target)) if callable(target) else ""
+        path = pathlib.Path(inspect.getsourcefile(target) or "")  # pyright: ignore[reportArgumentType]
+        line = inspect.getsourcelines(target)[1]  # pyright: ignore[reportArgumentType]
+        package = pathlib.Path(importlib.import_module(PACKAGE).__file__ or "").parent
+        place = f"{path.relative_to(package.parent).as_posix()}:{line}" if path.is_relative_to(package.parent) else ""
+    except (TypeError, ValueError, OSError):  # written in C, or without its source
+        signature, place = "", ""
+    return Function(name, signature, inspect.getdoc(target) or "", place)
+
+
+def _embedded(path: pathlib.Path) -> str:
+    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
