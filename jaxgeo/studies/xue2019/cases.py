@@ -77,7 +77,7 @@ class Recovered(NamedTuple):
 
 
 class Cases(NamedTuple):
-    """All cases, what was recovered (the three models in one step, and in two), and the last model's adjustment with the
+    """All cases, what was recovered (the three models in one step, and in two), the last model's adjustment, and the
     sensor that it calibrates."""
 
     cases: list[Case]
@@ -192,7 +192,8 @@ def strips_apart(found: Simulated) -> ImagePoints:
     strip_of = dict(zip(found.image.tolist(), found.strip.tolist(), strict=True))
     strip = np.array([strip_of[name] for name in seen.image.tolist()])
     surveyed = np.isin(seen.point, found.ground.name)
-    name = np.where(surveyed, seen.point, np.char.add(np.char.add(seen.point, " of "), strip))
+    name = np.array([f"{point} of {line}" for point, line in zip(seen.point.tolist(), strip.tolist(), strict=True)])
+    name = np.where(surveyed, seen.point, name)
     kept = np.ones(len(name), bool)
     for target in found.ground.name.tolist():
         rows = np.flatnonzero(seen.point == target)

@@ -350,4 +350,3 @@ def in_mm(uv: np.ndarray) -> np.ndarray:
 def side() -> float:
     """The image's longer side, mm."""
     return printed.COLUMNS * printed.PIXEL_PITCH
-

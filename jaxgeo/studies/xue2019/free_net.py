@@ -74,9 +74,17 @@ def free_nets(
         nets.append(FreeNet(name, assumption, adjustment.differences(of.ground), adjustment.sigma0))
 
     add("as navigated", "position and attitude with the sigmas of Table 1", plain)
-    add("attitude tight", "sigmas of attitude a tenth: the boresight cannot go into the orientations", weighed(plain, 1.0, 0.1))
+    add(
+        "attitude tight",
+        "sigmas of attitude a tenth: the boresight cannot go into the orientations",
+        weighed(plain, 1.0, 0.1),
+    )
     add("position loose", "sigmas of position 100 times as large: attitudes hold the block", weighed(plain, 100.0, 1.0))
-    add("navigation loose", "all sigmas 100 times as large: the navigation is the datum alone", weighed(plain, 100.0, 100.0))
+    add(
+        "navigation loose",
+        "all sigmas 100 times as large: it is the datum alone",
+        weighed(plain, 100.0, 100.0),
+    )
     add("no lever arm", "lever arm left out", found.block(lens, sensor=no_lever, control=False))
     add(OFF, f"positions off the control's datum by {-north[1]:.2f} m to the south", moved(plain, north))
     add(OFF_UP, f"the same, and by {up[2]:.2f} m upwards", moved(plain, north + up))

@@ -29,11 +29,11 @@ class Limits:
         return plane <= self.plane and height <= self.height
 
 
-# 0.6 mm on the map, of points of detail in flat and hilly ground. The paper names CH/Z 3003-2010 and GB/T 23236-2009 and
-# quotes neither; their own limits for densified points can be given in place of these.
+# 0.6 mm on the map, of points of detail in flat and hilly ground. The paper names CH/Z 3003-2010 and
+# GB/T 23236-2009 and quotes neither; their own limits for densified points can be given in place of these.
 HILLS_AT_1_500 = Limits(
     plane=0.6e-3 * 500.0,
     height=0.40,
-    source="plan 0.6 mm on the map: GB/T 7931-2008, 6.1, for flat and hilly ground; height 0.4 m, of spot heights there "
-    "at 1:500: Pan Zhengfeng, Quality control of large-scale digital topographic maps, Wuhan University",
+    source="plan 0.6 mm on the map: GB/T 7931-2008, 6.1, for flat and hilly ground; height 0.4 m, of spot heights "
+    "there at 1:500: Pan Zhengfeng, Quality control of large-scale digital topographic maps, Wuhan University",
 )

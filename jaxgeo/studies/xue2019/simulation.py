@@ -142,8 +142,8 @@ def flown(
 
     The true camera has the focal length and principal point of the paper's Brown model, and its boresight; `lens` and
     `ripple` (px) are what the maker's calibration has left of the distortion. Strips are flown north and south by
-    turns; with `one_heading` the helicopter flies every second one backwards, its nose to the north. Raises `ValueError` for an area that is
-    smaller than what lies between two strips.
+    turns; with `one_heading` the helicopter flies every second one backwards, its nose to the north. Raises
+    `ValueError` for an area that is smaller than what lies between two strips.
     """
     if not spacing()[1] <= size < math.inf:
         raise ValueError(f"the area's size must be {math.ceil(spacing()[1])} m or more, and finite; got {size:g} m.")
