@@ -257,7 +257,7 @@ def distorted(camera: FrameCamera, ideal: np.ndarray) -> np.ndarray:
     lens = camera.distortion
     scale, x = float(np.asarray(lens.scale)), ideal  # type: ignore[attr-defined]
     for _ in range(8):
-        x = ideal - scale * np.stack(lens.polynomial(*(x / scale).T), axis=1)  # type: ignore[attr-defined]
+        x = ideal - scale * np.stack(lens.polynomial(*jnp.asarray(x / scale).T), axis=1)  # type: ignore[attr-defined]
     return np.asarray(x)
 
 
