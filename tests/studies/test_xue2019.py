@@ -9,6 +9,7 @@ import pytest
 
 from jaxgeo.sensor import BrownPhysical
 from jaxgeo.studies import xue2019
+from jaxgeo.studies.claims import Verdict, resolve
 from jaxgeo.studies.xue2019 import printed
 from jaxgeo.studies.xue2019.cases import MODELS, adjacent_pairs
 from jaxgeo.studies.xue2019.simulation import LENS, boresight_of, interior_of
@@ -125,7 +126,9 @@ def test_calibration_is_recovered(report) -> None:
 @pytest.mark.slow
 def test_tables_show_what_was_found(report, tmp_path) -> None:
     sheets = {sheet.name: sheet for sheet in xue2019.sheets_of(report)}
-    assert set(sheets) == {"block", "cases", "interior", "boresight", "improvement", "mapping"}
+    assert set(sheets) == {
+        *("block", "cases", "pairs", "free_net", "field", "interior", "boresight", "improvement", "mapping", "claims")
+    }
     first = sheets["cases"].texts()[0]
     assert first[:5] == ["direct, all rays", "21", "0.444", "0.920", "2.734"]
     assert float(first[7]) == pytest.approx(report.cases.of("direct").rms[2], abs=5e-4)
@@ -137,6 +140,50 @@ def test_tables_show_what_was_found(report, tmp_path) -> None:
     xue2019.write_tables(report, tmp_path)
     assert {path.stem for path in tmp_path.glob("*.csv")} == set(sheets)
     assert "## Interior orientation (Table 4)" in (tmp_path / "tables.md").read_text()
+
+
+EQUATIONS = {f"Eq. {number}" for number in range(1, 6)}
+TABLES = {"Table 1", "Table 2", "Table 3, control", "Table 3, Bauer", "Table 4, Bauer"}
+FIGURES = {f"Fig. {number}" for number in range(1, 13)}
+
+
+@pytest.mark.slow
+def test_claims_are_complete(report) -> None:
+    claims = xue2019.claims_of(report)
+    assert {one.item for one in claims} >= EQUATIONS | TABLES | FIGURES | {"Abstract", "Section 2.3", "Section 2.5"}
+    for one in claims:
+        assert one.paper == "Xue 2019"
+        if one.function:
+            resolve(one.function)
+    equations = [one.verdict for one in claims if one.item in EQUATIONS]
+    assert equations == [*[Verdict.reproduced] * 3, Verdict.explained, *[Verdict.reproduced] * 2]
+    arithmetic = next(one for one in claims if one.statement.startswith("improvement in plan"))
+    assert arithmetic.verdict is Verdict.reproduced
+    assert arithmetic.obtained == pytest.approx((46.38, 62.49), abs=0.005)
+
+
+@pytest.mark.slow
+def test_pairs_and_noise_come_nearer_to_the_print(report) -> None:
+    """Direct georeferencing of pairs, and control with more noise; no free network does."""
+
+    def off(rms: np.ndarray, name: str) -> float:
+        return float(np.sqrt(np.mean((rms / np.array(printed.RMS[name]) - 1.0) ** 2)))
+
+    assert off(report.pairs["direct"].mean(axis=0), "direct") < 0.5 * off(report.cases.of("direct").rms, "direct")
+    for case in report.field:
+        assert off(case.rms, case.name) < 0.7 * off(report.cases.of(case.name).rms, case.name)
+    assert min(off(net.rms, "free net") for net in report.free_nets) > 0.3
+
+
+def test_limits_need_a_source() -> None:
+    assert xue2019.Limits(0.3, 0.4, "a standard").hold(0.3, 0.4)
+    assert not xue2019.Limits(0.3, 0.4, "a standard").hold(0.31, 0.1)
+    assert not xue2019.Limits(0.3, 0.4, "a standard").hold(0.1, 0.41)
+    with pytest.raises(ValueError, match="limits need their source"):
+        xue2019.Limits(0.3, 0.4, " ")
+    for plane, height in ((0.0, 0.4), (0.3, np.inf), (np.nan, 0.4)):
+        with pytest.raises(ValueError, match="must be positive and finite"):
+            xue2019.Limits(plane, height, "a standard")
 
 
 @pytest.mark.slow

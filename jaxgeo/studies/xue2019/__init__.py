@@ -2,6 +2,9 @@
 made again on a simulated block: direct georeferencing, free net, self-calibration and boresight beside the print."""
 
 from jaxgeo.studies.xue2019.cases import Case, Cases, Recovered, cases_of
+from jaxgeo.studies.xue2019.claims import claims_of
+from jaxgeo.studies.xue2019.free_net import FreeNet, free_nets
+from jaxgeo.studies.xue2019.limits import Limits
 from jaxgeo.studies.xue2019.report import Report, run, sheets_of, write_pictures, write_tables
 from jaxgeo.studies.xue2019.simulation import Flown, Simulated, flown, measured, simulated
 from jaxgeo.studies.xue2019.trials import Trials, trials
@@ -10,12 +13,16 @@ __all__ = [
     "Case",
     "Cases",
     "Flown",
+    "FreeNet",
+    "Limits",
     "Recovered",
     "Report",
     "Simulated",
     "Trials",
     "cases_of",
+    "claims_of",
     "flown",
+    "free_nets",
     "measured",
     "run",
     "sheets_of",

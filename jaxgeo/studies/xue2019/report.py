@@ -4,22 +4,36 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from jaxgeo.studies.claims import claims_sheet
 from jaxgeo.studies.sheet import Sheet, write_sheets
 from jaxgeo.studies.xue2019 import sheets
-from jaxgeo.studies.xue2019.cases import MODELS, Cases, cases_of
-from jaxgeo.studies.xue2019.simulation import Simulated, simulated
+from jaxgeo.studies.xue2019.cases import MODELS, Case, Cases, cases_of, field_cases, pair_draws
+from jaxgeo.studies.xue2019.claims import claims_of
+from jaxgeo.studies.xue2019.free_net import FreeNet, free_nets
+from jaxgeo.studies.xue2019.limits import HILLS_AT_1_500, Limits
+from jaxgeo.studies.xue2019.simulation import Simulated, flown, measured
 from jaxgeo.studies.xue2019.trials import Trials
 from jaxgeo.studies.xue2019.trials import trials as run_trials
 
 
 @dataclass(frozen=True)
 class Report:
-    """All that the study finds on one block; `trials` is None where there were none."""
+    """All that the study finds on one block; `trials` is None where there were none.
+
+    `field` are the cases with control, of worse measurements; `pairs` (draws, 3) by name the errors of direct
+    georeferencing from pairs with other noise, m; `limits` what maps at 1:500 are judged by.
+    """
 
     block: Simulated
     cases: Cases
+    field: list[Case]
+    pairs: dict[str, np.ndarray]
+    free_nets: list[FreeNet]
+    limits: Limits = HILLS_AT_1_500
     trials: Trials | None = None
 
 
@@ -28,22 +42,34 @@ def run(
     size: float = 1000.0,
     *,
     trials: int = 0,
+    draws: int = 4,
     models: Sequence[str] = tuple(MODELS),
+    limits: Limits = HILLS_AT_1_500,
     told: Callable[[str], None] = lambda _: None,
 ) -> Report:
     """The study over `size` m squared, with the noise of a `seed`; and `trials` smaller blocks with other noise.
 
-    `models` names those of self-calibration; `told` hears which case is next. Raises `ValueError` for an area without
-    room for strips, and for fewer trials than none.
+    Pairs are drawn `draws` times more. `models` names those of self-calibration; `limits` are those of a standard for
+    maps at 1:500; `told` hears which case is next. Raises `ValueError` for an area without room for strips, for fewer
+    trials than none, and for fewer draws than 2.
     """
     if trials < 0:
         raise ValueError(f"trials must be 0 or more; got {trials}.")
-    block = simulated(size, seed)
+    if draws < 2:
+        raise ValueError(f"draws must be 2 or more, for a spread; got {draws}.")
+    flight = flown(size)
+    block = measured(flight, seed)
     cases = cases_of(block, told, models)
+    lens = MODELS[models[-1]]
+    field = field_cases(flight, seed, told, models)
+    told("pairs with other noise")
+    pairs = pair_draws(flight, cases.calibrated, lens, range(seed + 1, seed + 1 + draws))
+    nets = free_nets(block, lens, cases.of("compensated pair").rms, seed, told)
+    found = Report(block, cases, field, pairs, nets, limits)
     if not trials:
-        return Report(block, cases)
+        return found
     told("trials")
-    return Report(block, cases, run_trials(trials, seed=seed))
+    return replace(found, trials=run_trials(trials, seed=seed))
 
 
 def sheets_of(report: Report) -> list[Sheet]:
@@ -51,12 +77,17 @@ def sheets_of(report: Report) -> list[Sheet]:
     found = [
         sheets.block_sheet(report.block),
         sheets.cases_sheet(report.cases),
+        sheets.pairs_sheet(report.cases, report.pairs),
+        sheets.free_net_sheet(report.free_nets),
+        sheets.field_sheet(report.cases, report.field),
         sheets.interior_sheet(report.cases),
         sheets.boresight_sheet(report.cases),
         sheets.improvement_sheet(report.cases),
-        sheets.mapping_sheet(report.cases),
+        sheets.mapping_sheet(report.cases, report.limits),
     ]
-    return found if report.trials is None else [*found, sheets.trials_sheet(report.trials)]
+    if report.trials is not None:
+        found.append(sheets.trials_sheet(report.trials))
+    return [*found, claims_sheet(claims_of(report))]
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:

@@ -130,12 +130,20 @@ def simulated(size: float = 1000.0, seed: int = 0) -> Simulated:
     return measured(flown(size), seed)
 
 
-def flown(size: float, *, ties: int = TIES, lens: BrownConrady | None = LENS, ripple: float = RIPPLE) -> Flown:
+def flown(
+    size: float,
+    *,
+    ties: int = TIES,
+    lens: BrownConrady | None = LENS,
+    ripple: float = RIPPLE,
+    one_heading: bool = False,
+) -> Flown:
     """A flight over an area, with so many tie points in an image.
 
     The true camera has the focal length and principal point of the paper's Brown model, and its boresight; `lens` and
-    `ripple` (px) are what the maker's calibration has left of the distortion. Raises `ValueError` for an area that is
-    smaller than what lies between two strips.
+    `ripple` (px) are what the maker's calibration has left of the distortion. Strips are flown north and south by
+    turns; with `one_heading` the helicopter flies every second one backwards, its nose to the north. Raises
+    `ValueError` for an area that is smaller than what lies between two strips.
     """
     if not spacing()[1] <= size < math.inf:
         raise ValueError(f"the area's size must be {math.ceil(spacing()[1])} m or more, and finite; got {size:g} m.")
@@ -144,6 +152,7 @@ def flown(size: float, *, ties: int = TIES, lens: BrownConrady | None = LENS, ri
     frame = LocalFrame(Geodetic.from_degrees(lat=ORIGIN[0], lon=ORIGIN[1], height=0.0))
     rng = np.random.default_rng(GEOMETRY)
     place, heading, strip, time = _planned(size)
+    heading = np.zeros_like(heading) if one_heading else heading
     place = place + rng.normal(0.0, SWAY, place.shape)
     angles = np.stack([heading, *np.zeros((2, len(heading)))], axis=1)
     angles = angles + np.deg2rad(rng.normal(0.0, [CRAB, TILT, TILT], angles.shape))
@@ -154,15 +163,24 @@ def flown(size: float, *, ties: int = TIES, lens: BrownConrady | None = LENS, ri
     return Flown(size, true, frame, place, angles, strip, time, name, points, *seen)
 
 
-def measured(flight: Flown, seed: int = 0) -> Simulated:
-    """A flight with noise, and the camera as its maker calibrated it, without boresight and distortion."""
+def measured(
+    flight: Flown,
+    seed: int = 0,
+    *,
+    sigma_image: float = SIGMA_IMAGE,
+    sigma_ground: tuple[float, float, float] = SIGMA_GROUND,
+) -> Simulated:
+    """A flight with noise, and the camera as its maker calibrated it, without boresight and distortion.
+
+    Standard deviations are those of image points (px) and of surveyed points (east, north, up, m).
+    """
     rng, count = np.random.default_rng(seed), len(flight.place)
     place = flight.place + rng.normal(size=(count, 3)) * printed.SIGMA_POSITION
     angles = flight.angles + rng.normal(size=(count, 3)) * np.deg2rad(printed.SIGMA_ATTITUDE)
-    uv = flight.uv + rng.normal(0.0, SIGMA_IMAGE, flight.uv.shape)
+    uv = flight.uv + rng.normal(0.0, sigma_image, flight.uv.shape)
     is_target = ~np.char.startswith(flight.name, "t")
     targets = flight.points[is_target]
-    surveyed = targets + rng.normal(size=targets.shape) * SIGMA_GROUND
+    surveyed = targets + rng.normal(size=targets.shape) * sigma_ground
     image = np.array([f"s{strip + 1:02d}i{k + 1:03d}" for strip, k in _numbered(flight.strip)])
     return Simulated(
         size=flight.size,
@@ -172,8 +190,8 @@ def measured(flight: Flown, seed: int = 0) -> Simulated:
         image=image,
         strip=np.array([f"strip {strip + 1}" for strip in flight.strip]),
         shots=_shots(flight.frame, place, angles, flight.time),
-        observations=ImagePoints(image[flight.at], flight.name[flight.point], uv, SIGMA_IMAGE).seen_often(),
-        ground=GroundPoints(flight.name[is_target], surveyed, SIGMA_GROUND),
+        observations=ImagePoints(image[flight.at], flight.name[flight.point], uv, sigma_image).seen_often(),
+        ground=GroundPoints(flight.name[is_target], surveyed, sigma_ground),
     )
 
 
