@@ -92,6 +92,13 @@ def xue2019_command(
     ] = 1000.0,
     trials: Annotated[int, typer.Option(help="Smaller blocks with other noise, to test the standard deviations.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    plane_limit: Annotated[
+        float | None, typer.Option(help="Largest error in plan of a standard for maps at 1:500, m; 0.3 if left out.")
+    ] = None,
+    height_limit: Annotated[float | None, typer.Option(help="The same in height, m; 0.4 if left out.")] = None,
+    limit_source: Annotated[
+        str | None, typer.Option(help="The standard that says so; given with either limit.")
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -106,7 +113,10 @@ def xue2019_command(
         _begin(output)
         from jaxgeo.studies import xue2019
 
-        _show(xue2019, lambda: xue2019.run(seed, size, trials=trials), output, inputs if as_json else None)
+        limits = _limits(plane_limit, height_limit, limit_source)
+        _show(
+            xue2019, lambda: xue2019.run(seed, size, trials=trials, limits=limits), output, inputs if as_json else None
+        )
 
 
 @studies.command("gu2017", epilog=examples_of("gu2017"))
@@ -210,6 +220,23 @@ def all_command(
             raise typer.Exit(NO_ANSWER) from None
         if not as_json:
             console.print(f"page, tables and pictures: {output / 'index.html'}", highlight=False, soft_wrap=True)
+
+
+def _limits(plane: float | None, height: float | None, source: str | None) -> Any:
+    """The limits for maps at 1:500 that were given, or the usual ones. Raises `UserError`."""
+    from jaxgeo.studies.xue2019.limits import HILLS_AT_1_500, Limits
+
+    if (plane is None and height is None) != (source is None):
+        raise UserError("--plane-limit and --height-limit go with --limit-source, the standard that states them.")
+    for option, value in (("--plane-limit", plane), ("--height-limit", height)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise UserError(f"{option} {value:g}: it is a length in m, above zero and finite.")
+    if source is None:
+        return HILLS_AT_1_500
+    if not source.strip():
+        raise UserError("--limit-source is empty; name the standard, its year and clause.")
+    usual = HILLS_AT_1_500
+    return Limits(usual.plane if plane is None else plane, usual.height if height is None else height, source)
 
 
 def _check_seed(seed: int) -> None:
