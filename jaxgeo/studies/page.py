@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import base64
+import importlib
 import importlib.metadata
 import inspect
 import pathlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import jinja2
 
 from jaxgeo._destination import destination
-from jaxgeo.studies.claims import Claim, Verdict, resolve, shown
-from jaxgeo.studies.sheet import Sheet
+from jaxgeo.studies.all_studies import Study
+from jaxgeo.studies.claims import Verdict, resolve, shown
 
 PACKAGE = "jaxgeo"
-
-
-@dataclass(frozen=True)
-class Study:
-    """One study for the page: `name` as in the command, its `title`, what was found, and files of its pictures."""
-
-    name: str
-    title: str
-    claims: Sequence[Claim]
-    sheets: Sequence[Sheet]
-    pictures: Sequence[pathlib.Path] = field(default_factory=tuple)
-
-    @property
-    def counts(self) -> list[tuple[Verdict, int]]:
-        """How many claims have each verdict."""
-        return [(kind, sum(one.verdict is kind for one in self.claims)) for kind in Verdict]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ import re
 
 import pytest
 
+from jaxgeo.studies.all_studies import Study
 from jaxgeo.studies.claims import Claim, Verdict
-from jaxgeo.studies.page import Study, function_of, study_page, write_page
+from jaxgeo.studies.page import function_of, study_page, write_page
 from jaxgeo.studies.sheet import Sheet
 
 PIXEL = base64.b64decode(

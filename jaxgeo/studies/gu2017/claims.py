@@ -139,7 +139,12 @@ def _circles(report: Report) -> list[Claim]:
             5e-4,
             "",
             "jaxgeo.uncertainty.metrics.circular_error",
-            Explanation("two digits have changed places: 2.146", 2.146, ellipse.round_factor, 5e-4),
+            Explanation(
+                "two digits have changed places",
+                min(_exchanged(printed.CIRCLE_90), key=lambda value: abs(value - ellipse.round_factor)),
+                ellipse.round_factor,
+                5e-4,
+            ),
             digits=".4f",
         ),
         Claim(
@@ -414,10 +419,15 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
             bool(np.all(np.diff(rms) < 0.0)),
             UPDATE,
             told + ".",
-            Explanation("from the fewest to the most they do, not at every step", rms[-1] < rms[0], True, 0.0),
         )
     )
     return claims
+
+
+def _exchanged(value: float) -> list[float]:
+    """A number of three decimals with two neighbouring digits exchanged, in every place."""
+    whole, digits = f"{value:.3f}".split(".")
+    return [float(f"{whole}.{digits[:k]}{digits[k + 1]}{digits[k]}{digits[k + 2 :]}") for k in range(len(digits) - 1)]
 
 
 # ------------------------------------------------------------------------------- sequences

@@ -29,7 +29,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
     pictures: dict[str, Drawn] = {
         "images.png": (lambda figure: draw_images(report.image, report.flow, figure), (13.0, 4.8)),
         "boards.png": (lambda figure: draw_boards(report.flow, figure), (11.0, 6.4)),
-        "circles.png": (lambda figure: draw_circles(report.flow, figure), (7.2, 7.6)),
+        "circles.png": (lambda figure: draw_circles(report.flow, figure), (9.0, 5.4)),
     }
     if report.searches:
         pictures["shifts.png"] = (lambda figure: draw_shifts(report.searches, figure), (19.0, 8.6))
