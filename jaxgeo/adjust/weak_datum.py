@@ -17,7 +17,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._record import Record
@@ -137,8 +136,12 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
 
 def are_weak(motions: Motions) -> bool:
     """Whether some motion is held by little."""
-    kept, weight, of_parts = (np.asarray(x) for x in (motions.kept, motions.weight, motions.of_parts))
-    return bool(np.any((kept > 0.0) & (np.diagonal(weight) < WEAK * of_parts)))
+    return bool(_any_weak(motions))
+
+
+@eqx.filter_jit
+def _any_weak(motions: Motions) -> Array:
+    return jnp.any((motions.kept > 0.0) & (jnp.diagonal(motions.weight) < WEAK * motions.of_parts))
 
 
 def _slabs(band: Band) -> tuple[int, int]:

@@ -48,7 +48,7 @@ EXAMPLES = {
     "li2023": ("jaxgeo study li2023 --samples 5000",),
     "xue2019": ("jaxgeo study xue2019 --trials 20 -o tables",),
     "gu2017": ("jaxgeo study gu2017 -o tables",),
-    "study all": ("jaxgeo study all -o studies",),
+    "all": ("jaxgeo study all -o studies",),
 }
 
 

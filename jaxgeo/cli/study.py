@@ -177,7 +177,7 @@ def gu2017_command(
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
 
-@studies.command("all", epilog=examples_of("study all"))
+@studies.command("all", epilog=examples_of("all"))
 def all_command(
     output: Folder = None,
     seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._typing import Matrix3, Scalar, Vector3
@@ -138,7 +137,7 @@ def error_table(
     columns, rows = ((jnp.arange(count) + 0.5) / count * PIXELS - 0.5 for count in ties)
     uv = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(columns, rows)], axis=1)
     size = -(-uv.shape[0] // LOCATED) * LOCATED  # few sizes, few programs
-    lat, lon, up = (np.asarray(x)[: uv.shape[0]] for x in _places(sensor, shot, np.resize(uv, (size, 2)), terrain))
+    lat, lon, up = (x[: uv.shape[0]] for x in _places(sensor, shot, jnp.resize(uv, (size, 2)), terrain))
     place = Geodetic(lat=lat, lon=lon, height=up)
     points = TiePoints(uv, place, jnp.zeros((uv.shape[0], 2, 2)))
     return tuple(_row(case, sensor, shot, terrain, points) for case in cases)

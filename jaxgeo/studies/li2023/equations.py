@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 
 import jax.numpy as jnp
 import numpy as np
-import pyproj
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.classical.iterated import to_geodetic_simultaneous, to_geodetic_successive
@@ -25,6 +24,7 @@ A, E2 = 6378137.0, 0.0066943799901413165  # m, of WGS 84
 B = A * math.sqrt(1.0 - E2)
 ROUNDING = 1e-12
 MICROMETRE = 1e-6
+ROUNDS = 12  # of the latitude, to its last digit
 PIXEL = (100.0, -250.0)  # columns and rows from the middle of the image, for Eq. 1
 ITERATIONS = 4  # "more than four" of them give the accuracy that section 2.1 states
 LAT_CLAIMED, HEIGHT_CLAIMED = 1e-5, 1e-3  # arcsec, m
@@ -264,10 +264,14 @@ def _latitude(point: np.ndarray, N: float, height: float, inverted: bool) -> flo
 
 
 def _exact(point: np.ndarray) -> tuple[float, float]:
-    """(latitude in rad, height in m) by PROJ."""
-    ecef = pyproj.Transformer.from_crs(4978, 4979, always_xy=True)
-    _, lat, height = ecef.transform(*point.tolist())
-    return math.radians(lat), height
+    """(latitude in rad, height in m): tan(lat) = (z + e2 N sin(lat)) / p, each round with an error e2 times smaller."""
+    p, z = math.hypot(point[0], point[1]), float(point[2])
+    lat, N = math.atan2(z, p), A
+    for _ in range(ROUNDS):
+        N = A / math.sqrt(1.0 - E2 * math.sin(lat) ** 2)
+        lat = math.atan2(z + E2 * N * math.sin(lat), p)
+    N = A / math.sqrt(1.0 - E2 * math.sin(lat) ** 2)
+    return lat, p / math.cos(lat) - N
 
 
 def _height_of(point: np.ndarray) -> float:
