@@ -185,7 +185,9 @@ def test_blocks_ties_and_frames(report) -> None:
     assert {one.size for one in report.by_size} >= {64, 150, 300}
     for one in (*report.by_size, *report.by_ties):
         assert 0.1 < one.spread.squares < 3.0
-        assert one.trials == len(one.each) > 1
+        assert one.trials > 1
+        assert len(one.each) % one.trials == 0
+        assert len(one.each) > 0
     foretold = [one.spread.foretold90 for one in report.by_ties]
     assert np.all(np.diff(foretold) < 0.0)
     alone, carried, seldom = (report.frames[k : k + FRAMES] for k in range(0, 3 * FRAMES, FRAMES))

@@ -118,17 +118,20 @@ def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figu
     left, middle, right = figure.subplots(1, 3)
     for noise, colour in zip(dict.fromkeys(one.noise for one in by_size), (FIX, EDGE, SIGHT), strict=False):
         rows = [one for one in by_size if one.noise == noise]
-        at = [one.size for one in rows]
+        at = [float(one.size) for one in rows]
         _whiskers(left, at, rows, colour, f"noise {noise:g}")
         middle.plot(at, [100.0 * one.failed for one in rows], "o-", color=colour, label=f"noise {noise:g}")
         for one in rows if noise == by_size[0].noise else ():
             left.annotate(f"{one.ties:.0f}", (one.size, one.pose), xytext=(3, 6), textcoords="offset points")
-    _whiskers(right, [one.ties for one in by_ties], by_ties, FIX, "")
+    counts = [float(one.ties) for one in by_ties]
+    _whiskers(right, counts, by_ties, FIX, "")
     left.set(
         title="Size of blocks (numbers: ties)", xlabel="block, cells", ylabel="error of the pose, px", ylim=(0.0, None)
     )
     middle.set(title="Blocks that fail", xlabel="block, cells", ylabel="%", ylim=(0.0, None))
     right.set(title="Number of ties", xlabel="ties", ylabel="error of the pose, px", xscale="log", ylim=(0.0, None))
+    right.minorticks_off()
+    right.set_xticks(counts, [f"{count:.0f}" for count in counts])
     figure.legend(*left.get_legend_handles_labels(), frameon=False, ncols=2, loc="outside lower center")
 
 
