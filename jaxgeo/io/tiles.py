@@ -186,8 +186,8 @@ def _check_scale(tile: Tile) -> None:
     if math.isfinite(tile.scale) and math.isfinite(tile.offset) and tile.scale != 0.0:
         return
     raise DemError(
-        f"{tile.path}: it states scale {tile.scale:g} and offset {tile.offset:g} for its heights, by which no post has "
-        f"a height of its own. Write the right ones into it, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
+        f"{tile.path}: scale {tile.scale:g} and offset {tile.offset:g} of its heights make all equal or undefined. "
+        f"Set the right values, e.g. gdal_edit -scale 1 -offset 0 {tile.path}."
     )
 
 

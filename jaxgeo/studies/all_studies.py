@@ -64,7 +64,7 @@ def run(name: str, seed: int = 0, folder: pathlib.Path | None = None) -> Study:
             pictures = sorted(own.glob("*.png"))
         except ImportError as error:
             missing = str(error)
-    return Study(name, TITLES[name], package.claims_of(report), package.sheets_of(report), pictures, missing)
+    return Study(name, TITLES[name], report.claims, package.sheets_of(report), pictures, missing)
 
 
 def write_verdicts(found: Sequence[Study], folder: pathlib.Path) -> None:

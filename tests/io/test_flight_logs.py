@@ -213,7 +213,7 @@ def test_the_attitude_of_a_nadir_camera_is_the_gimbals() -> None:
 @pytest.mark.parametrize(
     "old, new, words",
     [
-        ("2\n00:00:00,033 --> 00:00:00,066\n", "2\n00:00:0", "latitude is 47.1 and 47.2"),
+        ("2\n00:00:00,033 --> 00:00:00,066\n", "2\n00:00:0", "latitude stands twice, as 47.1 and as 47.2"),
         ("1\n00:00:00,000 --> 00:00:00,033\n", "1\n", "row 2: there is no time"),
     ],
 )
@@ -242,5 +242,5 @@ def test_a_damaged_second_value_of_subtitles_is_no_reason_to_take_the_first(tmp_
     angles = "[gb_yaw: 1 gb_pitch: -45 gb_roll: 0]"
     place = f"[latitude: 47.1] [longitude: 8.25] [longitude: 120.0a] [abs_alt: 610.5] {angles}"
     (tmp_path / "a.SRT").write_text(f"1\n00:00:00,000 --> 00:00:00,033\n{place}\n")
-    with pytest.raises(TableError, match=r"subtitle 1: longitude is 8\.25 and 120\.0a"):
+    with pytest.raises(TableError, match=r"subtitle 1: longitude stands twice, as 8\.25 and as 120\.0a"):
         read_acquisition(tmp_path / "a.SRT", height_datum="ellipsoid")

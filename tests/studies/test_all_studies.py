@@ -1,4 +1,4 @@
-"""All studies together: each in a process of its own, which ends with its parent, and whose failure is told."""
+"""All studies together: each in its own process, which ends with its parent; a failure raises with its message."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_claims_and_tables_pass_between_processes() -> None:
     assert again.counts == study.counts
 
 
-def test_a_study_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_that_fails_raises(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_studies_apart, "LONGEST_FIRST", ("nothing",))
     with pytest.raises(RuntimeError, match=r"(?s)study nothing ended with 1:.*No module named"):
         _studies_apart.found_apart(0, None)

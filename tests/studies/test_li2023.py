@@ -135,12 +135,12 @@ def test_sliding_to_a_tilted_plane() -> None:
 
 
 @pytest.mark.slow
-def test_made_up_and_real_terrain() -> None:
+def test_synthetic_and_real_terrain() -> None:
     """The footprint's plane comes nearer to the samples than the facet's; every place is on a terrain of its own, and
     what `accuracy` answers by itself is near the samples."""
-    made_up, judged = li2023.over_fractal_ground(samples=4000, key=KEY, places=8)
+    synthetic, judged = li2023.over_fractal_ground(samples=4000, key=KEY, places=8)
     real, real_judged = li2023.over_real_ground(samples=4000, key=KEY, places=8)
-    together = sheets.groups([*made_up, *real])
+    together = sheets.groups([*synthetic, *real])
     for name, ground in {key[:2] for key in together}:
         drawn = np.array([one.rms for one in together[name, ground, "sampled"]])
         misses = {
@@ -253,14 +253,14 @@ def test_the_command_writes_tables_and_pictures(tmp_path, monkeypatch) -> None:
 
 def test_tables_show_what_was_found(level, pointing) -> None:
     places = [
-        dataclasses.replace(level[0], ground="made-up", method="linear, facet", place=k, rms=100.0 + k)
+        dataclasses.replace(level[0], ground="synthetic", method="linear, facet", place=k, rms=100.0 + k)
         for k in (0, 1, 2)
     ]
     sheet = sheets.positions_sheet([*level, *places])
     shown = {(row[0], row[1], row[2]): row for row in sheet.texts()}
     assert shown["plain", "real tile", "printed"][8] == "137.75"
     assert shown["plain", "level", "linear"][8] == "137.03"
-    assert shown["plain", "made-up", "linear, facet"][8:] == ["101.00", "100.0", "102.0"]
+    assert shown["plain", "synthetic", "linear, facet"][8:] == ["101.00", "100.0", "102.0"]
     assert "medians over 3 places" in sheet.note
     text = sheets.circles_sheet(level).to_markdown().splitlines()
     assert text[4].startswith("| plain | real tile | printed | 114.79 | – |")

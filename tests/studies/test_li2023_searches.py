@@ -1,4 +1,4 @@
-"""The searches of Li et al. (2023): their cost on planes, over made-up terrain, and beside the printed Table 4."""
+"""The searches of Li et al. (2023): their cost on planes, over synthetic terrain, and beside the printed Table 4."""
 
 from __future__ import annotations
 

@@ -109,8 +109,9 @@ def _record(path: object, index: int, block: str) -> LogRecord:
         value = number[1] if number else word[:MOST_SHOWN]
         if name in MEASURED and fields.get(name, value) != value:
             raise TableError(
-                f"{path}, subtitle {index + 1}: {name} is {fields[name]} and {value}: the time between two records (a "
-                f"line such as 00:00:00,000 --> 00:00:00,033) is missing or damaged."
+                f"{path}, subtitle {index + 1}: {name} stands twice, as {fields[name]} and as {value}. One of them is "
+                f"damaged, or the time between two records (a line such as 00:00:00,000 --> 00:00:00,033) is missing; "
+                f"correct or remove this subtitle."
             )
         if number or name in MEASURED:
             fields[name] = value

@@ -22,7 +22,7 @@ from jaxgeo.uncertainty import ErrorModel
 from jaxgeo.uncertainty.look import Look
 
 ASIDE = 1.0  # cells: standard deviation of what shifts a block beside the navigation's errors
-LATTICE = 4  # places along a side of a block, by which its true shift is told
+LATTICE = 4  # points along a side of a block, from which its true shift is computed
 
 
 class Mapped(NamedTuple):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import pathlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from jaxgeo.studies.claims import claims_sheet
+from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.gu2017 import sheets
 from jaxgeo.studies.gu2017.accuracy import Accuracy, accuracy
 from jaxgeo.studies.gu2017.density import Dense, by_size
@@ -31,6 +32,13 @@ class Report:
     searches: list[Searched]
     frames: list[Frame]
 
+    @functools.cached_property
+    def claims(self) -> list[Claim]:
+        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        from jaxgeo.studies.gu2017.claims import claims_of  # it reads reports
+
+        return claims_of(self)
+
 
 def run(seed: int = 0, image: Imaged | None = None) -> Report:
     """The study on an `image`, or on one that is made with the noise of a `seed`."""
@@ -46,8 +54,6 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
 
 def sheets_of(report: Report) -> list[Sheet]:
     """The study's tables, in the order of the paper, and the verdicts that follow from them."""
-    from jaxgeo.studies.gu2017.claims import claims_of  # it reads reports
-
     found = [
         sheets.errors_sheet(report.accuracy),
         sheets.sensitivity_sheet(report.accuracy),
@@ -61,7 +67,7 @@ def sheets_of(report: Report) -> list[Sheet]:
         found += [sheets.blocks_sheet(report.by_size), sheets.ties_sheet(report.by_ties)]
     if report.frames:
         found += [sheets.frames_sheet(report.frames), sheets.grounds_sheet(report.frames)]
-    return [*found, claims_sheet(claims_of(report))]
+    return [*found, claims_sheet(report.claims)]
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import pathlib
 from dataclasses import dataclass, field, replace
 
-from jaxgeo.studies.claims import claims_sheet
+from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.li2020 import sheets
 from jaxgeo.studies.li2020.attitude import Outlines, outlines
 from jaxgeo.studies.li2020.causes import Cause, Products, causes, products
@@ -36,6 +37,11 @@ class Report:
     strips: list[Strips] = field(default_factory=list)
     controls: list[Control] = field(default_factory=list)
     reliefs: list[Relief] = field(default_factory=list)
+
+    @functools.cached_property
+    def claims(self) -> list[Claim]:
+        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        return claims_of(self)
 
 
 def run(*, flights: bool = True, seed: int = 0) -> Report:
@@ -76,7 +82,7 @@ def sheets_of(report: Report) -> list[Sheet]:
             sheets.control_sheet(report.controls),
             sheets.relief_sheet(report.reliefs),
         ]
-    return [*found, claims_sheet(claims_of(report))]
+    return [*found, claims_sheet(report.claims)]
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:

@@ -116,7 +116,7 @@ def draw_positions(found: list[Accuracy], figure: Figure) -> None:
 
 
 def _draw_rms(found: list[Accuracy], ax: Any) -> None:
-    """RMS by terrain: what is printed, ours on level and made-up ground, and the error against a map."""
+    """RMS by terrain: what is printed, ours on level and synthetic ground, and the error against a map."""
     seen: set[str] = set()
     for base, (name, row) in enumerate(printed.TERRAINS.items()):
         first = {"label": "printed"} if base == 0 else {}
@@ -129,7 +129,7 @@ def _draw_rms(found: list[Accuracy], ax: Any) -> None:
             offset = LEVEL_AT.get(method, 0.0) if ground == LEVEL_GROUND else FRACTAL_AT[method] + REAL_BY * is_real
             colour, marker = LOOKS[method]
             rms = np.array([one.rms for one in group])
-            label = f"{method}, {'level' if ground == LEVEL_GROUND else 'made-up (left) and real terrain (right)'}"
+            label = f"{method}, {'level' if ground == LEVEL_GROUND else 'synthetic (left) and real terrain (right)'}"
             face = "white" if ground == LEVEL_GROUND else colour
             jitter = np.linspace(-0.03, 0.03, rms.size) if rms.size > 1 else np.zeros(1)
             ax.plot(

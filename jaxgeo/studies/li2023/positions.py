@@ -1,4 +1,4 @@
-"""How sure the targets of Li et al. (2023) are: Table 3, over level ground and over made-up terrain."""
+"""How sure the targets of Li et al. (2023) are: Table 3, over level ground and over synthetic terrain."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 from jaxgeo.uncertainty.slopes import AbstractSlope
 
 LEVEL_GROUND = "level"
-RMS_SLOPES = {"hill": math.radians(8.0), "mountain": math.radians(22.0)}  # of the made-up terrains
+RMS_SLOPES = {"hill": math.radians(8.0), "mountain": math.radians(22.0)}  # of the synthetic terrains
 SPACING = 30.0  # m, of the posts of ASTER GDEM V2
 MIDDLE = 2500.0  # m from the terrain's middle: no place lies farther out, for what errs has to find ground too
 LEVEL = 5.0  # m: the ground at a place is as high as the printed target to this
@@ -98,7 +98,7 @@ def over_fractal_ground(
     seed: int = 0,
     names: Sequence[str] = tuple(RMS_SLOPES),
 ) -> tuple[list[Accuracy], list[Judged]]:
-    """Hill and mountain over made-up fractal terrain of a stated rms slope: at each of several places, every one on a
+    """Hill and mountain over synthetic fractal terrain of a stated rms slope: at each of several places, every one on a
     terrain of its own, drawn from `seed`.
 
     There the ground is as high as the printed target, and the aircraft is moved sideways so that its line of sight
@@ -157,7 +157,7 @@ def terrain_seed(seed: int, place: int) -> int:
 
 def fractal_name(name: str) -> str:
     """What the ground of a row is called."""
-    return f"made-up, rms slope {math.degrees(RMS_SLOPES[name]):.0f}°"
+    return f"synthetic, rms slope {math.degrees(RMS_SLOPES[name]):.0f}°"
 
 
 def fractal_ground(name: str, *, size: int, seed: int) -> Dem:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import pathlib
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 
-from jaxgeo.studies.claims import claims_sheet
+from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.li2023 import printed, sheets
 from jaxgeo.studies.li2023.causes import Cause, causes
 from jaxgeo.studies.li2023.claims import claims_of
@@ -46,11 +47,16 @@ class Report:
     causes: list[Cause]
     searches: Comparison
 
+    @functools.cached_property
+    def claims(self) -> list[Claim]:
+        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        return claims_of(self)
+
 
 def run(
     *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
 ) -> Report:
-    """The study, with so many samples for each row of a table; on made-up and real terrain they are shared among its
+    """The study, with so many samples for each row of a table; on synthetic and real terrain they are shared among its
     places. The searches run over so many terrains of each kind with so many rays each. All that is random is drawn from
     `seed`: samples, terrains, places and rays.
 
@@ -68,7 +74,7 @@ def run(
     plain = printed.TERRAINS["plain"]
     level = f"level flight, {plain.outer:.2f}°"
     each = -(-samples // places)
-    made_up, judged = over_fractal_ground(samples=each, key=keys[3], places=places, seed=seed)
+    synthetic, judged = over_fractal_ground(samples=each, key=keys[3], places=places, seed=seed)
     real, real_judged = over_real_ground(samples=each, key=keys[4], places=places, seed=seed)
     return Report(
         pointing=[
@@ -77,7 +83,7 @@ def run(
         ],
         inclination=fig_5(FRAMES, SIGMAS),
         targets=table_2(),
-        positions=[*over_level_ground(samples=samples, key=keys[2]), *made_up, *real],
+        positions=[*over_level_ground(samples=samples, key=keys[2]), *synthetic, *real],
         judged=[*judged, *real_judged],
         tilts=implied_tilts(),
         causes=causes(),
@@ -99,7 +105,7 @@ def sheets_of(report: Report) -> list[Sheet]:
         sheets.causes_sheet(report.causes),
         sheets.tilts_sheet(report.tilts),
         *search_sheets(report.searches),
-        claims_sheet(claims_of(report)),
+        claims_sheet(report.claims),
     ]
 
 

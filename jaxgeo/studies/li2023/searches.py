@@ -1,7 +1,7 @@
 """Sections 3 and 4 and Table 4: the searches side by side over many terrains, and what would give the printed table.
 
 The tiles of the paper were never published, nor K and M of the segmented search, the size of the target's area, or what
-a "time" holds. Terrains are made up (see `make_scene`), at the depressions of Table 2, and redrawn with every seed.
+a "time" holds. Terrains are synthetic (see `make_scene`), at the depressions of Table 2, and redrawn with every seed.
 """
 
 from __future__ import annotations

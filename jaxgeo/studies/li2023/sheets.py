@@ -182,7 +182,7 @@ def _ground_note(found: Sequence[Accuracy]) -> str:
     return (
         "RMS = (north² + east² + height²)^½, as in the paper: the ten angles of Table 1, terrain heights to 20 m, the "
         "aircraft's position without error. The paper's tile is not published: level is ground of the printed height, "
-        f"made-up is fractal terrain of that rms slope, each place on another, and real the elevation model that comes "
+        f"synthetic is fractal terrain of that rms slope, each place on another, real the elevation model that comes "
         f"with the package, seen from as high above it; medians over {places} places, and the least and most RMS."
     )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import pathlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxgeo.studies.claims import claims_sheet
+from jaxgeo.studies.claims import Claim, claims_sheet
 from jaxgeo.studies.sheet import Sheet, write_sheets
 from jaxgeo.studies.xue2019 import sheets
 from jaxgeo.studies.xue2019.cases import MODELS, Case, Cases, cases_of, field_cases, pair_draws
@@ -35,6 +36,11 @@ class Report:
     free_nets: list[FreeNet]
     limits: Limits = HILLS_AT_1_500
     trials: Trials | None = None
+
+    @functools.cached_property
+    def claims(self) -> list[Claim]:
+        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        return claims_of(self)
 
 
 def run(
@@ -87,7 +93,7 @@ def sheets_of(report: Report) -> list[Sheet]:
     ]
     if report.trials is not None:
         found.append(sheets.trials_sheet(report.trials))
-    return [*found, claims_sheet(claims_of(report))]
+    return [*found, claims_sheet(report.claims)]
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:

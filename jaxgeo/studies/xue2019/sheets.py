@@ -108,7 +108,7 @@ def free_net_sheet(nets: Sequence[FreeNet]) -> Sheet:
     columns = {"free net": "", **dict.fromkeys("xyz", ".3f"), **{f"mean {axis}": ".3f" for axis in "xyz"}}
     columns |= {"off the print": ".0%", "sigma0": ".2f", "assumption": ""}
     note = (
-        "m, at the 21 surveyed points. Off the print as for pairs. A block whose strips hang together evens out "
+        "m, at the 21 surveyed points. Off the print as for pairs. A block whose strips share tie points evens out "
         "boresight and principal point, as strips flown to and fro are pulled to opposite sides: its plan is better "
         "than the print's by a factor of ten. Strips that share no points keep these errors. The shift to the south is "
         "what the printed row of compensated georeferencing has in y beyond the noise of a pair."
