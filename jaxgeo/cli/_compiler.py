@@ -15,21 +15,24 @@ import warnings
 from jaxgeo.cli._screen import working
 
 UNOPTIMISED = "--xla_backend_optimization_level=0"
-QUICK_TO_COMPILE = f"{UNOPTIMISED} --xla_cpu_use_fusion_emitters=false"  # XLA's older emitter
+OLDER_EMITTER = "--xla_cpu_use_fusion_emitters=false"
+QUICK_TO_COMPILE = f"{UNOPTIMISED} {OLDER_EMITTER}"
+QUICK_TO_RUN = f"--xla_backend_optimization_level=1 {OLDER_EMITTER}"
 FOLDER = "JAXGEO_CACHE_DIR"  # of the environment; empty: nothing is kept
 LARGEST = 500_000_000  # bytes of programs that are kept; the oldest go first
 EVEN_SHORT_ONES = 0.0  # s of compiling from which on a program is kept
 
 
-def compile_quickly(samples_of_field: bool = False) -> None:
+def compile_quickly(samples_of_field: bool = False, *, runs_long: bool = False) -> None:
     """Have XLA compile in half the time what is computed only a few times, and keep it for the next command.
 
     Before anything is computed. Samples of a field of heights take XLA's older, quicker emitter more memory than a
-    machine has: they are compiled by the usual one. A version of XLA that does not know the flags would end the
-    process, so another process tries them first, once for each version. An environment that says how JAX is to compile
-    is left as it is.
+    machine has: they are compiled by the usual one. A command that `runs_long`, for minutes, gains by programs that
+    are optimised a little. A version of XLA that does not know the flags would end the process, so another process
+    tries them first, once for each version. An environment that says how JAX is to compile is left as it is.
     """
     folder, flags = cache_folder(), UNOPTIMISED if samples_of_field else QUICK_TO_COMPILE
+    flags = QUICK_TO_RUN if runs_long else flags
     if "XLA_FLAGS" not in os.environ and _knows(flags, folder):
         os.environ["XLA_FLAGS"] = flags
     if folder is not None and "JAX_COMPILATION_CACHE_DIR" not in os.environ:

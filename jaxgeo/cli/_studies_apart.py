@@ -41,6 +41,7 @@ def found_apart(seed: int, folder: pathlib.Path | None) -> list[Study]:
                     progress.update(task, description=_words(going))
                 for name in [name for name, process in going.items() if process.poll() is not None]:
                     process = going.pop(name)
+                    _close(process)
                     written = pathlib.Path(place) / f"{name}.pickle"
                     if process.returncode != 0 or not written.exists():
                         told = (pathlib.Path(place) / f"{name}.txt").read_text(encoding="utf-8", errors="replace")
@@ -51,6 +52,7 @@ def found_apart(seed: int, folder: pathlib.Path | None) -> list[Study]:
         finally:
             for process in going.values():
                 process.kill()
+                _close(process)
     return [done[name] for name in RUNS]
 
 
@@ -64,6 +66,12 @@ def _started(name: str, seed: int, folder: pathlib.Path | None, place: pathlib.P
         words.append(str(folder.absolute()))
     with (place / f"{name}.txt").open("wb") as told:
         return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=told, stderr=told)
+
+
+def _close(process: subprocess.Popen[bytes]) -> None:
+    process.wait()
+    if process.stdin is not None:
+        process.stdin.close()
 
 
 def _end_with_parent() -> None:
@@ -80,7 +88,7 @@ def main(words: list[str]) -> None:
     from jaxgeo.studies.all_studies import run
 
     name, seed, written, *folder = words
-    compile_quickly()
+    compile_quickly(runs_long=name == LONGEST_FIRST[0])
     enable_x64()
     found = run(name, int(seed), pathlib.Path(folder[0]) if folder else None)
     pathlib.Path(written).write_bytes(pickle.dumps(found))

@@ -166,7 +166,7 @@ def gu2017_command(
         if not dem:
             reading.check_goes_with_dem()
         keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum, reading))
-        _begin(output)
+        _begin(output, runs_long=True)
         from jaxgeo.studies import gu2017
 
         given = None
@@ -192,7 +192,8 @@ def all_command(
     inputs = asked(locals())
     with mistakes_told(debug):
         _check_seed(seed)
-        _begin(output)
+        if output is not None:
+            check_writable(output)
         from jaxgeo.cli._studies_apart import found_apart
         from jaxgeo.studies.all_studies import write_verdicts
         from jaxgeo.studies.claims import claims_sheet
@@ -256,13 +257,13 @@ def _sigmas(position: float | None, attitude: float | None, *, is_given: bool) -
     return POSITION_SIGMA if position is None else position, ATTITUDE_SIGMA if attitude is None else attitude
 
 
-def _begin(folder: pathlib.Path | None) -> None:
+def _begin(folder: pathlib.Path | None, *, runs_long: bool = False) -> None:
     """Check the folder before the work."""
     from jaxgeo._checks import enable_x64
 
     if folder is not None:
         check_writable(folder)
-    compile_quickly()
+    compile_quickly(runs_long=runs_long)
     enable_x64()
 
 

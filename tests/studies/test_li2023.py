@@ -188,6 +188,11 @@ def test_single_causes_of_the_actual_errors() -> None:
     np.testing.assert_allclose(height.errors, height.amount * np.array(slopes), rtol=2e-3)
     assert height.chance == pytest.approx(2.0 * stats.norm.sf(height.amount / 20.0))
     assert min(found.values(), key=lambda one: one.left).name in ("outer frame angle", "roll of the attitude")
+    in_order = sorted(found.values(), key=lambda one: one.left)
+    assert in_order[0].left_chance > in_order[-1].left_chance
+    # Without a cause the squares of errors of all kinds have the trace of their covariance as their mean.
+    nothing = found["place of the map, the elevation model or the aircraft"]
+    assert 0.0 < nothing.left_chance < 1.0
 
 
 def test_one_digit_of_table_2() -> None:
@@ -244,7 +249,7 @@ def test_the_command_writes_tables_and_pictures(tmp_path, monkeypatch) -> None:
     result = CliRunner().invoke(app, ["study", "li2023", "--output", str(tmp_path / "new"), "--samples", "2400"])
     assert result.exit_code == 0, result.output
     names = {path.name for path in (tmp_path / "new").iterdir()}
-    assert {"positions.csv", "tables.md", "pointing.png", "inclination.png", "positions.png"} <= names
+    assert {"positions.csv", "tables.md", "pointing.png", "inclination.png", "positions.png", "searches.png"} <= names
     with (tmp_path / "new" / "inclination.csv").open() as stream:
         rows = list(csv.reader(stream))
     assert len(rows[0]) == 11

@@ -17,8 +17,10 @@ from jaxgeo.studies.li2023.inclination import Inclination
 from jaxgeo.studies.li2023.pointing import GRID, Pointing
 from jaxgeo.studies.li2023.positions import LEVEL_GROUND, Accuracy
 from jaxgeo.studies.li2023.report import Report
+from jaxgeo.studies.li2023.searches import IN_PRINT, KINDS, SEARCHES, Comparison, printed_ratios
 from jaxgeo.studies.li2023.sheets import groups
 from jaxgeo.studies.pictures import draw_all
+from jaxgeo.terrain import Outcome
 
 QUIET, BAND = "#9db7d5", "#f1e3c6"
 SHOWN_SIGMAS = (10.0, 50.0, 100.0, 150.0, 190.0)  # m
@@ -33,6 +35,8 @@ LOG_TICKS = (70.0, 100.0, 200.0, 500.0, 1000.0)  # m
 LEVEL_AT = {"linear": -0.28, "sampled": -0.14}
 FRACTAL_AT = {"linear, facet": -0.02, "linear, footprint": 0.16, "sampled": 0.34}
 REAL_BY = 0.09
+KIND_COLOURS = dict(zip(KINDS, ("#9db7d5", "#c9b27c", EDGE), strict=True))
+BESIDE = 0.22  # between kinds of terrain, where searches are 1 apart
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
@@ -41,6 +45,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
         "pointing.png": (lambda figure: draw_pointing(report.pointing[0], figure), (10.0, 4.0)),
         "inclination.png": (lambda figure: draw_inclination(report.inclination, figure), (10.0, 4.4)),
         "positions.png": (lambda figure: draw_positions(report.positions, figure), (10.0, 4.8)),
+        "searches.png": (lambda figure: draw_searches(report.searches, figure), (10.0, 4.6)),
     }
     draw_all(pictures, folder)
 
@@ -164,3 +169,39 @@ def _draw_circles(cloud: Accuracy, errors: np.ndarray | None, ax: Any) -> None:
     ax.set(xlabel="east, m", ylabel="north, m", title=f"The {cloud.terrain}: circles", aspect="equal")
     ax.set(xlim=(-reach, reach), ylim=(-reach, 1.75 * reach))
     ax.legend(frameon=False, fontsize=8.5, loc="upper left")
+
+
+def draw_searches(found: Comparison, figure: Figure) -> None:
+    """Table 4: how many heights each search asks for, its cost beside the print's, and how often it is right."""
+    left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
+    for k, (kind, colour) in enumerate(KIND_COLOURS.items()):
+        across = np.arange(len(SEARCHES)) + BESIDE * (k - 1)
+        asked = [found.evaluations(kind, name) for name in SEARCHES]
+        low, high = (np.array([np.quantile(x, q) for x in asked]) for q in (0.05, 0.95))
+        left.vlines(across, low, high, color=colour, linewidth=4.0, alpha=0.6)
+        left.plot(across, [np.median(x) for x in asked], "_", color="black", markersize=9)
+        left.plot(across, [np.mean(x) for x in asked], "o", color=colour, markeredgecolor="black", label=kind)
+        for x, top, name in zip(across, high, SEARCHES, strict=True):
+            share = found.share(kind, name, Outcome.first_hit).value
+            left.annotate(
+                f"{share:.0%}", (x, top), (0, 4), textcoords="offset points", ha="center", fontsize=7, rotation=90
+            )
+        others = IN_PRINT[:-1]
+        ratios = [found.ratio(kind, name) for name in others]
+        at = np.arange(len(others)) + BESIDE * (k - 1)
+        away = np.array([[one.value - one.low, one.high - one.value] for one in ratios]).T
+        ours = np.array([one.value for one in ratios])
+        right.errorbar(at, ours, yerr=away, fmt="o", color=colour, markeredgecolor="black", label=f"{kind}, ours")
+        first = {"label": "printed (times)"} if k == 0 else {}
+        right.plot(at, printed_ratios(kind), "_", color=FIX, markersize=14, markeredgewidth=2.5, **first)
+    left.set(yscale="log", ylabel="heights asked for, of a ray", title="Cost, and share that finds the first hit")
+    left.set_ylim(top=left.get_ylim()[1] * 3.0)
+    left.set_xticks(range(len(SEARCHES)), [name.replace("photogrammetric", "photo-\ngrammetric") for name in SEARCHES])
+    left.tick_params(axis="x", labelsize=8)
+    left.plot([], [], "_", color="black", markersize=9, label="median")
+    left.plot([], [], color="grey", linewidth=4.0, alpha=0.6, label="5 % to 95 % of rays; circles: means")
+    left.legend(frameon=False, fontsize=8, loc="upper right")
+    right.axhline(1.0, color=EDGE, linewidth=0.8)
+    right.set(yscale="log", ylabel="over the fast one", title="Mean cost over the fast iteration's")
+    right.set_xticks(range(len(IN_PRINT) - 1), IN_PRINT[:-1])
+    right.legend(frameon=False, fontsize=8)
