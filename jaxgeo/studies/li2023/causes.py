@@ -24,6 +24,7 @@ ANGLES = (
     "mounting of the inner frame",
 )
 """The axes of the errors of Table 1, in their order."""
+DRAWS = 100_000
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,9 @@ class Cause:
     """One quantity in error by the same amount at all three targets, in `unit`: what fits the actual errors best.
 
     `errors` in m at plain, hill and mountain with that amount; `left` is the root mean square of what remains of the
-    actual ones. `sigma` is the standard deviation that the paper states, in `unit`, and `chance` that of an error as
-    large or larger; None where it states none.
+    actual ones, and `left_chance` the probability that the other errors of Table 1, drawn anew for each target, leave
+    as much or more. `sigma` is the standard deviation that the paper states, in `unit`, and `chance` the probability of
+    an error as large or larger; None where it states none.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Cause:
     amount: float
     errors: np.ndarray
     left: float
+    left_chance: float
     sigma: float | None
 
     @property
@@ -60,24 +63,28 @@ def causes() -> list[Cause]:
     against a map, over level ground at the heights of the printed targets.
     """
     model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
-    moved, sigmas = [], np.zeros(0)
+    jacobians, sigmas = [], np.zeros(0)
     for row in printed.TERRAINS.values():
         ground = printed.level_ground(row.target[2])
         found = propagate(printed.sensor(), printed.shot_of(row), printed.UV, ground, model)
-        moved.append(np.linalg.norm(np.asarray(found.jacobian)[:2], axis=0))
+        jacobians.append(np.asarray(found.jacobian)[:2])
         sigmas = np.sqrt(np.diag(np.asarray(found.cov_error)))
-    table = np.array(moved)
-    found = [
-        _cause(name, "°", table[:, k] * math.radians(1.0), math.degrees(sigmas[k])) for k, name in enumerate(ANGLES)
-    ]
-    found.append(_cause("height of the elevation model", "m", table[:, -1], float(sigmas[-1])))
-    found.append(_cause("height of the aircraft", "m", table[:, -1], None))  # the same shift, the other way
-    found.append(_cause("place of the map, the elevation model or the aircraft", "m", np.ones(3), None))
+    errors = sigmas * np.random.default_rng(0).normal(size=(DRAWS, len(jacobians), len(sigmas)))
+    parts = np.stack(jacobians)[None] * errors[:, :, None, :]  # draws, targets, east and north, axes of the errors
+    table, whole = np.linalg.norm(jacobians, axis=1), parts.sum(axis=-1)
+
+    def cause(name: str, unit: str, by_unit: np.ndarray, axis: int | None = None, scale: float = 1.0) -> Cause:
+        actual = np.array([row.actual for row in printed.TERRAINS.values()])
+        amount = float(by_unit @ actual / (by_unit @ by_unit))
+        left = float(np.sqrt(np.mean((actual - amount * by_unit) ** 2)))
+        others = whole if axis is None else whole - parts[..., axis]
+        rms = np.sqrt(np.mean(np.sum(others**2, axis=2), axis=1))
+        sigma = None if axis is None else float(scale * sigmas[axis])
+        return Cause(name, unit, amount, amount * by_unit, left, float(np.mean(rms >= left)), sigma)
+
+    found = [cause(name, "°", table[:, k] * math.radians(1.0), k, math.degrees(1.0)) for k, name in enumerate(ANGLES)]
+    last = table.shape[1] - 1
+    found.append(cause("height of the elevation model", "m", table[:, last], last))
+    found.append(cause("height of the aircraft", "m", table[:, last]))  # the same shift, the other way
+    found.append(cause("place of the map, the elevation model or the aircraft", "m", np.ones(3)))
     return sorted(found, key=lambda one: one.left)
-
-
-def _cause(name: str, unit: str, by_unit: np.ndarray, sigma: float | None) -> Cause:
-    actual = np.array([row.actual for row in printed.TERRAINS.values()])
-    amount = float(by_unit @ actual / (by_unit @ by_unit))
-    errors = amount * by_unit
-    return Cause(name, unit, amount, errors, float(np.sqrt(np.mean((actual - errors) ** 2))), sigma)

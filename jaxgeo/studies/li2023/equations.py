@@ -15,12 +15,13 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.classical.iterated import to_geodetic_simultaneous, to_geodetic_successive
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor.exposure import line_of_sight
+from jaxgeo.studies import in_numpy
 from jaxgeo.studies.claims import Claim, Explanation
+from jaxgeo.studies.in_numpy import E2, A, R_about_x, R_about_y, R_ned_from_body, ecef
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.uncertainty.look import Look
 
 PAPER = "Li 2023"
-A, E2 = 6378137.0, 0.0066943799901413165  # m, of WGS 84
 B = A * math.sqrt(1.0 - E2)
 ROUNDING = 1e-12
 MICROMETRE = 1e-6
@@ -211,26 +212,20 @@ def _eq_9() -> Claim:
 
 def ecef_as_printed(lat_deg: float, lon_deg: float, height: float) -> np.ndarray:
     """Eq. 6."""
-    lat, lon = math.radians(lat_deg), math.radians(lon_deg)
-    N = A / math.sqrt(1.0 - E2 * math.sin(lat) ** 2)
-    level = (N + height) * math.cos(lat)
-    return np.array([level * math.cos(lon), level * math.sin(lon), (N * (1.0 - E2) + height) * math.sin(lat)])
+    return ecef(math.radians(lat_deg), math.radians(lon_deg), height)
 
 
 def sight_as_printed(row: printed.Terrain) -> np.ndarray:
     """Eq. 2 for the line of sight, its matrices written out: Earth from NED, NED from body, body from camera."""
-    lat, lon = math.radians(row.lat), math.radians(row.lon)
-    north = np.array([-math.sin(lat) * math.cos(lon), -math.sin(lat) * math.sin(lon), math.cos(lat)])
-    east = np.array([-math.sin(lon), math.cos(lon), 0.0])
-    return np.stack([north, east, np.cross(north, east)], axis=1) @ sight_ned_as_printed(row)
+    return in_numpy.R_ecef_from_ned(math.radians(row.lat), math.radians(row.lon)) @ sight_ned_as_printed(row)
 
 
 def sight_ned_as_printed(row: printed.Terrain) -> np.ndarray:
     """The same in north, east, down."""
     heading, pitch, roll = (math.radians(x) for x in (printed.HEADING, printed.PITCH, printed.ROLL))
     outer, inner = math.radians(-row.outer), math.radians(row.inner)
-    R_ned_from_body = _about_z(heading) @ _about_y(pitch) @ _about_x(roll)
-    return R_ned_from_body @ _about_x(outer) @ _about_y(inner) @ np.array([0.0, 0.0, 1.0])
+    R_head = R_about_x(outer) @ R_about_y(inner)
+    return R_ned_from_body(heading, pitch, roll) @ R_head @ np.array([0.0, 0.0, 1.0])
 
 
 def sight_ned(row: printed.Terrain) -> np.ndarray:
@@ -276,18 +271,3 @@ def _exact(point: np.ndarray) -> tuple[float, float]:
 
 def _height_of(point: np.ndarray) -> float:
     return _exact(point)[1]
-
-
-def _about_x(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _about_y(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_z(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -206,11 +206,13 @@ def judged_sheet(found: Sequence[Judged]) -> Sheet:
 def causes_sheet(found: Sequence[Cause]) -> Sheet:
     """Single causes of the errors against a map, the best fit first."""
     actual = [row.actual for row in printed.TERRAINS.values()]
-    rows: list[list[Cell]] = [["as printed", "", None, *actual, None, None, None]]
+    rows: list[list[Cell]] = [["as printed", "", None, *actual, None, None, None, None]]
     for one in found:
-        rows.append([one.name, one.unit, one.amount, *one.errors.tolist(), one.left, one.sigmas, one.chance])
+        rows.append(
+            [one.name, one.unit, one.amount, *one.errors.tolist(), one.left, one.left_chance, one.sigmas, one.chance]
+        )
     columns = {"single cause": "", "unit": "", "amount": ".3f", **{f"{name}, m": ".1f" for name in printed.TERRAINS}}
-    columns |= {"left (RMS), m": ".1f", "in σ": ".1f", "chance": ".1e"}
+    columns |= {"left (RMS), m": ".1f", "chance of as much left": ".2f", "in σ": ".1f", "chance": ".1e"}
     best, likely = found[0], [one for one in found if one.chance is not None and one.chance > 0.05]
     names = ", ".join(one.name for one in likely)
     told = (
@@ -220,8 +222,8 @@ def causes_sheet(found: Sequence[Cause]) -> Sheet:
     )
     note = (
         f"Each quantity by itself in error by the same amount at all three targets, fitted by least squares to the "
-        f"errors against a map; σ as in Table 1 and {printed.DEM_SIGMA:.0f} m of the elevation model. The best, "
-        f"{best.name}, leaves {best.left:.0f} m; {told}."
+        f"errors against a map; σ as in Table 1 and {printed.DEM_SIGMA:.0f} m of the elevation model. What is left "
+        f"is held against the other errors of Table 1. The best, {best.name}, leaves {best.left:.0f} m; {told}."
     )
     return Sheet("causes", "Single causes of the actual errors (section 5.2)", columns, rows, note)
 

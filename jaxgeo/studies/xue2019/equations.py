@@ -12,6 +12,7 @@ from jaxgeo.adjust import Adjustment, intersect_images
 from jaxgeo.adjust.navigation import sights_of
 from jaxgeo.sensor import Bauer, FrameCamera
 from jaxgeo.studies.claims import Claim, Explanation
+from jaxgeo.studies.in_numpy import R_ecef_from_ned, R_ned_from_body, ecef
 from jaxgeo.studies.xue2019 import printed
 from jaxgeo.studies.xue2019.simulation import LEVER, Simulated
 
@@ -24,7 +25,6 @@ BELOW = np.array([[60.0, -80.0, -520.0], [-150.0, 40.0, -480.0], [5.0, 120.0, -5
 BAUER = (2.0e-7, 3.0e-5, -5.0e-5)  # mm^-2, 1, 1: additional parameters for Eq. 1
 R0 = 20.0  # mm
 TO_IMAGE = np.diag([1.0, -1.0, -1.0])  # the paper's image axes (right, up, back) by the camera's (right, down, forward)
-A, E2 = 6378137.0, 6.69437999014e-3  # WGS 84
 
 
 def equations(report: Report) -> list[Claim]:
@@ -223,8 +223,8 @@ def weighted_squares(adjustment: Adjustment, block: Simulated, step: np.ndarray 
     assert control is not None
     found = np.array([places[name] for name in control.name.tolist()])
     by_control = float(np.sum(((found - control.place) / control.sigma) ** 2))
-    known = [p for p in adjustment.parameters if np.isfinite(prior_of(p.name))]
-    by_parameters = float(sum((p.value / prior_of(p.name)) ** 2 for p in known))
+    known = [p for p in adjustment.parameters if np.isfinite(p.prior)]
+    by_parameters = float(sum((p.value / p.prior) ** 2 for p in known))
     by_position, by_attitude = by_navigation(adjustment, block, step[3:])
     return [by_image, by_control, by_parameters, by_position, by_attitude]
 
@@ -261,13 +261,6 @@ def distorted(camera: FrameCamera, ideal: np.ndarray) -> np.ndarray:
     return np.asarray(x)
 
 
-def prior_of(name: str) -> float:
-    """Standard deviation of what is known of a parameter beforehand, infinite where nothing is."""
-    from jaxgeo.studies.xue2019.cases import SMALL
-
-    return np.inf if name.startswith(("focal", "principal", "boresight")) else SMALL
-
-
 def orientations(block: Simulated) -> tuple[np.ndarray, np.ndarray]:
     """(centres, R_frame_from_camera) of `SHOTS` by the package, with the true boresight."""
     shots = jax.tree.map(lambda x: jnp.asarray(x)[jnp.asarray(SHOTS) % len(block.image)], block.shots)
@@ -295,30 +288,6 @@ def geodetic(position: object, i: int | None = None) -> tuple[float, float, floa
     values = [np.asarray(getattr(position, name)) for name in ("lat", "lon", "height")]
     lat, lon, height = (float(x if i is None else x[i % len(x)]) for x in values)
     return lat, lon, height
-
-
-def ecef(lat: float, lon: float, height: float) -> np.ndarray:
-    """Geocentric coordinates, m."""
-    N = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)
-    along = (N + height) * np.cos(lat)
-    return np.array([along * np.cos(lon), along * np.sin(lon), (N * (1.0 - E2) + height) * np.sin(lat)])
-
-
-def R_ecef_from_ned(lat: float, lon: float) -> np.ndarray:
-    """R_n^E (B, L)."""
-    north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
-    east = [-np.sin(lon), np.cos(lon), 0.0]
-    down = [-np.cos(lat) * np.cos(lon), -np.cos(lat) * np.sin(lon), -np.sin(lat)]
-    return np.array([north, east, down]).T
-
-
-def R_ned_from_body(heading: float, pitch: float, roll: float) -> np.ndarray:
-    """Rz(heading) Ry(pitch) Rx(roll)."""
-    (ch, sh), (cp, sp), (cr, sr) = ((np.cos(x), np.sin(x)) for x in (heading, pitch, roll))
-    Rz = np.array([[ch, -sh, 0.0], [sh, ch, 0.0], [0.0, 0.0, 1.0]])
-    Ry = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    Rx = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
-    return Rz @ Ry @ Rx
 
 
 def small(turn: np.ndarray) -> np.ndarray:
