@@ -119,16 +119,24 @@ def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figu
     for noise, colour in zip(dict.fromkeys(one.noise for one in by_size), (FIX, EDGE, SIGHT), strict=False):
         rows = [one for one in by_size if one.noise == noise]
         at = [float(one.size) for one in rows]
-        _whiskers(left, at, rows, colour, f"noise {noise:g}")
+        beside = 1.0 if noise == by_size[0].noise else 1.06
+        _whiskers(left, [beside * size for size in at], rows, colour, f"noise {noise:g}")
         middle.plot(at, [100.0 * one.failed for one in rows], "o-", color=colour, label=f"noise {noise:g}")
         for one in rows if noise == by_size[0].noise else ():
-            left.annotate(f"{one.ties:.0f}", (one.size, one.pose), xytext=(3, 6), textcoords="offset points")
+            top = (one.size, one.pose + one.half)
+            left.annotate(f"{one.ties:.0f}", top, xytext=(0, 3), textcoords="offset points", ha="right")
     counts = [float(one.ties) for one in by_ties]
     _whiskers(right, counts, by_ties, FIX, "")
     left.set(
         title="Size of blocks (numbers: ties)", xlabel="block, cells", ylabel="error of the pose, px", ylim=(0.0, None)
     )
     middle.set(title="Blocks that fail", xlabel="block, cells", ylabel="%", ylim=(0.0, None))
+    left.margins(x=0.1)
+    sizes = sorted({one.size for one in by_size})
+    for ax in (left, middle):
+        ax.set_xscale("log")
+        ax.minorticks_off()
+        ax.set_xticks(sizes, [str(size) for size in sizes])
     right.set(title="Number of ties", xlabel="ties", ylabel="error of the pose, px", xscale="log", ylim=(0.0, None))
     right.minorticks_off()
     right.set_xticks(counts, [f"{count:.0f}" for count in counts])
