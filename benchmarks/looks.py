@@ -21,7 +21,7 @@ from jaxgeo.studies.scenes import CENTRE, fractal_posts
 from jaxgeo.terrain import Dem, TangentGrid
 from jaxgeo.terrain.grid import surface_point
 from jaxgeo.uncertainty import ErrorModel, Sampled, sample, sources
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 jaxgeo.enable_x64()
 DATA = os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data")
@@ -127,8 +127,8 @@ def errors(scale: Any) -> ErrorModel:
     return ErrorModel(tuple(kind(sigma) for kind, sigma in zip(kinds, parts, strict=True)))
 
 
-def look_from(pose: jaxgeo.Pose, terrain: Dem, pixel: Any = PIXEL) -> Look:
-    return Look(SENSOR, jaxgeo.Shot(pose), jnp.asarray(0.0), jnp.asarray(pixel), terrain)
+def look_from(pose: jaxgeo.Pose, terrain: Dem, pixel: Any = PIXEL) -> ModelInputs:
+    return ModelInputs(SENSOR, jaxgeo.Shot(pose), jnp.asarray(0.0), jnp.asarray(pixel), terrain)
 
 
 def sampled(pose: jaxgeo.Pose, scale: float, terrain: Dem, seed: Any, count: int, pixel: Any = PIXEL) -> Sampled:

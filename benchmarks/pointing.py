@@ -26,7 +26,7 @@ from measuring import Column, Table
 from peers import scipy_pointing
 
 import jaxgeo
-from jaxgeo.coverage import point
+from jaxgeo.coverage import point_gimbal
 from jaxgeo.sensor import boresight_from_degrees
 
 jaxgeo.enable_x64()
@@ -60,7 +60,7 @@ def pointed(sensor: jaxgeo.Sensor, poses: Any, targets: Any, air: Any = None) ->
     def one(pose: Any, target: Any) -> Any:
         shot = jaxgeo.Shot(jaxgeo.Pose(jaxgeo.Geodetic(lat=pose[0], lon=pose[1], height=pose[2]), *pose[3:]))
         place = jaxgeo.Geodetic(lat=target[0], lon=target[1], height=target[2])
-        return point(sensor, shot, target=place, atmosphere=air)
+        return point_gimbal(sensor, shot, target=place, atmosphere=air)
 
     return jax.vmap(one)(poses, targets)
 

@@ -4,8 +4,8 @@ Looks are drawn over made-up and real terrain: every azimuth, 8 to 60 degrees do
 times those of a good sensor. Each is predicted without a sample, then sampled. `--coverage` asks another question: of
 simulated measurements, how often does the truth lie within the CE90 that is stated about the erroneous fix?
 
-Run: python benchmarks/verdict.py [--targets 60] [--fresh 0] [--output roc.png]
-     python benchmarks/verdict.py --coverage [--targets 1000] [--fresh 0]
+Run: python benchmarks/method_selection.py [--targets 60] [--fresh 0] [--output roc.png]
+     python benchmarks/method_selection.py --coverage [--targets 1000] [--fresh 0]
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from measuring import Column, Table
 import jaxgeo
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import ConstantField, Dem
-from jaxgeo.uncertainty import Level, Trust, verdict
+from jaxgeo.uncertainty import Level, Method, method_selection
 from jaxgeo.uncertainty.linear import propagated
 
 LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # of agreement, for the trade-off
@@ -41,19 +41,19 @@ RIGHT, WRONG = 0.10, 0.25  # of the samples' circular error
 class Judged(NamedTuple):
     """Looks with a fix: their signs, and the circular error at 90 % over level ground and by samples, m."""
 
-    signs: verdict.Signs
+    signs: method_selection.Diagnostics
     level: np.ndarray
     truth: np.ndarray
 
 
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(0, 0, None))
-def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[verdict.Signs, Any, Any]:
+def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selection.Diagnostics, Any, Any]:
     """(signs, circular error over level ground, whether there is a fix)."""
     look, model = look_from(pose, terrain), errors(scale)
-    aim = look.aim(FIRST_HIT)
+    aim = look.nominal_fix(FIRST_HIT)
     level = propagated(look, aim, model, Level()).circular_error(0.9)
-    return verdict.surveyed(look, aim, model).signs, level, counts_as_fix(aim.fix.status)
+    return method_selection.diagnose(look, aim, model).signs, level, counts_as_fix(aim.fix.status)
 
 
 def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
@@ -106,12 +106,12 @@ def within_row(name: str, all_of: Judged) -> list[Any]:
 
 
 def caught_row(name: str, all_of: Judged) -> list[Any]:
-    trust = np.asarray(verdict.trust_of(all_of.signs))
+    trust = np.asarray(method_selection.method_of(all_of.signs))
     miss = off(np.asarray(all_of.signs.facet), all_of.truth)
-    wrong, right, flagged = miss > WRONG, miss <= RIGHT, trust != Trust.facet
+    wrong, right, flagged = miss > WRONG, miss <= RIGHT, trust != Method.facet
     row = [name, trust.size, int(wrong.sum()), percent(flagged[wrong]), int(right.sum()), percent(flagged[right])]
-    row.append(percent(trust == Trust.samples))
-    for method, figure in ((Trust.facet, all_of.signs.facet), (Trust.footprint, all_of.signs.footprint)):
+    row.append(percent(trust == Method.samples))
+    for method, figure in ((Method.facet, all_of.signs.facet), (Method.footprint, all_of.signs.footprint)):
         missed = 100.0 * off(np.asarray(figure), all_of.truth)[trust == method]
         row += [float(np.quantile(missed, share)) if missed.size else None for share in (0.5, 0.95)]
     return row
@@ -119,17 +119,20 @@ def caught_row(name: str, all_of: Judged) -> list[Any]:
 
 def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
     """(agreement asked for, % caught, % flagged wrongly, % sent to samples), with that in height in proportion."""
-    miss, kept = off(np.asarray(all_of.signs.facet), all_of.truth), (verdict.AGREEMENT, verdict.AGREEMENT_UP)
+    miss, kept = (
+        off(np.asarray(all_of.signs.facet), all_of.truth),
+        (method_selection.AGREEMENT, method_selection.AGREEMENT_UP),
+    )
     rows = []
     try:
         for level in LEVELS:
-            verdict.AGREEMENT, verdict.AGREEMENT_UP = level, level * kept[1] / kept[0]
-            trust = np.asarray(verdict.trust_of(all_of.signs))
-            flagged, shares = trust != Trust.facet, (miss > WRONG, miss <= RIGHT)
+            method_selection.AGREEMENT, method_selection.AGREEMENT_UP = level, level * kept[1] / kept[0]
+            trust = np.asarray(method_selection.method_of(all_of.signs))
+            flagged, shares = trust != Method.facet, (miss > WRONG, miss <= RIGHT)
             caught, wrongly = (percent(flagged[share]) or 0.0 for share in shares)
-            rows.append((level, caught, wrongly, percent(trust == Trust.samples) or 0.0))
+            rows.append((level, caught, wrongly, percent(trust == Method.samples) or 0.0))
     finally:
-        verdict.AGREEMENT, verdict.AGREEMENT_UP = kept
+        method_selection.AGREEMENT, method_selection.AGREEMENT_UP = kept
     return rows
 
 
@@ -198,11 +201,11 @@ def measured(pose: jaxgeo.Pose, pixel: Any, scale: Any, key: Any, terrain: Dem) 
     true, model = look_from(pose, terrain, pixel), errors(scale)
     error = model.factor() @ jax.random.normal(key, (model.size,))
     moved = look_from(model.moved(true, error).pose, raised_by(terrain, error[-1]), pixel)
-    aim, truth = moved.aim(FIRST_HIT), true.ground(FIRST_HIT)
-    signs = verdict.surveyed(moved, aim, model).signs
+    aim, truth = moved.nominal_fix(FIRST_HIT), true.ground(FIRST_HIT)
+    signs = method_selection.diagnose(moved, aim, model).signs
     miss = aim.R_ecef_from_enu.T @ (truth.ecef - aim.p_ecef)
     is_case = counts_as_fix(aim.fix.status) & counts_as_fix(truth.status)
-    trust, away = verdict.trust_of(signs), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)
+    trust, away = method_selection.method_of(signs), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)
     return Measured(moved.pose, error[-1], is_case, signs.facet, signs.footprint, trust, away)
 
 
@@ -220,8 +223,8 @@ def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
     keys = jax.random.split(jax.random.key(seed), count)
     found = measured(drawn.pose, jnp.asarray(pixels), jnp.asarray(drawn.scale), keys, terrain)
     found = jax.tree.map(np.asarray, found)
-    radius = np.where(found.trust == Trust.facet, found.facet, found.footprint)
-    for i in np.flatnonzero(found.is_case & (found.trust == Trust.samples)):
+    radius = np.where(found.trust == Method.facet, found.facet, found.footprint)
+    for i in np.flatnonzero(found.is_case & (found.trust == Method.samples)):
         known = raised_by(terrain, found.raised[i])
         drawn_again = sampled(item(found.pose, i), drawn.scale[i], known, i, samples, pixels[i])
         radius[i] = drawn_again.circular_error(0.9).value
@@ -239,9 +242,9 @@ def coverage(targets: int, samples: int, fresh: int) -> Table:
         dems, seed = made_up_of(name, fresh), fresh + 1000 + 10 * number
         parts = [covered(dem, -(-targets // len(dems)), samples, seed + k) for k, dem in enumerate(dems)]
         trust, inside = np.concatenate(parts).T
-        by_trust = [percent(inside[trust == method]) for method in Trust]
+        by_trust = [percent(inside[trust == method]) for method in Method]
         low, high = (100.0 * x for x in binomial_interval(int(inside.sum()), inside.size))
-        sent = percent(trust == Trust.samples)
+        sent = percent(trust == Method.samples)
         table.rows.append([name, inside.size, percent(inside), low, high, *by_trust, sent])
         print(table.rows[-1], file=sys.stderr, flush=True)
     return table

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxgeo import uncertainty
 from jaxgeo._checks import enable_x64
+from jaxgeo._renamed import renamed
 from jaxgeo.batches import in_batches
 from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
@@ -44,8 +45,8 @@ from jaxgeo.sensor import (
     RollingShutterCamera,
     Sensor,
     Shot,
-    SweepCamera,
     Trajectory,
+    WhiskbroomCamera,
 )
 from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
@@ -87,8 +88,8 @@ __all__ = [
     "Sensor",
     "Shot",
     "Status",
-    "SweepCamera",
     "Trajectory",
+    "WhiskbroomCamera",
     "accuracy",
     "adjust",
     "at_range",
@@ -110,13 +111,15 @@ __all__ = [
     "uncertainty",
 ]
 
+DEPRECATED = {"SweepCamera": "WhiskbroomCamera"}
+_renamed = renamed(__name__, DEPRECATED)
 _ON_DEMAND = ("adjust", "coverage", "io", "plot", "register")  # two load rasterio and pyproj, or matplotlib
 
 
 def __getattr__(name: str) -> Any:
     if name in _ON_DEMAND:
         return importlib.import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _renamed(name)
 
 
 def __dir__() -> list[str]:

@@ -42,12 +42,12 @@ def matrix(rows: Any) -> Float[Array, "rows cols"]:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def product(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+def matmul3(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Matrix product, as a sum of three (see `dot`)."""
     return A[:, 0:1] * B[0:1, :] + A[:, 1:2] * B[1:2, :] + A[:, 2:3] * B[2:3, :]
 
 
-def turned(R: Float[Array, "3 3"], v: Float[Array, "3"]) -> Float[Array, "3"]:
+def matvec(R: Float[Array, "3 3"], v: Float[Array, "3"]) -> Float[Array, "3"]:
     """Matrix times vector, as a sum of three (see `dot`)."""
     return R[:, 0] * v[0] + R[:, 1] * v[1] + R[:, 2] * v[2]
 

@@ -9,8 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, check_is
-from jaxgeo._doors import (
+from jaxgeo._arguments import (
     UNIT_TOLERANCE,
     check_latitude,
     check_on_image,
@@ -22,6 +21,7 @@ from jaxgeo._doors import (
     pixel_of_shot,
     thrown,
 )
+from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._numerics import all_finite, dot, finite_or, safe_angle, safe_norm, tree_where
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import jax.numpy as jnp
 
 from jaxgeo._elementary import sine_and_cosine
-from jaxgeo._numerics import cross, matrix, product, safe_norm, safe_sqrt
+from jaxgeo._numerics import cross, matmul3, matrix, safe_norm, safe_sqrt
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 
 Components: TypeAlias = tuple[Scalar, Scalar, Scalar]
@@ -71,7 +71,7 @@ def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     pitch = jnp.arctan2(-R[2, 0], horizontal)
     heading = jnp.arctan2(jnp.where(locked, -R[0, 1], R[1, 0]), jnp.where(locked, R[1, 1], R[0, 0]))
     # Not atan2(R[2, 1], R[2, 2]): close to the lock that and the heading would be noise independent of each other.
-    levelled = product(Rz(-heading), R)
+    levelled = matmul3(Rz(-heading), R)
     roll = jnp.arctan2(-levelled[1, 2], levelled[1, 1])
     return heading, pitch, jnp.where(locked, 0.0, roll)
 
@@ -86,7 +86,7 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
     sinc = jnp.where(small, 1.0 - squared / 6.0 + squared**2 / 120.0, jnp.sin(angle) / angle)
     half = jnp.where(small, 0.5 - squared / 24.0 + squared**2 / 720.0, 2.0 * (jnp.sin(0.5 * angle) / angle) ** 2)
-    return jnp.eye(3) + sinc * K + half * product(K, K)
+    return jnp.eye(3) + sinc * K + half * matmul3(K, K)
 
 
 def rotation_vector_from_R(R: Matrix3) -> Vector3:

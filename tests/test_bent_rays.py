@@ -11,7 +11,7 @@ from support.fractal import fractal_posts
 
 import jaxgeo
 from jaxgeo import Atmosphere, Bisection, Dem, FrameCamera, Geodetic, Gimbal, Mount, Pose, Ray, Sensor, Shot, Status
-from jaxgeo._doors import checked_air
+from jaxgeo._arguments import checked_air
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import HeightFunction, TangentGrid
 

@@ -12,7 +12,7 @@ from support.drone_image_files import CAMERA, PLACE, packet, write_image
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
-from jaxgeo.cli._words import as_typed
+from jaxgeo.cli._option_names import as_typed
 from tests.test_cli_locate import DJI, GROUND
 
 ANGLES = [f"drone-dji:Gimbal{name}Degree" for name in ("Yaw", "Pitch", "Roll")]

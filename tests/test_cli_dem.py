@@ -16,7 +16,7 @@ from support.rasters import DEGREE, gdalbuildvrt, hills, write
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
-from jaxgeo.cli._words import dem_as_typed
+from jaxgeo.cli._option_names import dem_as_typed
 
 URL = "s3://bucket/folder/dem.tif"
 READING = (
@@ -163,7 +163,7 @@ def test_what_a_refusal_advises_works_as_printed(
     def point(*_: Any, terrain: Any, **__: Any) -> None:
         raise Reached(f"read {terrain.posts.shape}")
 
-    monkeypatch.setattr("jaxgeo.coverage.point", point)
+    monkeypatch.setattr("jaxgeo.coverage.point_gimbal", point)
     line = f"point --scene scene.toml --target 36.27,-84.268,500 --dem {dem.name}"
     refused = run([*line.split(), *typed.split()])
     message = " ".join(refused.stderr.split())
@@ -198,7 +198,7 @@ def test_what_lies_elsewhere_is_read_by_the_option_that_the_refusal_names(
     monkeypatch.chdir(tmp_path / "work")
     vrt = gdalbuildvrt(tmp_path / "dem.vrt", [tmp_path / "tiles" / "a.tif"]).read_text()
     pathlib.Path("dem.vrt").write_text(vrt.replace("tiles/a.tif", "../tiles/a.tif"))
-    monkeypatch.setattr("jaxgeo.coverage.point", lambda *_, terrain, **__: _raise(f"read {terrain.posts.shape}"))
+    monkeypatch.setattr("jaxgeo.coverage.point_gimbal", lambda *_, terrain, **__: _raise(f"read {terrain.posts.shape}"))
     monkeypatch.setattr("jaxgeo.io.rectify_file", lambda *_, **how: _raise(f"read {how['allow_outside']}"))
     ground = "--dem dem.vrt --vertical-datum ellipsoid"
     for line in (f"point --scene scene.toml --target 36.27,-84.268,500 {ground}", f"rectify dem.vrt --scene scene.toml "

@@ -21,9 +21,9 @@ from support.command_files import DEM, FILES, prepare
 from typer.testing import CliRunner
 
 from jaxgeo.cli import app
-from jaxgeo.cli._asked import Asked
-from jaxgeo.cli._common import mistakes_told
+from jaxgeo.cli._common import report_errors
 from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.cli._results import plain
 from jaxgeo.cli._screen import bars_on_stderr, stderr, track, working
 from jaxgeo.status import Status
@@ -220,7 +220,7 @@ def test_long_lines(folder, line: str) -> None:
 def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
-    asked = Asked([], scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
+    asked = LocateOptions([], scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
     assert asked.samples_of_field is is_field
     assert asked._replace(files=[scene], scene=None).samples_of_field is is_field
     assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field
@@ -461,7 +461,7 @@ def test_what_goes_wrong_is_one_line(folder, monkeypatch, error, code: int, word
 
 
 def test_a_closed_pipe_is_no_mistake() -> None:
-    with pytest.raises(BrokenPipeError), mistakes_told(debug=False):
+    with pytest.raises(BrokenPipeError), report_errors(debug=False):
         raise BrokenPipeError
 
 

@@ -21,8 +21,8 @@ from typer.testing import CliRunner
 
 from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, locate, project
 from jaxgeo.cli import app
-from jaxgeo.cli._common import mistakes_told
-from jaxgeo.cli._registering import DEM_CORRELATION, DEM_SIGMA, FILES, LEAST_BLOCK, Sigmas, errors_of, new_results
+from jaxgeo.cli._common import report_errors
+from jaxgeo.cli._register_inputs import DEM_CORRELATION, DEM_SIGMA, FILES, LEAST_BLOCK, Sigmas, errors_of, new_results
 from jaxgeo.cli.rectify import print_raster
 from jaxgeo.demo import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_enu, R_ecef_from_ned
@@ -401,19 +401,19 @@ def test_cells_of_a_turned_raster_have_their_own_size(capsys) -> None:
     ],
 )
 def test_a_lack_of_memory_is_one_line(capsys, error: Exception, words: str) -> None:
-    with pytest.raises(typer.Exit) as end, mistakes_told(debug=False):
+    with pytest.raises(typer.Exit) as end, report_errors(debug=False):
         raise error
     assert end.value.exit_code == 2
     told = capsys.readouterr().err
     assert words in told.replace("\n", " ")
     assert told.startswith("jaxgeo: there is not enough memory")
-    with pytest.raises(typer.Exit), mistakes_told(debug=True):
+    with pytest.raises(typer.Exit), report_errors(debug=True):
         raise error
     assert capsys.readouterr().err.startswith("Traceback")
 
 
 def test_other_failures_are_told_as_faults_of_the_program(capsys) -> None:
-    with pytest.raises(typer.Exit) as end, mistakes_told(debug=False):
+    with pytest.raises(typer.Exit) as end, report_errors(debug=False):
         raise RuntimeError("mine\nand mine")
     assert end.value.exit_code == 70
     (told,) = capsys.readouterr().err.splitlines()

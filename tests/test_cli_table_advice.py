@@ -97,7 +97,7 @@ def test_following_the_advice_leads_to_a_file_that_is_read(tmp_path: pathlib.Pat
 def _question_only(asked) -> None:
     """All that `locate` reads and checks, without a program of JAX."""
     from jaxgeo._checks import enable_x64
-    from jaxgeo.cli._question import read_question
+    from jaxgeo.cli._locate_inputs import read_question
 
     enable_x64()
     read_question(asked, with_errors=False)
@@ -106,16 +106,16 @@ def _question_only(asked) -> None:
 @pytest.mark.parametrize("name", ["pix4d.txt", "realitycapture.csv", "DJI_0001.SRT"])
 def test_of_a_scene_the_camera_alone_belongs_to_angles_of_the_camera(tmp_path: pathlib.Path, name: str) -> None:
     """A gimbal's readings on top of angles that hold them already would be tens of degrees off, without a word."""
-    from jaxgeo.cli._asked import Asked
     from jaxgeo.cli._errors import Sigmas
-    from jaxgeo.cli._question import read_question
+    from jaxgeo.cli._locate_inputs import read_question
+    from jaxgeo.cli._locate_options import LocateOptions
 
     (tmp_path / name).write_text(FILES[name][0], encoding="utf-8")
     scene = tmp_path / "SCENE.toml"
     scene.write_text(SCENE, encoding="utf-8")
     how = {"height_datum": "ellipsoid"} | ({} if name.endswith("SRT") else {"crs": "EPSG:32616"})
     sigmas = Sigmas(*[None] * 6)
-    asked = Asked([tmp_path / name], scene, None, [], [], [], "300", None, False, how, sigmas)
+    asked = LocateOptions([tmp_path / name], scene, None, [], [], [], "300", None, False, how, sigmas)
     question = read_question(asked, with_errors=False)
     assert question.readings == ()
     sensor = question.batches[0].sensor

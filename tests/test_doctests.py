@@ -39,9 +39,9 @@ DOORS = {
     "uncertainty/accuracy.py": "accuracy",
     "uncertainty/budget.py": "budget",
     "uncertainty/metrics/exact.py": "circular_error linear_error spherical_error",
-    "coverage/pointing.py": "point",
+    "coverage/pointing.py": "point_gimbal",
     "coverage/footprint.py": "footprint",
-    "adjust/intersection.py": "intersect_images",
+    "adjust/intersection.py": "forward_intersection",
 }
 
 

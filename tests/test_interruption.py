@@ -202,7 +202,7 @@ def test_what_a_killed_process_left_goes_away_with_the_next_output(tmp_path: pat
 
 def test_results_that_were_put_aside_come_back(tmp_path: pathlib.Path) -> None:
     """Those of an earlier registration, also after a process that was killed."""
-    from jaxgeo.cli._registering import new_results
+    from jaxgeo.cli._register_inputs import new_results
 
     (tmp_path / "report.json").write_text("old")
     aside = tmp_path / f"{hidden_name(tmp_path / 'report.json', '.old').name}".replace(f"-{os.getpid()}-", "-4194999-")

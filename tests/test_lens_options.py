@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.drone_image_files import packet, write_image
 
-from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas, errors_given, interior_errors
 from jaxgeo.cli._file_views import views_of_files
+from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty.sources import InteriorOrientation, Position
 from tests.test_cli_locate import DJI
@@ -42,7 +42,7 @@ def test_what_is_not_zero_needs_its_unit(text: str) -> None:
 
 def assumed(path: pathlib.Path, sigmas: Sigmas) -> list[str]:
     how = {"height_datum": "ellipsoid"}
-    views = views_of_files(Asked([path], None, None, [], [], [], "300", None, False, how, sigmas))
+    views = views_of_files(LocateOptions([path], None, None, [], [], [], "300", None, False, how, sigmas))
     return [*views.assumed, *views.assumed_of_errors]
 
 

@@ -15,7 +15,7 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.plot.legends import COLOURED
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem, GeographicGrid
-from jaxgeo.uncertainty import Trust
+from jaxgeo.uncertainty import Method
 from tests.support.drawn import (
     ERROR,
     PLACE,
@@ -218,7 +218,7 @@ def test_a_map_of_accuracy_has_its_values_in_its_places(ax) -> None:
 
 def test_a_map_of_methods_has_their_shares(ax) -> None:
     plot.method_map(accuracies(), ax)
-    shares = {one.words: share for one, share in zip(Trust, ("55 %", "18 %", "27 %"), strict=True)}
+    shares = {one.words: share for one, share in zip(Method, ("55 %", "18 %", "27 %"), strict=True)}
     assert labels(ax) == [*(f"{name}, {share}" for name, share in shares.items()), "hidden by terrain"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxgeo import Dem, FrameCamera, Geodetic
-from jaxgeo.demo.made import scene_file
+from jaxgeo.demo.scene import scene_file
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io import example_dem

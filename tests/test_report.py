@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from jaxgeo import ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.cli import app
 from jaxgeo.demo import scene_file
-from jaxgeo.report import Subject, Told, details_of, report_html, write_report
+from jaxgeo.report import ReportData, ReportHeader, details_of, report_html, write_report
 from jaxgeo.report import words as say
 from jaxgeo.report.details import chosen
 from jaxgeo.report.ground import Box
@@ -210,12 +210,12 @@ def test_a_page_without_any_fix_is_written_and_the_code_says_so(tmp_path: pathli
 def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> None:
     """It has its status in words; no place, and nothing about how sure it is."""
     sensor, shot = level_sensor()
-    subject = Subject.of(sensor, shot, (320.0, 5.0), ConstantHeight(0.0))
+    subject = ReportData.of(sensor, shot, (320.0, 5.0), ConstantHeight(0.0))
     (detail,) = details_of(subject)
     assert (detail.comparison, detail.budget) == (None, None)
     assert detail.to_dict()["because"] == "The ray rises above the terrain's highest ground without meeting it."
     made = datetime.datetime(2020, 2, 3, 4, 5, tzinfo=datetime.UTC)
-    write_report(tmp_path / "sky.html", subject, told=Told("The sky", made=made), details=[detail])
+    write_report(tmp_path / "sky.html", subject, told=ReportHeader("The sky", made=made), details=[detail])
     text = seen((tmp_path / "sky.html").read_text(encoding="utf-8"))
     assert "No fix" in text
     assert "rises away" in text
@@ -233,7 +233,7 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
     sensor, shot = level_sensor()
     uv = np.stack([np.full(40, 320.0), np.linspace(0.0, 799.0, 40)], axis=-1)
     labels = [{"name": f"number {k}"} for k in range(40)]
-    subject = Subject.of(sensor, shot, uv, ConstantHeight(0.0), errors, labels=labels)
+    subject = ReportData.of(sensor, shot, uv, ConstantHeight(0.0), errors, labels=labels)
     found = int(subject.is_fix.sum())
     assert 5 < found < 40
     page = report_html(subject, most=0)
@@ -255,7 +255,7 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
 def test_labels_are_one_for_each_pixel() -> None:
     sensor, shot = level_sensor()
     with pytest.raises(ValueError, match="one for each of 1 pixels; got 2"):
-        Subject.of(sensor, shot, (320.0, 700.0), ConstantHeight(0.0), labels=[{"name": "a"}, {"name": "b"}])
+        ReportData.of(sensor, shot, (320.0, 700.0), ConstantHeight(0.0), labels=[{"name": "a"}, {"name": "b"}])
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from PIL import Image
 from jaxgeo.demo import scene_file
 from jaxgeo.io import read_dem
 from jaxgeo.io.scene import read_scene
-from jaxgeo.report import Subject, Told, write_report
+from jaxgeo.report import ReportData, ReportHeader, write_report
 from jaxgeo.report import words as say
 
 playwright = pytest.importorskip("playwright.sync_api", reason="the package playwright is not installed")
@@ -48,20 +48,20 @@ def browser() -> Iterator:
 
 
 @pytest.fixture(scope="module")
-def subject() -> Subject:
+def subject() -> ReportData:
     """A pixel of the demonstration's scene whose lines of sight jump, and one that sees nothing."""
     browser_path()  # nothing is computed without one
     scene = read_scene(scene_file())
     assert scene.shot is not None
     dem = read_dem(scene_file().with_name("jacksboro.tif"))
     labels = [{"name": "<i>one</i>"}, {"name": "two"}]
-    return Subject.of(scene.sensor, scene.shot, PIXELS, dem, scene.errors, labels=labels)
+    return ReportData.of(scene.sensor, scene.shot, PIXELS, dem, scene.errors, labels=labels)
 
 
 @pytest.fixture(scope="module")
-def page_file(subject: Subject, tmp_path_factory) -> pathlib.Path:
+def page_file(subject: ReportData, tmp_path_factory) -> pathlib.Path:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_report(path, subject, told=Told("A <b>report</b>", assumed=["Something was assumed."]))
+    write_report(path, subject, told=ReportHeader("A <b>report</b>", assumed=["Something was assumed."]))
     return path
 
 
@@ -127,7 +127,7 @@ def metres_of(shown: list[float]) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_what_is_seen(browser, page_file: pathlib.Path, subject: Subject, size: tuple[int, int]) -> None:
+def test_what_is_seen(browser, page_file: pathlib.Path, subject: ReportData, size: tuple[int, int]) -> None:
     lat, lon, height = (float(np.asarray(x)[0]) for x in subject.fixes.position.to_degrees())
     with opened(browser, page_file, size) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= size[0], "nothing sticks out to the side"
@@ -172,7 +172,9 @@ def size_ratio(page) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", SIZES.values(), ids=SIZES)
-def test_the_map_answers_a_pointer(browser, page_file: pathlib.Path, subject: Subject, size: tuple[int, int]) -> None:
+def test_the_map_answers_a_pointer(
+    browser, page_file: pathlib.Path, subject: ReportData, size: tuple[int, int]
+) -> None:
     lat, lon, _ = (float(np.asarray(x)[0]) for x in subject.fixes.position.to_degrees())
     with opened(browser, page_file, size) as page:
         page.mouse.move(*on_map(page, lon, lat))

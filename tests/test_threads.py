@@ -19,7 +19,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, ErrorModel, FrameCamera, Gimbal, Mount, Pose, Ray, Sensor, Shot, Status
 from jaxgeo.io import example_dem, open_dem, read_dem, undulation
 from jaxgeo.io._quietly import heard, quietly
-from jaxgeo.io.crowds import intersect_files
+from jaxgeo.io.locate_on_disk import intersect_files
 from jaxgeo.uncertainty.sources import Position
 
 THREADS = 4

@@ -13,7 +13,7 @@ from jaxgeo import FrameCamera, Geodetic, Gimbal, Mount, Pose, Sensor, Shot, cov
 from jaxgeo import uncertainty as un
 from jaxgeo.adjust import Adjustment, Block, ImagePoints, LocalFrame, Reliability, adjust, reliability
 from jaxgeo.coverage import Footprint, Overlap, geometry
-from jaxgeo.demo.made import Demo, make_demo, scene_file
+from jaxgeo.demo.scene import Demo, make_demo, scene_file
 from jaxgeo.earth.ray import Ray
 from jaxgeo.io import example_dem
 from jaxgeo.io.scene import read_scene
@@ -129,16 +129,16 @@ def registered() -> Registered:
     noise = scipy.ndimage.gaussian_filter(np.random.default_rng(3).normal(size=ground.posts.shape), 0.7)
     terrain = ground.with_posts(np.asarray(ground.posts) + SIGMA_TERRAIN * noise / np.std(noise))
     given = mapped.moved(true, np.array([30.0, -25.0, 20.0]), np.deg2rad([0.3, -0.3, 0.3]))
-    hold = un.InTime(600.0)
+    hold = un.TimeCorrelated(600.0)
     position = sources.Position.from_ned(north=30.0, east=30.0, down=30.0, sharing=hold)
     attitude = sources.Attitude.from_degrees(heading=0.3, pitch=0.3, roll=0.3, sharing=hold)
     errors = un.ErrorModel((position, attitude))
     ties = register.TieErrors(registration=0.5, terrain=SIGMA_TERRAIN)
     grid = reference.grid, reference.shape
     before = register.rectify(sensor, given, image, terrain, *grid).orthoimage
-    found = register.register(sensor, given, image, reference, terrain, errors, ties, block=32)
+    found = register.register_image(sensor, given, image, reference, terrain, errors, ties, block=32)
     after = register.rectify(found.sensor, found.shot, image, terrain, *grid).orthoimage
-    rest = sources.TerrainHeight.from_metres(SIGMA_TERRAIN, sharing=un.EachMeasurement())
+    rest = sources.TerrainHeight.from_metres(SIGMA_TERRAIN, sharing=un.PerMeasurement())
     uv = np.array([160.0, 120.0])
     direct = un.propagate(sensor, given, uv, terrain, un.ErrorModel((*errors.sources, rest)))
     prior = register.Prior.of(errors, ties).covariance

@@ -1,5 +1,6 @@
 """Many images together: intersection of rays, bundle adjustment, boresight, and what they say of the sensor."""
 
+from jaxgeo._renamed import renamed
 from jaxgeo.adjust.adjustment import Adjustment, Parameter
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.boresight import TwoStep, two_step_boresight
@@ -8,18 +9,18 @@ from jaxgeo.adjust.calibration import Calibration, calibration
 from jaxgeo.adjust.diagnosis import Diagnosis, Misfit, Move
 from jaxgeo.adjust.frame import Cartesian, LocalFrame
 from jaxgeo.adjust.ground_points import GroundPoints
-from jaxgeo.adjust.intersection import Intersection, intersect_images
+from jaxgeo.adjust.intersection import Intersection, forward_intersection
 from jaxgeo.adjust.losses import AbstractLoss, Cauchy, Huber, LeastSquares, Tukey
 from jaxgeo.adjust.navigation import Navigation
+from jaxgeo.adjust.rank_defects import DeficientBlock, Direction
 from jaxgeo.adjust.records import ImagePoints
 from jaxgeo.adjust.reliability import Blunder, Reliability, blunders, reliability
-from jaxgeo.adjust.resection import resect, resected
+from jaxgeo.adjust.resection import resect_block, resect_image
 from jaxgeo.adjust.screening import ControlElsewhere, Screen, Screened, screen
 from jaxgeo.adjust.snooping import without_blunders
 from jaxgeo.adjust.solve import Iteration, Solver
-from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.terrain_heights import HeightObservations
 from jaxgeo.adjust.unknowns import Fixed, Free, Prior, Unknowns
-from jaxgeo.adjust.weakness import DeficientBlock, Direction
 
 __all__ = [
     "AbstractLoss",
@@ -37,6 +38,7 @@ __all__ = [
     "Fixed",
     "Free",
     "GroundPoints",
+    "HeightObservations",
     "Huber",
     "ImagePoints",
     "Images",
@@ -49,7 +51,6 @@ __all__ = [
     "Move",
     "Navigation",
     "NotConverged",
-    "OnTerrain",
     "Parameter",
     "Prior",
     "Reliability",
@@ -62,11 +63,19 @@ __all__ = [
     "adjust",
     "blunders",
     "calibration",
-    "intersect_images",
+    "forward_intersection",
     "reliability",
-    "resect",
-    "resected",
+    "resect_block",
+    "resect_image",
     "screen",
     "two_step_boresight",
     "without_blunders",
 ]
+
+DEPRECATED = {
+    "OnTerrain": "HeightObservations",
+    "intersect_images": "forward_intersection",
+    "resect": "resect_block",
+    "resected": "resect_image",
+}
+__getattr__ = renamed(__name__, DEPRECATED)

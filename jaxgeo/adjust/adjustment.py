@@ -14,10 +14,10 @@ from jaxgeo._record import portable
 from jaxgeo.adjust.arrays import free_columns
 from jaxgeo.adjust.block import Block, Images
 from jaxgeo.adjust.equations import known_points, navigation_residuals
-from jaxgeo.adjust.exterior import angles_by_turn, omega_phi_kappa
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.measurements import image_residuals, in_view
+from jaxgeo.adjust.omega_phi_kappa import angle_derivatives, omega_phi_kappa
 from jaxgeo.adjust.posterior import (
     Datum,
     Posterior,
@@ -28,12 +28,12 @@ from jaxgeo.adjust.posterior import (
     posterior_of,
 )
 from jaxgeo.adjust.problem import Prepared
+from jaxgeo.adjust.rank_defects import Direction, weakest_directions
 from jaxgeo.adjust.screening import Screened
 from jaxgeo.adjust.solve import Iteration, Solution
 from jaxgeo.adjust.summary import summary
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import POSE, with_interior
-from jaxgeo.adjust.weakness import Direction, weakest
 from jaxgeo.rotations import rotation_vector_from_R
 from jaxgeo.sensor import FrameCamera, Mount
 
@@ -259,7 +259,7 @@ class Adjustment:
     @cached_property
     def sigma_of_images(self) -> np.ndarray:
         """Standard deviations (n, 6), of unit weight: centre in m (frame axes); omega, phi, kappa in rad."""
-        covariance, by_turn = self.covariance_of_images, angles_by_turn(self.images.R_frame_from_camera)
+        covariance, by_turn = self.covariance_of_images, angle_derivatives(self.images.R_frame_from_camera)
         angles = np.einsum("nij,njk,nik->ni", by_turn, covariance[:, 3:, 3:], by_turn)
         centres = np.diagonal(covariance, axis1=1, axis2=2)[:, :3]
         return np.sqrt(np.maximum(np.concatenate([centres, angles], axis=1), 0.0))
@@ -340,4 +340,4 @@ class Adjustment:
 
     def weak_directions(self, most: int = 3) -> list[Direction]:
         """The combinations of unknowns that are held least, the weakest first, in words."""
-        return weakest(self.prepared, self.solution, most)
+        return weakest_directions(self.prepared, self.solution, most)

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._numerics import product
-from jaxgeo.adjust._lapack import one_thread
+from jaxgeo._numerics import matmul3
+from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Tridiagonal, factored
@@ -112,7 +112,7 @@ def _two_step(
     def one(x: Float[Array, " size"], step: Float[Array, "6"], image: Any) -> Float[Array, "6"]:
         seen, centre, R, strip = image
         arm = lever + x[3:] if with_lever else lever
-        R = product(R, R_from_rotation_vector(step[3:]))
+        R = matmul3(R, R_from_rotation_vector(step[3:]))
         return navigation_residual(seen, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip)
 
     def linear(x: Float[Array, " size"], image: Any) -> tuple[Array, Array, Array]:

@@ -22,13 +22,13 @@ from jaxgeo.adjust.losses import AbstractLoss, LeastSquares
 from jaxgeo.adjust.observing import observing
 from jaxgeo.adjust.posterior import Datum, least_share
 from jaxgeo.adjust.problem import Prepared, prepared
+from jaxgeo.adjust.rank_defects import DeficientBlock, Direction, datum_words, weakest_directions
 from jaxgeo.adjust.screening import SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Iteration, Solution, Solver, solve
-from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.terrain_heights import HeightObservations
 from jaxgeo.adjust.tie_start import start_by_ties, taken_back
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weak_datum import share_left
-from jaxgeo.adjust.weakness import DeficientBlock, Direction, datum_words, weakest
 
 SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
 NEAREST = 50  # steps that bring a free network to where it started
@@ -83,7 +83,7 @@ def adjust(
     *,
     loss: AbstractLoss | None = None,
     datum: InnerConstraints | None = None,
-    terrain: OnTerrain | None = None,
+    terrain: HeightObservations | None = None,
     solver: Solver | None = None,
     told: Callable[[Iteration], Any] | None = None,
     screen: float | None = SIGMAS,
@@ -92,7 +92,7 @@ def adjust(
 
     Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
     Eqs 1 and 3-5), image points and control with a `loss` if that is given. `terrain` ties points to a model of the
-    ground (`OnTerrain`). `told` hears of every iteration.
+    ground (`HeightObservations`). `told` hears of every iteration.
 
     Before the first iteration, image points and control that disagree with all others by more than `screen` standard
     deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` name them. What agrees once the
@@ -164,7 +164,9 @@ def adjusted(
     posterior = adjustment.posterior
     is_held = posterior.weak is None or float(share_left(posterior.weak)[0][0]) >= SINGULAR
     if not is_held or not float(least_share(ready.problem, posterior)) >= 10.0 * SINGULAR:  # or it is made of rounding
-        weak = [found for found in weakest(ready, solution, 6, held, posterior.weak) if found.strength < SINGULAR]
+        weak = [
+            found for found in weakest_directions(ready, solution, 6, held, posterior.weak) if found.strength < SINGULAR
+        ]
         words = "; ".join(str(direction) for direction in weak) or "the normal equations"
         raise DeficientBlock(
             f"the block does not hold {words}. Fix some of it, or give priors.{_in_parts(block)}", weak

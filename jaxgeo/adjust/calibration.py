@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.sensor import Sensor
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight
+from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight
 from jaxgeo.uncertainty.sources import (
     AbstractSource,
     Boresight,
@@ -74,7 +74,7 @@ def calibration(
     for row, i in known:
         for column, j in known:
             correlation[row, column] = adjustment.correlations[i, j]
-    sharing = EachFlight() if sharing is None else sharing
+    sharing = PerFlight() if sharing is None else sharing
     return Calibration(found, Correlated.of(*parts, correlation=correlation, sharing=sharing))
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import product, turned
+from jaxgeo._numerics import matmul3, matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Pixel, Scalar, Vector3
 from jaxgeo.adjust.values import with_interior
@@ -77,16 +77,16 @@ def navigation_residual(
     the reference's observed and implied orientation, in its own axes (Eq 3, free of the singularity of its angles).
     """
     # The boresight turns the base against the body, or, where there is no base but local level, camera against head.
-    before = jnp.where(seen.level, jnp.eye(3), product(boresight, seen.R_body_from_base))
-    R_head_from_camera = jnp.where(seen.level, product(boresight, seen.R_head_from_camera), seen.R_head_from_camera)
-    R_frame_from_head = product(R, R_head_from_camera.T)
-    R_reference_from_head = product(before, seen.R_base_from_head)
-    implied = product(R_frame_from_head, R_reference_from_head.T)
-    turn = rotation_vector_from_R(product(seen.R_frame_from_reference.T, implied))
+    before = jnp.where(seen.level, jnp.eye(3), matmul3(boresight, seen.R_body_from_base))
+    R_head_from_camera = jnp.where(seen.level, matmul3(boresight, seen.R_head_from_camera), seen.R_head_from_camera)
+    R_frame_from_head = matmul3(R, R_head_from_camera.T)
+    R_reference_from_head = matmul3(before, seen.R_base_from_head)
+    implied = matmul3(R_frame_from_head, R_reference_from_head.T)
+    turn = rotation_vector_from_R(matmul3(seen.R_frame_from_reference.T, implied))
     R_frame_from_body = jnp.where(seen.level, seen.R_frame_from_body, implied)
-    imu = centre - turned(R_frame_from_body, lever) - turned(R_frame_from_head, seen.lever_head)
+    imu = centre - matvec(R_frame_from_body, lever) - matvec(R_frame_from_head, seen.lever_head)
     off = imu + strip[:3] + seen.centred_time * strip[3:] - seen.position
-    return jnp.concatenate([turned(seen.information_position, off), turned(seen.information_attitude, turn)])
+    return jnp.concatenate([matvec(seen.information_position, off), matvec(seen.information_attitude, turn)])
 
 
 def navigation_linear(
@@ -99,8 +99,8 @@ def navigation_linear(
         return navigation_residual(
             seen,
             centre + pose[:3],
-            product(R, R_from_rotation_vector(pose[3:])),
-            product(R_from_rotation_vector(mount[:3]), boresight),
+            matmul3(R, R_from_rotation_vector(pose[3:])),
+            matmul3(R_from_rotation_vector(mount[:3]), boresight),
             lever + mount[3:],
             strip + of_strip,
         )

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import turned
+from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar
 from jaxgeo.adjust.arrays import Problem, free_columns
@@ -58,7 +58,7 @@ def _motions(problem: Problem, values: Values) -> tuple[Array, Array, Array, Sca
         poses.append(jnp.concatenate([none + axis[None], none], axis=1))
         points.append(jnp.broadcast_to(axis, offsets.shape))
     for axis in jnp.eye(3):
-        own = jax.vmap(lambda R, axis=axis: turned(R.T, axis))(values.R_frame_from_camera)
+        own = jax.vmap(lambda R, axis=axis: matvec(R.T, axis))(values.R_frame_from_camera)
         poses.append(jnp.concatenate([jnp.cross(axis[None], centres), own], axis=1) / size)
         points.append(jnp.cross(axis[None], offsets) / size)
     poses.append(jnp.concatenate([centres, none], axis=1) / size)

@@ -23,7 +23,7 @@ from jaxgeo._typing import (
     Vector3,
     Vector3Field,
 )
-from jaxgeo.adjust._measured import Measured, checked_measurements
+from jaxgeo.adjust._measurements import Measured, checked_measurements
 from jaxgeo.adjust._solution import Root, Seen, ranges_of, solved, spread_of
 from jaxgeo.adjust.rays import (
     Flags,
@@ -129,7 +129,7 @@ class Intersection(Record):
         return _spherical_error(jnp.asarray(self.cov_enu), probability)
 
 
-def intersect_images(
+def forward_intersection(
     sensor: Sensor | Any,
     shots: Shot | Any,
     uvs: Any,
@@ -153,13 +153,13 @@ def intersect_images(
     * `sigma`: standard deviation of the measured pixels in px (a number, (rays,), or (rays, 2)), all independent. Least
       squares with these weights, as if cameras and shots were without error.
     * `errors`: an `ErrorModel`, or a tuple of sources. Generalised least squares with the covariance of all residuals,
-      in which what sources share from image to image is correlated (a boresight `EachFlight`, an attitude `EachShot`):
+      in which what sources share from image to image is correlated (a boresight `PerFlight`, an attitude `PerImage`):
       no linear unbiased estimate is better. It should have a `PixelMeasurement`. Errors of the terrain have no part.
     * both: weighed by `sigma` alone, as most programs do; with the covariance that has under `errors`.
 
     `shot_of` and `flight_of` (rays,) number the shot and the flight of each ray (all different; all one), as for
-    `jaxgeo.uncertainty.jointly`: two cameras that are exposed as one have the same shot. Cameras that are calibrated
-    each for itself need flights of their own. Times are those of the shots.
+    `jaxgeo.uncertainty.joint_covariance`: two cameras that are exposed as one have the same shot. Cameras that are
+    calibrated each for itself need flights of their own. Times are those of the shots.
 
     The equations are the collinearity equations, residuals in pixels, minimised by Gauss and Newton from the point
     nearest to all rays. Xue, Zhang, Wang, Yu and Cao (2019), Eq 2, write them linear in the coordinates, l1 X + l2 Y +
@@ -183,7 +183,7 @@ def intersect_images(
     >>> shots = [jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=lon, height=1600.0)) for lon in (11.0, 11.004)]
     >>> point = jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.002, height=610.0)
     >>> pixels = np.stack([jaxgeo.project(sensor, shot, point).uv for shot in shots])
-    >>> found = adjust.intersect_images(sensor, shots, pixels, sigma=0.5)
+    >>> found = adjust.forward_intersection(sensor, shots, pixels, sigma=0.5)
     >>> print(f"{found.position.height:.3f} m, LE90 {found.linear_error(0.9):.2f} m")
     610.000 m, LE90 1.01 m
     """

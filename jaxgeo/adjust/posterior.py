@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgeo._record import Record
-from jaxgeo.adjust._lapack import one_thread
+from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.arrays import Problem, free_columns
 from jaxgeo.adjust.banded import Factor, Tridiagonal, factored, selected_inverse
 from jaxgeo.adjust.equations import Equations

@@ -13,9 +13,9 @@ from jaxgeo.adjust.arrays import Known, Problem
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.collinearity import Observed
 from jaxgeo.adjust.frame import LocalFrame
+from jaxgeo.adjust.initial_points import started
 from jaxgeo.adjust.layout import Order, layout_of
-from jaxgeo.adjust.starts import started
-from jaxgeo.adjust.terrain_heights import OnTerrain, TerrainHeights
+from jaxgeo.adjust.terrain_heights import HeightObservations, TerrainHeights
 from jaxgeo.adjust.unknowns import Free, Unknowns, spread
 from jaxgeo.adjust.values import INTERIOR, Values, interior_of, names_of_interior
 from jaxgeo.sensor import FrameCamera
@@ -53,7 +53,7 @@ class Prepared(NamedTuple):
 def prepared(
     block: Block,
     unknowns: Unknowns,
-    terrain: OnTerrain | None = None,
+    terrain: HeightObservations | None = None,
     aside: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Prepared:
     """The arrays of a block. Raises `ValueError` for unknowns that the block does not have.
@@ -237,7 +237,9 @@ def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.nd
     return place, known, free
 
 
-def _on_terrain(block: Block, terrain: OnTerrain, points: np.ndarray, order: Order, start: Any) -> TerrainHeights:
+def _on_terrain(
+    block: Block, terrain: HeightObservations, points: np.ndarray, order: Order, start: Any
+) -> TerrainHeights:
     """Which rows are tied to the terrain. Raises `ValueError` off the Earth, and for points that are not above it."""
     if not isinstance(block.frame, LocalFrame):
         raise ValueError("terrain= takes a block in a LocalFrame: in a Cartesian frame a DEM lies nowhere.")
@@ -257,7 +259,7 @@ def _on_terrain(block: Block, terrain: OnTerrain, points: np.ndarray, order: Ord
     if np.any(unknown):
         raise ValueError(
             f"point {points[np.argmax(unknown)]} lies over no known ground of the terrain ({int(np.sum(unknown))} such "
-            f"points); name those that do with OnTerrain(names=...)."
+            f"points); name those that do with HeightObservations(names=...)."
         )
     return found
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxgeo.adjust.block import Block
-from jaxgeo.adjust.starts import camera_rays
+from jaxgeo.adjust.initial_points import camera_rays
 
 ROUNDS = 12  # of intersection and resection in turn
 SETTLED = 3.0  # median residual in sigmas, below which orientations are good enough to screen with

@@ -16,8 +16,8 @@ from jaxgeo.sensor import AbstractCamera, Sensor, Shot
 from jaxgeo.sensor.sensor import Sight
 from jaxgeo.status import Status, seen_beside
 from jaxgeo.terrain import ConstantHeight
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
 PARALLEL = 1e-14  # determinant of the normal equations, for a mean eigenvalue of 1: 1e-7 rad between two rays
@@ -118,12 +118,12 @@ def moved_by_errors(
 ) -> Moves:
     """Derivatives, at no error, of the residuals of a point in images by the error vector of each.
 
-    `rays` are (sensors, shots, pixels, whether they are used), with a leading axis. The errors move a `Look`, as they
-    do everywhere.
+    `rays` are (sensors, shots, pixels, whether they are used), with a leading axis. The errors perturb
+    `ModelInputs`, as they do everywhere.
     """
 
     def of_ray(sensor: Sensor, shot: Shot, uv: Pixel, used: Flag) -> Float[Array, "2 axes"]:
-        look = Look(sensor, shot, 0.0, uv, ConstantHeight(0.0), air)  # of the ground nothing depends
+        look = ModelInputs(sensor, shot, 0.0, uv, ConstantHeight(0.0), air)  # of the ground nothing depends
 
         def residual(error: Float[Array, " axes"]) -> Pixel:
             moved = model.moved(look, error)

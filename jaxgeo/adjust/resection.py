@@ -11,8 +11,8 @@ import scipy  # loads its parts when they are asked for
 
 from jaxgeo.adjust.block import Images
 from jaxgeo.adjust.ground_points import GroundPoints
+from jaxgeo.adjust.initial_points import camera_rays
 from jaxgeo.adjust.records import ImagePoints
-from jaxgeo.adjust.starts import camera_rays
 from jaxgeo.sensor import FrameCamera
 
 FLAT = 0.1  # thickness of the points over their width, below which they are taken as a plane to start with
@@ -24,7 +24,7 @@ SMALL = 8  # points, of which all subsets are listed
 ENOUGH = 0.75  # of the points, of which no more need agree on four
 
 
-def resect(
+def resect_block(
     cameras: Mapping[str, FrameCamera], camera_of: Mapping[str, str], observations: ImagePoints, control: GroundPoints
 ) -> Images:
     """The orientations of images by the control points that they see, each image by itself, as a start.
@@ -65,7 +65,7 @@ def resect(
     return Images(np.array(list(camera_of)), np.array(list(camera_of.values())), np.array(centres), np.array(rotations))
 
 
-def resected(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def resect_image(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centre, R_frame_from_camera) from pixels (k, 2) of places (k, 3), k at least 4.
 
     Raises `ValueError` for places in one line, and where none of the starts leads anywhere.

@@ -22,7 +22,7 @@ from jaxgeo.adjust.ray_consensus import Rays
 from jaxgeo.adjust.reliability import Blunder, named
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, SIGMAS, Screen, screened_of
 from jaxgeo.adjust.solve import Solver, solve
-from jaxgeo.adjust.terrain_heights import OnTerrain
+from jaxgeo.adjust.terrain_heights import HeightObservations
 from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import Values
@@ -41,7 +41,7 @@ def without_blunders(
     screen: float | None = SIGMAS,
     loss: AbstractLoss | None = None,
     datum: InnerConstraints | None = None,
-    terrain: OnTerrain | None = None,
+    terrain: HeightObservations | None = None,
     solver: Solver | None = None,
 ) -> tuple[Adjustment, list[Blunder]]:
     """(adjustment, blunders): image points and control points that do not fit are taken out, and the rest adjusted.
@@ -92,7 +92,7 @@ class _Snooping:
 
     @classmethod
     def of(
-        cls, block: Block, unknowns: Unknowns, terrain: OnTerrain | None, screen: float | None, told: Any
+        cls, block: Block, unknowns: Unknowns, terrain: HeightObservations | None, screen: float | None, told: Any
     ) -> _Snooping:
         screened, values = screened_of(block, unknowns, screen), None
         full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))

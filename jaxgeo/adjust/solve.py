@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgeo._typing import Scalar
-from jaxgeo.adjust._lapack import one_thread
+from jaxgeo.adjust._blas_threads import one_thread
 from jaxgeo.adjust.arrays import Problem, step_of
 from jaxgeo.adjust.banded import factored
 from jaxgeo.adjust.equations import Equations, cost_of, linearised

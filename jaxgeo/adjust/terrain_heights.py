@@ -43,7 +43,7 @@ class TerrainHeights(Record):
         return jnp.where(tied, value, 0.0) * weight, jnp.where(tied[:, None], slope, 0.0) * weight[:, None]
 
 
-class OnTerrain(Record):
+class HeightObservations(Record):
     """That points lie on a terrain model to `sigma` m of its height: those of `names`, or all that are no control."""
 
     dem: Dem

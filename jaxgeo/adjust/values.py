@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._numerics import product
+from jaxgeo._numerics import matmul3
 from jaxgeo._record import Record
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import FrameCamera
@@ -53,10 +53,10 @@ def moved(values: Values, step: Step, active: tuple[int, ...]) -> Values:
     lens = values.lens if not active else values.lens.at[:, jnp.array(active)].add(step.lens, unique_indices=True)
     return Values(
         centre=values.centre + step.pose[:, :3],
-        R_frame_from_camera=jax.vmap(product)(values.R_frame_from_camera, turn(step.pose[:, 3:])),
+        R_frame_from_camera=jax.vmap(matmul3)(values.R_frame_from_camera, turn(step.pose[:, 3:])),
         points=values.points + step.points,
         lens=lens,
-        boresight=jax.vmap(product)(turn(step.mount[:, :3]), values.boresight),
+        boresight=jax.vmap(matmul3)(turn(step.mount[:, :3]), values.boresight),
         lever=values.lever + step.mount[:, 3:],
         strip=values.strip + step.strip,
     )

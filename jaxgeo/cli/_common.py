@@ -26,7 +26,7 @@ class UserError(Exception):
 
 
 @contextlib.contextmanager
-def mistakes_told(debug: bool) -> Iterator[None]:
+def report_errors(debug: bool) -> Iterator[None]:
     """What goes wrong as one message on stderr: exit code 2 for a caller's mistake, 70 for a fault of the program's.
 
     `is_refusal` decides which: a `KeyError`, or a `ValueError` that nobody raised for the caller, is a fault.

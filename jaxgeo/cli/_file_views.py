@@ -8,12 +8,12 @@ import pathlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._exposures import ExposureSet, Seen, pixels_of
+from jaxgeo.cli._locate_options import LocateOptions
+from jaxgeo.cli._option_names import as_typed, reason_not_read, reason_of, words_as_typed
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import progress_bar, tell, working
-from jaxgeo.cli._views import Seen, Views, pixels_of
-from jaxgeo.cli._words import as_typed, reason_not_read, reason_of, words_as_typed
 
 TOLD = 10  # reasons why files could not be read that are printed
 
@@ -57,7 +57,7 @@ def tell_unread(unread: Iterable[Any]) -> None:
         tell(f"not read: {len(each) - TOLD} more files; --json has the reason of each.")
 
 
-def views_of_files(asked: Asked) -> Views:
+def views_of_files(asked: LocateOptions) -> ExposureSet:
     """The pixels asked for of each exposure; a row for each file that could not be read. Raises as `read_files`."""
     import numpy as np
 
@@ -90,7 +90,7 @@ def views_of_files(asked: Asked) -> Views:
         raise UserError(reason_not_read(next(iter(reasons.values()))))
     seen = [_seen(*one) for one in zip(found.parts, lanes, pixels, strict=True) if one[1]]
     where_from = asked.named if len(asked.files) > 1 else f"{asked.files[0]}"
-    return Views(
+    return ExposureSet(
         seen, True, carried, atmosphere, [*assumed, *held], where_from, None, [*of_reader, *of_errors], reasons
     )
 
@@ -102,7 +102,7 @@ ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "prin
 BENT = "what it bends at the corners counts as an error of the focal length"
 
 
-def _apart(assumed: list[str], asked: Asked) -> tuple[list[str], list[str]]:
+def _apart(assumed: list[str], asked: LocateOptions) -> tuple[list[str], list[str]]:
     """(what was assumed, those of the errors with the option that replaces them, less those that are replaced)."""
     others, of_errors = [], []
     focal = asked.sigmas.focal
@@ -148,7 +148,7 @@ def _form(file: pathlib.Path) -> Any:
         return None
 
 
-def _with_camera_of_scene(asked: Asked) -> dict[str, Any]:
+def _with_camera_of_scene(asked: LocateOptions) -> dict[str, Any]:
     """How to read drone images with the camera of a scene. Raises `UserError`."""
     if "camera" in asked.how:
         raise UserError(f"--scene {asked.scene} and --camera {asked.how['camera']}: both are a camera; leave one out.")
@@ -204,7 +204,7 @@ def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:
     return Seen(sensor, shots, uv, sources, rows, heights)
 
 
-def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, list[str], list[str]]:
+def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any, Any, list[str], list[str]]:
     """(exposures with a camera, that of the scene if they have none, and with errors; the scene's air; what was
     assumed of the gimbal; of errors). `by_scene`: their camera was read from the scene already."""
     from jaxgeo.io.acquisitions.sentences import told_once
@@ -238,7 +238,7 @@ def _with_cameras(found: Any, asked: Asked, by_scene: bool) -> tuple[Any, Any, l
     return found, air, list(dict.fromkeys(held)), list(told_once(usual, "exposure"))
 
 
-def _without_bare(found: Any, asked: Asked) -> Any:
+def _without_bare(found: Any, asked: LocateOptions) -> Any:
     """The exposures with a camera; files without one cannot be located. Raises `UserError` if none has one."""
     from jaxgeo.io.acquisitions.several import Unread
     from jaxgeo.io.errors import TableError
@@ -288,7 +288,7 @@ def _of_scene(found: Any, stated: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(one for one in stated if not isinstance(one, without))
 
 
-def _without_a_camera(found: Any, asked: Asked) -> str:
+def _without_a_camera(found: Any, asked: LocateOptions) -> str:
     """That a file has no camera, and which options give one."""
     from jaxgeo.io.acquisitions.detect import form_of
 
@@ -320,7 +320,7 @@ def _seen_by(found: Any, scene: Any, path: Any, held: list[str]) -> Any:
     return dataclasses.replace(found, sensor=for_each(scene.sensor, count), shots=shots)
 
 
-def _with_errors(found: Any, stated: tuple[Any, ...], asked: Asked) -> tuple[Any, list[str]]:
+def _with_errors(found: Any, stated: tuple[Any, ...], asked: LocateOptions) -> tuple[Any, list[str]]:
     """(exposures with the errors that the file states, those `stated` beside it, then usual ones; what was assumed)."""
     from jaxgeo.io.acquisitions import for_each
     from jaxgeo.io.acquisitions.usual_errors import usual_errors_of

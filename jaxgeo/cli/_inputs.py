@@ -10,8 +10,8 @@ from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
+from jaxgeo.cli._option_names import dem_words_as_typed
 from jaxgeo.cli._screen import working
-from jaxgeo.cli._words import dem_words_as_typed
 
 
 class DemReading(NamedTuple):

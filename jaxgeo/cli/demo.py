@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo._destination import destination, is_device
-from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import keep_inputs
@@ -34,7 +34,7 @@ def demo_command(
     Without matplotlib (pip install 'jaxgeo\\[plot]') there is the table only, and the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         _demo(output, write_scene, inputs if as_json else None)
 
 

@@ -11,7 +11,7 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
@@ -80,7 +80,7 @@ def footprint_command(
 ) -> None:
     """The ground that images cover: outlines for a map, their areas, and how large a pixel is in their middle."""
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         if output is not None:
             _check_output(output)
         if not tolerance > 0.0:
@@ -168,13 +168,13 @@ def _places(outline: Any) -> list[dict[str, Any]]:
 
 def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
     """(the footprint of a shot, its numbers)."""
-    from jaxgeo.coverage import footprint, ground_sampling
+    from jaxgeo.coverage import footprint, ground_sample_distance
     from jaxgeo.status import Status
 
     camera, air = scene.sensor.camera, scene.atmosphere
     middle = [0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]
     outline = footprint(scene.sensor, shot, terrain, tolerance=tolerance, atmosphere=air)
-    pixel = ground_sampling(scene.sensor, shot, middle, terrain, atmosphere=air)
+    pixel = ground_sample_distance(scene.sensor, shot, middle, terrain, atmosphere=air)
     sizes = {f"{name}_m": _known(getattr(pixel, name)) for name in ("columns", "rows", "along", "across")}
     area = _known(1e-6 * outline.area)
     row = {"area_km2": area, "hidden_m": _known(outline.hidden_length), **sizes}

@@ -27,15 +27,15 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
-from jaxgeo.cli._common import FAULT, Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._exposure_rows import middles_of, rows_of, tags_of
 from jaxgeo.cli._file_views import read_files, tell_unread
 from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import number_table
-from jaxgeo.cli._words import as_typed, reason_not_read
 
 SHOWN = 5  # exposures on the screen
 
@@ -74,7 +74,7 @@ def inspect_command(
     """The exposures in a file: cameras, poses, errors, and what its reader had to assume."""
     inputs = asked(locals())
     inputs |= {"file": inputs.pop("files")[0]} if len(files) == 1 else {}
-    with mistakes_told(debug):
+    with report_errors(debug):
         from jaxgeo._checks import enable_x64
 
         if output is not None:

@@ -27,19 +27,7 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
-from jaxgeo.cli._asked import (
-    Asked,
-    Exposures,
-    Ground,
-    GroundDatum,
-    GroundDem,
-    Pixels,
-    Refraction,
-    SceneOption,
-    Source,
-    TableOfShots,
-)
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._errors import (
@@ -52,8 +40,22 @@ from jaxgeo.cli._errors import (
     PrincipalSigma,
     Sigmas,
 )
+from jaxgeo.cli._exposures import ExposureSet
 from jaxgeo.cli._inputs import DemReading
-from jaxgeo.cli._located import Located, fixes_in_parts, fixes_table, leave_without_a_fix, located
+from jaxgeo.cli._locate_inputs import LocateInputs, told_question
+from jaxgeo.cli._locate_options import (
+    Exposures,
+    Ground,
+    GroundDatum,
+    GroundDem,
+    LocateOptions,
+    Pixels,
+    Refraction,
+    SceneOption,
+    Source,
+    TableOfShots,
+)
+from jaxgeo.cli._locate_results import LocateResults, fixes_in_parts, fixes_table, leave_without_a_fix, located
 from jaxgeo.cli._options import (
     SURE,
     WRITING,
@@ -65,10 +67,8 @@ from jaxgeo.cli._options import (
     HeightUnit,
     Nodata,
 )
-from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
-from jaxgeo.cli._views import Views
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 
@@ -177,7 +177,7 @@ def locate_command(
     debug: Debug = False,
 ) -> None:
     """The ground points that pixels see, and how sure they are: a row for each pixel, whatever became of it."""
-    with mistakes_told(debug):
+    with report_errors(debug):
         how = how_to_read(
             height_datum,
             takeoff_height,
@@ -194,7 +194,7 @@ def locate_command(
         sigmas = Sigmas(
             position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
         )
-        asked = Asked(
+        asked = LocateOptions(
             files or [],
             scene,
             shots,
@@ -241,7 +241,7 @@ def _format(output: pathlib.Path | None, asked: Format | None, shots: pathlib.Pa
 
 
 def _locate(
-    asked: Asked,
+    asked: LocateOptions,
     accuracy: bool | None,
     probability: float,
     where: tuple[pathlib.Path | None, bool, Format | None],
@@ -284,7 +284,7 @@ def _locate(
 
 
 def _check_file(
-    output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: Views, has_errors: bool
+    output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: ExposureSet, has_errors: bool
 ) -> None:
     """Raises for an output file that cannot be written as asked, before the ground is read."""
     from jaxgeo.io.fix_files import check_fix_file
@@ -303,8 +303,8 @@ def _check_file(
 
 
 def _finish(
-    question: Question,
-    found: Located,
+    question: LocateInputs,
+    found: LocateResults,
     probability: float,
     output: pathlib.Path | None,
     drawn: tuple[str, str | None, bool],
@@ -350,7 +350,7 @@ def _number(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _rows(question: Question, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
+def _rows(question: LocateInputs, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
     """Rows of fixes alone, as they are computed; statuses are counted in `counts`."""
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
@@ -366,7 +366,9 @@ def _counts(rows: list[dict[str, Any]]) -> dict[str, int]:
     return {name: names.count(name) for name in dict.fromkeys(names)}
 
 
-def _write_rows(rows: Any, question: Question, probability: float | None, output_format: Format, stream: Any) -> None:
+def _write_rows(
+    rows: Any, question: LocateInputs, probability: float | None, output_format: Format, stream: Any
+) -> None:
     from jaxgeo.io.tables import number_columns, write_csv, write_geojson
 
     if output_format is Format.csv:

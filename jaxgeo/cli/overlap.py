@@ -12,7 +12,7 @@ import typer
 
 from jaxgeo._destination import destination, is_device
 from jaxgeo._text_numbers import numbers_in
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
@@ -91,7 +91,7 @@ def overlap_command(
 ) -> None:
     """How much of the ground each image shares with the one before it, one row for each pair."""
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
         ground = (

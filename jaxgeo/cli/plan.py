@@ -10,7 +10,7 @@ import typer
 
 from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
 from jaxgeo.cli._options import (
@@ -84,7 +84,7 @@ def plan_command(
     Heights in the output are above the ellipsoid.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
         check_place("--output", output)

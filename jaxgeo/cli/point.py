@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, mistakes_told
+from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, check_on_image, numbers_in, read_terrain, said_datum, shot_of
@@ -68,7 +68,7 @@ def point_command(
     The exit code is 1 where they do not: out of the gimbal's range (then they are the nearest), or hidden by terrain.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
             reading.check_goes_with_dem()
@@ -104,7 +104,7 @@ def _point(
         raise UserError(f"--height-datum {height_datum} is that of a target's height: --target LAT,LON,HEIGHT.")
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
-    from jaxgeo.coverage import point
+    from jaxgeo.coverage import point_gimbal
     from jaxgeo.io.scene import read_scene
 
     compile_quickly()
@@ -118,7 +118,7 @@ def _point(
     terrain = read_terrain(*ground) if ground[0] else None
     aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     with working("compiling and pointing"):
-        found = point(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
+        found = point_gimbal(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
     return scene.sensor.gimbal.names, found, aim
 
 

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxgeo.cli._common import Debug, UserError, mistakes_told
+from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._option_names import reach_as_typed
 from jaxgeo.cli._options import (
     AllowOutside,
     AllowRemote,
@@ -28,7 +29,6 @@ from jaxgeo.cli._options import (
 )
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
-from jaxgeo.cli._words import reach_as_typed
 
 QUICK_PIXELS = 40_000_000  # fewer are not worth the time that it takes to compile well
 SHOWN = "The image shows this cell (where the image itself is unknown, so is the cell)."
@@ -86,7 +86,7 @@ def rectify_command(
 ) -> None:
     """An image as it lies on the ground: a GeoTIFF on a map, without what the terrain hides."""
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
         form = "one size, or ACROSS,DOWN"
         cell = None if resolution is None else tuple(numbers_in("--resolution", resolution, (1, 2), form))

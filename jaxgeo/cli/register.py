@@ -8,9 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxgeo.cli._common import NO_ANSWER, Debug, mistakes_told
+from jaxgeo.cli._common import NO_ANSWER, Debug, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import DemReading, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._option_names import reach_as_typed
 from jaxgeo.cli._options import (
     AllowOutside,
     AllowRemote,
@@ -23,11 +24,10 @@ from jaxgeo.cli._options import (
     SceneFile,
     VerticalDatum,
 )
-from jaxgeo.cli._registered import Work, reported, written
-from jaxgeo.cli._registering import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
+from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
+from jaxgeo.cli._register_outputs import Work, reported, written
 from jaxgeo.cli._results import AsJson, asked
 from jaxgeo.cli._screen import tell, working
-from jaxgeo.cli._words import reach_as_typed
 
 
 def register_command(
@@ -101,7 +101,7 @@ def register_command(
     where the image is not registered: then there is no scene and no orthoimage, and the report says why.
     """
     typed = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         from jaxgeo.io.paths import files_behind
         from jaxgeo.io.registration_report import write_registration_report
 
@@ -180,10 +180,10 @@ def _read(
 
 
 def _registered(work: Work, errors: Errors, block: int, probability: float) -> Any:
-    from jaxgeo.register import register
+    from jaxgeo.register import register_image
     from jaxgeo.uncertainty import ErrorModel
 
-    return register(
+    return register_image(
         work.scene.sensor,
         work.shot,
         work.values,

@@ -24,19 +24,7 @@ from jaxgeo.cli._acquisitions import (
     VideoSize,
     how_to_read,
 )
-from jaxgeo.cli._asked import (
-    Asked,
-    Exposures,
-    Ground,
-    GroundDatum,
-    GroundDem,
-    Pixels,
-    Refraction,
-    SceneOption,
-    Source,
-    TableOfShots,
-)
-from jaxgeo.cli._common import Debug, UserError, mistakes_told, name_says
+from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._errors import (
     AttitudeSigma,
@@ -49,7 +37,20 @@ from jaxgeo.cli._errors import (
     Sigmas,
 )
 from jaxgeo.cli._inputs import DemReading
-from jaxgeo.cli._located import Located, leave_without_a_fix, located
+from jaxgeo.cli._locate_inputs import LocateInputs, told_question
+from jaxgeo.cli._locate_options import (
+    Exposures,
+    Ground,
+    GroundDatum,
+    GroundDem,
+    LocateOptions,
+    Pixels,
+    Refraction,
+    SceneOption,
+    Source,
+    TableOfShots,
+)
+from jaxgeo.cli._locate_results import LocateResults, leave_without_a_fix, located
 from jaxgeo.cli._options import (
     SURE,
     WRITING,
@@ -61,7 +62,6 @@ from jaxgeo.cli._options import (
     HeightUnit,
     Nodata,
 )
-from jaxgeo.cli._question import Question, told_question
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts, working
 
@@ -131,7 +131,7 @@ def report_command(
     debug: Debug = False,
 ) -> None:
     """One page that needs no network: the map, the fixes and how sure they are, what errs, and what was assumed."""
-    with mistakes_told(debug):
+    with report_errors(debug):
         _check_report(output, probability, details)
         how = how_to_read(
             height_datum,
@@ -152,7 +152,7 @@ def report_command(
         pixels, exposures = pixel or [], exposure or []
         seen = (files or [], scene, shots, pixels, exposures, dem or [], ground, vertical_datum, refraction)
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
-        asked = Asked(*seen, how, sigmas, reading)
+        asked = LocateOptions(*seen, how, sigmas, reading)
         with destination("--output", output) as stream_of_page:
             question, found = _report(asked, probability, (output, stream_of_page), (title, details), as_json)
         leave_without_a_fix(question, found)
@@ -170,14 +170,18 @@ def _check_report(output: pathlib.Path, probability: float, details: int) -> Non
 
 
 def _report(
-    asked: Asked, probability: float, where: tuple[pathlib.Path, Any], drawn: tuple[str | None, int], as_json: bool
-) -> tuple[Question, Located]:
+    asked: LocateOptions,
+    probability: float,
+    where: tuple[pathlib.Path, Any],
+    drawn: tuple[str | None, int],
+    as_json: bool,
+) -> tuple[LocateInputs, LocateResults]:
     from jaxgeo._checks import enable_x64
 
     output, stream = where
     title, most = drawn
     with working("starting"):
-        from jaxgeo.report import Told, details_of, report_html
+        from jaxgeo.report import ReportHeader, details_of, report_html
     compile_quickly(asked.samples_of_field)
     enable_x64()
     question = told_question(asked, _errs(asked), output)
@@ -185,7 +189,7 @@ def _report(
     subject = _subject(question, found, probability)
     with working("looking closer"):
         details = details_of(subject, most=most)
-    told = Told(title or _title(asked), _inputs(asked, question), [*question.assumed, *_unread(question)])
+    told = ReportHeader(title or _title(asked), _inputs(asked, question), [*question.assumed, *_unread(question)])
     with working("drawing"):
         stream.write(report_html(subject, told=told, details=details))
     rows = found.rows("report", question)
@@ -197,12 +201,12 @@ def _report(
     return question, found
 
 
-def _subject(question: Question, found: Located, probability: float) -> Any:
+def _subject(question: LocateInputs, found: LocateResults, probability: float) -> Any:
     """What the page is of: the pixels whose file could be read."""
     import jax
     import numpy as np
 
-    from jaxgeo.report import Subject
+    from jaxgeo.report import ReportData
     from jaxgeo.sensor import Shot
 
     first, rows = question.batches[0], question.read
@@ -213,7 +217,7 @@ def _subject(question: Question, found: Located, probability: float) -> Any:
         shots, uv = Shot(pose, np.zeros((len(rows), 0))), np.stack([one[2] for one in given])
         axes, looks = (0, *axes[1:]), given.__getitem__
     here = found.part(rows)
-    return Subject(
+    return ReportData(
         first.sensor,
         shots,
         uv,
@@ -229,11 +233,11 @@ def _subject(question: Question, found: Located, probability: float) -> Any:
     )
 
 
-def _unread(question: Question) -> list[str]:
+def _unread(question: LocateInputs) -> list[str]:
     return [f"Not read: {reason}" for reason in question.reasons or () if reason is not None]
 
 
-def _errs(asked: Asked) -> bool | None:
+def _errs(asked: LocateOptions) -> bool | None:
     """Whether fixes of a table of shots are to be judged: where its scene or an option says how the world errs."""
     from jaxgeo.io.scene import read_scene
 
@@ -242,7 +246,7 @@ def _errs(asked: Asked) -> bool | None:
     return asked.sigmas.are_given or read_scene(asked.scene).errors is not None
 
 
-def _title(asked: Asked) -> str:
+def _title(asked: LocateOptions) -> str:
     """The title of the scene, or the name of what was read."""
     from jaxgeo.io.scene import read_scene
 
@@ -254,7 +258,7 @@ def _title(asked: Asked) -> str:
     return read_scene(path).title or f"What the camera of {path.name} sees, and how sure that is"
 
 
-def _inputs(asked: Asked, question: Question) -> dict[str, Any]:
+def _inputs(asked: LocateOptions, question: LocateInputs) -> dict[str, Any]:
     """What was typed, with pixels and exposures."""
     named = {"pixel": " and ".join(asked.pixels), "exposure": ", ".join(asked.exposures)}
     return question.inputs | {name: text for name, text in named.items() if text}

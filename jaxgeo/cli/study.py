@@ -10,11 +10,12 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._commands import Commands
-from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, mistakes_told
+from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._examples import examples_of
 from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
+from jaxgeo.cli._option_names import reach_as_typed
 from jaxgeo.cli._options import (
     AllowOutside,
     AllowRemote,
@@ -27,7 +28,6 @@ from jaxgeo.cli._options import (
 )
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
-from jaxgeo.cli._words import reach_as_typed
 
 WIDE = 150  # characters of a line in a file
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, of a real image's navigation where nobody says it
@@ -55,7 +55,7 @@ def li2020_command(
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import li2020
@@ -76,7 +76,7 @@ def li2023_command(
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import li2023
@@ -108,7 +108,7 @@ def xue2019_command(
     with --output the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         _check_seed(seed)
         _begin(output)
         from jaxgeo.studies import xue2019
@@ -155,7 +155,7 @@ def gu2017_command(
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         files = {"--image": image, "--reference": reference, "--dem": dem or None, "--scene": scene}
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
@@ -190,7 +190,7 @@ def all_command(
     jinja2 and matplotlib (pip install 'jaxgeo\\[report]') there is no page, and with --output the exit code is 1.
     """
     inputs = asked(locals())
-    with mistakes_told(debug):
+    with report_errors(debug):
         _check_seed(seed)
         if output is not None:
             check_writable(output)

@@ -1,13 +1,14 @@
 """Where a camera will look: footprints, overlap, pointing and the time of the next image."""
 
+from jaxgeo._renamed import renamed
 from jaxgeo.coverage.clock import ExposureClock
-from jaxgeo.coverage.exposure import Exposure, Image, near_end, own_map
+from jaxgeo.coverage.exposure import Exposure, Image, local_projection, near_edge
 from jaxgeo.coverage.flight import Compensation, FlightNoise, Strip
-from jaxgeo.coverage.footprint import Footprint, GroundSampling, footprint, ground_sampling
-from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, overlap_to_plan, trusts_linear
+from jaxgeo.coverage.footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
+from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, linear_is_valid, required_overlap
 from jaxgeo.coverage.overlap import Overlap, flight_direction, overlap
-from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point
-from jaxgeo.coverage.polygons import GroundSeen, polygon_overlap, seen_ground
+from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point_gimbal
+from jaxgeo.coverage.polygons import VisibleGround, polygon_overlap, visible_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
 from jaxgeo.sensor.aiming import LineOfSight
 
@@ -19,8 +20,7 @@ __all__ = [
     "FlightNoise",
     "Flights",
     "Footprint",
-    "GroundSampling",
-    "GroundSeen",
+    "GroundSampleDistance",
     "GroundShared",
     "Image",
     "LineOfSight",
@@ -30,20 +30,34 @@ __all__ = [
     "Pointing",
     "Strip",
     "VelocityHeight",
+    "VisibleGround",
     "compensate",
     "flight_direction",
     "fly",
     "footprint",
-    "ground_sampling",
+    "ground_sample_distance",
     "line_of_sight",
     "linear_gaps",
-    "near_end",
+    "linear_is_valid",
+    "local_projection",
+    "near_edge",
     "overlap",
-    "overlap_to_plan",
-    "own_map",
     "plan",
-    "point",
+    "point_gimbal",
     "polygon_overlap",
-    "seen_ground",
-    "trusts_linear",
+    "required_overlap",
+    "visible_ground",
 ]
+
+DEPRECATED = {
+    "GroundSampling": "GroundSampleDistance",
+    "GroundSeen": "VisibleGround",
+    "ground_sampling": "ground_sample_distance",
+    "near_end": "near_edge",
+    "overlap_to_plan": "required_overlap",
+    "own_map": "local_projection",
+    "point": "point_gimbal",
+    "seen_ground": "visible_ground",
+    "trusts_linear": "linear_is_valid",
+}
+__getattr__ = renamed(__name__, DEPRECATED)

@@ -57,7 +57,7 @@ class ExposureClock(Record):
         """(the clock after a record, times in s of the images due since the last one, how many there are).
 
         `speed` is that of the ground point at the near end along the flight, m/s; `slant_range` its distance in m, over
-        the ground that is seen there: that of `near_end`, or H / cos(theta) over level ground. The 16 times are
+        the ground that is seen there: that of `near_edge`, or H / cos(theta) over level ground. The 16 times are
         infinite where there are fewer images. Under `jit` and `lax.scan` too. Raises `ValueError` for a time that runs
         backwards, a speed or range that is not positive, and records so far apart that more images fell due between
         them; where such values are traced, the times are NaN, or the number tells.

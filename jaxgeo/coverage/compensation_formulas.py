@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxgeo._checks import as_float64
-from jaxgeo._numerics import safe_norm, turned
+from jaxgeo._numerics import matvec, safe_norm
 from jaxgeo._typing import Matrix3, Scalar, ScalarLike, Vector3
 from jaxgeo.rotations import about_x, about_y
 
@@ -28,7 +28,7 @@ def line_of_sight_ned(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLi
     """The line of sight in north-east-down, a unit vector (Eq 23)."""
     R_ned_from_body, theta, phi = as_float64((R_ned_from_body, theta, phi), "(R_ned_from_body, theta, phi)")
     zero, one = jnp.zeros(()), jnp.ones(())
-    return turned(R_ned_from_body, jnp.stack(about_x(theta, about_y(phi, (zero, zero, one)))))
+    return matvec(R_ned_from_body, jnp.stack(about_x(theta, about_y(phi, (zero, zero, one)))))
 
 
 def line_of_sight_head(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLike, sight_ned: Vector3) -> Vector3:
@@ -36,7 +36,7 @@ def line_of_sight_head(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarL
     R_ned_from_body, theta, phi, sight_ned = as_float64(
         (R_ned_from_body, theta, phi, sight_ned), "(R_ned_from_body, theta, phi, sight_ned)"
     )
-    x, y, z = turned(R_ned_from_body.T, sight_ned)
+    x, y, z = matvec(R_ned_from_body.T, sight_ned)
     return jnp.stack(about_y(-phi, about_x(-theta, (x, y, z))))
 
 
@@ -47,7 +47,7 @@ def angles_towards(R_ned_from_body: Matrix3, sight_ned: Vector3) -> Angles:
     the body's x axis theta is undetermined: it is 0, without a gradient.
     """
     R_ned_from_body, sight_ned = as_float64((R_ned_from_body, sight_ned), "(R_ned_from_body, sight_ned)")
-    x, y, z = turned(R_ned_from_body.T, sight_ned)
+    x, y, z = matvec(R_ned_from_body.T, sight_ned)
     along = (y == 0.0) & (z == 0.0)
     theta = jnp.arctan2(jnp.where(along, 0.0, -y), jnp.where(along, 1.0, z))
     return Angles(theta, jnp.arctan2(x, safe_norm(jnp.stack([y, z]))))

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgeo._arguments import observation
 from jaxgeo._checks import check_is
-from jaxgeo._doors import observation
 from jaxgeo._numerics import dot
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, ScalarField, Vector3
@@ -71,7 +71,7 @@ def platform_ecef(image: Image) -> Vector3:
     return WGS84.to_ecef((image if isinstance(image, Shot) else image.shot).pose.position)
 
 
-def own_map(image: Image) -> TransverseMercator:
+def local_projection(image: Image) -> TransverseMercator:
     """The Gauss-Krueger map about the meridian of the platform: within 30 km of it true to scale to 1.1e-5."""
     shot = image if isinstance(image, Shot) else image.shot
     return TransverseMercator.gauss_krueger(shot.pose.position.lon)
@@ -100,7 +100,7 @@ def end_places(sensor: Sensor, along: Along) -> Places:
 
 
 @eqx.filter_jit
-def near_end(
+def near_edge(
     sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, atmosphere: Atmosphere | None = None
 ) -> Fix:
     """What the middle of an image's near end sees: the nearer of its two edges that lie along the flight.

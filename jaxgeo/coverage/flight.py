@@ -11,13 +11,13 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._arguments import check_terrain, checked_air, observation
 from jaxgeo._checks import as_float64, check_is, check_range
-from jaxgeo._doors import check_terrain, checked_air, observation
-from jaxgeo._numerics import cross, safe_norm, turned
+from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, Scalar, ScalarField, Vector3
 from jaxgeo.coverage._checks import checked_finite, checked_overlap, checked_positive
-from jaxgeo.coverage.exposure import Along, near_end, near_length
+from jaxgeo.coverage.exposure import Along, near_edge, near_length
 from jaxgeo.coverage.overlap import (
     GroundEdges,
     Overlap,
@@ -175,7 +175,7 @@ class Strip(Record):
         _, (_, ahead, _) = _axes(sensor, shot, course)
         length, height = _near_length(sensor, shot, over, along, ahead, air)
         if not np.isfinite(length):
-            status = Status(int(near_end(sensor, shot, over, along, air).status))
+            status = Status(int(near_edge(sensor, shot, over, along, air).status))
             raise ValueError(
                 f"the near end of the first image sees no ground: {status.message if status else 'at its corners.'} "
                 "Turn the camera down, or load a larger terrain."
@@ -292,7 +292,7 @@ def _axes(sensor: Sensor, shot: Shot, course: Scalar) -> tuple[Vector3, tuple[Ve
     c, s = jnp.cos(course), jnp.sin(course)
     up, along = -R[:, 2], c * R[:, 0] + s * R[:, 1]
     right = jnp.stack(cross(-up, along))
-    sight = turned(sensor.R_ned_from_camera(shot), sensor.camera.axis())
+    sight = matvec(sensor.R_ned_from_camera(shot), sensor.camera.axis())
     planned = jnp.stack([c * sight[0] + s * sight[1], c * sight[1] - s * sight[0], sight[2]])
     return planned, (up, along, right)
 
@@ -316,7 +316,7 @@ def _shot(
     heading_of_track = jnp.cos(turn) * along - jnp.sin(turn) * up
     lat = jnp.arctan2(normal[2], jnp.sqrt(normal[0] ** 2 + normal[1] ** 2))
     position = Geodetic(lat=lat, lon=jnp.arctan2(normal[1], normal[0]), height=height + process[3])
-    north, east, _ = turned(R_ecef_from_ned(position).T, heading_of_track)
+    north, east, _ = matvec(R_ecef_from_ned(position).T, heading_of_track)
     course = jnp.arctan2(east, north)
     pose = Pose(
         position,

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._arguments import check_terrain, checked_air, pixel_of_shot
 from jaxgeo._checks import as_array, check_finite
-from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
 from jaxgeo._numerics import dot, safe_angle, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import FlagField, PixelField, Scalar, ScalarField, StatusField, Vector3
-from jaxgeo.coverage.exposure import Image, checked_image, image_size, motion_of, on_map, own_map, seen_at
+from jaxgeo.coverage.exposure import Image, checked_image, image_size, local_projection, motion_of, on_map, seen_at
 from jaxgeo.earth import WGS84, Atmosphere, TransverseMercator
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT, located_anywhere
@@ -76,7 +76,7 @@ class Footprint(Record):
         return float(np.sum(steps[np.asarray(self.hidden)]))
 
 
-class GroundSampling(Record):
+class GroundSampleDistance(Record):
     """How large a pixel is on the ground, m: along the image's `columns` axis (from a column to the next), along its
     `rows` axis, `along` the line of sight and `across` it, all on the surface; and its `area` there, m2.
 
@@ -130,7 +130,7 @@ def footprint(
     steps = np.linspace(0.0, 1.0, places, endpoint=False)[:, None]
     sides = [a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     uv = np.concatenate(sides)
-    projection = own_map(image) if projection is None else projection
+    projection = local_projection(image) if projection is None else projection
     looked = Looked(sensor, image, terrain, air, projection)
     ring = _Ring(uv, *_located(looked, uv), np.zeros(len(uv), bool))
     while not ring.settled.all():
@@ -147,14 +147,14 @@ def footprint(
     )
 
 
-def ground_sampling(
+def ground_sample_distance(
     sensor: Sensor,
     image: Image,
     uv: Numbers,
     terrain: AbstractTerrain,
     *,
     atmosphere: Atmosphere | None = None,
-) -> GroundSampling:
+) -> GroundSampleDistance:
     """How large the pixel at `uv` = (column, row) is on the ground; for many pixels use `jax.vmap`.
 
     From the derivative of the fix by the pixel, so on the slope that is there. Raises as `locate`.
@@ -170,7 +170,7 @@ def ground_sampling(
 @eqx.filter_jit
 def _ground_sampling(
     sensor: Sensor, motion: Any, time: Scalar, uv: PixelField, terrain: AbstractTerrain, air: Atmosphere | None
-) -> GroundSampling:
+) -> GroundSampleDistance:
     def seen(uv: PixelField) -> tuple[Vector3, tuple[Fix, Vector3]]:
         fix, _ = located_anywhere(sensor, motion, time, uv, terrain, FIRST_HIT, air)
         return fix.ecef, (fix, fix.ecef)
@@ -193,7 +193,7 @@ def _ground_sampling(
     known = counts_as_fix(fix.status)
     lengths = [safe_norm(by_column), safe_norm(by_row), *(_length_of_a_pixel(J, d) for d in (along, across)), area]
     columns, rows, *others = (jnp.where(known, length, jnp.nan) for length in lengths)
-    return GroundSampling(columns, rows, *others, fix=fix)
+    return GroundSampleDistance(columns, rows, *others, fix=fix)
 
 
 def _length_of_a_pixel(J: Float[Array, "3 2"], direction: Vector3) -> Scalar:

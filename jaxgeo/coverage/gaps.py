@@ -21,9 +21,9 @@ from jaxgeo.coverage.flight import SPECS, Compensation, FlightNoise, Strip, flow
 from jaxgeo.status import Status
 from jaxgeo.uncertainty.assess import assess
 from jaxgeo.uncertainty.draws import Random
+from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sources import Attitude, GimbalAngles, Position
-from jaxgeo.uncertainty.verdict import Trust
 
 CHUNK = 512  # flights at a time
 LATTICE = 4096  # points of the integral of a normal distribution over an orthant
@@ -139,7 +139,7 @@ def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation 
 
     The overlaps at the near and far ends, and the margins by which images still meet sideways, are taken as jointly
     normal; the probability that all are positive is Genz's
-    (1992) integral on a lattice. `trusts_linear` says whether the terrain lets such derivatives be trusted.
+    (1992) integral on a lattice. `linear_is_valid` says whether the terrain lets such derivatives be trusted.
     Raises `ValueError` where the flight as planned sees no ground.
     """
     check_is(strip, Strip, "strip")
@@ -152,7 +152,7 @@ def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation 
     return LinearGaps(margins, cov, free, of_pair, slopes, noise)
 
 
-def trusts_linear(
+def linear_is_valid(
     strip: Strip, noise: FlightNoise, *, compensation: Compensation = Compensation()
 ) -> Bool[Array, "images ends"]:
     """Whether the error engine trusts derivatives at the ends (near and far, in some order) of all planned images.
@@ -171,14 +171,14 @@ def trusts_linear(
 
     def trusted(shot: Any, uv: Any) -> Any:
         found = assess(strip.sensor, shot, uv, strip.terrain, errors, atmosphere=strip.air).trust
-        return (found == Trust.facet) | (found == Trust.footprint)
+        return (found == Method.facet) | (found == Method.footprint)
 
     ends = jnp.clip(end_places(strip.sensor, strip.along), 0.0, None)
     over_ends = jax.vmap(trusted, (None, 0))
     return eqx.filter_jit(jax.vmap(over_ends, (0, None)))(shots, ends)
 
 
-def overlap_to_plan(
+def required_overlap(
     strip: Strip,
     noise: FlightNoise,
     *,

@@ -11,12 +11,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import as_float64, concrete
-from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import dot, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, Scalar, ScalarField, StatusField, Vector3Field
-from jaxgeo.coverage.exposure import Along, Image, checked_image, image_size, on_map, own_map, platform_ecef, seen_at
+from jaxgeo.coverage.exposure import (
+    Along,
+    Image,
+    checked_image,
+    image_size,
+    local_projection,
+    on_map,
+    platform_ecef,
+    seen_at,
+)
 from jaxgeo.earth import Atmosphere, TransverseMercator
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor
@@ -106,7 +115,7 @@ def overlap(
     air = checked_air(atmosphere)
     sensor, before = checked_image(sensor, before)
     _, after = checked_image(sensor, after)
-    projection = own_map(before) if projection is None else projection
+    projection = local_projection(before) if projection is None else projection
     if direction is None:
         direction = flight_direction(before, after, projection)
     way: Any = as_float64(direction, "direction")

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
+from jaxgeo._arguments import check_latitude, check_terrain, checked_air, observation
 from jaxgeo._checks import as_array, as_float64, check_is
-from jaxgeo._doors import check_latitude, check_terrain, checked_air, observation
-from jaxgeo._numerics import turned
+from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusField
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
@@ -47,7 +47,7 @@ class Pointing(Record):
         return jnp.asarray(self.status) == Status.hit
 
 
-def point(
+def point_gimbal(
     sensor: Sensor,
     shot: Shot | Trajectory,
     *,
@@ -78,7 +78,7 @@ def point(
     >>> sensor = jaxgeo.Sensor(camera, gimbal, jaxgeo.Mount.nadir())
     >>> shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=3000.0), np.zeros(2))
     >>> target = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.1, height=600.0)
-    >>> aimed = coverage.point(sensor, shot, target=target)
+    >>> aimed = coverage.point_gimbal(sensor, shot, target=target)
     >>> outer, inner = np.rad2deg(aimed.readings)
     >>> print(f"outer {outer:.2f} deg, {np.rad2deg(aimed.miss):.2f} deg short: {jaxgeo.Status(int(aimed.status)).name}")
     outer 60.00 deg, 12.46 deg short: outside_gimbal_range
@@ -110,13 +110,13 @@ def point(
 
 
 def line_of_sight(sensor: Sensor, shot: Shot, *, uv: Numbers | None = None) -> LineOfSight:
-    """The direction, north-east-down, in which the optical axis of a shot looks, or pixel `uv`: what `point` takes."""
+    """Line of sight (north-east-down) of the optical axis of a shot, or of pixel `uv`; a target for `point_gimbal`."""
     check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one.")
     given: Any = observation(sensor, shot, None)
     sensor, shot, _ = given
     pixel: Any = as_float64(as_array(uv, "uv"), "uv")
     sight = sensor.camera.axis() if pixel is None else sensor.camera.ray(pixel)[0]
-    return LineOfSight(turned(sensor.R_ned_from_camera(shot), sight))
+    return LineOfSight(matvec(sensor.R_ned_from_camera(shot), sight))
 
 
 @eqx.filter_jit
@@ -171,6 +171,8 @@ def compensate(sensor: Sensor, before: Shot, after: Shot | Trajectory, *, uv: Ar
     So the attitude's changes between two exposures do not move the image: the gimbal takes them up. Of `after` only the
     poses count; the search starts from the readings of `before`. Exact, where Eqs 25-26 of Li et al. (2020) are so only
     for an inner angle of zero (see `li_2020_compensation`). The corrections are `pointing.readings -
-    before.gimbal_readings`. Raises as `point`.
+    before.gimbal_readings`. Raises as `point_gimbal`.
     """
-    return point(sensor, after, target=line_of_sight(sensor, before, uv=uv), uv=uv, readings=before.gimbal_readings)
+    return point_gimbal(
+        sensor, after, target=line_of_sight(sensor, before, uv=uv), uv=uv, readings=before.gimbal_readings
+    )

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int8
 
+from jaxgeo._arguments import check_terrain, checked_air
 from jaxgeo._checks import check_is
-from jaxgeo._doors import check_terrain, checked_air
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import PixelField, StatusCode, StatusField
@@ -23,13 +23,13 @@ from jaxgeo.locate import FIRST_HIT, project
 from jaxgeo.sensor import Sensor
 from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty.places import ground_at
+from jaxgeo.uncertainty.map_cells import ground_at
 
 BATCH = 4096  # places that are looked at from the camera at a time
 MOST = 4_000_000  # of them in all
 
 
-class GroundSeen(Record):
+class VisibleGround(Record):
     """Which ground within an outline an image sees.
 
     `places` (n, 2) are the (easting, northing) in m of squares `spacing` m wide on the footprint's map, by their
@@ -54,7 +54,7 @@ class GroundSeen(Record):
 def polygon_overlap(before: Footprint, after: Footprint) -> float:
     """Share of the area within one outline that lies within another as well, both on the map of the first.
 
-    Hidden ground within an outline counts as covered: `seen_ground` tells which that is. Of an outline that crosses
+    Hidden ground within an outline counts as covered: `visible_ground` tells which that is. Of an outline that crosses
     itself each part counts once. Raises `ValueError` for an outline that is not whole.
     """
     shapes = []
@@ -68,7 +68,7 @@ def polygon_overlap(before: Footprint, after: Footprint) -> float:
     return float(first.intersection(second).area / first.area)
 
 
-def seen_ground(
+def visible_ground(
     sensor: Sensor,
     image: Image,
     terrain: AbstractTerrain,
@@ -76,7 +76,7 @@ def seen_ground(
     *,
     spacing: float,
     atmosphere: Atmosphere | None = None,
-) -> GroundSeen:
+) -> VisibleGround:
     """Which ground within the outline of an image is seen, square by square of `spacing` m: is it in sight of the
     camera, or hidden? Exactly so for the middles of the squares.
 
@@ -107,7 +107,7 @@ def seen_ground(
         np.asarray(_seen_from(sensor, image, terrain, jnp.asarray(part), outline.projection, checked_air(atmosphere)))
         for part in _parts(places)
     ]
-    return GroundSeen(places, np.concatenate(codes)[: len(places)], float(spacing))
+    return VisibleGround(places, np.concatenate(codes)[: len(places)], float(spacing))
 
 
 @eqx.filter_jit

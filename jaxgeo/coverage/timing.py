@@ -14,14 +14,14 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxgeo._arguments import check_terrain, checked_air, observation
 from jaxgeo._checks import check_finite, check_is
-from jaxgeo._doors import check_terrain, checked_air, observation
-from jaxgeo._numerics import safe_norm, turned
+from jaxgeo._numerics import matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
 from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
-from jaxgeo.coverage.exposure import Along, Exposure, near_length, on_map, own_map
+from jaxgeo.coverage.exposure import Along, Exposure, local_projection, near_length, on_map
 from jaxgeo.coverage.overlap import (
     STATIONS,
     GroundEdges,
@@ -326,7 +326,7 @@ def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " time
         speed = jnp.hypot(north, east)
         still = speed == 0.0
         level = jnp.stack([jnp.where(still, 1.0, north), east, jnp.zeros(())]) / jnp.where(still, 1.0, speed)
-        ahead = turned(R_ecef_from_ned(shot.pose.position), level)
+        ahead = matvec(R_ecef_from_ned(shot.pose.position), level)
         length, height = near_length(course.sensor, shot, course.terrain, course.along, ahead, course.air)
         # The ground point moves as fast as the platform's foot does: by the radii less than the platform itself.
         position = shot.pose.position
@@ -339,5 +339,5 @@ def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " time
 def _axis_at(sensor: Sensor, trajectory: Trajectory, time: Scalar, terrain: AbstractTerrain) -> Along:
     later = jnp.where(time < trajectory.end, trajectory.end, trajectory.start)
     image, other = (Exposure(trajectory, moment) for moment in (time, 0.5 * (time + later)))
-    projection = own_map(image)
+    projection = local_projection(image)
     return axis_along(sensor, image, flight_direction(image, other, projection), terrain, projection)

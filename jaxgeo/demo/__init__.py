@@ -4,7 +4,7 @@ And a drone's image to try things on, made over the same terrain, of which the t
 """
 
 from jaxgeo.demo.drone import DroneImage, drone_image
-from jaxgeo.demo.made import Demo, make_demo, scene_file
 from jaxgeo.demo.picture import draw
+from jaxgeo.demo.scene import Demo, make_demo, scene_file
 
 __all__ = ["Demo", "DroneImage", "draw", "drone_image", "make_demo", "scene_file"]

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxgeo._checks import require_x64
-from jaxgeo.demo.made import located
+from jaxgeo.demo.scene import located
 from jaxgeo.demo.scenery import painted
 from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
@@ -19,7 +19,7 @@ from jaxgeo.io.acquisitions.usual_errors import LEVEL, LEVEL_ELSE, POSITION
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.camera import check_size
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import GimbalAngles, Position
 
 COLUMNS = 1200
@@ -81,7 +81,7 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
     rng = np.random.default_rng(seed)
     north, east, down = POSITION
     angles: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) for name in sensor.gimbal.names}
-    look = Look.of(sensor, shot, np.zeros(2), example_dem())
+    look = ModelInputs.of(sensor, shot, np.zeros(2), example_dem())
     for source in (Position.from_ned(north=north, east=east, down=down), GimbalAngles.from_degrees(**angles)):
         error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
         look = eqx.filter_jit(source.moved)(look, error)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo.demo.made import VIEW, Demo, sampled
+from jaxgeo.demo.scene import VIEW, Demo, sampled
 from jaxgeo.earth import Geodetic
 from jaxgeo.sensor import FrameCamera
 from jaxgeo.terrain import Dem

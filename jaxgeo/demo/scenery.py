@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from jaxgeo.demo.made import sampled
+from jaxgeo.demo.scene import sampled
 from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.terrain import Dem

@@ -13,7 +13,6 @@ from jaxgeo.io.acquisitions import (
     with_usual_errors,
 )
 from jaxgeo.io.bal import BalProblem, read_bal, write_bal
-from jaxgeo.io.crowds import intersect_files, locate_files
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
 from jaxgeo.io.dem import DemReport, example_dem, read_dem, read_dem_and_report
 from jaxgeo.io.errors import DemError, ImageError, TableError, VerticalDatumError
@@ -25,6 +24,7 @@ from jaxgeo.io.gcp import GroundControl, read_gcp_list
 from jaxgeo.io.geoid import height_msl, undulation
 from jaxgeo.io.image_points import read_image_points, write_image_points
 from jaxgeo.io.images import read_image
+from jaxgeo.io.locate_on_disk import intersect_files, locate_files
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras

@@ -14,7 +14,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.geoid import height_msl
 from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, AccuracyOfEach, Trust
+from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, AccuracyOfEach, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
 
@@ -136,7 +136,7 @@ def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | N
     _check_same(name, np.linalg.norm(off * metres, axis=-1))
     radii = (np.asarray(x, np.float64).reshape(-1) for x in (accuracy.circular, accuracy.linear, accuracy.spherical))
     circular, linear, spherical = radii
-    method = [None if code == NO_FIX else Trust(int(code)).words for code in trust]
+    method = [None if code == NO_FIX else Method(int(code)).words for code in trust]
     told = _unknown(count, accuracy.probability)
     return told._replace(circular=circular, linear=linear, spherical=spherical, method=method)
 
@@ -159,7 +159,7 @@ def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: floa
         spherical=spherical,
         cov_enu=cov,
         bias_enu=bias,
-        method=[Trust(int(code)).words if known else None for code, known in zip(trust, has_fix, strict=True)],
+        method=[Method(int(code)).words if known else None for code, known in zip(trust, has_fix, strict=True)],
         because=[accuracy.because(i) for i in range(count)],
     )
 
@@ -183,7 +183,7 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
         far[i] = np.linalg.norm(np.asarray(one.fix.ecef) - np.asarray(fixes.ecef)[i])
         told.circular[i], told.linear[i], told.spherical[i] = one.circular, one.linear, one.spherical
         method[i], because[i] = one.trust.words, one.because
-        if one.trust is not Trust.samples:
+        if one.trust is not Method.samples:
             told.cov_enu[i] = np.asarray(one.propagation.cov_enu)
             told.bias_enu[i] = np.asarray(one.propagation.bias_enu)
     _check_same(name, far)

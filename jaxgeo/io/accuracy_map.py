@@ -21,7 +21,7 @@ from jaxgeo.io.windows import Bounds
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Trust, accuracy_map
+from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Method, accuracy_map
 from jaxgeo.uncertainty.accuracy_map import checked_map
 
 COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}
@@ -53,7 +53,7 @@ def write_accuracy_map(
     - `cog`: whether to write a cloud-optimised GeoTIFF. Its overviews show the nearest cell, so that codes stay codes.
 
     Bands of 32-bit floats: circular error and linear error in m, NaN (the file's nodata) where there is none, infinite
-    where too many samples fail; the verdict, a code of `Trust`, or -1 for no fix; and the `Status`. What the codes
+    where too many samples fail; the verdict, a code of `Method`, or -1 for no fix; and the `Status`. What the codes
     mean, the probability and the number of samples are in the file's tags. The file appears when all is written.
     Raises `ValueError` for a CRS, bounds or a resolution that make no sense, for an area that cannot be determined, and
     as `accuracy_map`; `FileNotFoundError` for a folder that is not there; `OSError` where it cannot be written.
@@ -108,7 +108,7 @@ def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: boo
 
 
 def _tags(found: AccuracyMap) -> dict[str, str]:
-    verdicts = [(NO_FIX, "no fix"), *((int(one), one.words) for one in Trust)]
+    verdicts = [(NO_FIX, "no fix"), *((int(one), one.words) for one in Method)]
     return {
         "SOFTWARE": "jaxgeo",
         "PROBABILITY": f"{found.probability:g}",

@@ -9,7 +9,7 @@ import numpy as np
 from jaxgeo._checks import check_is
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, AccuracyMap, Trust
+from jaxgeo.uncertainty import NO_FIX, AccuracyMap, Method
 from jaxgeo.uncertainty.sampled import Sampled
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) ->
     lat, lon, height = (np.asarray(x) for x in found.position.to_degrees())
     u, v = np.moveaxis(np.asarray(found.uv), -1, 0)
     percent = f"with a probability of {found.probability:g}"
-    codes = [(NO_FIX, "no_fix"), *((int(one), one.name) for one in Trust)]
+    codes = [(NO_FIX, "no_fix"), *((int(one), one.name) for one in Method)]
     data: dict[str, tuple[np.ndarray, dict[str, Any]]] = {
         "circular_error": (np.asarray(found.circular), _told(f"horizontal radius that holds the truth {percent}", "m")),
         "linear_error": (np.asarray(found.linear), _told(f"height that holds the truth {percent}", "m")),

@@ -32,7 +32,7 @@ from jaxgeo.register.ties import PaddedTies, TiePoints, checked_ties, padded
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import Propagation
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 ALONE = "The block has candidates, but none agrees with the pose on which most blocks agree."
 PACKAGES = ("jaxgeo", "jax", "numpy", "scipy", "rasterio", "pyproj")
@@ -57,7 +57,7 @@ def tie_heights(ties: TiePoints, update: Update | None) -> np.ndarray:
     if update is None:
         return np.asarray(ties.ground.height)
     time = jnp.zeros(()) if update.time is None else update.time
-    look = Look(update.sensor, update.shot, time, jnp.zeros(2), update.terrain, update.atmosphere)
+    look = ModelInputs(update.sensor, update.shot, time, jnp.zeros(2), update.terrain, update.atmosphere)
     given = update.errors.moved(look, -jnp.asarray(update.error)).terrain
     heights = _heights(padded(checked_ties(ties)), jnp.asarray(update.shift), given, update.terrain)
     return np.asarray(heights)[: ties.count]
@@ -108,7 +108,7 @@ def _row(registration: Registration, places: BlockPlaces, heights: np.ndarray | 
 
 def report_of(registration: Registration) -> dict[str, Any]:
     """All figures of a registration by name, angles in deg, for a file or a screen; numbers may be NaN."""
-    check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register.")
+    check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register_image.")
     errors, update = registration.tie_errors, registration.update
     found: dict[str, Any] = {
         "registered": registration.accepted,

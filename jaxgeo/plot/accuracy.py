@@ -13,7 +13,7 @@ from jaxgeo.plot.legends import COLOURED, keyed
 from jaxgeo.plot.maps import degrees, lonlat_deg
 from jaxgeo.plot.style import HIDDEN, METHODS, house_axes
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import AccuracyMap, Trust
+from jaxgeo.uncertainty import AccuracyMap, Method
 
 COLOURS = "cividis"
 SEEN_THROUGH = 0.85  # of the colours: the relief below shines through
@@ -62,7 +62,7 @@ def method_map(found: AccuracyMap, ax: Axes | None = None, *, hidden: str = "hid
     if not count:
         raise ValueError("no place of this map has a fix: there is nothing to draw.")
     with house_axes(ax, tall=0.8) as ax:
-        for one, colour in zip(Trust, METHODS, strict=True):
+        for one, colour in zip(Method, METHODS, strict=True):
             here = trust == one
             _one_colour(found, ax, here, colour, f"{one.words}, {100.0 * np.count_nonzero(here) / count:.0f} %")
         _hidden(found, ax, hidden)

@@ -17,7 +17,7 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.maps import degrees, lonlat_deg
 from jaxgeo.plot.style import FIX, JUMPED, SAMPLE, halo, house_axes, round_length
-from jaxgeo.uncertainty import Accuracy, AccuracyOfEach, Comparison, Propagation, Sampled, Trust
+from jaxgeo.uncertainty import Accuracy, AccuracyOfEach, Comparison, Method, Propagation, Sampled
 
 SEEN = 0.05  # of the map's width: ellipses that are enlarged have half of their longer axes above this
 ENOUGH = 0.01  # of the map's width: longer axes above this are seen as they are
@@ -123,7 +123,7 @@ class _Normal(NamedTuple):
 def _normal(one: Any) -> _Normal:
     """What a record says of its fixes."""
     if isinstance(one, Accuracy):
-        linear, by_samples = one.propagation, one.trust is Trust.samples
+        linear, by_samples = one.propagation, one.trust is Method.samples
         position, mean, cov = linear.fix.position, linear.bias_enu, np.asarray(linear.cov_enu)
         cov, radius = (np.full_like(cov, np.nan), one.circular) if by_samples else (cov, np.nan)
     elif isinstance(one, AccuracyOfEach):

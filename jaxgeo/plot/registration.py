@@ -86,7 +86,7 @@ def ties_on_map(
     shift taken off, to where the image has it, `exaggeration` times as long; by default a round number that makes most
     of them visible. Axes are in km from the lower left corner of the reference.
     """
-    check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register.")
+    check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register_image.")
     check_is(places, BlockPlaces, "places", "Make them with jaxgeo.register.places.places_of_blocks.")
     spots = on_map(reference, places.ground)
     tied = (np.asarray(places.tie) >= 0) & places.known

@@ -1,26 +1,27 @@
 """The pose of an image from a map: rectification, matching with a reference, the update of the pose, and its errors."""
 
+from jaxgeo._renamed import renamed
 from jaxgeo.register.affine import AffineCheck
 from jaxgeo.register.blocks import BlockOutcome, Matches, blocks_of, count_outcomes
-from jaxgeo.register.chance import false_alarms, runner_up
+from jaxgeo.register.chance import false_alarms, second_best
 from jaxgeo.register.choice import AbstractChoice, Chosen
 from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.consensus import PoseConsensus
-from jaxgeo.register.flattening import flattened
+from jaxgeo.register.flattening import remove_illumination
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Cubic, Nearest
-from jaxgeo.register.matching import match
+from jaxgeo.register.matching import match_blocks
+from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior
 from jaxgeo.register.rectify import Rectified, Rectifier, rectify
-from jaxgeo.register.registration import Limits, Registration, register
+from jaxgeo.register.registration import Limits, Registration, register_image
 from jaxgeo.register.render import Rendered, render
-from jaxgeo.register.sequence import next_prior
+from jaxgeo.register.sequence import propagate_prior
 from jaxgeo.register.tie_errors import FullJacobian, LevelGround, TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import update
 
 __all__ = [
     "AbstractChoice",
@@ -51,12 +52,22 @@ __all__ = [
     "blocks_of",
     "count_outcomes",
     "false_alarms",
-    "flattened",
-    "match",
-    "next_prior",
+    "match_blocks",
+    "propagate_prior",
     "rectify",
-    "register",
+    "register_image",
+    "remove_illumination",
     "render",
-    "runner_up",
-    "update",
+    "second_best",
+    "update_orientation",
 ]
+
+DEPRECATED = {
+    "flattened": "remove_illumination",
+    "match": "match_blocks",
+    "next_prior": "propagate_prior",
+    "register": "register_image",
+    "runner_up": "second_best",
+    "update": "update_orientation",
+}
+__getattr__ = renamed(__name__, DEPRECATED)

@@ -33,8 +33,8 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.status import Status, seen_beside
 from jaxgeo.terrain import AbstractTerrain, Dem
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 Cells = Int[Array, "ties 2"]
 Unknowns = Float[Array, " unknowns"]
@@ -44,7 +44,7 @@ Square = Float[Array, "unknowns unknowns"]
 class Problem(Record):
     """The navigation's look with its errors, the ties with theirs, and what was known before."""
 
-    look: Look
+    look: ModelInputs
     model: ErrorModel
     ties: PaddedTies
     tie_errors: TieErrors
@@ -62,12 +62,12 @@ class Moving(NamedTuple):
     air: Atmosphere | None
 
     @classmethod
-    def of(cls, look: Look) -> Moving:
+    def of(cls, look: ModelInputs) -> Moving:
         return cls(look.sensor, look.motion, jnp.asarray(look.time), look.air)
 
-    def over(self, look: Look) -> Look:
+    def over(self, look: ModelInputs) -> ModelInputs:
         """With the pixel and terrain of a look."""
-        return Look(self.sensor, self.motion, self.time, look.uv, look.terrain, self.air)
+        return ModelInputs(self.sensor, self.motion, self.time, look.uv, look.terrain, self.air)
 
 
 class Equations(NamedTuple):
@@ -139,7 +139,7 @@ def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
 
 
 def _images(
-    problem: Problem, look: Look, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
+    problem: Problem, look: ModelInputs, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
 ) -> tuple[Pixels, Any]:
     """Pixels of the ties; and these, their statuses and places, from a look changed by three things one after another.
 

@@ -46,7 +46,7 @@ def at_least(probability: Float[np.ndarray, " n"], count: int) -> float:
     return float(min(np.sum(happened[count:]), 1.0))
 
 
-def runner_up(
+def second_best(
     choice: AbstractChoice,
     matches: Matches,
     chosen: Chosen,

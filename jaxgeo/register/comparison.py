@@ -12,8 +12,8 @@ from jaxgeo.register.choice import Chosen
 from jaxgeo.register.images import Images
 from jaxgeo.register.prediction import Shifts
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 
 class AbstractComparison(abc.ABC):
@@ -29,7 +29,7 @@ class AbstractComparison(abc.ABC):
     cell: float
 
     @abc.abstractmethod
-    def __init__(self, look: Look, model: ErrorModel, images: Images, place: Any, block: int) -> None:
+    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
         """Bring both together, with room for blocks of so many cells beside. Raises `Stopped` if there is nothing."""
 
     @abc.abstractmethod

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 LEAST = 0.1  # of the standard deviation of the whole image: what varies less is not blown up to full contrast
 
 
-def flattened(image: Any, known: Any, width: int = 25) -> Float[Array, "rows cols"]:
+def remove_illumination(image: Any, known: Any, width: int = 25) -> Float[Array, "rows cols"]:
     """Grey values less their mean about each cell, over their standard deviation there; zero where unknown.
 
     `image` (rows, cols), `known` the same shape; mean and deviation over the known cells of a square of `width` cells.

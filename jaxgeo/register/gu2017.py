@@ -17,16 +17,16 @@ from jaxtyping import Array, Float
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.locate import locate
+from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import update
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty.linear import Propagation, propagate
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.metrics.ellipse import drms
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import CameraMounting, Position, TerrainHeight
 
 Conditions = Float[Array, "ties rows"]
@@ -67,7 +67,7 @@ CASES = (
 
 
 def conditions(
-    look: Look, model: ErrorModel, ties: Float[Array, "ties 2"], p_ecef: Float[Array, "ties 3"], height: Scalar
+    look: ModelInputs, model: ErrorModel, ties: Float[Array, "ties 2"], p_ecef: Float[Array, "ties 3"], height: Scalar
 ) -> tuple[Conditions, ByParameters, ByGround]:
     """F (ties, 3) in px, px, m of points imaged at `ties`, with J and B: Eqs 1 and 2 and their derivatives.
 
@@ -171,5 +171,5 @@ def _row(case: Case, sensor: Sensor, shot: Shot, terrain: ConstantHeight, ties: 
     with_height = (*navigation, TerrainHeight.from_metres(case.terrain))
     direct = propagate(sensor, shot, MIDDLE, terrain, ErrorModel(with_height))
     tie_errors = TieErrors(registration=case.registration, terrain=case.terrain)
-    updated = update(sensor, shot, ties, terrain, ErrorModel(navigation), tie_errors)
+    updated = update_orientation(sensor, shot, ties, terrain, ErrorModel(navigation), tie_errors)
     return Row(case, direct, updated.fix(MIDDLE, case.terrain))

@@ -12,14 +12,14 @@ from jaxtyping import Array, Float
 
 from jaxgeo._record import portable
 from jaxgeo.earth import WGS84, R_ecef_from_enu
-from jaxgeo.register.flattening import flattened
+from jaxgeo.register.flattening import remove_illumination
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
 
 @portable
-class Stopped(Exception):
+class RegistrationFailed(Exception):
     """A registration that cannot go on."""
 
     def __init__(self, outcome: Outcome) -> None:
@@ -98,7 +98,7 @@ class Images:
         """Grey values with brightness and contrast made even, if that is wanted."""
         if self.flatten is None:
             return np.asarray(grey, np.float64)
-        return np.asarray(flattened(grey, known, self.flatten))
+        return np.asarray(remove_illumination(grey, known, self.flatten))
 
 
 @eqx.filter_jit

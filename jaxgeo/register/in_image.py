@@ -15,15 +15,15 @@ from jaxgeo.register._equations import on_surface
 from jaxgeo.register.blocks import Matches
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.comparison import AbstractComparison, on_ground, tied
-from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.images import Images, RegistrationFailed
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.prediction import Shifts, in_chunks
 from jaxgeo.register.render import met, seen_at
 from jaxgeo.register.ties import TiePoints
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.status import Status
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 FLATTEST = 0.02  # of the larger scale on the ground, the smaller: beyond, a place on the map is not told by the image
 
@@ -48,7 +48,7 @@ class InImage(AbstractComparison):
     before or behind an edge.
     """
 
-    def __init__(self, look: Look, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
+    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
         del block
         self._look, self._model = look, model
         self._factor, (down, across) = place.factor, place.aside
@@ -63,9 +63,9 @@ class InImage(AbstractComparison):
         source = images.coarse(place.coarser)
         values, seen, status = seen_at(look, source, self._pixels(cells.reshape(-1, 2)))
         if not np.any(status == Status.hit):
-            raise Stopped(Outcome.unknown_ground)
+            raise RegistrationFailed(Outcome.unknown_ground)
         if not seen.any():
-            raise Stopped(Outcome.no_overlap)
+            raise RegistrationFailed(Outcome.no_overlap)
         self.known_reference = seen.reshape(shape)
         self.reference = images.even(values[0].reshape(shape), self.known_reference)
         self.cell = place.ground_sampling * place.factor
@@ -79,7 +79,7 @@ class InImage(AbstractComparison):
         there = (np.asarray(matches.centre) + chosen.of(matches.shift))[kept]
         found, at = met(self._look, self._pixels(there)), self.shifts(there, 0.0)
         if np.any(found.status != Status.hit):
-            raise Stopped(Outcome.unknown_ground)
+            raise RegistrationFailed(Outcome.unknown_ground)
         here = np.asarray(shifts.cells_per_metre)[kept]
         per_metre = np.where(np.asarray(at.seen)[:, None, None], np.asarray(at.cells_per_metre), here)
         ground = Geodetic(lat=found.lat, lon=found.lon, height=found.height)
@@ -96,7 +96,7 @@ def pixels_of(places: np.ndarray, factor: int) -> np.ndarray:
     return (np.asarray(places, np.float64)[:, ::-1] + 0.5) * factor - 0.5
 
 
-def shifts_in_image(look: Look, model: ErrorModel, uv: np.ndarray, factor: int) -> Shifts:
+def shifts_in_image(look: ModelInputs, model: ErrorModel, uv: np.ndarray, factor: int) -> Shifts:
     """Shifts of what is seen at pixels (n, 2), in cells of `factor` pixels, on the facets that they see; pixels may lie
     beside the image."""
     ground = met(look, uv)
@@ -107,7 +107,7 @@ def shifts_in_image(look: Look, model: ErrorModel, uv: np.ndarray, factor: int) 
 
 
 @eqx.filter_jit
-def _shifts(look: Look, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
+def _shifts(look: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
     """Of pixels, the points in ECEF m that they see, their heights and cells of the terrain."""
 
     def one(row: Float[Array, "8"]) -> tuple[Array, ...]:

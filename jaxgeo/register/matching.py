@@ -22,7 +22,7 @@ Known = Bool[np.ndarray, "rows cols"]
 Corners = Int[np.ndarray, "n 2"]
 
 
-def match(
+def match_blocks(
     rectified: Any,
     known: Any,
     reference: Any,

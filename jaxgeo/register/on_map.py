@@ -14,7 +14,7 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.register.blocks import Matches
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.comparison import AbstractComparison, on_ground, tied
-from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.images import Images, RegistrationFailed
 from jaxgeo.register.orthoimage import cell_side
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
@@ -22,8 +22,8 @@ from jaxgeo.register.rectify import Rectifier
 from jaxgeo.register.ties import TiePoints
 from jaxgeo.sensor import Shot
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 TILE = 256  # cells on a side: one size, so that no other window compiles anything
 
@@ -39,14 +39,14 @@ class MapPlace(NamedTuple):
 class OnMap(AbstractComparison):
     """As Gu and Qiao (2017): for images from above, whose parts are only shifted by an error of the pose."""
 
-    def __init__(self, look: Look, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
+    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
         level = images.level(place.factor)
         top, left, bottom, right = window = _wider(place.window, level.known.shape, 4 * block)
         self._look, self._model = look, model
         self._grid = level.grid.window(float(top), float(left))
         grey, self.known = _rectified(look, images, self._grid, place.window, window)
         if not self.known.any():
-            raise Stopped(Outcome.unknown_ground)
+            raise RegistrationFailed(Outcome.unknown_ground)
         part = np.s_[top:bottom, left:right]
         self.grey = images.even(grey, self.known)
         self.reference, self.known_reference = level.grey[part], level.known[part]
@@ -76,7 +76,7 @@ def _wider(window: tuple[int, int, int, int], shape: tuple[int, ...], aside: int
 
 
 def _rectified(
-    look: Look,
+    look: ModelInputs,
     images: Images,
     grid: AbstractGrid,
     inner: tuple[int, int, int, int],

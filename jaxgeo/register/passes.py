@@ -6,16 +6,16 @@ import numpy as np
 
 from jaxgeo._record import Record
 from jaxgeo.register.blocks import BlockOutcome, Matches, blocks_of, count_outcomes
-from jaxgeo.register.chance import false_alarms, runner_up
+from jaxgeo.register.chance import false_alarms, second_best
 from jaxgeo.register.choice import Chosen
-from jaxgeo.register.images import Images, Stopped
-from jaxgeo.register.matching import match
+from jaxgeo.register.images import Images, RegistrationFailed
+from jaxgeo.register.matching import match_blocks
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.plan import Plan, Search
 from jaxgeo.register.prediction import Shifts
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 # Cells by which a block may be shifted beside what the navigation's errors do: at first so many that it can be told
 # whether blocks agree by chance, even where the navigation leaves little to be sought.
@@ -55,7 +55,7 @@ class Pass(Record):
 
 
 def one_pass(
-    look: Look,
+    look: ModelInputs,
     model: ErrorModel,
     covariance: np.ndarray,
     images: Images,
@@ -69,9 +69,9 @@ def one_pass(
     pair = plan.comparison(look, model, images, plan.place, plan.block)
     centres = blocks_of(pair.known, plan.block)
     if not len(centres):
-        raise Stopped(Outcome.too_small)
+        raise RegistrationFailed(Outcome.too_small)
     reach = plan.block / 2.0
-    matches = match(
+    matches = match_blocks(
         pair.grey,
         pair.known,
         pair.reference,
@@ -85,7 +85,7 @@ def one_pass(
     shifts = pair.shifts(np.asarray(matches.centre), reach)
     jacobian = np.where(np.asarray(shifts.seen)[:, None, None], np.asarray(shifts.by_error), 0.0)
     chosen = search.choice.choose(matches, jacobian, covariance)
-    rival = runner_up(search.choice, matches, chosen, jacobian, covariance)
+    rival = second_best(search.choice, matches, chosen, jacobian, covariance)
     outcomes = count_outcomes(matches.outcome)
     offered = sum(
         outcomes.get(one, 0) for one in (BlockOutcome.matched, BlockOutcome.no_peak, BlockOutcome.not_refined)
@@ -110,7 +110,7 @@ def _covariances(shifts: Shifts, cov: np.ndarray, aside: float) -> np.ndarray:
     covariance = np.asarray(shifts.covariance(cov)) + aside**2 * np.eye(2)
     seen = np.asarray(shifts.seen) & np.isfinite(covariance).all(axis=(1, 2))
     if not seen.any():
-        raise Stopped(Outcome.unknown_ground)
+        raise RegistrationFailed(Outcome.unknown_ground)
     largest = covariance[seen][np.argmax(np.trace(covariance[seen], axis1=1, axis2=2))]
     covariance = np.where(seen[:, None, None], covariance, largest)
     return 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
@@ -123,4 +123,4 @@ def _check_blocks(matches: Matches) -> None:
     reasons = {BlockOutcome.no_texture: Outcome.no_texture, BlockOutcome.off_reference: Outcome.off_reference}
     for block, outcome in reasons.items():
         if counts.get(block, 0) > MOSTLY * max(looked_at, 1):
-            raise Stopped(outcome)
+            raise RegistrationFailed(outcome)

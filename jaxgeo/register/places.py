@@ -44,8 +44,8 @@ def places_of_blocks(
 ) -> BlockPlaces:
     """Where the blocks of the last pass lie, by the updated shot if there is one, else by the navigation's.
 
-    `time` (of a trajectory) and `atmosphere` are as for `register`. Raises `ValueError` for a registration that came to
-    no pass.
+    `time` (of a trajectory) and `atmosphere` are as for `register_image`. Raises `ValueError` for a registration
+    without a pass.
     """
     if not registration.passes:
         raise ValueError(f"no block was matched: {registration.outcome.name}: {registration.outcome.message}")

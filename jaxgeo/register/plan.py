@@ -10,14 +10,14 @@ import numpy as np
 from jaxgeo._record import Record
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.comparison import AbstractComparison
-from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.images import Images, RegistrationFailed
 from jaxgeo.register.in_image import ImagePlace, InImage, shifts_in_image
 from jaxgeo.register.on_map import MapPlace, OnMap
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.prediction import Shifts, shifts_of, window_of
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 SIDES = (32, 48, 64, 96, 128, 192, 256, 300)  # cells of a block: few sizes, few compilations
 LATTICE = 9  # places along a side of the window, by which shifts are foretold
@@ -60,7 +60,7 @@ class _Size(NamedTuple):
 
 
 def planned(
-    look: Look, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
+    look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
 ) -> Plan:
     """The plan of a pass from a look whose errors have a covariance (axes and the map's shift).
 
@@ -69,7 +69,7 @@ def planned(
     reference = images.reference
     window = window_of(look, reference.grid, reference.shape)
     if window is None:
-        raise Stopped(Outcome.no_overlap)
+        raise RegistrationFailed(Outcome.no_overlap)
     shifts, share = _foretold(look, model, reference.grid, window)
     finest = max(1, round(float(np.median(shifts.ground_sampling)) / reference.ground_sampling))
     side = np.sqrt(share * (window[2] - window[0]) * (window[3] - window[1]))
@@ -85,7 +85,7 @@ def planned(
 
 
 def _in_image(
-    look: Look, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
+    look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
 ) -> Plan:
     """The plan of a pass that compares in the image."""
     rows, cols = images.grey.shape[1:]
@@ -94,7 +94,7 @@ def _in_image(
     found = shifts_in_image(look, model, np.stack([col.ravel(), row.ravel()], axis=1), 1)
     seen = np.asarray(found.seen)
     if not seen.any():
-        raise Stopped(Outcome.unknown_ground)
+        raise RegistrationFailed(Outcome.unknown_ground)
     shifts = Shifts(*(np.asarray(part)[seen] for part in found))
     moved = shifts.covariance(covariance)
     sampling, cell = float(np.median(shifts.ground_sampling)), images.reference.ground_sampling
@@ -115,9 +115,9 @@ def _sized(side: float, spread: float, bends: float, finest: int, far: float, se
     while coarser > 0 and side / (2 * factor) >= FEWEST_CELLS:
         factor, coarser = factor * 2, coarser - 1
     if side / factor < SIDES[0]:
-        raise Stopped(Outcome.too_small)
+        raise RegistrationFailed(Outcome.too_small)
     if not spread <= MOST_FAR * factor:
-        raise Stopped(Outcome.too_vague)
+        raise RegistrationFailed(Outcome.too_vague)
     is_sure = spread <= SURE * factor
     fits = side / factor / np.sqrt(MANY if is_sure else FEW)
     straight = 2.0 * BENT / max(bends, 1e-9)
@@ -125,7 +125,7 @@ def _sized(side: float, spread: float, bends: float, finest: int, far: float, se
 
 
 def _foretold(
-    look: Look, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
+    look: ModelInputs, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
 ) -> tuple[Shifts, float]:
     """(shifts of places in the window that the image shows, (seen places); their share of all places)."""
     t = (np.arange(LATTICE) + 0.5) / LATTICE
@@ -136,7 +136,7 @@ def _foretold(
     shifts = shifts_of(look, model, grid, np.stack([row.ravel(), col.ravel()], axis=1), reach)
     seen = np.asarray(shifts.seen)
     if not seen.any():
-        raise Stopped(Outcome.unknown_ground)
+        raise RegistrationFailed(Outcome.unknown_ground)
     return Shifts(*(np.asarray(part)[seen] for part in shifts)), float(seen.mean())
 
 

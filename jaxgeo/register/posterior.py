@@ -20,7 +20,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.linear import FACET, Propagation, propagate
 from jaxgeo.uncertainty.model import ErrorModel
-from jaxgeo.uncertainty.sharing import EachMeasurement, EachShot
+from jaxgeo.uncertainty.sharing import PerImage, PerMeasurement
 from jaxgeo.uncertainty.slopes import AbstractSlope
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
 from jaxgeo.uncertainty.sources.base import AbstractSource
@@ -124,7 +124,7 @@ class Update(Record):
         correlation = self.cov_error / (scale[:, None] * scale[None, :])
         correlation = jnp.where(jnp.eye(sigma.shape[0]) > 0.0, 1.0, correlation)
         parts = self.errors.sources
-        return ErrorModel((Correlated(parts=parts, sigma=sigma, correlation=correlation, sharing=EachShot()),))
+        return ErrorModel((Correlated(parts=parts, sigma=sigma, correlation=correlation, sharing=PerImage()),))
 
     def fix(
         self,
@@ -151,7 +151,7 @@ class Update(Record):
             raise ValueError(f"there is no update to fix anything from: {status.name}: {status.message}")
         sources: tuple[AbstractSource, ...] = self.model.sources
         if terrain_sigma is not None:
-            sources = (*sources, TerrainHeight.from_metres(terrain_sigma, sharing=EachMeasurement()))
+            sources = (*sources, TerrainHeight.from_metres(terrain_sigma, sharing=PerMeasurement()))
         return propagate(
             self.sensor,
             self.shot,

@@ -18,8 +18,8 @@ from jaxgeo.sensor.exposure import image_of_point, line_of_sight
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 CHUNK = 128  # places at once: one size, so that another number compiles nothing anew
 ACROSS = 5  # places along a side of a block, to which a plane is fitted
@@ -48,7 +48,7 @@ class Shifts(NamedTuple):
         return np.einsum("nia,ab,njb->nij", self.by_error, cov, self.by_error)
 
 
-def shifts_of(look: Look, model: ErrorModel, grid: AbstractGrid, places: np.ndarray, reach: float) -> Shifts:
+def shifts_of(look: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: np.ndarray, reach: float) -> Shifts:
     """Shifts of places (n, 2) = (row, col) on a grid, on the plane that fits the ground best within `reach` cells to
     all sides: a block moves as that does, not as the facet at its middle."""
     found = in_chunks(lambda part: _shifts(look, model, grid, part, jnp.asarray(float(reach))), places)
@@ -65,7 +65,9 @@ def in_chunks(function: Callable[[Array], Any], places: np.ndarray) -> list[np.n
 
 
 @eqx.filter_jit
-def _shifts(look: Look, model: ErrorModel, grid: AbstractGrid, places: Float[Array, "n 2"], reach: Scalar) -> Shifts:
+def _shifts(
+    look: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: Float[Array, "n 2"], reach: Scalar
+) -> Shifts:
     def one(place: Float[Array, "2"]) -> tuple[Array, ...]:
         normal = grid.normal(place)
         height, by_cell, known = _plane(look.terrain, grid, place, reach)
@@ -97,7 +99,7 @@ def _shifts(look: Look, model: ErrorModel, grid: AbstractGrid, places: Float[Arr
     return Shifts(*jax.vmap(one)(places))
 
 
-def window_of(look: Look, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[int, int, int, int] | None:
+def window_of(look: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[int, int, int, int] | None:
     """(first row, first col, last row + 1, last col + 1) of a grid within which the image lies; None if beside it.
 
     Told without a search: from where lines of sight pass the heights of the lowest and of the highest ground.
@@ -115,7 +117,7 @@ def window_of(look: Look, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[i
 
 
 @eqx.filter_jit
-def _passed(look: Look, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
+def _passed(look: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
     """(row, col) where lines of sight of a lattice of pixels pass the lowest and the highest ground; whether they do.
 
     Those that pass neither end at the horizon.
@@ -140,7 +142,7 @@ def _passed(look: Look, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[A
     return jnp.concatenate([part[0] for part in both]), jnp.concatenate([part[1] for part in both])
 
 
-def _image(look: Look, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array]:
+def _image(look: ModelInputs, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array]:
     uv, status, _ = image_of_point(look.sensor, look.motion, jnp.asarray(look.time), p_ecef, look.air)
     return uv, status
 

@@ -16,15 +16,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int8
 
+from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo._record import Record, packed, unpacked
 from jaxgeo.earth import Atmosphere
 from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
 from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
-from jaxgeo.register.open_sight import OpenSight
 from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.register.visibility_bounds import OpenSight
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain

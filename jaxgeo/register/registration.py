@@ -11,15 +11,15 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 
+from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
 from jaxgeo._checks import as_float64, check_is, require_x64
-from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
-from jaxgeo.register.alike import alike
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
-from jaxgeo.register.images import Images, Stopped
+from jaxgeo.register.images import Images, RegistrationFailed
+from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass, one_pass
@@ -27,14 +27,14 @@ from jaxgeo.register.plan import SIDES, Search, planned
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior, checked_prior
 from jaxgeo.register.rectify import checked_image
+from jaxgeo.register.residual_correlation import morans_i_zscore
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import update
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.linear import Propagation
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 LEAST_REGISTRATION = 0.1  # cells: no tie is taken as better than that
 COARSER = 1  # times that it is tried in coarser cells, before the first pass is given up
@@ -71,11 +71,11 @@ LIMITS = Limits()
 
 
 class Registration(Record):
-    """What a registration found. Without an update, `outcome` says why, and nothing else is to be believed.
+    """Result of a registration. Without an update, `outcome` gives the reason and the other fields are not valid.
 
-    `sensor`, `shot` and `terrain` are the updated ones if `accepted`, else those that were given. `update` has their
-    errors; `tie_errors` how the reference errs, `registration` there as the residuals have it. `passes` are what was
-    done, the last first made the `ties`: their pixels, and where the reference shows the same.
+    `sensor`, `shot` and `terrain` are the updated ones if `accepted`, else the given ones. `update` has their errors,
+    `tie_errors` those of the reference, its `registration` estimated from the residuals. `passes` lists the passes; the
+    last one made the `ties`: their pixels, and their places on the reference.
     """
 
     outcome: Outcome = eqx.field(static=True)
@@ -107,7 +107,7 @@ class Registration(Record):
         return "\n".join(lines)
 
 
-def register(
+def register_image(
     sensor: Sensor,
     shot: Shot | Trajectory,
     image: Any,
@@ -141,7 +141,7 @@ def register(
     residuals show, while of `shift`, by which the whole map may be off, only relief tells something, as the terrain is
     not off with it: what is left of it enlarges all errors. Heights that err alike over some distance belong into
     `terrain_field`: taken as each tie's own they make all seem too sure.
-    `prior` goes on from another image (see `next_prior`).
+    `prior` goes on from another image (see `propagate_prior`).
 
     `block` cells on a side are matched at most, where the navigation allows so many without bending them; shifts are
     sought that its errors make with `probability`; `choice` picks those that agree, and `loss` is that of the update.
@@ -151,7 +151,7 @@ def register(
     says so, and sensor and shot stay as they were.
     No image can tell of level ground that a map is shifted as a whole: `shift` is what the caller vouches for.
     Raises `ValueError` for an image of another size than the camera's, a `probability` of half or less, a `block` under
-    32 cells, and as `rectify`, `match` and `update`.
+    32 cells, and as `rectify`, `match_blocks` and `update_orientation`.
     """
     require_x64()
     check_is(reference, Orthoimage, "reference", "Read one with jaxgeo.io.read_orthoimage.")
@@ -165,7 +165,7 @@ def register(
     check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
-    look = Look(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
+    look = ModelInputs(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
     model = checked_model(errors, look)
     tie_errors = as_float64(tie_errors, "tie_errors")
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
@@ -178,7 +178,7 @@ def register(
 class _Given(Record):
     """What the navigation says, and how it and the map err."""
 
-    look: Look
+    look: ModelInputs
     model: ErrorModel
     prior: Prior
     tie_errors: TieErrors
@@ -188,7 +188,7 @@ class _Given(Record):
     def updated(self, ties: TiePoints, tie_errors: TieErrors) -> Update:
         """The update of the navigation's own look by ties."""
         look = self.look
-        return update(
+        return update_orientation(
             look.sensor,
             look.motion,
             ties,
@@ -223,7 +223,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
             if coarser and plan.place.factor == factor:
                 return ended(outcome)
             done, ties = one_pass(look, given.model, covariance, images, search, plan, is_first=found is None)
-        except Stopped as stopped:
+        except RegistrationFailed as stopped:
             return ended(stopped.outcome)
         passes.append(done)
         outcome = _judged(done, limits, is_first=found is None)
@@ -278,7 +278,7 @@ def _fits(given: _Given, ties: TiePoints, found: Update, tie_errors: TieErrors, 
         return False
     if _tie_sigma(ties, tie_errors) <= limits.misfit * _tie_sigma(ties, _least_errors(given, cell)):
         return True
-    return alike(np.asarray(found.normalised), np.asarray(ties.uv)) < limits.alike
+    return morans_i_zscore(np.asarray(found.normalised), np.asarray(ties.uv)) < limits.alike
 
 
 def _tie_sigma(ties: TiePoints, errors: TieErrors) -> float:
@@ -306,13 +306,13 @@ def _beyond(found: Update, limits: Limits) -> bool:
     return freedom > 0 and not scipy.stats.chi2.sf(float(found.chi_square_prior), freedom) >= limits.beyond_prior
 
 
-def _moved(given: _Given, error: np.ndarray) -> Look:
+def _moved(given: _Given, error: np.ndarray) -> ModelInputs:
     return given.model.moved(given.look, jnp.asarray(error)) if np.any(error != 0.0) else given.look
 
 
-def _look_of(found: Update, look: Look) -> Look:
+def _look_of(found: Update, look: ModelInputs) -> ModelInputs:
     time = look.time if found.time is None else found.time
-    return Look(found.sensor, found.shot, time, look.uv, found.terrain, found.atmosphere)
+    return ModelInputs(found.sensor, found.shot, time, look.uv, found.terrain, found.atmosphere)
 
 
 def _of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:

@@ -11,8 +11,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
+from jaxgeo._arguments import check_terrain, checked_air, observation
 from jaxgeo._checks import check_is
-from jaxgeo._doors import check_terrain, checked_air, observation
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import FIRST_HIT, located_anywhere
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
@@ -21,7 +21,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 CHUNK = 1024  # rays at once: one size, which is compiled once
 BILINEAR = Bilinear()
@@ -77,7 +77,7 @@ def render(
     rows, cols = _size_of(sensor)
     if supersampling < 1:
         raise ValueError(f"supersampling must be 1 ray a pixel along each axis or more; got {supersampling}.")
-    look = Look(sensor, motion, moment, jnp.zeros(2), terrain, checked_air(atmosphere))
+    look = ModelInputs(sensor, motion, moment, jnp.zeros(2), terrain, checked_air(atmosphere))
     total, seen, status = np.zeros(()), np.ones(rows * cols, bool), np.zeros(rows * cols, np.int8)
     pixels = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
     for offset in _offsets(supersampling):
@@ -89,7 +89,7 @@ def render(
 
 
 def seen_at(
-    look: Look, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
+    look: ModelInputs, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
 ) -> tuple[Float[np.ndarray, "bands n"], Bool[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
     """(values of an orthoimage at the first ground that pixels see, zero if unknown; whether they are known; the
     `Status`). Pixels may lie beside the image, as far as the camera has rays there."""
@@ -104,7 +104,7 @@ def seen_at(
     return value[:, : len(uv)], is_known[: len(uv)], code[: len(uv)]
 
 
-def met(look: Look, uv: Float[np.ndarray, "n 2"]) -> Met:
+def met(look: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
     """The first ground that pixels see; they may lie beside the image."""
     parts = [_met(look, part) for part in _chunks(uv)]
     return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
@@ -116,7 +116,7 @@ def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
 
 
 @eqx.filter_jit
-def _met(look: Look, uv: Float[Array, "n 2"]) -> Met:
+def _met(look: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
     """By one program, whatever is then done with it: a search of the terrain takes long to compile."""
     nowhere = jnp.array([WGS84.a, 0.0, 0.0])
 

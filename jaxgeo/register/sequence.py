@@ -10,14 +10,14 @@ from jaxgeo.register.prior import Prior
 from jaxgeo.uncertainty.sharing import Occasion
 
 
-def next_prior(update: Update, here: Occasion, there: Occasion) -> Prior:
+def propagate_prior(update: Update, here: Occasion, there: Occasion) -> Prior:
     """What is known of the errors of the image taken `there` from the update of the one taken `here`.
 
     Each source's error there is D e + w, with D its correlation between the two (its `sharing`) and w drawn anew with
     the covariance S - D S D that keeps its own, S: so the mean is D e, the covariance D P D + S - D S D with the
-    posterior P. An error of `EachFlight` or `Everywhere` is carried over whole, one of `EachShot` begins anew, one that
-    is correlated `InTime` fades; the map's shift is the same one. e is along the axes of the error model, about the
-    look that the navigation gives for each image; give it for the next unchanged, with the prior, to `update`.
+    posterior P. An error of `PerFlight` or `Systematic` is carried over whole, one of `PerImage` begins anew, one that
+    is `TimeCorrelated` fades; the map's shift is the same one. e is along the axes of the error model, about the
+    navigation's orientation of each image; pass that of the next unchanged, with the prior, to `update_orientation`.
 
     Exact for errors that are constant, independent, or fade as exp(-dt/T), whose past says no more than their present:
     the images one after the other then are one least squares adjustment of all, so far as that is linear. With other

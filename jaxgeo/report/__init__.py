@@ -10,8 +10,8 @@ try:
 except ImportError as error:
     raise ImportError("reports are drawn with bokeh, jinja2 and matplotlib: pip install 'jaxgeo[report]'") from error
 
+from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail, details_of
-from jaxgeo.report.page import Told, report_html, write_report
-from jaxgeo.report.subject import Subject
+from jaxgeo.report.page import ReportHeader, report_html, write_report
 
-__all__ = ["Detail", "Subject", "Told", "details_of", "report_html", "write_report"]
+__all__ = ["Detail", "ReportData", "ReportHeader", "details_of", "report_html", "write_report"]

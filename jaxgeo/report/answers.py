@@ -10,22 +10,22 @@ import numpy as np
 from jaxgeo.coverage.exposure import image_size
 from jaxgeo.io._mgrs import mgrs_of
 from jaxgeo.report import words
+from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import FACET, FOOTPRINT, Detail
-from jaxgeo.report.subject import Subject
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, Comparison, Trust
+from jaxgeo.uncertainty import NO_FIX, Comparison, Method
 from jaxgeo.uncertainty.compare import FIGURES
 
 Row = Mapping[str, Any]
 VERDICTS = {
-    Trust.facet: "Linear propagation can be trusted here.",
-    Trust.footprint: "Linear propagation can be trusted over the slope of the ground about the fix, not that under it.",
-    Trust.samples: "Linear propagation cannot be trusted here: the figures are those of samples.",
+    Method.facet: "Linear propagation is valid here.",
+    Method.footprint: "Linear propagation is valid with the mean slope over the error footprint, not that at the fix.",
+    Method.samples: "Linear propagation is not valid here; the figures are from Monte Carlo samples.",
 }
 MARKS = {"valid": ("✓", "valid"), "not valid": ("✗", "not valid"), "undecided": ("?", "undecided until more are drawn")}
 
 
-def answer_of(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
+def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     """Where one pixel looks and how sure that is; without a fix no coordinates, but why."""
     index = detail.index
     word, sentence = words.status(np.asarray(subject.fixes.status)[index])
@@ -48,7 +48,7 @@ def answer_of(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
     return answer | _sure(subject, detail, row)
 
 
-def _sure(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
+def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
     """How sure a fix is, by which method, why, and what samples say of that."""
     if subject.accuracy is None or not subject.is_fix[detail.index]:
         return {"verdict": "", "because": detail.unsure, "agreed": ""}
@@ -60,13 +60,13 @@ def _sure(subject: Subject, detail: Detail, row: Row) -> dict[str, Any]:
         ("SE", one.spherical, "in space"),
     )
     figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
-    trust = Trust(int(np.asarray(one.trust)[index]))
+    trust = Method(int(np.asarray(one.trust)[index]))
     agreed = "" if detail.comparison is None else _agreed(detail.comparison, trust, subject.probability)
     said = {"figures": figures, "method": trust.words, "verdict": VERDICTS[trust], "because": row["accuracy_text"]}
     return said | {"agreed": agreed}
 
 
-def _agreed(comparison: Comparison, trust: Trust, probability: float) -> str:
+def _agreed(comparison: Comparison, trust: Method, probability: float) -> str:
     """What samples say of linear propagation, in a sentence or two."""
     name = f"CE{words.percent_name(probability)}"
     one = comparison.sampled.circular_error(probability)
@@ -74,11 +74,11 @@ def _agreed(comparison: Comparison, trust: Trust, probability: float) -> str:
     count = words.count(comparison.sampled.count)
     said = f"{count} samples give {name} {words.length(one.value)} ({words.length(one.low)} to {words.length(one.high)}"
     said += " with 95 %)"
-    if trust is Trust.samples:
+    if trust is Method.samples:
         said += f"; linear propagation says {words.length(linear[FACET])} over the facet and "
         said += f"{words.length(linear[FOOTPRINT])} over the footprint."
     else:
-        radius = linear[FACET if trust is Trust.facet else FOOTPRINT]
+        radius = linear[FACET if trust is Method.facet else FOOTPRINT]
         inside = one.low <= radius <= one.high
         off = f"{100.0 * abs(radius / one.value - 1.0):.1f} % {'more' if radius > one.value else 'less'}"
         said += f": linear propagation's {words.length(radius)} is {'within that' if inside else off}."
@@ -127,7 +127,7 @@ def comparison_of(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def summary_of(subject: Subject, rows: Sequence[Row]) -> dict[str, Any]:
+def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:
     """Many pixels at a glance: how many have a fix, what became of the others, how sure they are."""
     names = [row["status"] for row in rows]
     statuses = [
@@ -146,7 +146,7 @@ def summary_of(subject: Subject, rows: Sequence[Row]) -> dict[str, Any]:
             between = f"median; {words.length(low)} to {words.length(high)}"
             figures.append((f"{kind}{percent}", words.length(middle), between))
         trust = np.asarray(subject.accuracy.trust)
-        methods = [f"{words.count(int((trust == t).sum()))} by {t.words}" for t in Trust if (trust == t).any()]
+        methods = [f"{words.count(int((trust == t).sum()))} by {t.words}" for t in Method if (trust == t).any()]
     else:
         methods = []
     return {
@@ -160,7 +160,7 @@ def summary_of(subject: Subject, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def camera_of(subject: Subject, index: int) -> list[tuple[str, str]]:
+def camera_of(subject: ReportData, index: int) -> list[tuple[str, str]]:
     """Camera and pose of one pixel's exposure in words, in the units that people read."""
     sensor, shot, _, _, _ = subject.look(index)
     width, height = image_size(sensor)

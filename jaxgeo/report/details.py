@@ -15,10 +15,10 @@ from jaxgeo.earth import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.locate import locate
 from jaxgeo.plot.sightline import Section, section_under
-from jaxgeo.report.subject import Subject
+from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
-from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Trust, budget, compare
+from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, budget, compare
 from jaxgeo.uncertainty.compare import FIGURES
 
 SAMPLES = 20_000  # as many as `accuracy` draws, and with the same key: the same ones
@@ -62,7 +62,7 @@ class Detail(NamedTuple):
         return told | {"comparison": {"methods": methods, "samples": samples, "verdict": one.verdict}}
 
 
-def details_of(subject: Subject, *, most: int = 3) -> list[Detail]:
+def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
     """Details of up to `most` pixels: of all, if there are no more, or of the usual, the best and the worst fix.
 
     Raises `ValueError` for a negative `most`.
@@ -73,7 +73,7 @@ def details_of(subject: Subject, *, most: int = 3) -> list[Detail]:
     return [_detail(subject, index, why, outlines) for index, why in chosen(subject, most)]
 
 
-def chosen(subject: Subject, most: int) -> list[tuple[int, str]]:
+def chosen(subject: ReportData, most: int) -> list[tuple[int, str]]:
     """(index, why) of the pixels that details are shown of."""
     if len(subject) <= most:
         return [(index, "") for index in range(len(subject))]
@@ -93,7 +93,7 @@ def chosen(subject: Subject, most: int) -> list[tuple[int, str]]:
     return told[:most]
 
 
-def _detail(subject: Subject, index: int, why: str, outlines: dict[bytes, np.ndarray]) -> Detail:
+def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.ndarray]) -> Detail:
     sensor, shot, uv, terrain, errors = subject.look(index)
     ray = Ray(*sensor.ray_ecef(shot, jnp.asarray(uv))[:2])
     key = b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves((sensor, shot)))
@@ -107,14 +107,14 @@ def _detail(subject: Subject, index: int, why: str, outlines: dict[bytes, np.nda
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"key": jax.random.key(0), "count": SAMPLES, "atmosphere": subject.atmosphere}
     told = compare(sensor, shot, uv, terrain, model, **options)
-    is_facet = int(np.asarray(subject.accuracy.trust)[index]) == Trust.facet
+    is_facet = int(np.asarray(subject.accuracy.trust)[index]) == Method.facet
     linear = told.propagations[FACET if is_facet else FOOTPRINT]
     if not np.isfinite(np.asarray(linear.cov_enu)).all():
         return detail._replace(comparison=told, unsure="The ground has no slope to propagate errors over.")
     return detail._replace(comparison=told, budget=budget(linear, subject.probability))
 
 
-def _section(subject: Subject, index: int, ray: Ray, terrain: Any) -> Section | None:
+def _section(subject: ReportData, index: int, ray: Ray, terrain: Any) -> Section | None:
     """The section under a line of sight; None where there is none."""
     if not all(np.isfinite(np.asarray(x)).all() for x in (ray.origin, ray.direction)):
         return None
@@ -128,7 +128,7 @@ def _section(subject: Subject, index: int, ray: Ray, terrain: Any) -> Section | 
     return _level_section(subject, index, ray.through(subject.atmosphere))
 
 
-def _level_section(subject: Subject, index: int, ray: Ray) -> Section | None:
+def _level_section(subject: ReportData, index: int, ray: Ray) -> Section | None:
     """The section over level ground, up to a little behind the fix."""
     fix = subject.fix(index)
     if not math.isfinite(float(fix.slant_range)):

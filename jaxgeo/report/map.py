@@ -12,10 +12,10 @@ from bokeh.plotting import figure
 
 from jaxgeo.plot.style import BLUE, HAIR, INK, JUMPED, MUTED, PURPLE, SHADE, SIGHT, SKY, VERMILLION
 from jaxgeo.report import words
+from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
 from jaxgeo.report.ground import Box, Relief, metres_per_degree
 from jaxgeo.report.places import Places, cloud_of, ellipse_of, unwrapped
-from jaxgeo.report.subject import Subject
 
 Row = Mapping[str, Any]
 MOST_ELLIPSES = 600
@@ -31,7 +31,7 @@ FIX_TIP = [
 
 
 def map_of(
-    subject: Subject, details: Sequence[Detail], rows: Sequence[Row], places: Places, reliefs: Sequence[Relief]
+    subject: ReportData, details: Sequence[Detail], rows: Sequence[Row], places: Places, reliefs: Sequence[Relief]
 ) -> Any:
     """The map, in degrees of longitude and latitude, with layers by name."""
     chart = _empty(places.box)
@@ -123,7 +123,7 @@ def _outlines(chart: Any, details: Sequence[Detail], places: Places) -> None:
         chart.multi_line(xs, ys, line_color=INK, line_width=1.6, name="outline")
 
 
-def _sights(chart: Any, subject: Subject, places: Places) -> None:
+def _sights(chart: Any, subject: ReportData, places: Places) -> None:
     if len(places.index):
         ends = {"x0": places.camera[:, 0], "y0": places.camera[:, 1], "x1": places.fix[:, 0], "y1": places.fix[:, 1]}
         is_few = len(places.index) <= 20
@@ -133,7 +133,7 @@ def _sights(chart: Any, subject: Subject, places: Places) -> None:
         chart.line(places.camera[:, 0], places.camera[:, 1], line_color=PURPLE, line_width=1.6, name="camera")
 
 
-def _clouds(chart: Any, subject: Subject, details: Sequence[Detail]) -> None:
+def _clouds(chart: Any, subject: ReportData, details: Sequence[Detail]) -> None:
     for detail in details:
         cloud, jumped = cloud_of(subject, detail)
         for which, colour in ((~jumped, SKY), (jumped, JUMPED)):
@@ -142,7 +142,7 @@ def _clouds(chart: Any, subject: Subject, details: Sequence[Detail]) -> None:
                 chart.scatter(cloud[which, 0], cloud[which, 1], name="samples", **style)
 
 
-def _ellipses(chart: Any, subject: Subject, details: Sequence[Detail], places: Places) -> None:
+def _ellipses(chart: Any, subject: ReportData, details: Sequence[Detail], places: Places) -> None:
     by_index = {detail.index: detail for detail in details}
     shown = places.index if len(places.index) <= MOST_ELLIPSES else np.array(sorted(by_index), int)
     found = [(int(i), ellipse_of(subject, int(i), by_index.get(int(i)))) for i in shown]
@@ -164,7 +164,7 @@ def _ellipses(chart: Any, subject: Subject, details: Sequence[Detail], places: P
     chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, name="tip of ellipses", visible=False))
 
 
-def _cameras(chart: Any, subject: Subject, places: Places) -> None:
+def _cameras(chart: Any, subject: ReportData, places: Places) -> None:
     camera = places.camera[:1] if places.is_one_camera else places.camera
     heading = np.rad2deg(np.broadcast_to(np.asarray(subject.shots.pose.heading), (len(subject),)))
     height = np.broadcast_to(np.asarray(subject.shots.pose.position.height), (len(subject),))
@@ -196,7 +196,7 @@ def _cameras(chart: Any, subject: Subject, places: Places) -> None:
     chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, name="tip of cameras", visible=False))
 
 
-def _fixes(chart: Any, subject: Subject, rows: Sequence[Row], places: Places) -> None:
+def _fixes(chart: Any, subject: ReportData, rows: Sequence[Row], places: Places) -> None:
     if not len(places.index):
         return
     percent = words.percent_name(subject.probability)
@@ -228,7 +228,7 @@ def _fixes(chart: Any, subject: Subject, rows: Sequence[Row], places: Places) ->
     chart.add_tools(HoverTool(renderers=[glyph], tooltips=FIX_TIP, name="tip of fixes", visible=False))
 
 
-def _sure(subject: Subject, index: int, percent: str) -> str:
+def _sure(subject: ReportData, index: int, percent: str) -> str:
     if subject.accuracy is None or not subject.is_fix[index]:
         return "not known"
     radii = (float(np.asarray(x)[index]) for x in (subject.accuracy.circular, subject.accuracy.linear))

@@ -26,11 +26,11 @@ from jaxgeo.report import words
 from jaxgeo.report.answers import answer_of, camera_of, comparison_of, summary_of
 from jaxgeo.report.budgets import budget_of
 from jaxgeo.report.charts import cloud_chart, section_chart
+from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail, details_of
 from jaxgeo.report.ground import Box, Heights, Relief, heights_of, metres_per_degree, relief_of
 from jaxgeo.report.map import map_of
 from jaxgeo.report.places import Places, ellipse_of, places_of
-from jaxgeo.report.subject import Subject
 from jaxgeo.report.table import table_of
 from jaxgeo.terrain import Dem
 
@@ -49,7 +49,7 @@ LAYERS = (  # key, what it is called, how it looks: (kind of swatch, colour)
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportHeader:
     """What a page says beside numbers: its title, what was asked and what had to be assumed, in plain words.
 
     `made` is when; now if left out.
@@ -63,9 +63,9 @@ class Told:
 
 def write_report(
     path: str | os.PathLike[str],
-    subject: Subject,
+    subject: ReportData,
     *,
-    told: Told | None = None,
+    told: ReportHeader | None = None,
     details: Sequence[Detail] | None = None,
     most: int = 3,
 ) -> None:
@@ -78,13 +78,13 @@ def write_report(
 
 
 def report_html(
-    subject: Subject, *, told: Told | None = None, details: Sequence[Detail] | None = None, most: int = 3
+    subject: ReportData, *, told: ReportHeader | None = None, details: Sequence[Detail] | None = None, most: int = 3
 ) -> str:
     """One page of HTML about a subject, which asks the network for nothing.
 
     `details` are what is shown of some pixels beside their numbers, by default `details_of(subject, most=most)`.
     """
-    told = Told() if told is None else told
+    told = ReportHeader() if told is None else told
     details = details_of(subject, most=most) if details is None else details
     rows = rows_of(subject.fixes, figures_of("report", subject.fixes, subject.accuracy, None, None, None))
     places = places_of(subject, details)
@@ -119,7 +119,7 @@ def report_html(
     )
 
 
-def _ground(subject: Subject, details: Sequence[Detail], places: Places) -> tuple[list[Relief], list[Heights]]:
+def _ground(subject: ReportData, details: Sequence[Detail], places: Places) -> tuple[list[Relief], list[Heights]]:
     """Pictures of the ground, all of it and close to the fixes that details are shown of; grids of their heights."""
     dem = subject.terrain
     if not isinstance(dem, Dem):
@@ -138,7 +138,7 @@ def _ground(subject: Subject, details: Sequence[Detail], places: Places) -> tupl
     return reliefs, heights
 
 
-def close_to(subject: Subject, detail: Detail) -> Box | None:
+def close_to(subject: ReportData, detail: Detail) -> Box | None:
     """The ground about a fix, as far as its errors reach and a little beyond; None without a fix."""
     if not subject.has_place[detail.index]:
         return None
@@ -151,7 +151,7 @@ def close_to(subject: Subject, detail: Detail) -> Box | None:
 
 
 def _shown(
-    subject: Subject, number: int, detail: Detail, rows: Sequence[Mapping[str, Any]], charts: dict[str, Any]
+    subject: ReportData, number: int, detail: Detail, rows: Sequence[Mapping[str, Any]], charts: dict[str, Any]
 ) -> dict[str, Any]:
     """What the page says of one pixel; its charts are put beside the others."""
     is_dull = not isinstance(subject.terrain, Dem) and len(subject) > 1  # level ground is alike under every line
@@ -178,7 +178,7 @@ def _is_there(chart: Any, layer: str) -> bool:
     return any(getattr(one, "name", None) == layer for one in chart.renderers)
 
 
-def _zooms(subject: Subject, details: Sequence[Detail], places: Places) -> list[dict[str, Any]]:
+def _zooms(subject: ReportData, details: Sequence[Detail], places: Places) -> list[dict[str, Any]]:
     """Parts of the map to go to."""
     zooms = [{"label": "All", "box": list(places.box)}]
     outlines = [d.outline[np.isfinite(d.outline).all(axis=1)] for d in details]
@@ -200,7 +200,7 @@ def _for_script(
     charts: Mapping[str, Any],
     places: Places,
     heights: Sequence[Heights],
-    subject: Subject,
+    subject: ReportData,
     details: Sequence[Detail],
 ) -> dict[str, Any]:
     """What the page's script needs: the charts, where they go, which have equal axes, heights, and where fixes are."""
@@ -251,7 +251,7 @@ def _environment() -> jinja2.Environment:
     return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
 
 
-def _made(told: Told) -> str:
+def _made(told: ReportHeader) -> str:
     made = datetime.datetime.now(datetime.UTC) if told.made is None else told.made
     return made.astimezone(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 

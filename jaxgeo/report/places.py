@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 from jaxgeo.earth import WGS84
+from jaxgeo.report.data import ReportData
 from jaxgeo.report.details import Detail
 from jaxgeo.report.ground import Box, metres_per_degree
-from jaxgeo.report.subject import Subject
 from jaxgeo.uncertainty.metrics import error_ellipse
 
 MOST_FIXES = 4000  # on a map; of more, some are left out, evenly
@@ -45,7 +45,7 @@ class Ellipse(NamedTuple):
     what: str
 
 
-def places_of(subject: Subject, details: Sequence[Detail]) -> Places:
+def places_of(subject: ReportData, details: Sequence[Detail]) -> Places:
     """Where everything is, and a box about it."""
     found = np.flatnonzero(subject.has_place)
     index = found if len(found) <= MOST_FIXES else found[np.linspace(0, len(found) - 1, MOST_FIXES).astype(int)]
@@ -71,7 +71,7 @@ def unwrapped(lon_deg: np.ndarray, middle: float) -> np.ndarray:
     return middle + np.remainder(lon_deg - middle + 180.0, 360.0) - 180.0
 
 
-def _cameras(subject: Subject, index: np.ndarray) -> np.ndarray:
+def _cameras(subject: ReportData, index: np.ndarray) -> np.ndarray:
     """(k, 2) longitude and latitude in deg of the poses of some pixels."""
     position = subject.shots.pose.position
     lonlat = [np.rad2deg(np.asarray(x)) for x in (position.lon, position.lat)]
@@ -79,11 +79,11 @@ def _cameras(subject: Subject, index: np.ndarray) -> np.ndarray:
     return np.stack([x[index] if is_each else np.full(len(index), float(x)) for x in lonlat], axis=-1)
 
 
-def _rings(subject: Subject, details: Sequence[Detail]) -> list[Ellipse]:
+def _rings(subject: ReportData, details: Sequence[Detail]) -> list[Ellipse]:
     return [one for detail in details if (one := ellipse_of(subject, detail.index, detail)) is not None]
 
 
-def ellipse_of(subject: Subject, index: int, detail: Detail | None) -> Ellipse | None:
+def ellipse_of(subject: ReportData, index: int, detail: Detail | None) -> Ellipse | None:
     """The ellipse that holds the errors of a fix with the probability; where they are no ellipse, the circle."""
     if subject.accuracy is None or not subject.is_fix[index]:
         return None
@@ -104,7 +104,9 @@ def ellipse_of(subject: Subject, index: int, detail: Detail | None) -> Ellipse |
     return Ellipse(_ring(subject, index, np.zeros(2), radius, radius, 0.0), radius, radius, 0.0, what)
 
 
-def _ring(subject: Subject, index: int, centre: np.ndarray, major: float, minor: float, azimuth: float) -> np.ndarray:
+def _ring(
+    subject: ReportData, index: int, centre: np.ndarray, major: float, minor: float, azimuth: float
+) -> np.ndarray:
     turn = np.linspace(0.0, 2.0 * np.pi, RING)
     ahead, aside = major * np.cos(turn), minor * np.sin(turn)
     east = centre[0] + ahead * math.sin(azimuth) + aside * math.cos(azimuth)
@@ -112,7 +114,7 @@ def _ring(subject: Subject, index: int, centre: np.ndarray, major: float, minor:
     return around(subject, index, east, north)
 
 
-def around(subject: Subject, index: int, east: np.ndarray, north: np.ndarray) -> np.ndarray:
+def around(subject: ReportData, index: int, east: np.ndarray, north: np.ndarray) -> np.ndarray:
     """(n, 2) longitude and latitude in deg of places m east and north of a fix."""
     position = subject.fix(index).position
     lat, lon, height = (float(x) for x in (position.lat, position.lon, position.height))
@@ -124,7 +126,7 @@ def around(subject: Subject, index: int, east: np.ndarray, north: np.ndarray) ->
     return np.rad2deg(np.stack(turned, axis=-1))
 
 
-def cloud_of(subject: Subject, detail: Detail) -> tuple[np.ndarray, np.ndarray]:
+def cloud_of(subject: ReportData, detail: Detail) -> tuple[np.ndarray, np.ndarray]:
     """(longitude and latitude in deg (n, 2) of some of the samples of a fix, which of them are on other ground)."""
     points, jumped = samples_of(detail, MOST_SAMPLES)
     if not len(points):

@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxgeo.report import words
-from jaxgeo.report.subject import Subject
+from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 
 MOST = 2000  # rows of a page
 
 
-def table_of(subject: Subject, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Headers, and rows of (text, what sorts it); the first `MOST` of them, and how many there are."""
     percent = words.percent_name(subject.probability)
     has_names = any(label.get("name") for label in subject.labels)

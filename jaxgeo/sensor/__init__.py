@@ -24,6 +24,7 @@ The conventions in one drawing (`docs/figures/conventions.png` shows them from a
           --heading, pitch, roll--> ned --position--> ecef;  a gimbal with reference "level" goes from head to ned.
 """
 
+from jaxgeo._renamed import renamed
 from jaxgeo.sensor import conventions
 from jaxgeo.sensor.camera import AbstractCamera, FrameCamera
 from jaxgeo.sensor.distortion import (
@@ -37,7 +38,7 @@ from jaxgeo.sensor.distortion import (
 )
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import Deflection, Mount, Pose, Shot, boresight_from_degrees
-from jaxgeo.sensor.scanning import PushbroomCamera, RollingShutterCamera, SweepCamera
+from jaxgeo.sensor.scanning import PushbroomCamera, RollingShutterCamera, WhiskbroomCamera
 from jaxgeo.sensor.sensor import Sensor
 from jaxgeo.sensor.trajectory import Trajectory
 
@@ -59,8 +60,13 @@ __all__ = [
     "RollingShutterCamera",
     "Sensor",
     "Shot",
-    "SweepCamera",
     "Trajectory",
+    "WhiskbroomCamera",
     "boresight_from_degrees",
     "conventions",
 ]
+
+DEPRECATED = {
+    "SweepCamera": "WhiskbroomCamera",
+}
+__getattr__ = renamed(__name__, DEPRECATED)

@@ -11,13 +11,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_float64, check_range
-from jaxgeo._numerics import all_finite, product, safe_norm, turned
+from jaxgeo._numerics import all_finite, matmul3, matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Matrix3, Pixel, Scalar, StatusCode, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_ned
 from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.sensor._gimbal_inverse import FreeAxes, nearest_readings
 from jaxgeo.sensor._newton import determinant, solve_2d
-from jaxgeo.sensor._reach import FreeAxes, nearest_readings
 from jaxgeo.sensor.gimbal import Readings
 from jaxgeo.sensor.platform import Pose, Shot, Station
 from jaxgeo.sensor.sensor import Sensor, Sight
@@ -79,7 +79,7 @@ class World(NamedTuple):
         if isinstance(target, Geodetic):
             return cls(sensor, station, WGS84.to_ecef(target), None, axes, air)
         largest = jnp.max(jnp.abs(target.ned))
-        direction = turned(R_ecef_from_ned(pose.position), target.ned / jnp.where(largest > 0.0, largest, 1.0))
+        direction = matvec(R_ecef_from_ned(pose.position), target.ned / jnp.where(largest > 0.0, largest, 1.0))
         return cls(sensor, station, None, direction / safe_norm(direction), axes, air)
 
     def view(self, readings: Readings) -> Sight:
@@ -210,11 +210,11 @@ def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
     if gimbal.reference == "level":
         R_ecef_from_base = world.station.R_ecef_from_level
     else:
-        R_ecef_from_base = product(world.station.R_ecef_from_body, mount.R_body_from_base)
-    sight_head = turned(mount.R_head_from_camera, world.axes[2])
+        R_ecef_from_base = matmul3(world.station.R_ecef_from_body, mount.R_body_from_base)
+    sight_head = matvec(mount.R_head_from_camera, world.axes[2])
 
     def once_more(_: Any, readings: Readings) -> Readings:
-        wanted = turned(R_ecef_from_base.T, world.direction_from(world.view(readings).centre))
+        wanted = matvec(R_ecef_from_base.T, world.direction_from(world.view(readings).centre))
         return nearest_readings(gimbal, start, way.free, sight_head, wanted, way.from_start, thorough=thorough)
 
     return once_more(0, start) if rounds == 1 else jax.lax.fori_loop(0, rounds, once_more, start)
@@ -259,7 +259,7 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
 def _target_seen(world: World, readings: Readings) -> Vector3:
     """Unit vector to the target: two components across the line of sight, then the one along it."""
     view = world.view(readings)
-    return turned(world.axes, turned(view.R_ecef_from_camera.T, world.direction_from(view.centre)))
+    return matvec(world.axes, matvec(view.R_ecef_from_camera.T, world.direction_from(view.centre)))
 
 
 def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[Pixel, Float[Array, "2 free"]]:
@@ -282,7 +282,7 @@ def _free_axes(world: World, start: Readings) -> FreeAxes:
     gimbal = world.sensor.gimbal
     if len(gimbal.axes) <= 2:
         return jnp.arange(len(gimbal.axes))
-    turns = jax.jacfwd(lambda readings: turned(world.view(readings).R_ecef_from_camera, world.axes[2]))(start)
+    turns = jax.jacfwd(lambda readings: matvec(world.view(readings).R_ecef_from_camera, world.axes[2]))(start)
     per_angle = jnp.sum((turns @ jnp.diag(1.0 / gimbal.gain)) ** 2, axis=0)
     return jnp.sort(jnp.argsort(-per_angle)[:2])
 

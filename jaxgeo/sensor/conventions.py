@@ -17,7 +17,7 @@ from jaxgeo.sensor.camera import FrameCamera
 from jaxgeo.sensor.distortion import AbstractDistortion
 from jaxgeo.sensor.gimbal import Gimbal
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_LI_2020, R_HEAD_FROM_CAMERA_LI_2023, Mount
-from jaxgeo.sensor.scanning import SweepCamera
+from jaxgeo.sensor.scanning import WhiskbroomCamera
 from jaxgeo.sensor.sensor import Sensor
 
 Detector = Float[Array, "... 2"]
@@ -70,7 +70,7 @@ def li_2023_sweep_sensor(
     scan = |theta| - pi/2. `duration` in s is that of the sweep. The scan turns within the inner frame; where that is
     not zero and the outer frame itself scans, give a `PushbroomCamera` and a `Trajectory` with swept readings.
     """
-    camera = SweepCamera.from_metric(
+    camera = WhiskbroomCamera.from_metric(
         focal_length=focal_length,
         pixel_pitch=pixel_pitch,
         width=width,

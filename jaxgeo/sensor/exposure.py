@@ -12,7 +12,7 @@ from jaxgeo._numerics import implicit_root, newton_or_half, safe_sqrt, tree_wher
 from jaxgeo._typing import Flag, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
-from jaxgeo.sensor._legs import Legs
+from jaxgeo.sensor._interpolation import Legs
 from jaxgeo.sensor.platform import Shot
 from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_float64, check_finite
-from jaxgeo._numerics import product
+from jaxgeo._numerics import matmul3
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
@@ -174,7 +174,7 @@ class Gimbal(Record):
         angles = self.angles(readings)
         R = jnp.eye(3)
         for axis, angle in zip(self.axes, angles, strict=True):
-            R = product(R, _ROTATIONS[axis](angle))
+            R = matmul3(R, _ROTATIONS[axis](angle))
         return R
 
     def to_base(self, readings: ReadingsLike, v_head: Vector3) -> Vector3:

@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_range
-from jaxgeo._numerics import product, safe_norm
+from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, Matrix3Field, Scalar, ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
@@ -186,7 +186,7 @@ class Pose(Record):
         """Attitude as a rotation from body axes to north-east-down at the position."""
         heading, pitch, roll = as_float64((self.heading, self.pitch, self.roll), "pose")
         R_level_from_body = R_from_heading_pitch_roll(heading, pitch, roll)
-        return R_level_from_body if self.deflection is None else product(self.R_ned_from_level, R_level_from_body)
+        return R_level_from_body if self.deflection is None else matmul3(self.R_ned_from_level, R_level_from_body)
 
     @property
     def R_ned_from_level(self) -> Matrix3:
@@ -231,7 +231,7 @@ class Station(NamedTuple):
         pose, readings = given
         R = R_ecef_from_ned(pose.position)
         R_ecef_from_body, R_ecef_from_level = (
-            product(R, local) for local in (pose.R_ned_from_body, pose.R_ned_from_level)
+            matmul3(R, local) for local in (pose.R_ned_from_body, pose.R_ned_from_level)
         )
         return cls(WGS84.to_ecef(pose.position), R_ecef_from_body, R_ecef_from_level, readings)
 

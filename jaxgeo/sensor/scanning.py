@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_finite, concrete
-from jaxgeo._numerics import turned, value_and_slope
+from jaxgeo._numerics import matvec, value_and_slope
 from jaxgeo._typing import Flag, Pixel, Scalar, ScalarField, ScalarLike, StatusCode, Vector3
 from jaxgeo.rotations import Rx
 from jaxgeo.sensor.camera import (
@@ -171,7 +171,7 @@ class PushbroomCamera(AbstractLineCamera):
         return uv, on_line[1] * camera.line_time, self._on_image(uv, status)
 
 
-class SweepCamera(AbstractLineCamera):
+class WhiskbroomCamera(AbstractLineCamera):
     """A line camera that turns while it exposes row after row: a panoramic or whiskbroom camera.
 
     The line lies along the camera's right; the camera turns about that, from `scan_start` at the upper edge of the
@@ -194,7 +194,7 @@ class SweepCamera(AbstractLineCamera):
         duration: ArrayLike,
         principal_point: Numbers = (0.0, 0.0),
         distortion: AbstractDistortion | None = None,
-    ) -> SweepCamera:
+    ) -> WhiskbroomCamera:
         """Line of `width` detectors (lengths in m) that sweeps `height` rows from one angle (rad) to another in
         `duration` s.
 
@@ -205,7 +205,7 @@ class SweepCamera(AbstractLineCamera):
         for value, name in ((scan_start, "scan_start"), (scan_end, "scan_end")):
             check_finite(value, name, "rad")
         check_positive(duration, "duration", "s", "it is the time from the first row's edge to the last's")
-        given: Any = as_float64((scan_start, scan_end, duration), "SweepCamera.from_metric")
+        given: Any = as_float64((scan_start, scan_end, duration), "WhiskbroomCamera.from_metric")
         start, end, duration = given
         known = concrete(jnp.abs(end - start))
         if known is not None and not np.all((known > 0.0) & (known <= 2.0 * np.pi)):
@@ -229,7 +229,7 @@ class SweepCamera(AbstractLineCamera):
         uv = as_float64(uv, "camera.ray(uv)")
         row = jnp.where(jnp.isfinite(uv[1]), uv[1], 0.0)
         direction, status = self.optics.ray(jnp.stack([uv[0], uv[1] - row]))  # NaN stays NaN
-        return turned(Rx(-self.scan_angle(row)), direction), self._on_image(uv, status)
+        return matvec(Rx(-self.scan_angle(row)), direction), self._on_image(uv, status)
 
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
         camera, p = as_float64((self, p_camera), "camera.project(p_camera)")
@@ -258,7 +258,7 @@ class SweepCamera(AbstractLineCamera):
         return uv, rows, self._on_image(uv, status)
 
     def _seen_from(self, p: Vector3, row: Scalar) -> tuple[Scalar, Scalar, StatusCode]:
-        on_line, status = _on_line(self.optics, turned(Rx(self.scan_angle(row)), p))
+        on_line, status = _on_line(self.optics, matvec(Rx(self.scan_angle(row)), p))
         per_row = self.optics.focal_px[1] * (self.scan_end - self.scan_start) / self.rows
         return on_line[0], on_line[1] / per_row, status
 

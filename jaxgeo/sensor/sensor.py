@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo._checks import as_float64, check_is
-from jaxgeo._numerics import all_finite, finite_or, product, turned
+from jaxgeo._numerics import all_finite, finite_or, matmul3, matvec
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Pixel, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere, Geodetic, R_ecef_from_ned
@@ -34,7 +34,7 @@ class Sight(NamedTuple):
     def to_camera(self, p_ecef: Vector3, air: Atmosphere | None = None) -> Vector3:
         """A point in ECEF m, or where it seems to be through the air, from the centre in the camera frame, m."""
         seeming = p_ecef if air is None else apparent_point(self.centre, p_ecef, air)
-        return turned(self.R_ecef_from_camera.T, seeming - self.centre)
+        return matvec(self.R_ecef_from_camera.T, seeming - self.centre)
 
 
 class Sensor(Record):
@@ -52,11 +52,11 @@ class Sensor(Record):
         mount = as_float64(self.mount, "mount")
         R_base_from_head = self.gimbal.R_base_from_head(station.gimbal_readings)
         if self.gimbal.reference == "level":
-            R_ecef_from_head = product(station.R_ecef_from_level, R_base_from_head)
+            R_ecef_from_head = matmul3(station.R_ecef_from_level, R_base_from_head)
         else:
-            R_ecef_from_head = product(product(station.R_ecef_from_body, mount.R_body_from_base), R_base_from_head)
-        lever = turned(station.R_ecef_from_body, mount.lever_body) + turned(R_ecef_from_head, mount.lever_head)
-        return Sight(station.p_ecef + lever, product(R_ecef_from_head, mount.R_head_from_camera))
+            R_ecef_from_head = matmul3(matmul3(station.R_ecef_from_body, mount.R_body_from_base), R_base_from_head)
+        lever = matvec(station.R_ecef_from_body, mount.lever_body) + matvec(R_ecef_from_head, mount.lever_head)
+        return Sight(station.p_ecef + lever, matmul3(R_ecef_from_head, mount.R_head_from_camera))
 
     def line(self, station: Station, direction_camera: Vector3) -> tuple[Vector3, Vector3]:
         """(perspective centre in ECEF m, a direction of the camera in ECEF): as by `sight`, but vector by vector.
@@ -68,16 +68,16 @@ class Sensor(Record):
         def to_ecef(v_head: Vector3) -> Vector3:
             v_base = self.gimbal.to_base(station.gimbal_readings, v_head)
             if self.gimbal.reference == "level":
-                return turned(station.R_ecef_from_level, v_base)
-            return turned(station.R_ecef_from_body, turned(mount.R_body_from_base, v_base))
+                return matvec(station.R_ecef_from_level, v_base)
+            return matvec(station.R_ecef_from_body, matvec(mount.R_body_from_base, v_base))
 
-        lever = turned(station.R_ecef_from_body, mount.lever_body) + to_ecef(mount.lever_head)
-        return station.p_ecef + lever, to_ecef(turned(mount.R_head_from_camera, direction_camera))
+        lever = matvec(station.R_ecef_from_body, mount.lever_body) + to_ecef(mount.lever_head)
+        return station.p_ecef + lever, to_ecef(matvec(mount.R_head_from_camera, direction_camera))
 
     def R_ned_from_camera(self, shot: Shot) -> Matrix3:
         """Orientation of the camera (right, down, forward) in north-east-down at the position of the pose."""
         R_ned_from_ecef = R_ecef_from_ned(as_float64(shot.pose.position, "shot.pose.position")).T
-        return product(R_ned_from_ecef, self.R_ecef_from_camera(shot))
+        return matmul3(R_ned_from_ecef, self.R_ecef_from_camera(shot))
 
     def R_ecef_from_camera(self, shot: Shot) -> Matrix3:
         """Orientation of the camera (right, down, forward) in ECEF."""
@@ -101,7 +101,7 @@ class Sensor(Record):
         direction_camera, status = self.camera.ray(uv)
         usable = valid & (seen_beside(status, direction_camera) == Status.hit)
         direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
-        origin, direction = sight.centre, turned(sight.R_ecef_from_camera, direction_camera)
+        origin, direction = sight.centre, matvec(sight.R_ecef_from_camera, direction_camera)
         status = status_where(~valid, Status.invalid_input, status)
         return jnp.where(valid, origin, jnp.nan), jnp.where(usable, direction, jnp.nan), status
 

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgeo._checks import as_array, as_float64, check_finite, check_is, concrete
-from jaxgeo._numerics import product, tree_where, turned
+from jaxgeo._numerics import matmul3, matvec, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarLike, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
-from jaxgeo.sensor._legs import Legs, knot_before, turn_angles
+from jaxgeo.sensor._interpolation import Legs, knot_before, turn_angles
 from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
 from jaxgeo.sensor.platform import Pose, Shot
@@ -198,17 +198,17 @@ def _straight_on(
 ) -> tuple[Pose, Array, Array]:
     """Poses, gimbal readings and velocities (NED) at times after a shot that goes on steadily."""
     R_ecef_from_ned_ = R_ecef_from_ned(shot.pose.position)
-    start, velocity = WGS84.to_ecef(shot.pose.position), turned(R_ecef_from_ned_, velocity_ned)
-    R_ecef_from_body = product(R_ecef_from_ned_, shot.pose.R_ned_from_body)
+    start, velocity = WGS84.to_ecef(shot.pose.position), matvec(R_ecef_from_ned_, velocity_ned)
+    R_ecef_from_body = matmul3(R_ecef_from_ned_, shot.pose.R_ned_from_body)
     deflection, R_ned_from_level = shot.pose.deflection, shot.pose.R_ned_from_level
 
     def at(later: Scalar) -> tuple[Pose, Readings, Vector3]:
         position = WGS84.to_geodetic(start + later * velocity)
         R_ned_from_ecef = R_ecef_from_ned(position).T
-        R = product(R_ned_from_ecef, product(R_ecef_from_body, R_from_rotation_vector(later * turning)))
-        heading, pitch, roll = heading_pitch_roll_from_R(product(R_ned_from_level.T, R))
+        R = matmul3(R_ned_from_ecef, matmul3(R_ecef_from_body, R_from_rotation_vector(later * turning)))
+        heading, pitch, roll = heading_pitch_roll_from_R(matmul3(R_ned_from_level.T, R))
         pose = Pose(position, heading, pitch, roll, deflection)
-        return pose, shot.gimbal_readings + later * moving, turned(R_ned_from_ecef, velocity)
+        return pose, shot.gimbal_readings + later * moving, matvec(R_ned_from_ecef, velocity)
 
     return jax.vmap(at)(offsets)
 
@@ -219,7 +219,7 @@ def _shot(trajectory: Trajectory, time: Scalar, later: Scalar) -> Shot:
     moment = tree_where(inside, (time, later), (trajectory.start, jnp.zeros_like(later)))
     legs = trajectory.legs_about(*moment)
     station, deflection = legs.station(*moment), legs.deflection_at(*moment)
-    R_level_from_body = product(station.R_ecef_from_level.T, station.R_ecef_from_body)
+    R_level_from_body = matmul3(station.R_ecef_from_level.T, station.R_ecef_from_body)
     position = WGS84.to_geodetic(station.p_ecef)
     heading, pitch, roll = heading_pitch_roll_from_R(R_level_from_body)
     known = Pose(position, heading, pitch, roll, deflection), station.gimbal_readings

@@ -1,5 +1,6 @@
 """How sure a fix is: error sources, and every way of pushing chance through the one map from pixel to ground."""
 
+from jaxgeo._renamed import renamed
 from jaxgeo.uncertainty import metrics, presets, sources
 from jaxgeo.uncertainty.accuracy import Accuracy, accuracy
 from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map, accuracy_of_pixels
@@ -10,16 +11,16 @@ from jaxgeo.uncertainty.compare import Comparison, compare
 from jaxgeo.uncertainty.design import Design, InverseCost, Outcome, certified_design, design
 from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.gauss_helmert import gauss_helmert
-from jaxgeo.uncertainty.joint import JointFixes, jointly
+from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
+from jaxgeo.uncertainty.method_selection import Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
 from jaxgeo.uncertainty.second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
-from jaxgeo.uncertainty.sharing import EachFlight, EachMeasurement, EachShot, Everywhere, InTime
+from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty.slopes import Facet, Footprint, Level
-from jaxgeo.uncertainty.verdict import Signs, Trust
 
 __all__ = [
     "NO_FIX",
@@ -31,27 +32,27 @@ __all__ = [
     "Budget",
     "Comparison",
     "Design",
-    "EachFlight",
-    "EachMeasurement",
-    "EachShot",
+    "Diagnostics",
     "ErrorModel",
-    "Everywhere",
     "Facet",
     "Footprint",
-    "InTime",
     "InverseCost",
     "JointFixes",
     "Level",
+    "Method",
     "Moments",
     "Outcome",
+    "PerFlight",
+    "PerImage",
+    "PerMeasurement",
     "Propagation",
     "Quantile",
     "Random",
     "Sampled",
-    "Signs",
     "Sobol",
     "SobolIndices",
-    "Trust",
+    "Systematic",
+    "TimeCorrelated",
     "accuracy",
     "accuracy_map",
     "accuracy_of_each",
@@ -64,7 +65,7 @@ __all__ = [
     "design",
     "error_ellipse",
     "gauss_helmert",
-    "jointly",
+    "joint_covariance",
     "linear_error",
     "metrics",
     "presets",
@@ -76,3 +77,15 @@ __all__ = [
     "sources",
     "spherical_error",
 ]
+
+DEPRECATED = {
+    "EachFlight": "PerFlight",
+    "EachMeasurement": "PerMeasurement",
+    "EachShot": "PerImage",
+    "Everywhere": "Systematic",
+    "InTime": "TimeCorrelated",
+    "Signs": "Diagnostics",
+    "Trust": "Method",
+    "jointly": "joint_covariance",
+}
+__getattr__ = renamed(__name__, DEPRECATED)

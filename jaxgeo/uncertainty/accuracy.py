@@ -17,10 +17,10 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.method_selection import FEW, GRAZING, SAME_GROUND, Diagnostics, Method, diagnose, method_of
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import CHUNK, Sampled, Sampling, sampled_at
-from jaxgeo.uncertainty.verdict import FEW, GRAZING, SAME_GROUND, Signs, Trust, surveyed, trust_of
 
 SAMPLES = 20_000
 RANDOM = Random()
@@ -38,9 +38,9 @@ class Accuracy(Record):
     circular: float
     linear: float
     spherical: float
-    trust: Trust
+    trust: Method
     because: str
-    signs: Signs
+    signs: Diagnostics
     propagation: Propagation
     sampled: Sampled | None = None
 
@@ -96,36 +96,36 @@ def accuracy(
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     sampling = Sampling(jax.random.key(0) if key is None else key, count, draws, chunk=chunk)
     sampling.check()
-    aim = look.aim(search)
+    aim = look.nominal_fix(search)
     aim.require_fix()
-    signs, facet, footprint, _ = surveyed(look, aim, model)
-    trust = Trust(int(trust_of(signs)))
+    signs, facet, footprint, _ = diagnose(look, aim, model)
+    trust = Method(int(method_of(signs)))
     because = reason(signs, trust)
-    if trust is Trust.samples:
+    if trust is Method.samples:
         drawn = sampled_at(look, model, search, sampling, aim)
         doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
         circular, linear, spherical = (door(probability).value for door in doors)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)
-    chosen = facet if trust is Trust.facet else footprint
+    chosen = facet if trust is Method.facet else footprint
     doors = (chosen.circular_error, chosen.linear_error, chosen.spherical_error)
     circular, linear, spherical = (float(door(probability)) for door in doors)
     return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, chosen)
 
 
-def reason(signs: Signs, trust: Trust) -> str:
+def reason(signs: Diagnostics, trust: Method) -> str:
     """Why this method and no cheaper one, with the figures that decided."""
     facet, footprint, profile = (float(x) for x in (signs.facet, signs.footprint, signs.profile))
     jumps, fails = 100.0 * float(signs.jumps), 100.0 * float(signs.fails)
     figures = (
         f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
     )
-    if trust is Trust.facet:
+    if trust is Method.facet:
         return f"The ground is as good as a plane as far as the errors reach: {figures}."
-    if trust is Trust.footprint:
+    if trust is Method.footprint:
         return f"The slope under the fix is not that of the ground about it: {figures}."
     obstacle = _obstacle(signs, fails, jumps)
     if obstacle is not None:
@@ -136,7 +136,7 @@ def reason(signs: Signs, trust: Trust) -> str:
     )
 
 
-def _obstacle(signs: Signs, fails: float, jumps: float) -> str | None:
+def _obstacle(signs: Diagnostics, fails: float, jumps: float) -> str | None:
     """What forbids linear propagation however well figures agree, if anything does; `fails` and `jumps` in %."""
     off, known, grazing = float(signs.off), float(signs.known), float(signs.grazing)
     if not off <= SAME_GROUND:

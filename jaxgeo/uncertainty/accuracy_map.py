@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from jaxgeo._arguments import check_latitude, observation
 from jaxgeo._checks import as_array, as_float64, check_is
-from jaxgeo._doors import check_latitude, observation
 from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, PixelField, ScalarField, StatusField
 from jaxgeo.earth import Atmosphere, Geodetic
@@ -21,12 +21,10 @@ from jaxgeo.status import Status, count_statuses, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.places import (
-    Place,
+from jaxgeo.uncertainty.map_cells import (
+    Cell,
+    MapContext,
     Request,
-    World,
     aimed,
     chosen,
     in_parts,
@@ -39,8 +37,10 @@ from jaxgeo.uncertainty.places import (
     spread,
     with_samples,
 )
+from jaxgeo.uncertainty.method_selection import Diagnostics, Method
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import CHUNK
-from jaxgeo.uncertainty.verdict import Signs, Trust
 
 BLOCK = 128  # places judged at once: some 100 MB
 SAMPLES = 2000  # a place, whose figures then are good to some 3 %
@@ -51,7 +51,7 @@ class AccuracyMap(Record):
     """How sure the fixes of many places are; all arrays have the shape of what was asked for.
 
     `circular`, `linear` and `spherical` are radii in m that hold the truth with a `probability`, by the method that
-    `trust` names (codes of `Trust`): infinite where too many samples leave no fix, NaN where samples are needed but
+    `trust` names (codes of `Method`): infinite where too many samples leave no fix, NaN where samples are needed but
     were not drawn (`count` 0), and where there is no fix. There `trust` is `NO_FIX`, -1, and `status` (int8) says why:
     `outside_image`, `hidden_by_terrain`, `hits_void` or `leaves_terrain` for ground that is not known, or what the line
     of sight met before. `position` is the ground in rad and m, `uv` (..., 2) the pixel that sees it, in px; `failed`
@@ -68,7 +68,7 @@ class AccuracyMap(Record):
     linear: ScalarField
     spherical: ScalarField
     failed: ScalarField
-    signs: Signs
+    signs: Diagnostics
     probability: float
     count: int
     readings: Any = None
@@ -104,10 +104,10 @@ class AccuracyMap(Record):
         if known.size:
             low, high = (float(jnp.quantile(known, share, method="higher")) for share in (0.5, 0.9))
             lines[0] += f" CE{percent} up to {low:.3g} m in half of those with figures, {high:.3g} m in nine tenths."
-        for one in Trust:
+        for one in Method:
             here = self.trust == one
             drawn = f", {self.count} each" if self.count else ", not drawn"
-            words = one.words + (drawn if one is Trust.samples else "")
+            words = one.words + (drawn if one is Method.samples else "")
             lines.append(f"  {int(jnp.sum(here)):8d}  {words}")
         for status, number in count_statuses(self.status[~self.has_fix]).items():
             lines.append(f"  {number:8d}  {status.name}: {self.meaning(status)}")
@@ -174,7 +174,7 @@ def checked_map(
     atmosphere: Any = None,
     block: Any = BLOCK,
     progress: bool = False,
-) -> tuple[World, ErrorModel, Request]:
+) -> tuple[MapContext, ErrorModel, Request]:
     """Arguments of `accuracy_map` but for its places, checked; nothing is compiled. Raises as that."""
     del progress
     world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
@@ -216,7 +216,7 @@ def accuracy_of_pixels(
 
 
 def _mapped(
-    places: Place, shape: tuple[int, ...], request: Request, world: World, model: ErrorModel, progress: bool
+    places: Cell, shape: tuple[int, ...], request: Request, world: MapContext, model: ErrorModel, progress: bool
 ) -> AccuracyMap:
     """The map of places (n,): those on the image are looked at, those with a fix judged, and sampled if need be."""
     count = places.uv.shape[0]
@@ -238,7 +238,7 @@ def _mapped(
 
 def _world(
     sensor: Any, shot: Any, terrain: Any, errors: Any, time: Any, search: Any, atmosphere: Any
-) -> tuple[World, ErrorModel]:
+) -> tuple[MapContext, ErrorModel]:
     """All that places have in common, in float64, refused here if it cannot be used for any of them."""
     check_is(sensor, Sensor, "sensor")
     if isinstance(shot, Pose) and not sensor.gimbal.axes:
@@ -246,10 +246,10 @@ def _world(
     given = Shot(shot, sensor.gimbal.neutral_readings()) if isinstance(shot, Pose) else shot
     sensor, motion, moment = observation(sensor, given, time)
     moment = moment if isinstance(motion, Trajectory) else None
-    some = Look.of(sensor, motion, (0.0, 0.0), terrain, time=moment, search=search, atmosphere=atmosphere)
+    some = ModelInputs.of(sensor, motion, (0.0, 0.0), terrain, time=moment, search=search, atmosphere=atmosphere)
     model = checked_model(errors, some)
     motion = motion.pose if isinstance(shot, Pose) and isinstance(motion, Shot) else motion
-    return World(sensor, motion, moment, some.terrain, some.air), model
+    return MapContext(sensor, motion, moment, some.terrain, some.air), model
 
 
 def _cells(terrain: Any, step: Any) -> Geodetic:

@@ -22,11 +22,11 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.accuracy import reason
 from jaxgeo.uncertainty.assess import Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.map_cells import Request, requested, with_bar
+from jaxgeo.uncertainty.method_selection import Diagnostics, Method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.places import Request, requested, with_bar
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import CHUNK, Sampling, sampled_at
-from jaxgeo.uncertainty.verdict import Signs, Trust
 
 BLOCK = 128  # fixes judged at once
 FEW = 16  # or so many, if there are not more: each size is compiled once, and a new number of fixes is none
@@ -38,7 +38,7 @@ NAMES = ("sensor", "shot", "uv", "terrain", "errors")
 class AccuracyOfEach(Record):
     """How sure n fixes are: radii in m about each that hold the truth with a `probability`; all arrays have length n.
 
-    `circular`, `linear`, `spherical` as in `Accuracy`, by the method that `trust` names (codes of `Trust`): infinite
+    `circular`, `linear`, `spherical` as in `Accuracy`, by the method that `trust` names (codes of `Method`): infinite
     where too many samples leave no fix, NaN where samples are needed but were not drawn (`count` 0), and where there is
     no fix: `trust` is `NO_FIX`, -1, and `fix.status` says why. `cov_enu` (n, 3, 3) in m² and `bias_enu` (n, 3) in m,
     east, north, up, are those of the linear propagation, NaN where none is trusted. `signs` are what was looked at.
@@ -52,7 +52,7 @@ class AccuracyOfEach(Record):
     trust: IndexField
     cov_enu: Matrix3Field
     bias_enu: Vector3Field
-    signs: Signs
+    signs: Diagnostics
     count: int
 
     def because(self, index: int) -> str | None:
@@ -60,7 +60,7 @@ class AccuracyOfEach(Record):
         code = int(np.asarray(self.trust)[index])
         if code < 0:
             return None
-        return reason(jax.tree.map(lambda sign: np.asarray(sign)[index], self.signs), Trust(code))
+        return reason(jax.tree.map(lambda sign: np.asarray(sign)[index], self.signs), Method(code))
 
 
 def accuracy_of_each(
@@ -98,7 +98,7 @@ def accuracy_of_each(
     parts = _blocks(world.lanes, number, request.block, progress)
     answers = [_judged(part, world.shared, world.axes, search, atmosphere, request.probability) for part in parts]
     aims, told, figures = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:number]), *answers)
-    is_linear = np.isin(told.trust, [Trust.facet, Trust.footprint])
+    is_linear = np.isin(told.trust, [Method.facet, Method.footprint])
     circular, linear, spherical = _with_samples(figures, told.trust, aims, world, request, progress)
     return AccuracyOfEach(
         fix=aims.fix,
@@ -132,7 +132,7 @@ class _World(NamedTuple):
         """The others, None in place of the batches."""
         return tuple(None if axis == 0 else one for one, axis in zip(self.given, self.axes, strict=True))
 
-    def at(self, index: int) -> tuple[Look, ErrorModel]:
+    def at(self, index: int) -> tuple[ModelInputs, ErrorModel]:
         """One of the exposures, and its errors."""
         own = _lane(self.lanes, index)
         return _look(_whole(own, self.shared, self.axes), self.search, self.air)
@@ -178,9 +178,9 @@ def _whole(own: tuple[Any, ...], shared: tuple[Any, ...], axes: tuple[int | None
     return tuple(a if axis == 0 else b for a, b, axis in zip(own, shared, axes, strict=True))
 
 
-def _look(given: tuple[Any, ...], search: AbstractSearch, air: Atmosphere | None) -> tuple[Look, ErrorModel]:
+def _look(given: tuple[Any, ...], search: AbstractSearch, air: Atmosphere | None) -> tuple[ModelInputs, ErrorModel]:
     *scene, model = given
-    look = Look.of(*scene, search=search, atmosphere=air)
+    look = ModelInputs.of(*scene, search=search, atmosphere=air)
     return look, as_float64(model, "errors")
 
 
@@ -192,10 +192,10 @@ def _judged(
     search: AbstractSearch,
     air: Atmosphere | None,
     probability: Scalar,
-) -> tuple[Aim, Judged, tuple[Numbers, Numbers, Numbers]]:
-    def one(own: tuple[Any, ...]) -> tuple[Aim, Judged]:
+) -> tuple[NominalFix, Judged, tuple[Numbers, Numbers, Numbers]]:
+    def one(own: tuple[Any, ...]) -> tuple[NominalFix, Judged]:
         look, model = _look(_whole(own, shared, axes), search, air)
-        aim = look.aim(search)
+        aim = look.nominal_fix(search)
         return aim, judged(look, aim, model)
 
     if jax.tree.leaves(lanes)[0].shape[0] == 1:  # without vmap: traced in half the time
@@ -206,10 +206,10 @@ def _judged(
 
 
 def _with_samples(
-    figures: tuple[Numbers, ...], trust: IndexField, aims: Aim, world: _World, request: Request, progress: bool
+    figures: tuple[Numbers, ...], trust: IndexField, aims: NominalFix, world: _World, request: Request, progress: bool
 ) -> list[Numbers]:
     """The radii, with those of samples where these are needed."""
-    index = np.flatnonzero(np.asarray(trust) == Trust.samples)
+    index = np.flatnonzero(np.asarray(trust) == Method.samples)
     radii = [np.array(radius) for radius in figures]
     if not request.count or not index.size:
         return [jnp.asarray(radius) for radius in radii]

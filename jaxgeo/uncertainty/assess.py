@@ -17,20 +17,20 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.method_selection import Diagnostics, Method, diagnose, method_of
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.verdict import Signs, Trust, surveyed, trust_of
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-NO_FIX = -1  # in place of a `Trust`, where there is no fix to trust
+NO_FIX = -1  # in place of a `Method`, where there is no fix to trust
 
 
 class Assessment(Record):
     """How sure a fix is, as far as that can be told without a sample: radii in m that hold the truth.
 
     `circular` on the level plane, `linear` in height, `spherical` in space, by the linear propagation that `trust`
-    names; NaN where that is `Trust.samples`, which are not drawn here, and where there is no fix: `trust` is `NO_FIX`
+    names; NaN where that is `Method.samples`, which are not drawn here, and where there is no fix: `trust` is `NO_FIX`
     (-1) then, and `fix.status` says why. `signs` are what was looked at.
     """
 
@@ -39,7 +39,7 @@ class Assessment(Record):
     linear: ScalarField
     spherical: ScalarField
     trust: IndexField
-    signs: Signs
+    signs: Diagnostics
 
 
 def assess(
@@ -64,7 +64,7 @@ def assess(
     level = check_probability(probability)
     if jnp.ndim(level) != 0:
         raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}. Use jax.vmap.")
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     return _assessed(look, checked_model(errors, look), level, search)
 
 
@@ -74,21 +74,21 @@ class Judged(NamedTuple):
     trust: IndexField
     cov_enu: Matrix3Field
     bias_enu: Vector3Field
-    signs: Signs
+    signs: Diagnostics
 
 
-def judged(look: Look, aim: Aim, model: ErrorModel) -> Judged:
+def judged(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Judged:
     """Which method the signs of a look trust."""
-    signs, facet, footprint, _ = surveyed(look, aim, model)
-    trust = trust_of(signs)
-    take = lambda a, b: jnp.where(trust == Trust.footprint, b, a)  # noqa: E731
+    signs, facet, footprint, _ = diagnose(look, aim, model)
+    trust = method_of(signs)
+    take = lambda a, b: jnp.where(trust == Method.footprint, b, a)  # noqa: E731
     cov, bias = take(facet.cov_enu, footprint.cov_enu), take(facet.bias_enu, footprint.bias_enu)
     return Judged(jnp.where(counts_as_fix(jnp.asarray(aim.fix.status)), trust, NO_FIX), cov, bias, signs)
 
 
 def linear_figures(one: Judged, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
     """Circular, linear and spherical error of one or many; NaN where linear propagation is not trusted."""
-    is_linear = (one.trust == Trust.facet) | (one.trust == Trust.footprint)
+    is_linear = (one.trust == Method.facet) | (one.trust == Method.footprint)
     cov, bias = one.cov_enu, one.bias_enu
     radii = (
         circular_error(cov[..., :2, :2], probability, bias[..., :2]),
@@ -100,7 +100,7 @@ def linear_figures(one: Judged, probability: Scalar) -> tuple[Numbers, Numbers, 
 
 
 @eqx.filter_jit
-def _assessed(look: Look, model: ErrorModel, probability: Scalar, search: AbstractSearch) -> Assessment:
-    aim = look.aim(search)
+def _assessed(look: ModelInputs, model: ErrorModel, probability: Scalar, search: AbstractSearch) -> Assessment:
+    aim = look.nominal_fix(search)
     one = judged(look, aim, model)
     return Assessment(aim.fix, *linear_figures(one, probability), one.trust, one.signs)

@@ -16,10 +16,10 @@ from jaxtyping import Array, Float, Int, Int8
 from jaxgeo._typing import Flags, Vector3
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.bundle import Misses, in_parts, misses, with_beam
+from jaxgeo.uncertainty.batched_rays import FixOffsets, fix_offsets, in_parts, with_beam
 from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, Root
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 _PAIRS = [(i, j) for i in range(4) for j in range(i, 4)]
 _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for i in range(4)])
@@ -28,8 +28,8 @@ _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for
 class Plan(NamedTuple):
     """What is sampled and how, once and for all chunks."""
 
-    look: Look
-    aim: Aim
+    look: ModelInputs
+    aim: NominalFix
     model: ErrorModel
     roots: tuple[Root, ...]
     turn: Float[Array, "axes axes"] | None
@@ -38,7 +38,9 @@ class Plan(NamedTuple):
     key: Any
 
 
-def planned(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any) -> Plan:
+def planned(
+    look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any
+) -> Plan:
     """The plan of a look; its terrain does not go through a program, which would give back a copy."""
     model, roots, turn, search = _prepared(look, aim, model, draws, search)
     return Plan(look, aim, model, roots, turn, draws, search, key)
@@ -46,7 +48,7 @@ def planned(look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, searc
 
 @eqx.filter_jit
 def _prepared(
-    look: Look, aim: Aim, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
+    look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:
     """(the model at the look, its roots, a turn for points of Sobol, the search with a beam)."""
     model = model.at(look, aim)
@@ -63,7 +65,7 @@ def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
     return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
 
 
-def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
+def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
     """Misses in m and statuses of the samples of these numbers."""
 
     *others, last = plan.draws.stages(plan.key, plan.model.size)
@@ -74,7 +76,7 @@ def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> Misses:
             normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # a product of matrices would round by its batch
         return plan.model.drawn(plan.roots, normal)
 
-    return misses(plan.model, plan.look, plan.aim, plan.search, (*others, error_of), numbers)
+    return fix_offsets(plan.model, plan.look, plan.aim, plan.search, (*others, error_of), numbers)
 
 
 class Drawn(NamedTuple):

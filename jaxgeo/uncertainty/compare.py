@@ -19,12 +19,12 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
 from jaxgeo.uncertainty.linear import Propagation, propagated
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.method_selection import diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import CHUNK, Quantile, Sampled, Sampling, sampled_at
 from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.slopes import Level
-from jaxgeo.uncertainty.verdict import surveyed
 
 FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))
 RANDOM = Random()
@@ -117,13 +117,13 @@ def compare(
     """
     if not 1 <= digits <= 6:
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     sampling = Sampling(key, count, draws, keep=True, chunk=chunk, devices=devices, progress=progress)
     sampling.check()
-    aim = look.aim(search)
+    aim = look.nominal_fix(search)
     drawn = sampled_at(look, model, search, sampling, aim)
-    _, facet, footprint, profile = surveyed(look, aim, model)
+    _, facet, footprint, profile = diagnose(look, aim, model)
     methods = {
         "linear, facet": facet,
         "linear, footprint": footprint,

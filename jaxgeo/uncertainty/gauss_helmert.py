@@ -17,8 +17,8 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 
 def gauss_helmert(
@@ -39,12 +39,12 @@ def gauss_helmert(
     three rows must err, so a source of the ground's height must be among the errors, or the inner matrix is singular:
     the result then is NaN or infinite. Raises as `propagate`.
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return _gauss_helmert(look, look.aim(search), checked_model(errors, look))
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return _gauss_helmert(look, look.nominal_fix(search), checked_model(errors, look))
 
 
 @eqx.filter_jit
-def _gauss_helmert(look: Look, aim: Aim, model: ErrorModel) -> Matrix3:
+def _gauss_helmert(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Matrix3:
     model = model.at(look, aim)
 
     def conditions(offset_enu: Vector3, error: Float[Array, " axes"]) -> Vector3:

@@ -57,7 +57,7 @@ class JointFixes(Record):
         return p_ecef, R.T @ (cov * scale**2) @ R
 
 
-def jointly(
+def joint_covariance(
     propagations: Sequence[Propagation],
     *,
     shots: Sequence[int] | None = None,

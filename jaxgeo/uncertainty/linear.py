@@ -18,9 +18,9 @@ from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.look import Aim, Look, Sweep
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
 from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, along_plane
 
 Swept = Float[Array, "3 axes"]
@@ -45,7 +45,7 @@ class Propagation(Record):
     cov_enu: Matrix3
     bias_enu: Vector3
     surface: Surface
-    aim: Aim
+    aim: NominalFix
     model: ErrorModel
 
     @property
@@ -103,18 +103,20 @@ def propagate(
     >>> print(f"CE90 {found.circular_error(0.9):.2f} m, LE90 {found.linear_error(0.9):.2f} m")
     CE90 11.52 m, LE90 3.29 m
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return propagated(look, look.aim(search), checked_model(errors, look), slope)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return propagated(look, look.nominal_fix(search), checked_model(errors, look), slope)
 
 
 @eqx.filter_jit
-def propagated(look: Look, aim: Aim, model: ErrorModel, slope: AbstractSlope) -> Propagation:
+def propagated(look: ModelInputs, aim: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
     """`propagate` of checked input, about what it aims at."""
     model = model.at(look, aim)
     return swept_over(look, aim, model, model.sweep(look, aim), slope)
 
 
-def swept_over(look: Look, aim: Aim, model: ErrorModel, sweep: Sweep, slope: AbstractSlope) -> Propagation:
+def swept_over(
+    look: ModelInputs, aim: NominalFix, model: ErrorModel, sweep: Sweep, slope: AbstractSlope
+) -> Propagation:
     """The propagation of a model that is `at` a look, whose derivatives are known."""
     cov_error, jacobian = model.covariance(), sweep.facet
     surface = Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
@@ -130,7 +132,7 @@ def swept_over(look: Look, aim: Aim, model: ErrorModel, sweep: Sweep, slope: Abs
     return Propagation(aim.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, aim, model)
 
 
-def facet_normal(look: Look, aim: Aim) -> Vector3:
+def facet_normal(look: ModelInputs, aim: NominalFix) -> Vector3:
     """Normal of the surface under the fix in east, north, up, with 1 as its last component."""
     gradient = aim.R_ecef_from_enu.T @ jax.grad(look.terrain.clearance)(aim.p_ecef, aim.cell)
     return gradient / gradient[2]

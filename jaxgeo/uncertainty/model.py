@@ -14,7 +14,7 @@ from jaxgeo._checks import as_float64
 from jaxgeo._record import Record
 from jaxgeo._typing import StatusCode, Vector3
 from jaxgeo.terrain import AbstractSearch
-from jaxgeo.uncertainty.look import Aim, Look, Sweep
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sweep
 from jaxgeo.uncertainty.sources.base import AbstractSource, Covariance, Error
 
 Root: TypeAlias = Float[Array, "..."]
@@ -54,7 +54,7 @@ class ErrorModel(Record):
             yield source, slice(first, first + len(source.axes))
             first += len(source.axes)
 
-    def at(self, look: Look, aim: Aim) -> ErrorModel:
+    def at(self, look: ModelInputs, aim: NominalFix) -> ErrorModel:
         """The model as it is at a look."""
         return ErrorModel(tuple(source.at(look, aim) for source in self.sources))
 
@@ -84,32 +84,34 @@ class ErrorModel(Record):
             [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
         )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         """The look with errors in it."""
         for source, place in self.parts():
             look = source.moved(look, error[place])
         return look
 
-    def miss(self, look: Look, aim: Aim, error: Error, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
+    def fix_offset(
+        self, look: ModelInputs, aim: NominalFix, error: Error, search: AbstractSearch
+    ) -> tuple[Vector3, StatusCode]:
         """(offset of the fix with errors in it from `aim`, in east, north, up there, m; status)."""
-        return self.moved(look, error).miss(aim, search)
+        return self.moved(look, error).fix_offset(aim, search)
 
-    def near_miss(self, look: Look, aim: Aim, error: Error) -> Vector3:
+    def linear_offset(self, look: ModelInputs, aim: NominalFix, error: Error) -> Vector3:
         """`miss` for errors that leave the fix in its cell: its derivatives at no error."""
-        return self.moved(look, error).near_miss(aim)
+        return self.moved(look, error).linear_offset(aim)
 
-    def sweep(self, look: Look, aim: Aim) -> Sweep:
+    def sweep(self, look: ModelInputs, aim: NominalFix) -> Sweep:
         """Derivatives by the error vector, at no error, of how a look's line of sight passes its fix."""
         return jax.jacfwd(lambda error: self.moved(look, error).sweep(aim))(jnp.zeros(self.size))
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         """Raise as the sources do for numbers that are none, and for what has no part in this look."""
         for source in self.sources:
             source.check_numbers()
             source.check(look)
 
 
-def checked_model(errors: object, look: Look) -> ErrorModel:
+def checked_model(errors: object, look: ModelInputs) -> ErrorModel:
     """The model in float64, checked against a look.
 
     Raises `TypeError` for what is no model and no sequence of sources, and as `ErrorModel.check`.

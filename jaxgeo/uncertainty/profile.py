@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty.look import FARTHER, Aim, Sweep
+from jaxgeo.uncertainty.model_inputs import FARTHER, NominalFix, Sweep
 
 NODES = 512  # places before the fix, and as many behind it
 NEAREST = 0.25  # of a cell: how far the nearest of them lie from it
@@ -99,7 +99,7 @@ class Profile(NamedTuple):
 
 
 def profile_of(
-    terrain: AbstractTerrain, aim: Aim, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
+    terrain: AbstractTerrain, aim: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
 ) -> Profile:
     """The profile of a look over a terrain, whose derivatives by its errors are known; without derivatives itself.
 
@@ -151,7 +151,7 @@ def profile_of(
     )
 
 
-def _ground(terrain: AbstractTerrain, aim: Aim, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
+def _ground(terrain: AbstractTerrain, aim: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
     """The ground along a line of sight at places ahead of its fix; and how far it there lies off the fix, m."""
     direction = aim.R_ecef_from_enu @ aim.direction_enu
     at = lambda ahead: aim.p_ecef + direction * (ahead / level)  # noqa: E731

@@ -18,7 +18,7 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.bundle import PART
+from jaxgeo.uncertainty.batched_rays import PART
 from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, one_ahead, planned
 from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.intervals import (
@@ -28,8 +28,8 @@ from jaxgeo.uncertainty.intervals import (
     scramble_quantile,
     scrambled_interval,
 )
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 CHUNK = 62 * PART  # so much that four make a million, and nothing is filled up on one, two or four devices
 BETWEEN_LOOKS = 12 * PART  # samples at most, from one look at how sharp an interval is to the next
@@ -130,7 +130,7 @@ def sample(
     returns the samples themselves. Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that
     is not there, or a number of samples that does not go into Sobol's scrambles.
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     given = (key, count, draws, about_mean, figures, half_width, confidence, keep, chunk, devices, progress)
     return sampled_at(look, checked_model(errors, look), search, Sampling(*given))
 
@@ -181,11 +181,11 @@ class Sampling(NamedTuple):
 
 
 def sampled_at(
-    look: Look, model: ErrorModel, search: AbstractSearch, sampling: Sampling, aim: Aim | None = None
+    look: ModelInputs, model: ErrorModel, search: AbstractSearch, sampling: Sampling, aim: NominalFix | None = None
 ) -> Sampled:
     """`sample` of a checked look and model, about what it aims at if that is known already."""
     sampling.check()
-    aim = look.aim(search) if aim is None else aim
+    aim = look.nominal_fix(search) if aim is None else aim
     aim.require_fix()
     plan = planned(look, aim, model, sampling.draws, search, sampling.key)
     centre = np.zeros(3)

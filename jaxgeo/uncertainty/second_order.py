@@ -18,9 +18,9 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 SPREAD = 3.0**0.5  # sigmas at which a sigma point lies: right to the fourth moment of a Gaussian along its axis
 
@@ -64,17 +64,17 @@ def sigma_points(
     weight 1 - n/3: right to the third order in the errors, and blind to what lies between its points. If one has no
     fix, its share is unknown: the moments are NaN, and `failed` counts them. Raises as `propagate`.
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return sigma_moments(look, look.aim(search), checked_model(errors, look), search)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return sigma_moments(look, look.nominal_fix(search), checked_model(errors, look), search)
 
 
 @eqx.filter_jit
-def sigma_moments(look: Look, aim: Aim, model: ErrorModel, search: AbstractSearch) -> Moments:
+def sigma_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
     """`sigma_points` of checked input, about what it aims at."""
     model = model.at(look, aim)
     factor = SPREAD * model.factor().T
     points = jnp.concatenate([jnp.zeros((1, model.size)), factor, -factor])
-    misses, statuses = jax.vmap(lambda error: model.miss(look, aim, error, search))(points)
+    misses, statuses = jax.vmap(lambda error: model.fix_offset(look, aim, error, search))(points)
     found = counts_as_fix(statuses)
     middle, ahead, behind = misses[0], misses[1 : model.size + 1], misses[model.size + 1 :]
     bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
@@ -101,16 +101,16 @@ def second_order(
 
     mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Raises as `propagate`.
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return second_moments(look, look.aim(search), checked_model(errors, look))
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return second_moments(look, look.nominal_fix(search), checked_model(errors, look))
 
 
 @eqx.filter_jit
-def second_moments(look: Look, aim: Aim, model: ErrorModel) -> Moments:
+def second_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Moments:
     """`second_order` of checked input, about what it aims at."""
     model = model.at(look, aim)
     factor, zero = model.factor(), jnp.zeros(model.size)
-    miss = lambda z: model.near_miss(look, aim, factor @ z)  # noqa: E731
+    miss = lambda z: model.linear_offset(look, aim, factor @ z)  # noqa: E731
     with_itself = lambda z: (jax.jacfwd(miss)(z),) * 2  # noqa: E731
     hessian, jacobian = jax.jacfwd(with_itself, has_aux=True)(zero)
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)

@@ -21,12 +21,12 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
+from jaxgeo.uncertainty.batched_rays import fix_offsets, in_parts
 from jaxgeo.uncertainty.budget import source_names
-from jaxgeo.uncertainty.bundle import in_parts, misses
 from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 CHUNK = 16_384  # rows at a time
 FEW = 0.1  # the share of rows left out above which the indices are of another error than the look's
@@ -121,8 +121,8 @@ class SobolIndices(Record):
 class Plan(NamedTuple):
     """What is pushed through the map from standard normal numbers to misses."""
 
-    look: Look
-    aim: Aim
+    look: ModelInputs
+    aim: NominalFix
     model: ErrorModel
     factor: Float[Array, "axes axes"]
 
@@ -154,10 +154,10 @@ def sobol_indices(
     the scrambles of Sobol points, of which at least 16 are needed. A row with an evaluation without a fix is left out,
     and counted. Raises as `sample`.
     """
-    look = Look.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
     _check_request(count, draws, confidence, resamples, chunk)
-    plan = planned(look, look.aim(search), model)
+    plan = planned(look, look.nominal_fix(search), model)
     plan.aim.require_fix()
     names, members = groups_of(model, by_axis)
     push = lambda normals: misses_of(plan, normals, search)  # noqa: E731
@@ -250,7 +250,7 @@ def _units(count: int, draws: AbstractDraws) -> np.ndarray:
 
 
 @eqx.filter_jit
-def planned(look: Look, aim: Aim, model: ErrorModel) -> Plan:
+def planned(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Plan:
     """The model at a look, with a factor that keeps its sources, and independent axes, apart."""
     model = model.at(look, aim)
     return Plan(look, aim, model, model.factor())
@@ -265,7 +265,7 @@ def misses_of(
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # a product of matrices would round by its batch
 
-    some = lambda normals, _: (misses(plan.model, plan.look, plan.aim, search, (error_of,), normals), ())  # noqa: E731
+    some = lambda normals, _: (fix_offsets(plan.model, plan.look, plan.aim, search, (error_of,), normals), ())  # noqa: E731
     (miss, status), _ = in_parts(some, normals)
     return miss, counts_as_fix(status)
 

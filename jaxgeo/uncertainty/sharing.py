@@ -29,28 +29,28 @@ class AbstractSharing(Record):
         """Correlation of the same axis of the error, between -1 and 1."""
 
 
-class EachMeasurement(AbstractSharing):
+class PerMeasurement(AbstractSharing):
     """Drawn anew for every measured pixel."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.measurement, there.measurement)
 
 
-class EachShot(AbstractSharing):
+class PerImage(AbstractSharing):
     """One for all pixels of a shot, another for the next shot."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.flight, there.flight) * _same(here.shot, there.shot)
 
 
-class EachFlight(AbstractSharing):
+class PerFlight(AbstractSharing):
     """One for a whole flight: calibrations."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.flight, there.flight)
 
 
-class Everywhere(AbstractSharing):
+class Systematic(AbstractSharing):
     """One for all flights: the geoid, an elevation model's bias."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
@@ -58,17 +58,17 @@ class Everywhere(AbstractSharing):
         return jnp.asarray(1.0)
 
 
-class InTime(AbstractSharing):
+class TimeCorrelated(AbstractSharing):
     """The less alike the longer between two shots of a flight: A [alpha + (1 - alpha) (1 + beta) / (beta + e^(dt/T))].
 
     The four-parameter function of the Community Sensor Model (NGA.STND.0017): `duration` T in s, `alpha` the part that
     lasts, `beta` how flat it begins, `strength` A what different shots have in common at most. With alpha = beta = 0
     and A = 1 it is exp(-dt/T), a first-order Gauss-Markov process.
 
-    >>> from jaxgeo.uncertainty import InTime
+    >>> from jaxgeo.uncertainty import TimeCorrelated
     >>> from jaxgeo.uncertainty.sharing import Occasion
     >>> now, later = (Occasion(measurement=k, shot=k, flight=0, time=10.0 * k) for k in (0, 1))
-    >>> print(f"{InTime(60.0).correlation(now, later):.4f}")
+    >>> print(f"{TimeCorrelated(60.0).correlation(now, later):.4f}")
     0.8465
     """
 
@@ -86,10 +86,10 @@ class InTime(AbstractSharing):
 
     def check(self) -> None:
         """Raise `ValueError` for a duration that is not positive, or alpha or A outside 0 to 1, or a beta below 0."""
-        check_range(self.duration, "duration of InTime", "s (positive)", 1e-12, 1e12)
-        check_range(self.alpha, "alpha of InTime", "(a share)", 0.0, 1.0)
-        check_range(self.strength, "strength of InTime", "(a correlation)", 0.0, 1.0)
-        check_range(self.beta, "beta of InTime", "(a number from 0 to 10)", 0.0, 10.0)
+        check_range(self.duration, "duration of TimeCorrelated", "s (positive)", 1e-12, 1e12)
+        check_range(self.alpha, "alpha of TimeCorrelated", "(a share)", 0.0, 1.0)
+        check_range(self.strength, "strength of TimeCorrelated", "(a correlation)", 0.0, 1.0)
+        check_range(self.beta, "beta of TimeCorrelated", "(a number from 0 to 10)", 0.0, 10.0)
 
 
 def _same(here: ScalarLike, there: ScalarLike) -> Scalar:

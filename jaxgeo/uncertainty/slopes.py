@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxgeo._record import Record
 from jaxgeo._typing import Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty.look import Aim
+from jaxgeo.uncertainty.model_inputs import NominalFix
 
 Points = Float[Array, "points 2"]
 Swept = Float[Array, "3 axes"]
@@ -56,14 +56,14 @@ class AbstractSlope(Record):
     """A choice of the plane on which a line of sight that errs is taken to come down."""
 
     @abstractmethod
-    def surface(self, terrain: AbstractTerrain, aim: Aim, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         """The plane, given the normal of the facet under the fix."""
 
 
 class Facet(AbstractSlope):
     """The surface under the fix itself: the derivative, right for errors smaller than a cell of the terrain."""
 
-    def surface(self, terrain: AbstractTerrain, aim: Aim, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del terrain, aim, spread
         return _plane(facet)
 
@@ -71,7 +71,7 @@ class Facet(AbstractSlope):
 class Level(AbstractSlope):
     """Level ground at the height of the fix: what a study with a constant height gets."""
 
-    def surface(self, terrain: AbstractTerrain, aim: Aim, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del terrain, aim, facet, spread
         return _plane(jnp.array([0.0, 0.0, 1.0]))
 
@@ -84,7 +84,7 @@ class Footprint(AbstractSlope):
     one more error of height (statistical linearisation).
     """
 
-    def surface(self, terrain: AbstractTerrain, aim: Aim, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del facet
         surface = _plane(jnp.array([0.0, 0.0, 1.0]))
         for _ in range(ROUNDS):
@@ -98,7 +98,7 @@ def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
     return jnp.minimum(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
 
 
-def fitted_plane(terrain: AbstractTerrain, aim: Aim, cov: Float[Array, "2 2"]) -> Surface:
+def fitted_plane(terrain: AbstractTerrain, aim: NominalFix, cov: Float[Array, "2 2"]) -> Surface:
     """The plane through a terrain over an ellipse (m2, east and north) about a fix; without derivatives."""
     terrain, aim, cov = jax.lax.stop_gradient((terrain, aim, cov))
     root = _wide_root(cov)

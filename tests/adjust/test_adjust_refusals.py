@@ -18,15 +18,15 @@ from jaxgeo.adjust import (
     Fixed,
     Free,
     GroundPoints,
+    HeightObservations,
     ImagePoints,
     Images,
-    OnTerrain,
     Prior,
     Unknowns,
     adjust,
     reliability,
-    resect,
-    resected,
+    resect_block,
+    resect_image,
 )
 from jaxgeo.adjust.problem import prepared
 from tests.support.scenes import flat, small_dem
@@ -247,13 +247,13 @@ def test_terrain() -> None:
     of, dem = simulated(), small_dem(flat())
     block = of.block()
     with pytest.raises(ValueError, match="in a Cartesian frame a DEM lies nowhere"):
-        prepared(replace(block, frame=Cartesian(), navigation=None), Unknowns(), OnTerrain(dem, 1.0))
+        prepared(replace(block, frame=Cartesian(), navigation=None), Unknowns(), HeightObservations(dem, 1.0))
     with pytest.raises(ValueError, match="sigma of the terrain's height must be positive, in m"):
-        prepared(block, Unknowns(), OnTerrain(dem, 0.0))
+        prepared(block, Unknowns(), HeightObservations(dem, 0.0))
     with pytest.raises(ValueError, match="terrain: there is no point 'x1' among those measured"):
-        prepared(block, Unknowns(), OnTerrain(dem, 1.0, ("x1",)))
+        prepared(block, Unknowns(), HeightObservations(dem, 1.0, ("x1",)))
     with pytest.raises(ValueError, match=r"point p\d\d lies over no known ground of the terrain \(\d+ such points\)"):
-        prepared(block, Unknowns(), OnTerrain(dem, 1.0))  # it is 480 m wide, the block 900
+        prepared(block, Unknowns(), HeightObservations(dem, 1.0))  # it is 480 m wide, the block 900
 
 
 @pytest.fixture(scope="module")
@@ -332,15 +332,15 @@ def test_resections() -> None:
     seen = of.observations.of(of.observations.image == "i07")
     names = seen.point.tolist()
     with pytest.raises(ValueError, match=r"image i07 sees 3 control points; a resection takes at least 4"):
-        resect({"c": camera()}, own, seen, of.points.of(names[:3]))
+        resect_block({"c": camera()}, own, seen, of.points.of(names[:3]))
     heights = GroundPoints(names[:5], of.points.of(names[:5]).place, [np.inf, np.inf, 0.1])
     with pytest.raises(ValueError, match=r"image i07 sees 0 control points"):
-        resect({"c": camera()}, own, seen, heights)
+        resect_block({"c": camera()}, own, seen, heights)
     with pytest.raises(ValueError, match="there is no camera 'c'; known are d"):
-        resect({"d": camera()}, own, seen, of.points)
+        resect_block({"d": camera()}, own, seen, of.points)
     line = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [2.0, 4.0, 6.0], [3.0, 6.0, 9.0]])
     with pytest.raises(ValueError, match="lie in one line"):
-        resected(camera(), seen.uv[:4], line)
+        resect_image(camera(), seen.uv[:4], line)
 
 
 def test_resections_find_any_camera() -> None:
@@ -354,7 +354,7 @@ def test_resections_find_any_camera() -> None:
             centre = rng.normal(0.0, 1e6, 3)
             places = centre + p_camera @ R.T
             uv = pixels(of.sensor.camera, np.repeat(centre[None], count, 0), np.repeat(R[None], count, 0), places)
-            found = resected(of.sensor.camera, uv, places)
+            found = resect_image(of.sensor.camera, uv, places)
             np.testing.assert_allclose(found[0], centre, rtol=0.0, atol=1e-3)  # m
             np.testing.assert_allclose(found[1], R, rtol=0.0, atol=1e-6)
 

@@ -19,6 +19,7 @@ from jaxgeo.adjust import (
     Fixed,
     Free,
     GroundPoints,
+    HeightObservations,
     Huber,
     ImagePoints,
     Images,
@@ -26,7 +27,6 @@ from jaxgeo.adjust import (
     LeastSquares,
     LocalFrame,
     NotConverged,
-    OnTerrain,
     Prior,
     Solver,
     Tukey,
@@ -183,7 +183,7 @@ def test_calibration_is_dense_least_squares(calibrated: Adjustment) -> None:
     )
 
 
-def mixed(seed: int | None) -> tuple[Block, Unknowns, OnTerrain]:
+def mixed(seed: int | None) -> tuple[Block, Unknowns, HeightObservations]:
     """Two cameras on two mounts, one on a drone's gimbal, some of all held, known beforehand, and free; a terrain."""
     first, second = simulated(), simulated("drone")
     if seed is not None:
@@ -209,7 +209,7 @@ def mixed(seed: int | None) -> tuple[Block, Unknowns, OnTerrain]:
         shift=Prior(0.1),
         drift={"north": Prior(0.01), "across": Free()},
     )
-    return block, unknowns, OnTerrain(Dem.from_array(posts, grid), 2.0)
+    return block, unknowns, HeightObservations(Dem.from_array(posts, grid), 2.0)
 
 
 def part_of(of: Simulated, rows: slice, name: str) -> Block:

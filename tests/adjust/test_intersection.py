@@ -12,12 +12,12 @@ import pytest
 
 import jaxgeo
 from jaxgeo import Atmosphere, BrownConrady, ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot, Status
-from jaxgeo.adjust.intersection import intersect_images
+from jaxgeo.adjust.intersection import forward_intersection
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.sensor import boresight_from_degrees
-from jaxgeo.uncertainty import EachFlight, ErrorModel, circular_error, jointly, linear_error, propagate, sources
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.sharing import EachMeasurement
+from jaxgeo.uncertainty import ErrorModel, PerFlight, circular_error, joint_covariance, linear_error, propagate, sources
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.sharing import PerMeasurement
 
 RAYS, DRAWS = 6, 2500
 ALL = np.ones(RAYS, bool)
@@ -82,7 +82,7 @@ def images_through_air(shots: Shot, point: jaxgeo.Geodetic):
 @jax.jit
 def by_pixels(sensor: Sensor, shots: Shot, uvs, use, sigma=0.5):
     """Many points, each in six images at most."""
-    one = lambda shots, uvs, use: intersect_images(sensor, shots, uvs, sigma=sigma, use=use)  # noqa: E731
+    one = lambda shots, uvs, use: forward_intersection(sensor, shots, uvs, sigma=sigma, use=use)  # noqa: E731
     return jax.vmap(one)(shots, uvs, use)
 
 
@@ -143,7 +143,7 @@ def test_exact_data_through_the_air(all_sites) -> None:
     """The bent lines of sight meet at the point too; the straight ones, from high up, tens of metres beside it."""
     points, shots = all_sites
     uvs = jax.vmap(images_through_air)(shots, points)
-    bent = jax.jit(jax.vmap(lambda s, u: intersect_images(SENSOR, s, u, sigma=0.5, atmosphere=AIR)))(shots, uvs)
+    bent = jax.jit(jax.vmap(lambda s, u: forward_intersection(SENSOR, s, u, sigma=0.5, atmosphere=AIR)))(shots, uvs)
     assert np.all(bent.ok)
     np.testing.assert_allclose(distance(bent, points), 0.0, atol=1e-6)  # m
     straight = by_pixels(SENSOR, shots, uvs, jnp.ones((len(SITES), RAYS), bool), 0.5)
@@ -165,7 +165,7 @@ def test_order_and_padding_do_not_matter() -> None:
     assert np.all(np.isnan(padded.residuals[4:]))
     assert np.all(np.isfinite(padded.residuals[:4]))
     first = jax.tree.map(lambda x: x[:4], (SHOTS, uvs))
-    short = intersect_images(SENSOR, *first, sigma=0.5)
+    short = forward_intersection(SENSOR, *first, sigma=0.5)
     np.testing.assert_allclose(short.p_ecef, found.p_ecef, atol=1e-8)
     assert float(short.chi_square) == pytest.approx(float(found.chi_square), rel=1e-9)
 
@@ -210,14 +210,14 @@ def simulated(key, index):
 
     def draw(number, source, place):
         key_of_source = jax.random.fold_in(jax.random.fold_in(key, index), number)
-        shared = isinstance(source.sharing, EachFlight)
+        shared = isinstance(source.sharing, PerFlight)
         normal = jax.random.normal(key_of_source, (1 if shared else RAYS, place.stop - place.start))
         return jnp.broadcast_to(normal * jnp.asarray(source.sigma)[None, :], (RAYS, place.stop - place.start))
 
     parts = [draw(number, *part) for number, part in enumerate(MODEL.parts())]
 
     def image(shot, uv, error):
-        look = MODEL.moved(Look(SENSOR, shot, 0.0, uv, ConstantHeight(0.0)), error)
+        look = MODEL.moved(ModelInputs(SENSOR, shot, 0.0, uv, ConstantHeight(0.0)), error)
         return look.sensor.project_ecef(look.motion, jnp.asarray(P_ECEF))[0] - (look.uv - uv)
 
     return jax.vmap(image)(SHOTS, UVS, jnp.concatenate(parts, axis=1))
@@ -231,7 +231,7 @@ def drawn():
 
 @jax.jit
 def with_errors(uvs, use):
-    return jax.vmap(lambda uvs: intersect_images(SENSOR, SHOTS, uvs, errors=MODEL, use=use))(uvs)
+    return jax.vmap(lambda uvs: forward_intersection(SENSOR, SHOTS, uvs, errors=MODEL, use=use))(uvs)
 
 
 @pytest.mark.slow
@@ -255,7 +255,7 @@ def test_covariance_is_that_of_draws(use: np.ndarray, drawn) -> None:
 @pytest.mark.slow
 def test_no_weights_are_better_than_the_errors_own(drawn) -> None:
     best = jax.tree.map(lambda x: x[0], with_errors(drawn, jnp.asarray(ALL)))
-    plain = intersect_images(SENSOR, SHOTS, UVS, errors=MODEL, sigma=1.0)
+    plain = forward_intersection(SENSOR, SHOTS, UVS, errors=MODEL, sigma=1.0)
     gain = np.asarray(plain.cov_enu - best.cov_enu)
     assert np.linalg.eigvalsh(gain)[0] > -1e-9
     assert np.trace(gain) > 0.01 * np.trace(best.cov_enu)
@@ -266,7 +266,7 @@ def test_no_weights_are_better_than_the_errors_own(drawn) -> None:
 def test_plain_weights_with_errors_of_the_pixels_are_those_of_sigma() -> None:
     pixels = (sources.PixelMeasurement.from_pixels(column=0.5, row=0.5), sources.TerrainHeight.from_metres(9.0))
     uvs = np.asarray(UVS) + NOISE
-    found, plain = intersect_images(SENSOR, SHOTS, uvs, errors=pixels), point_by_pixels(SENSOR, SHOTS, uvs)
+    found, plain = forward_intersection(SENSOR, SHOTS, uvs, errors=pixels), point_by_pixels(SENSOR, SHOTS, uvs)
     np.testing.assert_allclose(found.p_ecef, plain.p_ecef, atol=1e-7)
     np.testing.assert_allclose(found.cov_enu, plain.cov_enu, rtol=1e-6)
     assert float(found.chi_square) == pytest.approx(float(plain.chi_square), rel=1e-6)
@@ -277,10 +277,10 @@ def test_plain_weights_with_errors_of_the_pixels_are_those_of_sigma() -> None:
 def test_fused_fixes_come_to_the_same(drawn) -> None:
     """Fixes on ground of unknown height, fused with all that their errors have in common."""
     ground = ConstantHeight(float(POINT.height))
-    unknown = sources.TerrainHeight.from_metres(1000.0, sharing=EachMeasurement())
+    unknown = sources.TerrainHeight.from_metres(1000.0, sharing=PerMeasurement())
     errors = ErrorModel((*MODEL.sources, unknown))
     looks = [(jax.tree.map(lambda x, k=k: x[k], SHOTS), UVS[k]) for k in np.flatnonzero(TWO)]
-    fixes = jointly([propagate(SENSOR, shot, uv, ground, errors) for shot, uv in looks])
+    fixes = joint_covariance([propagate(SENSOR, shot, uv, ground, errors) for shot, uv in looks])
     p_ecef, cov_enu = fixes.fused()
     found = jax.tree.map(lambda x: x[0], with_errors(drawn, jnp.asarray(TWO)))
     np.testing.assert_allclose(found.p_ecef, p_ecef, atol=1e-5)
@@ -291,11 +291,11 @@ def test_shots_in_common_share_their_errors() -> None:
     """Rays that are told to be of one shot have one attitude, which hardly counts in the plane where they look from all
     sides; but not in different flights."""
     turned = (sources.Attitude.from_degrees(heading=0.03, pitch=0.02, roll=0.02), MODEL.sources[-1])
-    apart = intersect_images(SENSOR, SHOTS, UVS, errors=turned)
-    together = intersect_images(SENSOR, SHOTS, UVS, errors=turned, shot_of=np.zeros(RAYS))
+    apart = forward_intersection(SENSOR, SHOTS, UVS, errors=turned)
+    together = forward_intersection(SENSOR, SHOTS, UVS, errors=turned, shot_of=np.zeros(RAYS))
     assert float(together.cov_enu[0, 0]) < 0.1 * float(apart.cov_enu[0, 0])
     assert float(together.cov_enu[2, 2]) > 2.0 * float(apart.cov_enu[2, 2])
-    flights = intersect_images(SENSOR, SHOTS, UVS, errors=turned, shot_of=np.zeros(RAYS), flight_of=np.arange(RAYS))
+    flights = forward_intersection(SENSOR, SHOTS, UVS, errors=turned, shot_of=np.zeros(RAYS), flight_of=np.arange(RAYS))
     np.testing.assert_allclose(flights.cov_enu, apart.cov_enu, rtol=1e-9)
 
 
@@ -310,7 +310,7 @@ def moved_point(change, said: dict):
     shots = eqx.tree_at(lambda s: s.pose.heading, SHOTS, SHOTS.pose.heading.at[2].add(change[1]))
     shots = eqx.tree_at(lambda s: s.pose.position.height, shots, shots.pose.position.height.at[0].add(change[3]))
     camera = eqx.tree_at(lambda s: s.camera.focal_px, SENSOR, SENSOR.camera.focal_px + change[2])
-    found = intersect_images(camera, shots, uvs, **said)
+    found = forward_intersection(camera, shots, uvs, **said)
     return jnp.concatenate([found.p_ecef - P_ECEF, found.cov_enu[2]])
 
 
@@ -382,7 +382,7 @@ def test_what_has_no_answer_says_why(said: dict) -> None:
 
     @jax.jit
     def sum_and_all(shots: Shot, uvs):
-        one = lambda shots, uvs, use: intersect_images(SENSOR, shots, uvs, use=use, **said)  # noqa: E731
+        one = lambda shots, uvs, use: forward_intersection(SENSOR, shots, uvs, use=use, **said)  # noqa: E731
         found = jax.vmap(one)(shots, uvs, use)
         return jnp.sum(jnp.where(found.ok[:, None], found.p_ecef, 0.0)), found
 
@@ -427,10 +427,10 @@ def test_sensors_and_shots_may_come_as_lists() -> None:
     shots = [jax.tree.map(lambda x, k=k: x[k], SHOTS) for k in range(RAYS)]
     uvs = np.asarray(UVS)
     uvs = np.concatenate([uvs[:3], np.asarray(images_of(PLAIN, SHOTS, POINT))[3:]])
-    found = intersect_images([SENSOR] * 3 + [PLAIN] * 3, shots, uvs, sigma=0.5)
+    found = forward_intersection([SENSOR] * 3 + [PLAIN] * 3, shots, uvs, sigma=0.5)
     np.testing.assert_allclose(found.p_ecef, P_ECEF, atol=1e-6)
     batch = stacked([SENSOR] * 3 + [PLAIN] * 3)
-    again = intersect_images(batch, SHOTS, uvs, sigma=np.full(RAYS, 0.5))
+    again = forward_intersection(batch, SHOTS, uvs, sigma=np.full(RAYS, 0.5))
     np.testing.assert_allclose(again.p_ecef, P_ECEF, atol=1e-6)
 
 
@@ -466,10 +466,10 @@ FIRST = jax.tree.map(lambda x: x[:1], SHOTS)
 )  # fmt: skip
 def test_mistakes_are_refused_in_words(change: dict, kind: type, message: str) -> None:
     with pytest.raises(kind, match=message):
-        intersect_images(**{**GOOD, **change})
+        forward_intersection(**{**GOOD, **change})
 
 
 def test_degrees_are_refused() -> None:
     shots = eqx.tree_at(lambda s: s.pose.position.lat, SHOTS, SHOTS.pose.position.lat * 57.3)
     with pytest.raises(ValueError, match="within pi/2"):
-        intersect_images(SENSOR, shots, UVS, sigma=1.0)
+        forward_intersection(SENSOR, shots, UVS, sigma=1.0)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxgeo.adjust import Block, ControlElsewhere, GroundPoints, resect, screen
+from jaxgeo.adjust import Block, ControlElsewhere, GroundPoints, resect_block, screen
 from tests.support.simulated_block import CONTROL, camera, disturbed, simulated
 
 
@@ -122,10 +122,10 @@ def test_a_resection_leaves_out_control_that_does_not_fit_and_names_it() -> None
     rows = of.observations.image == "i07"
     names = of.observations.point[rows][:7].tolist()
     control, truth = of.points.of(names), of.centre[7]
-    good = resect({"c": camera()}, {"i07": "c"}, of.observations, control)
+    good = resect_block({"c": camera()}, {"i07": "c"}, of.observations, control)
     np.testing.assert_allclose(good.centre[0], truth, atol=1e-3)  # m
     place = control.place.copy()
     place[3] += [300.0, -200.0, 0.0]
     with pytest.warns(RuntimeWarning, match=f"image i07: points {names[3]} do not fit the orientation on which the"):
-        found = resect({"c": camera()}, {"i07": "c"}, of.observations, GroundPoints(names, place))
+        found = resect_block({"c": camera()}, {"i07": "c"}, of.observations, GroundPoints(names, place))
     np.testing.assert_allclose(found.centre[0], truth, atol=1e-3)  # m

@@ -26,7 +26,7 @@ from jaxgeo.adjust import (
     Unknowns,
     adjust,
     reliability,
-    resected,
+    resect_image,
 )
 from tests.support.dense_block import dense
 from tests.support.rigorous import Rigorous, by_triangles
@@ -246,12 +246,12 @@ def test_points_of_images_that_are_fixed(pixels: float) -> None:
 def test_a_resection_is_the_same_in_any_unit(unit: float) -> None:
     block, count = alone()
     seen, places = block.observations, block.control.place
-    centre, R = resected(simulated().sensor.camera, seen.uv, places * unit)
+    centre, R = resect_image(simulated().sensor.camera, seen.uv, places * unit)
     np.testing.assert_allclose(centre, block.images.centre[0] * unit, rtol=0.0, atol=1e-5 * unit)
     np.testing.assert_allclose(R, block.images.R_frame_from_camera[0], rtol=0.0, atol=1e-8)
     line = np.linspace(0.0, 1.0, count)[:, None] * np.array([[400.0, 300.0, 20.0]]) * unit
     with pytest.raises(ValueError, match="lie in one line"):
-        resected(simulated().sensor.camera, seen.uv, line)
+        resect_image(simulated().sensor.camera, seen.uv, line)
 
 
 @pytest.mark.slow

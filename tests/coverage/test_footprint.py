@@ -26,12 +26,12 @@ from jaxgeo import (
     Sensor,
     Shot,
     Status,
-    SweepCamera,
     Trajectory,
+    WhiskbroomCamera,
     locate,
 )
-from jaxgeo.coverage import Exposure, footprint, ground_sampling
-from jaxgeo.coverage.exposure import own_map, seen_at
+from jaxgeo.coverage import Exposure, footprint, ground_sample_distance
+from jaxgeo.coverage.exposure import local_projection, seen_at
 from jaxgeo.coverage.footprint import FINEST
 from jaxgeo.terrain import HeightFunction, TangentGrid
 
@@ -114,7 +114,7 @@ def off_outline(sensor, image, terrain, outline, rng, count: int = 512) -> np.nd
 def test_heading_turns_the_outline(heading):
     images = [shot(40.0, heading=angle) for angle in (0.0, heading)]
     first, other = (footprint(SENSOR, image, GROUND, tolerance=5.0) for image in images)
-    foot = np.array(own_map(images[0]).forward(images[0].pose.position.lat, images[0].pose.position.lon))
+    foot = np.array(local_projection(images[0]).forward(images[0].pose.position.lat, images[0].pose.position.lon))
     c, s = math.cos(math.radians(heading)), math.sin(math.radians(heading))
     turned = (first.outline - foot) @ np.array([[c, -s], [s, c]])  # headings turn clockwise
     np.testing.assert_array_equal(other.uv, first.uv)
@@ -254,7 +254,7 @@ SCALES = ("columns", "rows", "along", "across")
 
 
 def test_at_nadir_a_pixel_is_height_over_focal_length():
-    found = ground_sampling(SENSOR, shot(), MIDDLE, GROUND)
+    found = ground_sample_distance(SENSOR, shot(), MIDDLE, GROUND)
     for name in SCALES:
         assert float(getattr(found, name)) == pytest.approx(HEIGHT / FOCAL, rel=1e-9), name
     assert float(found.area) == pytest.approx((HEIGHT / FOCAL) ** 2, rel=1e-9)
@@ -262,11 +262,11 @@ def test_at_nadir_a_pixel_is_height_over_focal_length():
 
 def test_at_nadir_where_nothing_rounds_too():
     """On the equator the line of sight has no level part at all, so that along and across it have no direction."""
-    found = ground_sampling(SENSOR, shot(lat=0.0, lon=0.0), MIDDLE, GROUND)
+    found = ground_sample_distance(SENSOR, shot(lat=0.0, lon=0.0), MIDDLE, GROUND)
     for name in SCALES:
         assert float(getattr(found, name)) == pytest.approx(HEIGHT / FOCAL, rel=1e-9), name
     oblong = eqx.tree_at(lambda s: s.camera.focal_px, SENSOR, np.array([FOCAL, 2.0 * FOCAL]))
-    found = ground_sampling(oblong, shot(lat=0.0, lon=0.0), MIDDLE, GROUND)
+    found = ground_sample_distance(oblong, shot(lat=0.0, lon=0.0), MIDDLE, GROUND)
     assert float(found.along) == pytest.approx(float(found.rows), rel=1e-9)
     assert float(found.across) == pytest.approx(float(found.columns), rel=1e-9)
 
@@ -274,7 +274,7 @@ def test_at_nadir_where_nothing_rounds_too():
 @pytest.mark.parametrize("outer", [15.0, 45.0, 75.0])
 @pytest.mark.parametrize("heading", [0.0, 130.0])
 def test_on_level_ground_a_pixel_is_its_angle_over_the_cosine(outer, heading):
-    found = ground_sampling(SENSOR, shot(outer, heading=heading), MIDDLE, GROUND)
+    found = ground_sample_distance(SENSOR, shot(outer, heading=heading), MIDDLE, GROUND)
     across = float(found.fix.slant_range) / FOCAL
     along = across / math.cos(float(found.fix.incidence_surface))
     assert float(found.across) == pytest.approx(across, rel=1e-9)
@@ -293,7 +293,7 @@ def test_a_pixel_s_size_is_that_of_differences(terrain):
     ground, outer = OVER[terrain]
     image = OVER_RIDGE if outer is None else shot(outer, pitch=4.0)
     for uv in (MIDDLE, np.array([30.0, 700.0]), np.array([-0.5, SIZE - 0.5])):
-        found = ground_sampling(SENSOR, image, uv, ground)
+        found = ground_sample_distance(SENSOR, image, uv, ground)
         assert found.fix.ok
         step = 0.01
         places = uv + step * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [0, 0]])
@@ -316,7 +316,7 @@ def test_a_pixel_s_size_is_that_of_differences(terrain):
     ids=["over the horizon", "beside the terrain"],
 )
 def test_no_ground_has_no_size(image, ground, status):
-    found = ground_sampling(SENSOR, image, MIDDLE, ground)
+    found = ground_sample_distance(SENSOR, image, MIDDLE, ground)
     assert found.fix.status == status
     assert all(np.isnan(getattr(found, name)) for name in (*SCALES, "area"))
 
@@ -324,7 +324,7 @@ def test_no_ground_has_no_size(image, ground, status):
 # A camera that sweeps while it flies.
 
 SWEEP = Sensor(
-    SweepCamera.from_metric(
+    WhiskbroomCamera.from_metric(
         focal_length=0.3,
         pixel_pitch=1e-5,
         width=1001,
@@ -378,8 +378,8 @@ MISTAKES = {
     "a trajectory": (lambda: footprint(SENSOR, FLYING, GROUND), TypeError, r"image must be.*Exposure\(trajectory"),
     "a height": (lambda: footprint(SENSOR, shot(), 0.0), TypeError, "terrain must be a jaxgeo terrain"),
     "air": (lambda: footprint(SENSOR, shot(), GROUND, atmosphere=1.0), TypeError, "must be a jaxgeo.Atmosphere"),
-    "a flight's pixel": (lambda: ground_sampling(SENSOR, FLYING, MIDDLE, GROUND), TypeError, "image must be"),
-    "many pixels": (lambda: ground_sampling(SENSOR, shot(), CORNERS, GROUND), ValueError, "one pixel.*vmap"),
+    "a flight's pixel": (lambda: ground_sample_distance(SENSOR, FLYING, MIDDLE, GROUND), TypeError, "image must be"),
+    "many pixels": (lambda: ground_sample_distance(SENSOR, shot(), CORNERS, GROUND), ValueError, "one pixel.*vmap"),
     "no sensor": (lambda: footprint(SENSOR.camera, shot(), GROUND), TypeError, "sensor must be"),
 }
 

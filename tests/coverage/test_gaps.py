@@ -18,8 +18,8 @@ from jaxgeo.coverage import (
     Strip,
     fly,
     linear_gaps,
-    overlap_to_plan,
-    trusts_linear,
+    linear_is_valid,
+    required_overlap,
 )
 from jaxgeo.coverage.flight import SPECS, flown, normals_of, specs_of
 from jaxgeo.coverage.gaps import orthant
@@ -106,7 +106,7 @@ def test_neighbouring_attitudes_go_together():
 
 @pytest.mark.slow
 def test_gaps_by_samples_and_by_derivatives_agree_where_the_terrain_is_trusted(flights, linear):
-    assert np.all(trusts_linear(STRIP, NOISE))
+    assert np.all(linear_is_valid(STRIP, NOISE))
     chance, (low, high) = flights.gap_probability(0.99)
     assert low <= linear.gap_probability <= high
     assert 0.02 < chance < 0.3  # or there would be little to agree about
@@ -171,7 +171,7 @@ def test_timing_by_the_ground_follows_mountains():
 
 @pytest.mark.slow
 def test_a_wider_margin_makes_strips_free_of_gaps():
-    planned = overlap_to_plan(STRIP, NOISE, free=0.99)
+    planned = required_overlap(STRIP, NOISE, free=0.99)
     assert 0.15 < planned < 0.5
     assert 1.0 - linear_gaps(STRIP.with_overlap(planned), NOISE).gap_probability == pytest.approx(0.99, abs=1e-3)
     sampled = fly(STRIP.with_overlap(planned), NOISE, key=jax.random.key(8), flights=4096)
@@ -181,8 +181,8 @@ def test_a_wider_margin_makes_strips_free_of_gaps():
 
 @pytest.mark.slow
 def test_the_margin_by_samples_is_that_by_derivatives():
-    linear = overlap_to_plan(STRIP, NOISE, free=0.95)
-    assert overlap_to_plan(STRIP, NOISE, free=0.95, key=KEY, flights=2048) == pytest.approx(linear, abs=0.015)
+    linear = required_overlap(STRIP, NOISE, free=0.95)
+    assert required_overlap(STRIP, NOISE, free=0.95, key=KEY, flights=2048) == pytest.approx(linear, abs=0.015)
 
 
 @pytest.mark.parametrize("size, correlation", [(1, 0.0), (3, 0.5), (6, 0.9), (10, -0.05)])
@@ -222,7 +222,7 @@ MISTAKES = {
     ),
     "negative noise": (lambda: FlightNoise.from_degrees(heading=-0.1), r"heading must lie in \[0"),
     "no lasting": (lambda: FlightNoise.from_degrees(lasting=0.0), "lasting must be above 0 s"),
-    "a sure thing": (lambda: overlap_to_plan(STRIP, NOISE, free=1.0), r"free must lie in \(0, 1\)"),
+    "a sure thing": (lambda: required_overlap(STRIP, NOISE, free=1.0), r"free must lie in \(0, 1\)"),
 }
 
 
@@ -247,4 +247,4 @@ def test_images_that_miss_each_other_sideways_are_gaps_to_both_ways():
 
 def test_a_quantile_needs_flights_to_rest_on():
     with pytest.raises(ValueError, match="512 flights say too little"):
-        overlap_to_plan(STRIP, NOISE, free=0.9999, key=KEY, flights=512)
+        required_overlap(STRIP, NOISE, free=0.9999, key=KEY, flights=512)

@@ -21,7 +21,7 @@ from jaxgeo import (
     Status,
     Trajectory,
 )
-from jaxgeo.coverage import Exposure, footprint, geometry, overlap, own_map, polygon_overlap, transform
+from jaxgeo.coverage import Exposure, footprint, geometry, local_projection, overlap, polygon_overlap, transform
 from jaxgeo.coverage.overlap import axis_along, check_along, flight_direction
 from jaxgeo.locate import locate
 from jaxgeo.sensor.conventions import li_2020_sensor, li_2023_sweep_sensor
@@ -66,7 +66,7 @@ def test_the_overlap_of_equal_images_is_the_step_s(share: float) -> None:
     found = shared(FIRST, after)
     assert int(found.status) == Status.hit
     middle = [seen(one, 0.5 * (PIXELS - 1), 0.5 * (PIXELS - 1)) for one in (FIRST, after)]
-    projection = own_map(FIRST)
+    projection = local_projection(FIRST)
     bearing = transform.bearing_on_map(projection, FIRST.pose.position, after.pose.position)
     step = float(transform.projected_step(projection, *middle, bearing=bearing))
     ends = [seen(FIRST, 0.5 * (PIXELS - 1), end) for end in (-0.5, PIXELS - 0.5)]
@@ -107,7 +107,7 @@ def test_an_image_shares_all_with_itself_and_less_the_farther_it_goes() -> None:
 def test_swapped_images() -> None:
     """Against the same direction the step changes its sign; along its own, the one shares what the other does."""
     after = shot(STEP)
-    projection = own_map(FIRST)
+    projection = local_projection(FIRST)
     direction = flight_direction(FIRST, after, projection)
     there, back = (
         shared(*pair, direction=direction, projection=projection) for pair in ((FIRST, after), (after, FIRST))
@@ -167,10 +167,10 @@ def test_the_axis_along_the_flight_is_found() -> None:
     given, found = shared(FIRST, after), overlap(SENSOR, FIRST, after, GROUND, stations=STATIONS)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(given), strict=True):
         np.testing.assert_array_equal(one, other)
-    direction = flight_direction(FIRST, after, own_map(FIRST))
+    direction = flight_direction(FIRST, after, local_projection(FIRST))
     across = jnp.stack([direction[1], -direction[0]])
-    assert axis_along(SENSOR, FIRST, direction, GROUND, own_map(FIRST)) == "rows"
-    assert axis_along(SENSOR, FIRST, across, GROUND, own_map(FIRST)) == "columns"
+    assert axis_along(SENSOR, FIRST, direction, GROUND, local_projection(FIRST)) == "rows"
+    assert axis_along(SENSOR, FIRST, across, GROUND, local_projection(FIRST)) == "columns"
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ from jaxgeo import (
     Trajectory,
     intersect,
 )
-from jaxgeo.coverage import LineOfSight, compensate, line_of_sight, point
+from jaxgeo.coverage import LineOfSight, compensate, line_of_sight, point_gimbal
 from jaxgeo.coverage.compensation_formulas import angles_towards, exact_compensation
 from jaxgeo.earth import WGS84, R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.rotations import R_from_rotation_vector
@@ -103,7 +103,7 @@ def asked(sensor, looks, air=None, terrain=None):
 
     def one(look):
         held = eqx.tree_at(lambda s: s.gimbal.limits, sensor, look.limits)
-        found = point(held, Shot(look.pose), target=look.target, uv=look.uv, atmosphere=air, terrain=terrain)
+        found = point_gimbal(held, Shot(look.pose), target=look.target, uv=look.uv, atmosphere=air, terrain=terrain)
         origin, direction, _ = held.ray_ecef(Shot(look.pose, found.readings), look.uv)
         return found, origin, direction, held.gimbal.inside_limits(found.readings)
 
@@ -180,12 +180,12 @@ def test_the_pixel_sees_what_it_is_pointed_at(name):
 def test_the_optical_axis_is_the_default_and_lines_of_sight_are_what_it_takes():
     sensor, shot = SENSORS["two axes"], Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=4000.0, heading=40.0))
     target = Geodetic.from_degrees(lat=46.98, lon=11.02, height=500.0)
-    found = point(sensor, shot, target=target)
+    found = point_gimbal(sensor, shot, target=target)
     assert found.ok
     looked = Shot(shot.pose, found.readings)
     sight = sensor.to_camera(looked, WGS84.to_ecef(target))
     np.testing.assert_allclose(sight[:2] / sight[2], 0.0, rtol=0, atol=1e-12)
-    again = point(sensor, shot, target=line_of_sight(sensor, looked))
+    again = point_gimbal(sensor, shot, target=line_of_sight(sensor, looked))
     np.testing.assert_allclose(again.readings, found.readings, rtol=0, atol=1e-12)
 
 
@@ -396,7 +396,7 @@ def changed(sensor: Sensor, look: Looks, change: jax.Array) -> jax.Array:
         (jnp.asarray(sensor.mount.R_body_from_base) @ turn, look.limits),
     )
     uv = look.uv + UNITS["uv"] * change[9:11]
-    return point(moved, Shot(Pose(position, *attitude)), target=target, uv=uv).readings
+    return point_gimbal(moved, Shot(Pose(position, *attitude)), target=target, uv=uv).readings
 
 
 ATTITUDE = ("heading", "pitch", "roll")
@@ -455,7 +455,7 @@ def towards(sensor, pose, ned, start):
     """Towards a direction from given readings, and the derivatives by the direction."""
 
     def find(v):
-        found = point(sensor, Shot(pose), target=LineOfSight(v), readings=start)
+        found = point_gimbal(sensor, Shot(pose), target=LineOfSight(v), readings=start)
         return found.readings, found
 
     return jax.jacrev(find, has_aux=True)(ned)[::-1]
@@ -588,7 +588,7 @@ TARGETS = jax.tree.map(lambda x: jnp.full(KNOTS, x), RING)
 
 @pytest.mark.slow
 def test_a_flight_is_pointed_knot_by_knot_without_jumps():
-    found, alone = point(DRONE, FLIGHT, target=RING), each_knot(FLIGHT.poses)
+    found, alone = point_gimbal(DRONE, FLIGHT, target=RING), each_knot(FLIGHT.poses)
     assert np.all(found.ok)
     assert found.readings.shape == (KNOTS, 3)
     turns = (found.readings - alone.readings) / (2.0 * math.pi)
@@ -608,7 +608,7 @@ def test_without_a_singularity_a_flight_is_what_its_knots_are():
     poses = jax.tree.map(lambda x: jnp.concatenate([x[:5]] * 2 + [x[:3]]), FLIGHT.poses)
     assert first.times.shape == (5,)
     back_and_forth = Trajectory.from_knots(np.arange(KNOTS) * 5.0, dataclasses.replace(poses, heading=poses.pitch))
-    found = point(DRONE, back_and_forth, target=RING)
+    found = point_gimbal(DRONE, back_and_forth, target=RING)
     alone = each_knot(back_and_forth.poses)
     np.testing.assert_allclose(found.readings, alone.readings, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(found.status, alone.status)
@@ -618,8 +618,8 @@ def test_one_knot_s_failure_is_its_own():
     lat = TARGETS.lat.at[4].set(jnp.nan)
     height = TARGETS.height.at[7].set(3e5)  # far overhead, beyond a pitch of 90 deg seen the right way round
     tight = eqx.tree_at(lambda s: s.gimbal.limits, DRONE, jnp.asarray(DRONE.gimbal.limits).at[1, 1].set(0.3))
-    whole = point(tight, FLIGHT, target=RING)
-    found = point(tight, FLIGHT, target=Geodetic(lat=lat, lon=TARGETS.lon, height=height))
+    whole = point_gimbal(tight, FLIGHT, target=RING)
+    found = point_gimbal(tight, FLIGHT, target=Geodetic(lat=lat, lon=TARGETS.lon, height=height))
     assert found.status[4] == Status.invalid_input
     assert np.all(np.isnan(found.readings[4]))
     assert found.status[7] == Status.outside_gimbal_range
@@ -636,38 +636,48 @@ SENSOR, SHOT = SENSORS["two axes"], Shot(LEVEL)
 DOWN = LineOfSight.from_degrees(azimuth=0.0, depression=90.0)
 GROUND = ConstantHeight(0.0)
 MISTAKES = {
-    "a fixed gimbal": (lambda: point(Sensor(LENS), SHOT, target=RING), ValueError, "gimbal has no axes.* turn the"),
-    "a fix": (lambda: point(SENSOR, SHOT, target="here"), TypeError, "target must be a Geodetic point or a LineOf"),
-    "a direction and a terrain": (
-        lambda: point(SENSOR, SHOT, target=DOWN, terrain=GROUND), TypeError, "target.*leave the terrain out"
+    "a fixed gimbal": (
+        lambda: point_gimbal(Sensor(LENS), SHOT, target=RING), ValueError,
+        "gimbal has no axes.* turn the",
     ),
-    "no terrain": (lambda: point(SENSOR, SHOT, target=RING, terrain=3.0), TypeError, "terrain must be a"),
+    "a fix": (
+        lambda: point_gimbal(SENSOR, SHOT, target="here"), TypeError,
+        "target must be a Geodetic point or a LineOf",
+    ),
+    "a direction and a terrain": (
+        lambda: point_gimbal(SENSOR, SHOT, target=DOWN, terrain=GROUND), TypeError, "target.*leave the terrain out"
+    ),
+    "no terrain": (lambda: point_gimbal(SENSOR, SHOT, target=RING, terrain=3.0), TypeError, "terrain must be a"),
     "degrees": (
-        lambda: point(SENSOR, SHOT, target=Geodetic(lat=47.0, lon=11.0, height=0.0)),
+        lambda: point_gimbal(SENSOR, SHOT, target=Geodetic(lat=47.0, lon=11.0, height=0.0)),
         ValueError, r"target\.lat must lie within pi/2.*from_degrees takes degrees",
     ),
     "readings of another gimbal": (
-        lambda: point(SENSOR, SHOT, target=RING, readings=np.zeros(3)), ValueError, r"2 axes \(outer, inner\).*\(3,\)"
+        lambda: point_gimbal(SENSOR, SHOT, target=RING, readings=np.zeros(3)), ValueError,
+        r"2 axes \(outer, inner\).*\(3,\)",
     ),
     "air that is none": (
-        lambda: point(SENSOR, SHOT, target=RING, atmosphere=1.0), TypeError, "atmosphere must be a jaxgeo.Atmosphere"
+        lambda: point_gimbal(SENSOR, SHOT, target=RING, atmosphere=1.0), TypeError,
+        "atmosphere must be a jaxgeo.Atmosphere",
     ),
-    "a pose": (lambda: point(SENSOR, LEVEL, target=RING), TypeError, "shot must be a jaxgeo Shot"),
+    "a pose": (lambda: point_gimbal(SENSOR, LEVEL, target=RING), TypeError, "shot must be a jaxgeo Shot"),
     "a flight's line of sight": (lambda: line_of_sight(SENSOR, FLIGHT), TypeError, r"shot must be.*trajectory\.at"),
     "too few targets": (
-        lambda: point(DRONE, FLIGHT, target=jax.tree.map(lambda x: x[:3], TARGETS)), ValueError, r"13 knots.*\(3,\)"
+        lambda: point_gimbal(DRONE, FLIGHT, target=jax.tree.map(lambda x: x[:3], TARGETS)), ValueError,
+        r"13 knots.*\(3,\)",
     ),
     "too few directions": (
-        lambda: point(DRONE, FLIGHT, target=LineOfSight(jnp.ones((4, 3)))), ValueError, r"13 knots.*\(4, 3\)"
+        lambda: point_gimbal(DRONE, FLIGHT, target=LineOfSight(jnp.ones((4, 3)))), ValueError, r"13 knots.*\(4, 3\)"
     ),
     "depression in rad out of range": (
         lambda: LineOfSight.from_degrees(azimuth=0.0, depression=100.0), ValueError, "depression.*deg"
     ),
     "single precision": (
-        lambda: point(SENSOR, SHOT, target=LineOfSight(np.array([1.0, 0.0, 0.0], np.float32))), TypeError, "float32"
+        lambda: point_gimbal(SENSOR, SHOT, target=LineOfSight(np.array([1.0, 0.0, 0.0], np.float32))), TypeError,
+        "float32",
     ),
-    "targets in a batch": (lambda: point(SENSOR, SHOT, target=TARGETS), ValueError, "vmap"),
-    "many pixels": (lambda: point(SENSOR, SHOT, target=RING, uv=np.zeros((2, 2))), ValueError, "vmap"),
+    "targets in a batch": (lambda: point_gimbal(SENSOR, SHOT, target=TARGETS), ValueError, "vmap"),
+    "many pixels": (lambda: point_gimbal(SENSOR, SHOT, target=RING, uv=np.zeros((2, 2))), ValueError, "vmap"),
 }  # fmt: skip
 
 

@@ -30,7 +30,7 @@ from support.rasters import write
 
 import jaxgeo
 from jaxgeo import Fix, Ray, Status
-from jaxgeo.io import DemError, crowds, intersect_files, locate_files, open_dem, read_dem
+from jaxgeo.io import DemError, intersect_files, locate_files, locate_on_disk, open_dem, read_dem
 
 pytestmark = pytest.mark.usefixtures("small_blocks")
 
@@ -47,8 +47,8 @@ def test_every_answer_is_that_over_the_whole(
     if kind == "beside/*.tif":
         splittings.append((300, 99.0))  # almost a window for every ray
     for smallest, saving in splittings:
-        monkeypatch.setattr(crowds, "WORTH_SPLITTING", smallest)
-        monkeypatch.setattr(crowds, "SAVING", saving)
+        monkeypatch.setattr(locate_on_disk, "WORTH_SPLITTING", smallest)
+        monkeypatch.setattr(locate_on_disk, "SAVING", saving)
         files = open_dem(f"{ridge / kind}", vertical_datum="ellipsoid")
         same(intersect_files(rays, files), expected)
     counts = jaxgeo.status.count_statuses(expected.status)
@@ -127,7 +127,7 @@ def test_pixels_of_a_shot_see_the_same_ground(ridge: pathlib.Path) -> None:
     assert Status(int(fix.status[1, 2])) is Status.outside_image
     assert np.isnan(float(fix.slant_range[1, 2]))
     assert np.all(np.asarray(fix.ok).reshape(-1)[:5])
-    origin, direction, _ = crowds._lines_of_sight(sensor, shot, jnp.zeros(()), jnp.asarray(uv.reshape(-1, 2)))
+    origin, direction, _ = locate_on_disk._lines_of_sight(sensor, shot, jnp.zeros(()), jnp.asarray(uv.reshape(-1, 2)))
     expected = answers(Ray(np.asarray(origin)[:5], np.asarray(direction)[:5]), whole(ridge / "whole.tif"))
     np.testing.assert_allclose(np.asarray(fix.ecef).reshape(-1, 3)[:5], expected.ecef, rtol=0, atol=1e-7)
 

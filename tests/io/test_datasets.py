@@ -15,7 +15,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, Status
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
 from jaxgeo.io.map_raster import MapRaster
-from jaxgeo.uncertainty import AccuracyMap, ErrorModel, Trust, accuracy_of_pixels, sample, sources
+from jaxgeo.uncertainty import AccuracyMap, ErrorModel, Method, accuracy_of_pixels, sample, sources
 
 xarray = pytest.importorskip("xarray")
 
@@ -54,7 +54,7 @@ def test_a_dataset_holds_what_the_map_holds(found: AccuracyMap) -> None:
 
 def test_codes_say_what_they_mean(found: AccuracyMap) -> None:
     told = accuracy_map_dataset(found)
-    for name, expected in (("status", {int(s): s.name for s in Status}), ("trust", {int(t): t.name for t in Trust})):
+    for name, expected in (("status", {int(s): s.name for s in Status}), ("trust", {int(t): t.name for t in Method})):
         attributes = told[name].attrs
         words = attributes["flag_meanings"].split()
         meanings = dict(zip(attributes["flag_values"].tolist(), words, strict=True))

@@ -11,10 +11,10 @@ from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
 from test_sbet import flight
 
-from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._file_views import views_of_files
+from jaxgeo.cli._locate_options import LocateOptions
 from jaxgeo.io import read_acquisitions
 
 DJI = {
@@ -73,9 +73,9 @@ def test_a_file_alone_has_the_names_of_its_records(files) -> None:
     assert names_of(files["video"]) == ["0", "1", "2"]
 
 
-def asked(paths: list[pathlib.Path], *exposures: str) -> Asked:
+def asked(paths: list[pathlib.Path], *exposures: str) -> LocateOptions:
     how = {"height_datum": "ellipsoid"}
-    return Asked(paths, None, None, [], list(exposures), [], "300", None, False, how, Sigmas())
+    return LocateOptions(paths, None, None, [], list(exposures), [], "300", None, False, how, Sigmas())
 
 
 @pytest.mark.parametrize("kinds", [("video", "image"), ("video", "other", "image"), ("video",)], ids=str)

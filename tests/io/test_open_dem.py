@@ -31,7 +31,7 @@ from support.rasters import hills, write
 
 from jaxgeo import Fix, Ray, Status
 from jaxgeo.io import DemError, intersect_files, open_dem, read_dem
-from jaxgeo.io.crowds import _hits
+from jaxgeo.io.locate_on_disk import _hits
 from jaxgeo.io.sightlines import padded_rays
 
 pytestmark = pytest.mark.usefixtures("small_blocks")

@@ -12,9 +12,9 @@ import pytest
 from jaxgeo import Geodetic, locate, project
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.io.registration_report import tie_heights
+from jaxgeo.register.orientation_update import Update, update_orientation
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import Update, update
 from jaxgeo.uncertainty import ErrorModel, sources
 from tests.support import looks
 
@@ -54,7 +54,7 @@ def seen_places(found: Update, ground: Geodetic, heights: Any) -> np.ndarray:
 @pytest.mark.parametrize("on_planes, atol", [(True, 1e-6), (False, 1e-4)])
 def test_ties_in_their_heights_have_the_residuals_of_the_update(on_planes: bool, atol: float) -> None:
     ties = wrong_ties(on_planes=on_planes)
-    found = update(SENSOR, SHOT, ties, DEM, MODEL, TieErrors(registration=1.0, terrain=1.0, shift=10.0))
+    found = update_orientation(SENSOR, SHOT, ties, DEM, MODEL, TieErrors(registration=1.0, terrain=1.0, shift=10.0))
     assert bool(found.ok)
     assert float(jnp.linalg.norm(found.shift)) > 1.0  # m
     assert abs(float(found.error[3])) > 0.1  # m: the terrain's height

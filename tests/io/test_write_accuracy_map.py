@@ -10,7 +10,7 @@ import rasterio
 import jaxgeo
 from jaxgeo import ConstantHeight, Pose, Shot, Status
 from jaxgeo.io import write_accuracy_map
-from jaxgeo.uncertainty import NO_FIX, Trust, sources
+from jaxgeo.uncertainty import NO_FIX, Method, sources
 from tests.support.scenes import rough, small_dem
 
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3000.0, width=601, height=601)
@@ -54,7 +54,7 @@ def test_bands_are_the_map(written) -> None:
         np.testing.assert_array_equal(band, np.asarray(values, np.float32))
     assert np.isfinite(bands[2:]).all()
     assert bands.shape == (4, 5, 11)  # the south edge is moved outwards
-    assert set(np.unique(bands[2])) == {NO_FIX, Trust.facet}
+    assert set(np.unique(bands[2])) == {NO_FIX, Method.facet}
     np.testing.assert_array_equal(np.isnan(bands[0]), bands[3] != Status.hit)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from jaxgeo.register import TieErrors
-from jaxgeo.register.alike import FEWEST
 from jaxgeo.register.outcome import Outcome
 from jaxgeo.register.passes import Pass
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.registration import LIMITS, _beyond, _fits, _Given, _judged
+from jaxgeo.register.residual_correlation import FEWEST
 from jaxgeo.register.ties import TiePoints
 
 

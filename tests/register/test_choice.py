@@ -10,7 +10,7 @@ import scipy
 
 from jaxgeo.register.affine import AffineCheck
 from jaxgeo.register.blocks import Matches
-from jaxgeo.register.chance import at_least, false_alarms, runner_up
+from jaxgeo.register.chance import at_least, false_alarms, second_best
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.clusters import Clusters, k_means
 from jaxgeo.register.consensus import PoseConsensus, _posterior, _seen
@@ -63,7 +63,7 @@ def test_the_planted_set_is_found(choice: AbstractChoice, seed: int) -> None:
     assert np.count_nonzero(chosen.peak[right >= 0] == right[right >= 0]) >= 16
     assert np.count_nonzero(is_wrong) <= 1
     assert false_alarms(matches, chosen) < 1e-6
-    second = runner_up(choice, matches, chosen, jacobian, COV)
+    second = second_best(choice, matches, chosen, jacobian, COV)
     assert not np.any(chosen.is_chosen & (second.peak == chosen.peak))
     assert false_alarms(matches, second) > 1e-2
     away = chosen.of(matches.shift) - jacobian @ error
@@ -87,7 +87,7 @@ def test_a_texture_that_repeats_itself_has_a_second_set(choice: AbstractChoice) 
     shift[rows, (right + 1) % PEAKS] = shift[rows, right] + np.array([0.0, 12.0])
     periodic = Matches(matches.centre, shift, matches.score, matches.covariance, matches.outcome, matches.searched)
     chosen = choice.choose(periodic, jacobian, COV)
-    second = runner_up(choice, periodic, chosen, jacobian, COV)
+    second = second_best(choice, periodic, chosen, jacobian, COV)
     assert chosen.count >= 30
     assert second.count > 0.8 * chosen.count
     assert false_alarms(periodic, second) < 1e-6
@@ -105,7 +105,7 @@ def test_without_candidates_nothing_is_chosen(choice: AbstractChoice, n: int) ->
     assert chosen.peak.shape == (n,)
     assert chosen.count == 0
     assert false_alarms(matches, chosen) >= 1.0
-    assert runner_up(choice, matches, chosen, np.zeros((n, 2, 5)), COV).count == 0
+    assert second_best(choice, matches, chosen, np.zeros((n, 2, 5)), COV).count == 0
 
 
 def test_the_prior_refuses_what_the_navigation_cannot_do() -> None:

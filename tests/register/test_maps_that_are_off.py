@@ -16,7 +16,7 @@ from support.rendered import noisy, spoilt, textured
 from jaxgeo.earth import Geodetic, R_ecef_from_enu
 from jaxgeo.io import example_dem
 from jaxgeo.locate import locate
-from jaxgeo.register import Orthoimage, Outcome, Prior, TieErrors, register, render
+from jaxgeo.register import Orthoimage, Outcome, Prior, TieErrors, register_image, render
 from jaxgeo.register.registration import Registration
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at, moved
@@ -72,7 +72,7 @@ def test_a_map_that_is_off_by_many_cells_is_followed(reference: Orthoimage, imag
     given = disturbed(SHOT, np.random.default_rng(3), metres=2.0, degrees=0.02)
     for cells in (3, 6):
         there = Orthoimage.of(np.roll(np.asarray(reference.values)[0], cells, 1), reference.grid)
-        found = register(SENSOR, given, image, there, DEM, errors(2.0, 0.02), map_errors(30.0))
+        found = register_image(SENSOR, given, image, there, DEM, errors(2.0, 0.02), map_errors(30.0))
         assert found.accepted, str(found)
         assert found.update is not None
         sigma = np.sqrt(np.diagonal(np.asarray(found.update.cov_shift)))
@@ -87,7 +87,7 @@ def test_a_shift_that_is_known_before_is_used(reference: Orthoimage, image: np.n
     there = Orthoimage.of(np.roll(np.asarray(reference.values)[0], 12, 1), reference.grid)
     before = Prior.of(model, map_errors(1.0))
     before = Prior(jnp.asarray(before.mean).at[-2].set(12 * CELL), before.covariance)
-    found = register(SENSOR, given, image, there, DEM, model, map_errors(1.0), prior=before)
+    found = register_image(SENSOR, given, image, there, DEM, model, map_errors(1.0), prior=before)
     assert found.accepted, str(found)
     apart, sigmas = off(found)
     assert np.all(np.abs(apart) < 3.0 * sigmas)
@@ -106,7 +106,7 @@ def test_halves_that_contradict_each_other_are_ambiguous(reference: Orthoimage, 
     torn = values.copy()
     torn[:, SIDE // 2 :] = np.roll(values, 8, 0)[:, SIDE // 2 :]
     there = Orthoimage.of(torn, reference.grid)
-    found = register(SENSOR, given, image, there, DEM, errors(50.0, 0.5), map_errors(1.0))
+    found = register_image(SENSOR, given, image, there, DEM, errors(50.0, 0.5), map_errors(1.0))
     assert refused(found) is Outcome.ambiguous, str(found)
 
 
@@ -117,7 +117,7 @@ def test_a_texture_that_repeats_itself_is_ambiguous(reference: Orthoimage) -> No
     there = Orthoimage.of(values, reference.grid)
     seen = noisy(np.asarray(render(SENSOR, SHOT, there, DEM).values), np.random.default_rng(1), 0.1)
     given = moved(SHOT, np.array([75.0, -37.5, 0.0]), np.zeros(3))
-    found = register(SENSOR, given, seen, there, DEM, errors(50.0, 0.05), map_errors(1.0))
+    found = register_image(SENSOR, given, seen, there, DEM, errors(50.0, 0.05), map_errors(1.0))
     assert refused(found) is Outcome.ambiguous, str(found)
 
 
@@ -128,15 +128,15 @@ def test_a_lens_or_a_terrain_that_is_not_the_image_s_is_no_noise(reference: Orth
     bent = spoilt(np.asarray(render(lens, SHOT, reference, DEM).values), 5)
     beside = Dem.from_array(np.roll(np.asarray(DEM.posts, float), 3, 1), DEM.grid)
     for seen, terrain in ((bent, DEM), (image, beside)):
-        found = register(SENSOR, given, seen, reference, terrain, model, map_errors(1.0))
+        found = register_image(SENSOR, given, seen, reference, terrain, model, map_errors(1.0))
         assert refused(found) is Outcome.does_not_fit, str(found)
-    assert register(SENSOR, given, image, reference, DEM, model, map_errors(1.0)).accepted
+    assert register_image(SENSOR, given, image, reference, DEM, model, map_errors(1.0)).accepted
 
 
 def test_navigation_of_which_nothing_is_known_is_not_searched(reference: Orthoimage, image: np.ndarray) -> None:
     vague = {(1e6, 0.5): Outcome.too_vague, (2e4, 1.0): Outcome.too_vague, (1000.0, 0.5): Outcome.off_reference}
     for (metres, degrees), outcome in vague.items():
-        found = register(SENSOR, SHOT, image, reference, DEM, errors(metres, degrees), map_errors(1.0))
+        found = register_image(SENSOR, SHOT, image, reference, DEM, errors(metres, degrees), map_errors(1.0))
         assert refused(found) is outcome, str(found)
 
 
@@ -144,4 +144,4 @@ def test_navigation_of_which_nothing_is_known_is_not_searched(reference: Orthoim
 def test_searches_that_tell_nothing_are_refused(change: dict[str, Any], reference: Orthoimage) -> None:
     blank = np.ones((1, SIZE, SIZE))
     with pytest.raises(ValueError, match=next(iter(change))):
-        register(SENSOR, SHOT, blank, reference, DEM, errors(50.0, 0.5), map_errors(1.0), **change)
+        register_image(SENSOR, SHOT, blank, reference, DEM, errors(50.0, 0.5), map_errors(1.0), **change)

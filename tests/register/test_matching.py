@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from jaxgeo.register.blocks import BlockOutcome, Matches, blocks_of, count_outcomes
-from jaxgeo.register.chance import false_alarms, runner_up
+from jaxgeo.register.chance import false_alarms, second_best
 from jaxgeo.register.clusters import Clusters
 from jaxgeo.register.correlation import correlations
-from jaxgeo.register.flattening import flattened
-from jaxgeo.register.matching import match
+from jaxgeo.register.flattening import remove_illumination
+from jaxgeo.register.matching import match_blocks
 from jaxgeo.register.peaks import ellipses
 
 SIDE, SIZE = 160, 40
@@ -49,7 +49,7 @@ def pair(seed: int, shift: np.ndarray = SHIFT, noise: float = 0.1, blur: float =
 def matched(rectified, reference, known=ALL, known_reference=ALL, sigma=2.0, centres=None, **options) -> Matches:
     centres = blocks_of(ALL, SIZE) if centres is None else centres
     covariance = np.tile(sigma**2 * np.eye(2), (len(centres), 1, 1))
-    return match(rectified, known, reference, known_reference, centres, covariance, size=SIZE, **options)
+    return match_blocks(rectified, known, reference, known_reference, centres, covariance, size=SIZE, **options)
 
 
 def direct(block, known, window, known_window, row, col) -> float:
@@ -163,7 +163,7 @@ def test_only_what_the_navigation_allows_is_searched() -> None:
     rectified, reference = pair(3, np.array([0.0, 6.0]))
     centres = np.array([[80.0, 80.0], [60.0, 70.0]])
     wide, flat = np.diag([1.0, 9.0]), np.diag([9.0, 1.0])
-    found = match(rectified, ALL, reference, ALL, centres, np.stack([wide, flat]), size=SIZE)
+    found = match_blocks(rectified, ALL, reference, ALL, centres, np.stack([wide, flat]), size=SIZE)
     np.testing.assert_allclose(found.shift[0, 0], [0.0, 6.0], atol=0.1)  # cells
     assert not np.any(np.hypot(*(found.shift[1] - [0.0, 6.0]).T) < 1.0)
     k = np.sqrt(-2.0 * np.log(0.001))
@@ -206,14 +206,14 @@ def test_flattening_takes_out_what_varies_slowly() -> None:
     known = ALL.copy()
     known[20:50, 30:70] = False
     lit[~known] = np.nan
-    flat = np.asarray(flattened(lit, known, 15))
+    flat = np.asarray(remove_illumination(lit, known, 15))
     assert np.all(flat[~known] == 0.0)
-    assert np.corrcoef(flat[known], np.asarray(flattened(image, known, 15))[known])[0, 1] > 0.97
+    assert np.corrcoef(flat[known], np.asarray(remove_illumination(image, known, 15))[known])[0, 1] > 0.97
     here = np.s_[40:55, 63:78]
     cells = lit[here][known[here]]
     deviation = np.sqrt(np.var(cells) + 0.01 * np.var(lit[known]))
     np.testing.assert_allclose(flat[47, 70], (lit[47, 70] - np.mean(cells)) / deviation, atol=1e-9)
-    assert np.all(np.asarray(flattened(np.full((SIDE, SIDE), 3.0), ALL, 15)) == 0.0)
+    assert np.all(np.asarray(remove_illumination(np.full((SIDE, SIDE), 3.0), ALL, 15)) == 0.0)
 
 
 def test_images_of_different_places_agree_by_chance_alone() -> None:
@@ -229,7 +229,7 @@ def test_a_texture_that_repeats_itself_gives_two_answers() -> None:
     both = np.fft.ifft2(rows).real.mean(axis=1, keepdims=True) * 8.0 * np.ones((1, SIDE)) + striped
     found = matched(both + noise[0], np.roll(both, (1, 4), axis=(0, 1)) + noise[1])
     chosen = Clusters().choose(found)
-    second = runner_up(Clusters(), found, chosen)
+    second = second_best(Clusters(), found, chosen)
     assert chosen.count >= 10
     assert second.count >= 0.7 * chosen.count
     gap = np.nanmedian(chosen.of(found.shift), axis=0) - np.nanmedian(second.of(found.shift), axis=0)
@@ -265,4 +265,4 @@ def test_mistakes_are_named(change: dict, words: str) -> None:
     given: dict[str, Any] = {"rectified": rectified, "known": ALL, "reference": reference, "known_reference": ALL}
     given |= {"centres": np.array([[80.0, 80.0]]), "covariance": np.eye(2)[None], "size": SIZE}
     with pytest.raises(ValueError, match=words):
-        match(**(given | change))
+        match_blocks(**(given | change))

@@ -19,7 +19,7 @@ from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.io import example_dem
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.outcome import Outcome
-from jaxgeo.register.registration import Registration, register
+from jaxgeo.register.registration import Registration, register_image
 from jaxgeo.register.render import render
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.studies.gu2017.scene import disturbed, looking_at
@@ -71,7 +71,7 @@ def registered(
     """What becomes of an image by a navigation disturbed at random, and that."""
     here = scene() if here is None else here
     shot = disturbed(here.shot, np.random.default_rng(seed), metres=METRES, degrees=DEGREES)
-    found = register(here.sensor, shot, image, reference, here.terrain, MODEL, TIE_ERRORS, known=here.known)
+    found = register_image(here.sensor, shot, image, reference, here.terrain, MODEL, TIE_ERRORS, known=here.known)
     return found, shot
 
 

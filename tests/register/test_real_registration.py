@@ -11,7 +11,7 @@ from support.ngi import Flight
 from support.registrations import errors, tie_errors, trial
 
 from jaxgeo.register.outcome import Outcome
-from jaxgeo.register.registration import register
+from jaxgeo.register.registration import register_image
 from jaxgeo.studies.gu2017.scene import disturbed
 
 CELL = 5.0  # m, of the orthophotos
@@ -45,7 +45,7 @@ def test_another_area_is_refused(flight: Flight) -> None:
     moved = eqx.tree_at(lambda o: o.grid, shown, own.grid)
     shot = disturbed(flight.shots["05_0182"], np.random.default_rng(1), metres=50.0, degrees=0.5)
     image = flight.image("05_0182")
-    found = register(flight.sensor, shot, image, moved, flight.terrain, errors(50.0, 0.5), tie_errors())
+    found = register_image(flight.sensor, shot, image, moved, flight.terrain, errors(50.0, 0.5), tie_errors())
     assert found.outcome in (Outcome.no_agreement, Outcome.few_agree)
     assert found.update is None
     assert found.shot.pose.heading == shot.pose.heading

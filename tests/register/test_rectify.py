@@ -33,9 +33,9 @@ from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import file_map
 from jaxgeo.register.cells import cells_one_by_one, may_be_hidden
 from jaxgeo.register.interpolation import Bilinear, Cubic, Nearest
-from jaxgeo.register.open_sight import OpenSight
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.register.rectify import Rectifier, rectify
+from jaxgeo.register.visibility_bounds import OpenSight
 from jaxgeo.sensor import BrownConrady
 from jaxgeo.terrain import ConstantField, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
 from jaxgeo.terrain.grid import AbstractGrid, surface_point

@@ -14,14 +14,14 @@ from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, locate
 from jaxgeo.adjust.losses import LeastSquares
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.register import gu2017
-from jaxgeo.register.sequence import next_prior
+from jaxgeo.register.orientation_update import Update, update_orientation
+from jaxgeo.register.sequence import propagate_prior
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import Update, update
 from jaxgeo.sensor.exposure import image_of_point
-from jaxgeo.uncertainty import EachFlight, EachMeasurement, EachShot, ErrorModel, Everywhere, InTime
+from jaxgeo.uncertainty import ErrorModel, PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
 from jaxgeo.uncertainty import sources as errors_of
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
 SENSOR, FIRST = gu2017._camera(50.0, 3_000.0, 10.0)
@@ -43,18 +43,20 @@ def navigation(duration: float) -> ErrorModel:
     """Position and mounting, of which the latter fades three times as slowly."""
     return ErrorModel(
         (
-            errors_of.Position.from_ned(north=3.0, east=2.0, down=4.0, sharing=InTime(duration)),
-            errors_of.CameraMounting.from_degrees(forward=0.02, right=0.02, down=0.03, sharing=InTime(3.0 * duration)),
+            errors_of.Position.from_ned(north=3.0, east=2.0, down=4.0, sharing=TimeCorrelated(duration)),
+            errors_of.CameraMounting.from_degrees(
+                forward=0.02, right=0.02, down=0.03, sharing=TimeCorrelated(3.0 * duration)
+            ),
         )
     )
 
 
-def look(number: int) -> Look:
-    return Look(SENSOR, shot(number), jnp.asarray(0.0), UV[0], GROUND)
+def look(number: int) -> ModelInputs:
+    return ModelInputs(SENSOR, shot(number), jnp.asarray(0.0), UV[0], GROUND)
 
 
 @jax.jit
-def shown(here: Look, model: ErrorModel, error: jax.Array, shift: jax.Array) -> Geodetic:
+def shown(here: ModelInputs, model: ErrorModel, error: jax.Array, shift: jax.Array) -> Geodetic:
     """Places that the map shows for the pixels of a look that errs."""
     moved = model.moved(here, error)
 
@@ -66,7 +68,7 @@ def shown(here: Look, model: ErrorModel, error: jax.Array, shift: jax.Array) -> 
 
 
 @jax.jit
-def images(here: Look, model: ErrorModel, ground: Geodetic, x: jax.Array) -> jax.Array:
+def images(here: ModelInputs, model: ErrorModel, ground: Geodetic, x: jax.Array) -> jax.Array:
     """Pixels of places on the map by errors and shift x, one after the other."""
     moved = model.moved(here, x[:6])
 
@@ -130,9 +132,9 @@ def in_turn(model: ErrorModel, ties: list[TiePoints]) -> list[Update]:
     prior, found = None, []
     for k, of_image in enumerate(ties):
         options: Any = {"prior": prior, "loss": LeastSquares()}
-        found.append(update(SENSOR, shot(k), of_image, GROUND, model, TieErrors(shift=SHIFT), **options))
+        found.append(update_orientation(SENSOR, shot(k), of_image, GROUND, model, TieErrors(shift=SHIFT), **options))
         if k + 1 < len(ties):
-            prior = next_prior(found[k], OCCASIONS[k], OCCASIONS[k + 1])
+            prior = propagate_prior(found[k], OCCASIONS[k], OCCASIONS[k + 1])
     return found
 
 
@@ -163,13 +165,13 @@ def test_one_after_the_other_is_all_at_once(duration):
 def test_what_each_sharing_carries_over():
     model, ties = flown(4.0)
     found = in_turn(model, ties[:1])[0]
-    never, always = (EachShot(), EachMeasurement()), (EachFlight(), Everywhere())
-    shares = [*((one, 0.0) for one in never), *((one, 1.0) for one in always), (InTime(4.0), np.exp(-0.5))]
+    never, always = (PerImage(), PerMeasurement()), (PerFlight(), Systematic())
+    shares = [*((one, 0.0) for one in never), *((one, 1.0) for one in always), (TimeCorrelated(4.0), np.exp(-0.5))]
     P = np.asarray(found.covariance)
     for sharing, rho in shares:
         part = errors_of.Position.from_ned(north=3.0, east=2.0, down=4.0, sharing=sharing)
         result = eqx.tree_at(lambda one: one.errors, found, ErrorModel((part, model.sources[1])))
-        prior = next_prior(result, *OCCASIONS[:2])
+        prior = propagate_prior(result, *OCCASIONS[:2])
         np.testing.assert_allclose(prior.mean[:3], rho * found.error[:3], atol=1e-12)
         np.testing.assert_allclose(prior.mean[6:], found.shift, atol=1e-12)
         own = np.diag([9.0, 4.0, 16.0])

@@ -26,10 +26,12 @@ TIES = TiePoints(
 )
 DOORS = {
     "rectify": lambda terrain: register.rectify(SENSOR, SHOT, IMAGE, terrain, GRID, (64, 64)),
-    "register": lambda terrain: register.register(
+    "register": lambda terrain: register.register_image(
         SENSOR, SHOT, IMAGE, register.Orthoimage.of(IMAGE, GRID), terrain, ERRORS, register.TieErrors(1.0, 1.0)
     ),
-    "update": lambda terrain: register.update(SENSOR, SHOT, TIES, terrain, ERRORS, register.TieErrors(1.0, 1.0)),
+    "update": lambda terrain: register.update_orientation(
+        SENSOR, SHOT, TIES, terrain, ERRORS, register.TieErrors(1.0, 1.0)
+    ),
 }
 
 

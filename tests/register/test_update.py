@@ -15,15 +15,15 @@ from jaxgeo.adjust.losses import LeastSquares, Tukey
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.register import gu2017
 from jaxgeo.register._equations import on_surface
+from jaxgeo.register.orientation_update import update_orientation
 from jaxgeo.register.prior import Prior
 from jaxgeo.register.tie_errors import FullJacobian, LevelGround, TieErrors
 from jaxgeo.register.ties import TiePoints
-from jaxgeo.register.update import update
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.status import Status
 from jaxgeo.uncertainty import ErrorModel, circular_error, gauss_helmert, propagate
 from jaxgeo.uncertainty import sources as errors_of
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 from tests.support.scenes import flat, rough, small_dem
 
@@ -32,7 +32,7 @@ TIE_ERRORS = TieErrors(registration=3.0, terrain=5.0)
 MIDDLE = gu2017.MIDDLE
 SENSOR, SHOT = gu2017._camera(75.0, 10_000.0, 10.0)
 UV = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(jnp.linspace(100.0, 1900.0, 5), jnp.linspace(100.0, 1900.0, 4))], 1)
-LOOK = Look(SENSOR, SHOT, jnp.asarray(0.0), jnp.asarray(MIDDLE), ConstantHeight(jnp.asarray(500.0)))
+LOOK = ModelInputs(SENSOR, SHOT, jnp.asarray(0.0), jnp.asarray(MIDDLE), ConstantHeight(jnp.asarray(500.0)))
 
 
 def navigation(position: float = 10.0, angle: float = 0.05) -> ErrorModel:
@@ -42,7 +42,7 @@ def navigation(position: float = 10.0, angle: float = 0.05) -> ErrorModel:
 
 
 @eqx.filter_jit
-def seen_from(look: Look, uv: jax.Array, heights: jax.Array) -> Geodetic:
+def seen_from(look: ModelInputs, uv: jax.Array, heights: jax.Array) -> Geodetic:
     """Places that pixels see, each on ground of its own height."""
 
     def place(uv: jax.Array, height: jax.Array) -> Geodetic:
@@ -52,7 +52,7 @@ def seen_from(look: Look, uv: jax.Array, heights: jax.Array) -> Geodetic:
 
 
 @eqx.filter_jit
-def moved_by(model: ErrorModel, look: Look, error: jax.Array) -> Look:
+def moved_by(model: ErrorModel, look: ModelInputs, error: jax.Array) -> ModelInputs:
     return model.moved(look, error)
 
 
@@ -101,7 +101,9 @@ ERROR = np.array([8.0, -12.0, 5.0, 5e-4, -8e-4, 6e-4])
 
 @pytest.mark.slow
 def test_exact_ties_give_back_the_look():
-    result = update(SENSOR, SHOT, ties_at(ERROR), GROUND, navigation(), TieErrors(registration=0.001, terrain=0.001))
+    result = update_orientation(
+        SENSOR, SHOT, ties_at(ERROR), GROUND, navigation(), TieErrors(registration=0.001, terrain=0.001)
+    )
     assert result.ok
     look = moved_by(navigation(), LOOK, jnp.asarray(ERROR))
     truth = locate(look.sensor, look.motion, MIDDLE, GROUND).position
@@ -116,7 +118,7 @@ def test_exact_ties_give_back_the_look():
 
 def test_posterior_is_that_of_gu():
     model, tie_errors = navigation(), TieErrors(registration=3.0, terrain=5.0)
-    result = update(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, tie_errors)
+    result = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, tie_errors)
     assert result.chi_square_ties < 1e-9
     ground = jax.vmap(lambda p: gu2017.ground_covariance(p, 3.0, 5.0))(seen_from(LOOK, UV, jnp.full(20, 500.0)))
     p_ecef = jax.vmap(WGS84.to_ecef)(seen_from(LOOK, UV, jnp.full(20, 500.0)))
@@ -153,7 +155,7 @@ def test_wrong_matches_count_little():
     rng = np.random.default_rng(5)
     enu = rng.normal(0.0, 3.0, (20, 2))
     enu[[2, 9, 14]] += [[400.0, -300.0], [-500.0, 100.0], [60.0, 250.0]]
-    result = update(SENSOR, SHOT, ties_at(ERROR, enu=enu), GROUND, navigation(), TIE_ERRORS)
+    result = update_orientation(SENSOR, SHOT, ties_at(ERROR, enu=enu), GROUND, navigation(), TIE_ERRORS)
     others = np.delete(np.arange(20), [2, 9, 14])
     assert result.ok
     assert np.all(np.asarray(result.weights)[[2, 9, 14]] < 0.2)
@@ -170,18 +172,18 @@ def test_map_shifted_as_a_whole():
     """It shifts the fix by as much; not knowing it adds its variance, which only the navigation can make less."""
     model, moved = navigation(1000.0, 1.0), jnp.asarray([30.0, -20.0])
     sharp = TieErrors(registration=0.5, terrain=0.5)
-    still = update(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, sharp)
-    shifted = update(SENSOR, SHOT, ties_at(np.zeros(6), enu=moved), GROUND, model, sharp)
+    still = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, sharp)
+    shifted = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6), enu=moved), GROUND, model, sharp)
     np.testing.assert_allclose(horizontal(fixed(shifted), fixed(still)), moved, atol=0.05)
     known = np.asarray(still.fix(MIDDLE).cov_enu)[:2, :2]
     for sigma in (10.0, 40.0):
-        unsure = update(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, TieErrors(0.5, 0.5, sigma))
+        unsure = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6)), GROUND, model, TieErrors(0.5, 0.5, sigma))
         cov = np.asarray(unsure.fix(MIDDLE).cov_enu)[:2, :2]
         np.testing.assert_allclose(cov - known, sigma**2 * np.eye(2), atol=0.01 * sigma**2)
         np.testing.assert_allclose(unsure.cov_shift, sigma**2 * np.eye(2), atol=0.01 * sigma**2)
     # a navigation that is sure tells the map's shift
     sure = navigation(0.1, 1e-5)
-    told = update(SENSOR, SHOT, ties_at(np.zeros(6), enu=moved), GROUND, sure, TieErrors(0.5, 0.5, 40.0))
+    told = update_orientation(SENSOR, SHOT, ties_at(np.zeros(6), enu=moved), GROUND, sure, TieErrors(0.5, 0.5, 40.0))
     np.testing.assert_allclose(told.shift, moved, atol=0.2)
     np.testing.assert_allclose(horizontal(fixed(told), fixed(still)), 0.0, atol=0.2)
 
@@ -205,7 +207,7 @@ def _drawn_update(rng: np.random.Generator, model: ErrorModel, tie_errors: TieEr
     truth = moved_by(model, LOOK, jnp.asarray(error))
     places = seen_from(truth, UV, jnp.asarray(500.0 + rng.normal(0.0, float(tie_errors.terrain), 20)))
     ties = TiePoints(UV, moved_on_map(places, jnp.asarray(enu)), jnp.zeros((20, 2, 2)))
-    return update(SENSOR, SHOT, ties, GROUND, model, tie_errors)
+    return update_orientation(SENSOR, SHOT, ties, GROUND, model, tie_errors)
 
 
 @eqx.filter_jit
@@ -219,13 +221,13 @@ def simulated(key: jax.Array, model: ErrorModel, tie_errors: TieErrors, sensor: 
         keys = jax.random.split(key, 4)
         error = model.factor() @ jax.random.normal(keys[0], (model.size,))
         heights = 500.0 + jnp.asarray(tie_errors.terrain) * jax.random.normal(keys[1], (21,))
-        truth = model.moved(Look(sensor, shot, jnp.asarray(0.0), UV[0], LOOK.terrain), error)
+        truth = model.moved(ModelInputs(sensor, shot, jnp.asarray(0.0), UV[0], LOOK.terrain), error)
         places = seen_from(truth, jnp.concatenate([UV, jnp.asarray([MIDDLE])]), heights)
         enu = jnp.asarray(tie_errors.registration) * jax.random.normal(keys[2], (20, 2))
         enu = enu + (jnp.asarray(tie_errors.shift) * jax.random.normal(keys[3], (2,)))[None, :]
         ground, target = jax.tree.map(lambda x: x[:20], places), jax.tree.map(lambda x: x[20], places)
         ties = TiePoints(UV, moved_on_map(ground, enu), jnp.zeros((20, 2, 2)))
-        result = update(sensor, shot, ties, LOOK.terrain, model, tie_errors, loss=LeastSquares())
+        result = update_orientation(sensor, shot, ties, LOOK.terrain, model, tie_errors, loss=LeastSquares())
         fix = result.fix(MIDDLE, tie_errors.terrain)
         offset = R_ecef_from_enu(target).T @ (fix.fix.ecef - WGS84.to_ecef(target))
         return offset[:2], fix.cov_enu[:2, :2], result.ok
@@ -294,7 +296,7 @@ def dem_ties(dem: Dem) -> TiePoints:
 
 
 def dem_update(dem: Dem, model: ErrorModel, tie_errors: TieErrors, **options: Any):
-    return update(looks.sensor(), looks.shot(), dem_ties(dem), dem, model, tie_errors, **options)
+    return update_orientation(looks.sensor(), looks.shot(), dem_ties(dem), dem, model, tie_errors, **options)
 
 
 @pytest.mark.slow
@@ -318,7 +320,7 @@ def test_ties_on_planes_of_their_own_are_those_on_such_ground():
     ground = Geodetic(lat=ties.ground.lat, lon=ties.ground.lon, height=height)
     rise = np.tile([RISE, 0.0], (12, 1))
     of_ground, of_plane = (
-        update(looks.sensor(), looks.shot(), one, SLOPE, platform(3.0), tie_errors)
+        update_orientation(looks.sensor(), looks.shot(), one, SLOPE, platform(3.0), tie_errors)
         for one in (TiePoints(uv, ties.ground, ties.covariance), TiePoints(uv, ground, ties.covariance, rise=rise))
     )
     sigma = np.sqrt(np.diagonal(of_ground.covariance))
@@ -338,7 +340,7 @@ def test_ends_where_the_slope_of_the_ground_jumps():
         moved = TiePoints(
             ties.uv + rng.normal(0.0, 15.0, 2)[None, :], moved_on_map(ties.ground, jnp.asarray(enu)), ties.covariance
         )
-        assert update(looks.sensor(), looks.shot(), moved, dem, platform(3.0), tie_errors).ok
+        assert update_orientation(looks.sensor(), looks.shot(), moved, dem, platform(3.0), tie_errors).ok
 
 
 @pytest.mark.slow
@@ -381,7 +383,9 @@ SURE = ErrorModel(
 def raised():
     """The update over a terrain that lies 2.5 m too low."""
     low = small_dem(np.asarray(SLOPE.posts) - 2.5)
-    return update(looks.sensor(), looks.shot(), dem_ties(SLOPE), low, SURE, TieErrors(registration=0.05, terrain=0.05))
+    return update_orientation(
+        looks.sensor(), looks.shot(), dem_ties(SLOPE), low, SURE, TieErrors(registration=0.05, terrain=0.05)
+    )
 
 
 @pytest.mark.slow
@@ -407,8 +411,8 @@ def test_trajectory_is_corrected_as_a_shot():
     model, tie_errors = platform(0.5), TieErrors(registration=1.0, terrain=1.0)
     ties = dem_ties(SLOPE)
     ties = TiePoints(ties.uv + jnp.asarray([[3.0, -4.0]]), ties.ground, ties.covariance)
-    one = update(looks.sensor(), looks.shot(), ties, SLOPE, model, tie_errors)
-    other = update(looks.sensor(), looks.trajectory(), ties, SLOPE, model, tie_errors, time=0.0)
+    one = update_orientation(looks.sensor(), looks.shot(), ties, SLOPE, model, tie_errors)
+    other = update_orientation(looks.sensor(), looks.trajectory(), ties, SLOPE, model, tie_errors, time=0.0)
     scale = np.sqrt(np.diagonal(one.cov_error))
     np.testing.assert_allclose(other.error / scale, one.error / scale, atol=1e-4)
     here, there = (np.asarray(result.fix((700.0, 420.0)).cov_enu) for result in (one, other))
@@ -420,7 +424,7 @@ def test_loss_that_falls_to_nothing_starts_from_one_that_does_not():
     enu = np.random.default_rng(6).normal(0.0, 3.0, (20, 2))
     enu[::4] += [[900.0, -300.0], [-500.0, 100.0], [60.0, 250.0], [0.0, 90.0], [-700.0, 700.0]]
     ties, tie_errors = ties_at(ERROR * 20.0, enu=enu), TieErrors(registration=3.0, terrain=5.0)
-    result = update(SENSOR, SHOT, ties, GROUND, navigation(200.0, 1.0), tie_errors, loss=Tukey())
+    result = update_orientation(SENSOR, SHOT, ties, GROUND, navigation(200.0, 1.0), tie_errors, loss=Tukey())
     assert result.ok
     np.testing.assert_array_equal(np.flatnonzero(~np.asarray(result.used)), np.arange(0, 20, 4))
     look = moved_by(navigation(), LOOK, jnp.asarray(20.0 * ERROR))
@@ -437,7 +441,7 @@ def test_circle_of_a_round_error_is_2_146_standard_deviations():
 def test_ties_behind_the_camera_have_no_update():
     behind = Geodetic.from_degrees(lat=np.full(20, 30.0), lon=np.full(20, 103.5), height=np.zeros(20))
     ties = TiePoints(UV, behind, jnp.zeros((20, 2, 2)))
-    result = update(SENSOR, SHOT, ties, GROUND, navigation(), TieErrors(registration=3.0, terrain=5.0))
+    result = update_orientation(SENSOR, SHOT, ties, GROUND, navigation(), TieErrors(registration=3.0, terrain=5.0))
     assert int(result.status) == Status.behind_camera
     assert not np.any(np.isfinite(result.error))
     assert not np.any(np.isfinite(result.covariance))
@@ -453,8 +457,8 @@ def one_tie() -> TiePoints:
 def test_one_tie_needs_a_prior_that_foretells_it():
     tie_errors = TieErrors(registration=3.0, terrain=5.0)
     with pytest.raises(ValueError, match=r"1 tie point, whose pixel the prior foretells to \d"):
-        update(SENSOR, SHOT, one_tie(), GROUND, navigation(200.0, 1.0), tie_errors)
-    assert update(SENSOR, SHOT, one_tie(), GROUND, navigation(3.0, 0.002), tie_errors).ok
+        update_orientation(SENSOR, SHOT, one_tie(), GROUND, navigation(200.0, 1.0), tie_errors)
+    assert update_orientation(SENSOR, SHOT, one_tie(), GROUND, navigation(3.0, 0.002), tie_errors).ok
 
 
 def changed(**changes: Any) -> TiePoints:
@@ -488,7 +492,7 @@ def test_refusals(change, message):
     given = {"ties": changed, "tie_errors": lambda: TIE_ERRORS, "errors": navigation} | change
     made = {name: make() for name, make in given.items()}
     with pytest.raises(ValueError, match=message):
-        update(SENSOR, SHOT, terrain=GROUND, **made)
+        update_orientation(SENSOR, SHOT, terrain=GROUND, **made)
 
 
 @pytest.mark.slow
@@ -497,7 +501,7 @@ def test_ties_off_the_terrain_are_named():
     lat = ties.ground.lat.at[jnp.asarray([2, 7])].add(0.01)
     away = TiePoints(ties.uv, Geodetic(lat=lat, lon=ties.ground.lon, height=lat), ties.covariance)
     with pytest.raises(ValueError, match="2 of 12 ties lie outside the terrain or over a void: 2, 7"):
-        update(looks.sensor(), looks.shot(), away, SLOPE, platform(3.0), TIE_ERRORS)
+        update_orientation(looks.sensor(), looks.shot(), away, SLOPE, platform(3.0), TIE_ERRORS)
     field = ErrorModel((errors_of.TerrainField.of_variograms(gaussian=[(1.0, 90.0)]),))
     with pytest.raises(ValueError, match="TieErrors"):
-        update(looks.sensor(), looks.shot(), ties, SLOPE, field, TIE_ERRORS)
+        update_orientation(looks.sensor(), looks.shot(), ties, SLOPE, field, TIE_ERRORS)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgeo import Geodetic, Gimbal, Pose, Sensor, Shot, project
-from jaxgeo.sensor import BrownConrady, FrameCamera, PushbroomCamera, RollingShutterCamera, SweepCamera
+from jaxgeo.sensor import BrownConrady, FrameCamera, PushbroomCamera, RollingShutterCamera, WhiskbroomCamera
 from jaxgeo.sensor.conventions import li_2023_sensor, li_2023_sweep_sensor
 from jaxgeo.status import Status
 
@@ -21,9 +21,9 @@ CAMERAS = {
     "rolling shutter from below": RollingShutterCamera.from_readout(FRAME, readout_time=-0.03),
     "pushbroom": PushbroomCamera.from_metric(**LINE, line_time=2e-3),
     "pushbroom, looking ahead, distorted": PushbroomCamera.from_metric(**LINE, **LENS, line_time=2e-3),
-    "sweep": SweepCamera.from_metric(**SWEEP, scan_start=0.1, scan_end=0.5),
-    "sweep upwards": SweepCamera.from_metric(**SWEEP, scan_start=0.5, scan_end=-0.1),
-    "sweep over the horizon, distorted": SweepCamera.from_metric(**SWEEP, **LENS, scan_start=-1.6, scan_end=1.6),
+    "sweep": WhiskbroomCamera.from_metric(**SWEEP, scan_start=0.1, scan_end=0.5),
+    "sweep upwards": WhiskbroomCamera.from_metric(**SWEEP, scan_start=0.5, scan_end=-0.1),
+    "sweep over the horizon, distorted": WhiskbroomCamera.from_metric(**SWEEP, **LENS, scan_start=-1.6, scan_end=1.6),
 }
 
 
@@ -102,7 +102,7 @@ def test_a_sweep_over_a_line_s_own_height_is_a_frame_camera_nearby():
     """Small images of both, with the same pixels: they differ by the cube of the field."""
     frame = FrameCamera.from_pixels(focal_px=1e4, width=100, height=60)
     line = FrameCamera.from_pixels(focal_px=1e4, width=100, height=1)
-    sweep = SweepCamera(optics=line, scan_start=-30e-4, scan_end=30e-4, line_time=1e-4, rows=60)
+    sweep = WhiskbroomCamera(optics=line, scan_start=-30e-4, scan_end=30e-4, line_time=1e-4, rows=60)
     uv = jnp.asarray(some_pixels(frame))
     away = jax.vmap(lambda uv: frame.ray(uv)[0] - sweep.ray(uv)[0])(uv)
     assert float(jnp.max(jnp.abs(away))) < (60e-4) ** 3
@@ -151,10 +151,10 @@ def test_statuses_off_the_image_and_off_all_numbers(name):
         (lambda: PushbroomCamera.from_metric(**LINE, line_time=np.nan), "line_time"),
         (lambda: PushbroomCamera.from_metric(**{**LINE, "height": 0}, line_time=1e-3), "height"),
         (lambda: RollingShutterCamera.from_readout(FRAME, readout_time=0.0), "FrameCamera"),
-        (lambda: SweepCamera.from_metric(**SWEEP, scan_start=0.3, scan_end=0.3), "0.0 rad"),
-        (lambda: SweepCamera.from_metric(**SWEEP, scan_start=-6.44, scan_end=18.21), "in rad"),
-        (lambda: SweepCamera.from_metric(**SWEEP, scan_start=0.0, scan_end=np.inf), "scan_end"),
-        (lambda: SweepCamera.from_metric(**{**SWEEP, "duration": -1.0}, scan_start=0.0, scan_end=1.0), "duration"),
+        (lambda: WhiskbroomCamera.from_metric(**SWEEP, scan_start=0.3, scan_end=0.3), "0.0 rad"),
+        (lambda: WhiskbroomCamera.from_metric(**SWEEP, scan_start=-6.44, scan_end=18.21), "in rad"),
+        (lambda: WhiskbroomCamera.from_metric(**SWEEP, scan_start=0.0, scan_end=np.inf), "scan_end"),
+        (lambda: WhiskbroomCamera.from_metric(**{**SWEEP, "duration": -1.0}, scan_start=0.0, scan_end=1.0), "duration"),
     ],
 )
 def test_what_is_no_such_camera_is_refused(make, words):

@@ -22,8 +22,8 @@ from jaxgeo import (
     Pose,
     Sensor,
     Shot,
-    SweepCamera,
     Trajectory,
+    WhiskbroomCamera,
     locate,
 )
 from jaxgeo.rotations import rotation_vector_from_R
@@ -78,7 +78,7 @@ def test_looking_at_through_the_air_aims_above_the_point():
 
 @pytest.mark.slow
 def test_a_sweep_is_pointed_by_its_middle_unless_a_pixel_is_named():
-    camera = SweepCamera.from_metric(
+    camera = WhiskbroomCamera.from_metric(
         focal_length=0.3, pixel_pitch=1e-5, width=1001, height=3001, scan_start=0.2, scan_end=0.6, duration=1.0
     )
     sensor = Sensor(camera, Gimbal.three_axis(reference="body"), Mount.forward())

@@ -21,7 +21,7 @@ from jaxgeo.adjust import (
     Images,
     LocalFrame,
     Unknowns,
-    resect,
+    resect_block,
 )
 from jaxgeo.earth import Geodetic
 from jaxgeo.io import read_bal, read_orientations
@@ -59,7 +59,7 @@ def strasbourg(folder: Folder) -> RealBlock:
     principal = (26.577 / pitch, 38.811 / pitch)
     camera = FrameCamera.from_pixels(focal_px=123.9392 / pitch, principal_px=principal, width=8858, height=12996)
     cameras, control = {"camera": camera}, known.without(checks)
-    images = resect(cameras, {row[0]: "camera" for row in _rows(root / "images/images.txt")}, seen, control)
+    images = resect_block(cameras, {row[0]: "camera" for row in _rows(root / "images/images.txt")}, seen, control)
     is_marked = np.arange(len(seen)) < len(parts[0])
     block = Block(Cartesian(), cameras, images, seen, control)
     return RealBlock(block, Unknowns(), {"marked": is_marked, "automatic": ~is_marked}, known.of(checks))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo.adjust import Adjustment, Fixed, OnTerrain
+from jaxgeo.adjust import Adjustment, Fixed, HeightObservations
 from jaxgeo.adjust.values import INTERIOR
 from jaxgeo.earth import WGS84
 from jaxgeo.rotations import R_from_rotation_vector, rotation_vector_from_R
@@ -37,7 +37,9 @@ class Dense(NamedTuple):
         return J @ self.covariance[np.ix_(self.free, self.free)] @ J.T
 
 
-def dense(adjustment: Adjustment, terrain: OnTerrain | None = None, constraints: np.ndarray | None = None) -> Dense:
+def dense(
+    adjustment: Adjustment, terrain: HeightObservations | None = None, constraints: np.ndarray | None = None
+) -> Dense:
     """The problem at the adjusted values; with rows of `constraints` (d, unknowns), which hold a free network."""
     function, size = residual_of(adjustment, terrain)
     residual, J = (np.asarray(x) for x in jax.jit(lambda z: (function(z), jax.jacfwd(function)(z)))(jnp.zeros(size)))
@@ -93,7 +95,7 @@ def _alike(adjustment: Adjustment) -> list[tuple[str, str]]:
     ]
 
 
-def residual_of(adjustment: Adjustment, terrain: OnTerrain | None = None) -> tuple[Any, int]:
+def residual_of(adjustment: Adjustment, terrain: HeightObservations | None = None) -> tuple[Any, int]:
     """(weighted residuals as a function of a change of all unknowns, how many these are)."""
     block, images, points = adjustment.block, adjustment.images, adjustment.prepared.names.point.tolist()
     columns, seen, nav = _alike(adjustment), block.observations, block.navigation

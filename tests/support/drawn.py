@@ -26,7 +26,7 @@ from jaxgeo.terrain import Dem, GeographicGrid, TangentGrid
 from jaxgeo.uncertainty import AccuracyMap, Budget, Comparison, Propagation, Sampled, sources
 from jaxgeo.uncertainty.budget import SigmaShare, SourceShare, Variance
 from jaxgeo.uncertainty.compare import Row
-from jaxgeo.uncertainty.verdict import Signs
+from jaxgeo.uncertainty.method_selection import Diagnostics
 from tests.support.simulated_block import SIGMA_UV, simulated
 
 SHAPE = (41, 61)
@@ -184,7 +184,7 @@ def accuracies(error: np.ndarray = ERROR) -> AccuracyMap:
     lon, lat = np.deg2rad(5.0 + 0.01 * UV[..., 0]), np.deg2rad(44.0 + 0.01 * UV[..., 1])
     status = np.where(TRUST < 0, np.int8(Status.hidden_by_terrain), np.int8(Status.hit))
     position = Geodetic(lat=lat, lon=lon, height=np.zeros_like(lat))
-    signs = Signs(*[jnp.asarray(1.0)] * len(Signs._fields))  # not drawn
+    signs = Diagnostics(*[jnp.asarray(1.0)] * len(Diagnostics._fields))  # not drawn
     return AccuracyMap(position, UV, status, TRUST, error, 2.0 * error, error, error, signs, 0.9, 100)
 
 

@@ -101,11 +101,11 @@ def telemetry(folder: pathlib.Path) -> None:
 def dataset(folder: pathlib.Path) -> None:
     """A map of accuracy."""
     from jaxgeo.uncertainty import AccuracyMap
-    from jaxgeo.uncertainty.verdict import Signs
+    from jaxgeo.uncertainty.method_selection import Diagnostics
 
     fix = a_fix()
     number = np.ones(1)
-    trust, signs = np.zeros(1, np.int8), Signs(*[1.0] * len(Signs._fields))
+    trust, signs = np.zeros(1, np.int8), Diagnostics(*[1.0] * len(Diagnostics._fields))
     uv = np.zeros((1, 2))
     found = AccuracyMap(fix.position, uv, fix.status, trust, number, number, number, number, signs, 0.9, 0)
     told = jaxgeo.io.accuracy_map_dataset(found)

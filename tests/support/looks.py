@@ -19,7 +19,7 @@ from jaxgeo import (
     Trajectory,
 )
 from jaxgeo.sensor import boresight_from_degrees
-from jaxgeo.uncertainty import EachShot, ErrorModel, InTime, sources
+from jaxgeo.uncertainty import ErrorModel, PerImage, TimeCorrelated, sources
 from tests.support.scenes import rough, small_dem
 
 UV = (700.0, 420.0)
@@ -90,7 +90,7 @@ def all_sources() -> ErrorModel:
                 sources.Attitude.from_degrees(heading=0.01, pitch=0.01, roll=0.01),
                 sources.Position.from_ned(north=0.5, east=0.5, down=0.5),
                 correlation=np.eye(6) + 0.3 * (np.ones((6, 6)) - np.eye(6)),
-                sharing=InTime(60.0),
+                sharing=TimeCorrelated(60.0),
             ),
         )
     )
@@ -140,7 +140,7 @@ def level_errors() -> ErrorModel:
         (
             sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
             sources.GimbalAngles.from_degrees(outer=0.02, inner=0.01),
-            sources.Correlated.of(place, pixel, correlation=correlation, sharing=EachShot()),
+            sources.Correlated.of(place, pixel, correlation=correlation, sharing=PerImage()),
             sources.TerrainHeight.from_metres(5.0),
         )
     )

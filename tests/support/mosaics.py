@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 
 from jaxgeo import Dem, Fix, Ray
 from jaxgeo.io import read_dem
-from jaxgeo.io.crowds import _hits
+from jaxgeo.io.locate_on_disk import _hits
 from jaxgeo.io.sightlines import padded_rays
 from support.fractal import ecef, fractal_posts, normal_and_height
 from support.rasters import write

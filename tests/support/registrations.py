@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.locate import locate
-from jaxgeo.register.registration import Registration, register
+from jaxgeo.register.registration import Registration, register_image
 from jaxgeo.register.tie_errors import TieErrors
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.gu2017.scene import disturbed
@@ -53,7 +53,7 @@ def tie_errors() -> TieErrors:
 def trial(flight: Flight, frame: str, rng: np.random.Generator, position: float, attitude_deg: float) -> Trial:
     """A registration of a frame from a pose with errors drawn."""
     truth = flight.shots[frame]
-    found = register(
+    found = register_image(
         flight.sensor,
         disturbed(truth, rng, metres=position, degrees=attitude_deg),
         flight.image(frame),

@@ -11,7 +11,7 @@ from support.scenes import flat, hit, local_ray, rough, small_dem, stack
 from jaxgeo import Dem, Geodetic, Ray, Status, intersect
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.terrain import TangentGrid
-from jaxgeo.terrain.search import crowd
+from jaxgeo.terrain.search import batched
 
 SAME = 5e-9  # m of clearance: what the rounding of an ECEF position leaves open, and other batches round otherwise
 
@@ -42,9 +42,9 @@ def test_a_part_of_a_batch_is_answered_like_the_whole(mountains, together, count
 def test_a_part_in_small_blocks_many_rounds_and_bundles_is_answered_like_the_whole(mountains, together, monkeypatch):
     """The sizes of blocks are read when a number of rays is first traced, so no other test has as many."""
     count, made = 700, []
-    monkeypatch.setattr(crowd, "LARGE_BLOCK", 512)
-    monkeypatch.setattr(crowd, "SMALL_BLOCK", 64)
-    monkeypatch.setattr(crowd, "_first_pass", lambda *args, first=crowd._first_pass: made.append(0) or first(*args))
+    monkeypatch.setattr(batched, "LARGE_BLOCK", 512)
+    monkeypatch.setattr(batched, "SMALL_BLOCK", 64)
+    monkeypatch.setattr(batched, "_first_pass", lambda *args, first=batched._first_pass: made.append(0) or first(*args))
     part = hit_all(jax.tree.map(lambda x: x[700 : 700 + count], mountains.rays), mountains.dem)
     assert made
     assert_same(part, jax.tree.map(lambda x: x[700 : 700 + count], together))

@@ -11,7 +11,7 @@ from support.scenes import SIZE, flat, rough, small_dem
 
 import jaxgeo
 from jaxgeo import Dem, Geodetic
-from jaxgeo._doors import check_is, check_terrain
+from jaxgeo._arguments import check_is, check_terrain
 from jaxgeo.earth import WGS84
 from jaxgeo.terrain import TangentGrid
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid

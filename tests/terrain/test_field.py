@@ -12,7 +12,6 @@ from support.scenes import hit, local_ray, rough, small_dem
 from jaxgeo import Bisection, ConstantHeight, Dem, Geodetic, Ray, Status, intersect
 from jaxgeo.earth import R_ecef_from_enu
 from jaxgeo.terrain import AbstractField, ConstantField, LineField, Segmented, SumField, TargetArea
-from jaxgeo.terrain.search import crowd
 
 SIDE = 129  # posts
 NODES = 65
@@ -92,8 +91,8 @@ def own_fields():
 
     def run(rays: Ray, fields: SumField, dem: Dem):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(crowd, "LARGE_BLOCK", 128)
-            patch.setattr(crowd, "SMALL_BLOCK", 64)
+            patch.setattr(batched, "LARGE_BLOCK", 128)
+            patch.setattr(batched, "SMALL_BLOCK", 64)
             return jax.tree.map(np.asarray, compiled(rays, fields, dem))
 
     return run

@@ -10,7 +10,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, Status, Trajectory
 from jaxgeo.earth import WGS84
-from jaxgeo.uncertainty import NO_FIX, ErrorModel, Trust, accuracy, accuracy_map, accuracy_of_pixels, assess, sources
+from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, accuracy, accuracy_map, accuracy_of_pixels, assess, sources
 from tests.support.scenes import rough, small_dem
 
 MODEL = ErrorModel(
@@ -59,7 +59,7 @@ def test_what_lies_beside_the_image_has_no_figures(level) -> None:
     beside = np.any((np.asarray(level.uv) < -0.5) | (np.asarray(level.uv) > 600.5), axis=-1)
     assert set(np.unique(status)) == {Status.hit, Status.outside_image}
     np.testing.assert_array_equal(status == Status.outside_image, beside)
-    np.testing.assert_array_equal(trust, np.where(beside, NO_FIX, Trust.facet.value))
+    np.testing.assert_array_equal(trust, np.where(beside, NO_FIX, Method.facet.value))
     for name in FIGURES:
         np.testing.assert_array_equal(np.isnan(getattr(level, name)), beside)
     assert level.shape == LAT.shape
@@ -147,7 +147,7 @@ def walled():
 def test_on_a_terrain_each_cell_has_the_figures_of_its_pixel_alone(walled) -> None:
     dem, high, found = walled
     trust = np.asarray(found.trust)
-    for one in (Trust.facet, Trust.samples):
+    for one in (Method.facet, Method.samples):
         cells = np.argwhere(trust == one)
         assert len(cells), str(found)
         for cell in map(tuple, (cells[0], cells[-1])):
@@ -186,7 +186,7 @@ def test_without_samples_what_needs_them_has_no_figures(walled) -> None:
     np.testing.assert_array_equal(none.trust, found.trust)
     for name in FIGURES:
         np.testing.assert_array_equal(
-            np.isnan(getattr(none, name)), ~np.isin(found.trust, [Trust.facet, Trust.footprint])
+            np.isnan(getattr(none, name)), ~np.isin(found.trust, [Method.facet, Method.footprint])
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgeo import ConstantHeight, Shot
-from jaxgeo.uncertainty import NO_FIX, ErrorModel, Trust, accuracy, accuracy_of_each, sources
+from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, accuracy, accuracy_of_each, sources
 from tests.support.looks import UV, pose, sensor
 from tests.support.scenes import rough, small_dem
 
@@ -39,11 +39,11 @@ def test_each_is_as_sure_as_alone(dem, block: int) -> None:
     found = accuracy_of_each(sensor(), shots, uv, dem, MODEL, count=400, block=block)
     for i in range(2):
         alone = accuracy(sensor(), jax.tree.map(lambda leaf, i=i: leaf[i], shots), UV, dem, MODEL, count=400)
-        assert Trust(int(found.trust[i])) is alone.trust
+        assert Method(int(found.trust[i])) is alone.trust
         assert found.because(i) == alone.because
         for name in ("circular", "linear", "spherical"):
             np.testing.assert_allclose(getattr(found, name)[i], getattr(alone, name), rtol=1e-6)
-        if alone.trust is not Trust.samples:
+        if alone.trust is not Method.samples:
             np.testing.assert_allclose(found.cov_enu[i], alone.propagation.cov_enu, rtol=1e-6, atol=1e-9)
     assert int(found.trust[2]) == NO_FIX
     assert found.because(2) is None
@@ -62,14 +62,14 @@ def test_what_is_of_each_is_of_each() -> None:
     first, twice, higher = np.asarray(found.circular)
     assert twice == pytest.approx(2.0 * first, rel=1e-6)
     assert 0.4 * first < higher < 0.6 * first
-    assert (np.asarray(found.trust) == Trust.facet).all()
+    assert (np.asarray(found.trust) == Method.facet).all()
 
 
 def test_samples_that_are_not_drawn_leave_no_figures(dem) -> None:
     shots, uv = batch()
     wide = ErrorModel((sources.Attitude.from_degrees(heading=3.0, pitch=3.0, roll=3.0),))
     found = accuracy_of_each(sensor(), shots, uv, dem, wide, count=0)
-    sampled = np.asarray(found.trust) == Trust.samples
+    sampled = np.asarray(found.trust) == Method.samples
     assert sampled.any()
     assert np.isnan(np.asarray(found.circular)[sampled]).all()
     assert np.isnan(np.asarray(found.cov_enu)[sampled]).all()

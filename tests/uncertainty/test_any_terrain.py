@@ -14,7 +14,7 @@ from jaxgeo.studies.scenes import tangent_dem
 from jaxgeo.terrain.plumb import height_by_plumb_line
 from jaxgeo.uncertainty import (
     Footprint,
-    Trust,
+    Method,
     accuracy,
     accuracy_map,
     accuracy_of_each,
@@ -26,7 +26,7 @@ from jaxgeo.uncertainty import (
     sources,
 )
 from jaxgeo.uncertainty.accuracy import reason
-from jaxgeo.uncertainty.verdict import Signs, trust_of
+from jaxgeo.uncertainty.method_selection import Diagnostics, method_of
 from tests.support.terrains import Bridge, Tin, Unknown, tin_along
 from tests.uncertainty.test_verdict import CASES, CENTRE, KEY, MODEL, SENSOR, SIZE, SPACING, UV, ground, shot_at
 
@@ -44,16 +44,16 @@ def told(shot, terrain):
 
 
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
-def test_the_method_fits_the_triangles(kind: str, rows_ahead: float, expected: Trust) -> None:
+def test_the_method_fits_the_triangles(kind: str, rows_ahead: float, expected: Method) -> None:
     one = told(shot_at(rows_ahead), tin(kind))
-    assert Trust(int(one.trust)) is expected, one.signs
+    assert Method(int(one.trust)) is expected, one.signs
     assert float(one.signs.known) == 1.0
     assert float(one.signs.off) < 1e-6  # m
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
-def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: float, expected: Trust) -> None:
+def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: float, expected: Method) -> None:
     scene = (SENSOR, shot_at(rows_ahead), UV, tin(kind), MODEL)
     result = accuracy(*scene, key=KEY, count=4096)
     assert result.trust is expected, str(result)
@@ -61,7 +61,7 @@ def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: floa
     for door, figure in (("circular_error", result.circular), ("linear_error", result.linear)):
         truth = getattr(drawn, door)(0.9)
         assert 0.93 * truth.low <= figure <= 1.07 * truth.high, (str(result), truth)
-    if expected is Trust.footprint:
+    if expected is Method.footprint:
         linear = propagate(*scene, slope=Footprint())
         assert float(linear.circular_error(0.9)) == pytest.approx(result.circular, rel=1e-9)
         assert float(linear.circular_error(0.9)) > 1.5 * float(propagate(*scene).circular_error(0.9))
@@ -93,38 +93,40 @@ def test_every_door_tells_the_crest_of_triangles() -> None:
 def test_ground_that_cannot_be_probed_is_sampled_and_the_reason_said(like: type[Tin], because: str) -> None:
     scene = (SENSOR, shot_at(0.0), UV, tin("plain", like), MODEL)
     result = accuracy(*scene, key=KEY, count=1024)
-    assert result.trust is Trust.samples
+    assert result.trust is Method.samples
     assert result.circular == pytest.approx(62.0, rel=0.1)
     assert because in result.because
     footprint = float(propagate(*scene, slope=Footprint()).circular_error(0.9))
     assert math.isnan(footprint) == (like is Unknown)
 
 
-SURE = Signs(10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 0.0, 0.0, math.inf, 0.5, 1.0, 0.0)
+SURE = Diagnostics(10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 0.0, 0.0, math.inf, 0.5, 1.0, 0.0)
 REASONS = [
-    ({}, Trust.facet, "as good as a plane"),
-    ({"facet": 5.0}, Trust.footprint, "not that of the ground about it"),
-    ({"profile": 20.0}, Trust.samples, "no plane within the errors' reach"),
-    ({"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4}, Trust.facet, "as good as a plane"),
-    ({"profile_up": math.nan}, Trust.samples, "no plane"),
-    ({"profile": math.inf}, Trust.samples, "no plane"),
-    ({"jumps": 0.02, "clearance": 1.5}, Trust.samples, "jump to other ground, the nearest 1.5 sigmas off"),
-    ({"jumps": 0.004, "profile": 20.0}, Trust.samples, "no plane"),
-    ({"fails": 0.3}, Trust.samples, "30 % of the lines of sight come down nowhere"),
-    ({"known": 0.75}, Trust.samples, "In 25 % of the footprint the ground is not known"),
-    ({"known": math.nan}, Trust.samples, "the ground is not known"),
-    ({"grazing": 0.005}, Trust.samples, "grazes the surface, at 5 mrad"),
-    ({"grazing": math.nan}, Trust.samples, "grazes"),
-    ({"off": 12.0}, Trust.samples, "lies 12 m from the fix"),
-    ({"off": math.inf}, Trust.samples, "lies nowhere at the fix"),
-    ({"off": math.nan}, Trust.samples, "lies nowhere at the fix"),
+    ({}, Method.facet, "as good as a plane"),
+    ({"facet": 5.0}, Method.footprint, "not that of the ground about it"),
+    ({"profile": 20.0}, Method.samples, "no plane within the errors' reach"),
+    ({"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4}, Method.facet, "as good as a plane"),
+    ({"profile_up": math.nan}, Method.samples, "no plane"),
+    ({"profile": math.inf}, Method.samples, "no plane"),
+    ({"jumps": 0.02, "clearance": 1.5}, Method.samples, "jump to other ground, the nearest 1.5 sigmas off"),
+    ({"jumps": 0.004, "profile": 20.0}, Method.samples, "no plane"),
+    ({"fails": 0.3}, Method.samples, "30 % of the lines of sight come down nowhere"),
+    ({"known": 0.75}, Method.samples, "In 25 % of the footprint the ground is not known"),
+    ({"known": math.nan}, Method.samples, "the ground is not known"),
+    ({"grazing": 0.005}, Method.samples, "grazes the surface, at 5 mrad"),
+    ({"grazing": math.nan}, Method.samples, "grazes"),
+    ({"off": 12.0}, Method.samples, "lies 12 m from the fix"),
+    ({"off": math.inf}, Method.samples, "lies nowhere at the fix"),
+    ({"off": math.nan}, Method.samples, "lies nowhere at the fix"),
 ]
 
 
 @pytest.mark.parametrize("change, expected, words", REASONS)
-def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(change, expected: Trust, words: str) -> None:
+def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(
+    change, expected: Method, words: str
+) -> None:
     signs = SURE._replace(**change)
-    trust = Trust(int(trust_of(jax.tree.map(jnp.asarray, signs))))
+    trust = Method(int(method_of(jax.tree.map(jnp.asarray, signs))))
     assert trust is expected
     assert words in reason(signs, trust)
 
@@ -154,6 +156,6 @@ def test_an_earth_that_curves_away_is_no_plane() -> None:
     drawn = sample(*scene, key=jax.random.key(9), count=4096)
     assert drawn.found < 0.9 * drawn.count
     assert float(result.signs.grazing) > 0.015
-    assert result.trust is Trust.samples, str(result)
+    assert result.trust is Method.samples, str(result)
     assert math.isinf(result.circular)
     assert "come down nowhere" in result.because

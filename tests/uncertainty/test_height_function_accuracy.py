@@ -9,7 +9,17 @@ import pytest
 
 from jaxgeo import Geodetic, Pose, Shot
 from jaxgeo.terrain import HeightFunction
-from jaxgeo.uncertainty import ErrorModel, Footprint, Trust, accuracy, accuracy_map, compare, propagate, sample, sources
+from jaxgeo.uncertainty import (
+    ErrorModel,
+    Footprint,
+    Method,
+    accuracy,
+    accuracy_map,
+    compare,
+    propagate,
+    sample,
+    sources,
+)
 from tests.support.hills import BASE, LAT, LON, hills, terrain
 from tests.uncertainty.test_accuracy_map import SENSOR as TURNING
 from tests.uncertainty.test_verdict import SENSOR, UV
@@ -34,12 +44,12 @@ def shot(depression_deg: float) -> Shot:
 
 # seed, longest wave in m, steepest slope; depression and sigma of angles in deg; the method
 SCENES = {
-    "gentle": ((7, 6000.0, 0.02), 15.0, 0.1, Trust.facet),
-    "long waves, steep look": ((5, 6000.0, 0.35), 50.0, 0.3, Trust.facet),
-    "long waves, flat look": ((5, 6000.0, 0.35), 8.0, 0.02, Trust.footprint),
-    "fine waves": ((6, 300.0, 0.35), 8.0, 0.1, Trust.footprint),
-    "finest waves": ((6, 300.0, 0.35), 8.0, 0.3, Trust.footprint),
-    "ridges that hide": ((8, 1500.0, 1.0), 8.0, 0.02, Trust.samples),
+    "gentle": ((7, 6000.0, 0.02), 15.0, 0.1, Method.facet),
+    "long waves, steep look": ((5, 6000.0, 0.35), 50.0, 0.3, Method.facet),
+    "long waves, flat look": ((5, 6000.0, 0.35), 8.0, 0.02, Method.footprint),
+    "fine waves": ((6, 300.0, 0.35), 8.0, 0.1, Method.footprint),
+    "finest waves": ((6, 300.0, 0.35), 8.0, 0.3, Method.footprint),
+    "ridges that hide": ((8, 1500.0, 1.0), 8.0, 0.02, Method.samples),
 }
 
 
@@ -65,7 +75,7 @@ def test_a_plane_is_told_as_one_and_every_method_holds() -> None:
     ground = HeightFunction(inclined, -2000.0, 3000.0, lipschitz=0.11)
     given = (SENSOR, shot(30.0), UV, ground, model(0.05))
     result = accuracy(*given)
-    assert result.trust is Trust.facet
+    assert result.trust is Method.facet
     assert "as good as a plane" in result.because
     footprint = float(propagate(*given, slope=Footprint()).circular_error(0.9))
     assert footprint == pytest.approx(result.circular, rel=1e-3)
@@ -80,7 +90,7 @@ def test_sure_level_ground_needs_no_samples() -> None:
     result = accuracy(
         SENSOR, shot(20.0), UV, ground, (sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1),)
     )
-    assert result.trust is Trust.facet, str(result)
+    assert result.trust is Method.facet, str(result)
     assert result.linear < 0.01
 
 

@@ -10,8 +10,8 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Pose, Shot
-from jaxgeo.uncertainty import EachFlight, EachShot, ErrorModel, InTime, jointly, propagate, sources
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachMeasurement, Everywhere, Occasion
+from jaxgeo.uncertainty import ErrorModel, PerFlight, PerImage, TimeCorrelated, joint_covariance, propagate, sources
+from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, PerMeasurement, Systematic
 
 GROUND = ConstantHeight(0.0)
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=10_000.0, width=2001, height=2001)
@@ -36,20 +36,20 @@ def attitude(sharing: AbstractSharing) -> ErrorModel:
 def test_two_targets_in_one_frame_are_far_better_known_against_each_other() -> None:
     model = ErrorModel(
         (
-            *attitude(EachShot()).sources,
+            *attitude(PerImage()).sources,
             sources.Position.from_ned(north=5, east=5, down=5),
             sources.PixelMeasurement.from_pixels(column=0.5, row=0.5),
         )
     )
     shot = shot_from(90.0)
     fixes = [propagate(SENSOR, shot, uv, GROUND, model) for uv in (MIDDLE, (1060.0, 1000.0))]
-    vector, cov = jointly(fixes, shots=[0, 0]).baseline(0, 1)
+    vector, cov = joint_covariance(fixes, shots=[0, 0]).baseline(0, 1)
     alone = math.sqrt(float(jnp.trace(fixes[0].cov_enu)))
     apart = math.sqrt(float(jnp.trace(cov)))
     assert 100.0 < float(jnp.linalg.norm(vector)) < 200.0
     assert alone > 30.0
     assert apart < 10.0
-    _, independent = jointly(fixes).baseline(0, 1)  # as if they came from two shots
+    _, independent = joint_covariance(fixes).baseline(0, 1)  # as if they came from two shots
     assert float(jnp.trace(independent)) == pytest.approx(2.0 * alone**2, rel=0.05)
 
 
@@ -70,11 +70,11 @@ def axes_of(cov) -> np.ndarray:
 
 
 def test_fusing_two_orthogonal_looks() -> None:
-    fixes = orthogonal_fixes(EachShot())
+    fixes = orthogonal_fixes(PerImage())
     np.testing.assert_allclose(axes_of(fixes[0].cov_enu), [6.0, 24.4], atol=0.15)
     along = [np.asarray(fix.cov_enu)[:2, :2] for fix in fixes]
     expected = np.linalg.inv(sum(np.linalg.inv(cov) for cov in along))
-    _, fused = jointly(fixes).fused()
+    _, fused = joint_covariance(fixes).fused()
     np.testing.assert_allclose(axes_of(fused), np.sqrt(np.linalg.eigvalsh(expected)), rtol=1e-3)
     np.testing.assert_allclose(axes_of(fused), 5.83, atol=0.05)
 
@@ -83,8 +83,8 @@ def test_fusing_two_orthogonal_looks() -> None:
 def test_what_is_common_in_time_goes_from_nothing_to_all(duration: float, least: float, most: float) -> None:
     """Between looks that share nothing and looks that share their boresight, by how long it keeps."""
     spread = {}
-    for name, sharing in {"none": EachShot(), "all": EachFlight(), "some": InTime(duration)}.items():
-        _, cov = jointly(orthogonal_fixes(sharing), times=[0.0, 10.0]).baseline(0, 1)
+    for name, sharing in {"none": PerImage(), "all": PerFlight(), "some": TimeCorrelated(duration)}.items():
+        _, cov = joint_covariance(orthogonal_fixes(sharing), times=[0.0, 10.0]).baseline(0, 1)
         spread[name] = float(jnp.trace(cov))
     share = (spread["some"] - spread["none"]) / (spread["all"] - spread["none"])
     assert least <= share <= most
@@ -96,10 +96,10 @@ def test_a_common_boresight_keeps_looks_from_helping_each_other() -> None:
     def fused(sharing: AbstractSharing) -> float:
         model = ErrorModel((*attitude(sharing).sources, sources.Position.from_ned(north=2.0, east=2.0, down=2.0)))
         fixes = [propagate(SENSOR, shot_from(30.0), MIDDLE, GROUND, model) for _ in range(2)]
-        return float(jnp.trace(jointly(fixes, times=[0.0, 10.0]).fused()[1]))
+        return float(jnp.trace(joint_covariance(fixes, times=[0.0, 10.0]).fused()[1]))
 
-    apart, some, common = (fused(sharing) for sharing in (EachShot(), InTime(10.0), EachFlight()))
-    single = float(jnp.trace(propagate(SENSOR, shot_from(30.0), MIDDLE, GROUND, attitude(EachShot())).cov_enu))
+    apart, some, common = (fused(sharing) for sharing in (PerImage(), TimeCorrelated(10.0), PerFlight()))
+    single = float(jnp.trace(propagate(SENSOR, shot_from(30.0), MIDDLE, GROUND, attitude(PerImage())).cov_enu))
     assert apart == pytest.approx(0.5 * single, rel=0.1)
     assert common > single  # all of the attitude's, and half of the position's
     assert some == pytest.approx(apart + math.exp(-1.0) * (common - apart), rel=0.05)
@@ -108,14 +108,14 @@ def test_a_common_boresight_keeps_looks_from_helping_each_other() -> None:
 def test_a_common_boresight_shows_in_orthogonal_looks() -> None:
     """What moves one fix north and the other east shows in their difference: the two fuse better than independent ones,
     to 6 / sqrt(2) m, since north and east then err alike."""
-    _, cov = jointly(orthogonal_fixes(EachFlight())).fused()
+    _, cov = joint_covariance(orthogonal_fixes(PerFlight())).fused()
     np.testing.assert_allclose(np.sqrt(np.diagonal(np.asarray(cov))[:2]), 6.0 / math.sqrt(2.0), atol=0.1)
 
 
 def test_joint_covariance_is_one() -> None:
-    model = ErrorModel((*attitude(EachFlight()).sources, sources.TerrainHeight.from_metres(3.0)))
+    model = ErrorModel((*attitude(PerFlight()).sources, sources.TerrainHeight.from_metres(3.0)))
     fixes = [propagate(SENSOR, shot_from(azimuth), MIDDLE, GROUND, model) for azimuth in (0.0, 40.0)]
-    joint = jointly(fixes)
+    joint = joint_covariance(fixes)
     np.testing.assert_allclose(joint.cov_ecef, joint.cov_ecef.T, atol=1e-9)
     np.testing.assert_allclose(joint.cov_ecef[:3, :3], fixes[0].cov_ecef, atol=1e-9)
     assert np.linalg.eigvalsh(np.asarray(joint.cov_ecef))[0] > -1e-9
@@ -124,16 +124,16 @@ def test_joint_covariance_is_one() -> None:
 @pytest.mark.parametrize(
     "sharing, here, there, expected",
     [
-        (EachMeasurement(), (0, 0, 0, 0.0), (1, 0, 0, 0.0), 0.0),
-        (EachShot(), (0, 0, 0, 0.0), (1, 0, 0, 0.0), 1.0),
-        (EachShot(), (0, 0, 0, 0.0), (1, 1, 0, 0.0), 0.0),
-        (EachFlight(), (0, 0, 0, 0.0), (1, 1, 0, 9.0), 1.0),
-        (EachFlight(), (0, 0, 0, 0.0), (1, 1, 1, 9.0), 0.0),
-        (Everywhere(), (0, 0, 0, 0.0), (1, 1, 1, 9.0), 1.0),
-        (InTime(10.0), (0, 0, 0, 0.0), (1, 1, 0, 10.0), math.exp(-1.0)),
-        (InTime(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 0.0), (1, 1, 0, 1e9), 0.8 * 0.2),
-        (InTime(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 5.0), (1, 1, 0, 5.0), 0.8),
-        (InTime(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 5.0), (1, 0, 0, 5.0), 1.0),
+        (PerMeasurement(), (0, 0, 0, 0.0), (1, 0, 0, 0.0), 0.0),
+        (PerImage(), (0, 0, 0, 0.0), (1, 0, 0, 0.0), 1.0),
+        (PerImage(), (0, 0, 0, 0.0), (1, 1, 0, 0.0), 0.0),
+        (PerFlight(), (0, 0, 0, 0.0), (1, 1, 0, 9.0), 1.0),
+        (PerFlight(), (0, 0, 0, 0.0), (1, 1, 1, 9.0), 0.0),
+        (Systematic(), (0, 0, 0, 0.0), (1, 1, 1, 9.0), 1.0),
+        (TimeCorrelated(10.0), (0, 0, 0, 0.0), (1, 1, 0, 10.0), math.exp(-1.0)),
+        (TimeCorrelated(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 0.0), (1, 1, 0, 1e9), 0.8 * 0.2),
+        (TimeCorrelated(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 5.0), (1, 1, 0, 5.0), 0.8),
+        (TimeCorrelated(10.0, 0.2, 3.0, 0.8), (0, 0, 0, 5.0), (1, 0, 0, 5.0), 1.0),
     ],
 )
 def test_sharing(sharing: AbstractSharing, here: tuple, there: tuple, expected: float) -> None:
@@ -141,13 +141,13 @@ def test_sharing(sharing: AbstractSharing, here: tuple, there: tuple, expected: 
 
 
 def test_models_that_differ_are_refused() -> None:
-    fix = propagate(SENSOR, shot_from(0.0), MIDDLE, GROUND, attitude(EachShot()))
+    fix = propagate(SENSOR, shot_from(0.0), MIDDLE, GROUND, attitude(PerImage()))
     other = propagate(
         SENSOR, shot_from(0.0), MIDDLE, GROUND, ErrorModel((sources.Position.from_ned(north=1, east=1, down=1),))
     )
     with pytest.raises(ValueError, match="other error sources"):
-        jointly([fix, other])
+        joint_covariance([fix, other])
     with pytest.raises(ValueError, match="an entry for each of the 2 looks"):
-        jointly([fix, fix], shots=[0])
+        joint_covariance([fix, fix], shots=[0])
     with pytest.raises(ValueError, match="at least one"):
-        jointly([])
+        joint_covariance([])

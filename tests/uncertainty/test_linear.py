@@ -13,15 +13,15 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot
 from jaxgeo.uncertainty import ErrorModel, Footprint, Level, gauss_helmert, propagate, sources
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
 SEARCH = FirstHit()
 
 
 @eqx.filter_jit
-def _misses(look: Look, aim, model: ErrorModel, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return jax.vmap(lambda error: model.miss(look, aim, error, SEARCH))(errors)
+def _misses(look: ModelInputs, aim, model: ErrorModel, errors: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(lambda error: model.fix_offset(look, aim, error, SEARCH))(errors)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
     where, time = (shot, None) if motion == "shot" else (looks.trajectory(), 0.0)
     model = looks.all_sources() if motion == "shot" else looks.few_sources()
     result = whole if motion == "shot" else propagate(sensor, where, uv, dem, model, time=time, atmosphere=looks.AIR)
-    look = Look.of(sensor, where, uv, dem, time=time, atmosphere=looks.AIR)
+    look = ModelInputs.of(sensor, where, uv, dem, time=time, atmosphere=looks.AIR)
     step = looks.steps(model)
     errors = jnp.concatenate([jnp.diag(step), -jnp.diag(step)])
     misses, statuses = _misses(look, result.aim, result.model, errors)

@@ -16,9 +16,9 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
 from jaxgeo.uncertainty import ErrorModel, Random, Sobol, compare, propagate, sample, sources
-from jaxgeo.uncertainty.bundle import with_beam
+from jaxgeo.uncertainty.batched_rays import with_beam
 from jaxgeo.uncertainty.chunks import planned
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
 KEY = jax.random.key(11)
@@ -48,8 +48,8 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 
 
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
-    look = Look.of(*SCENE[:4])
-    plan = planned(look, look.aim(FirstHit()), MODEL, Random(), FirstHit(), KEY)
+    look = ModelInputs.of(*SCENE[:4])
+    plan = planned(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
     assert plan.look is look
 
 
@@ -113,13 +113,13 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
     model = ErrorModel((pointing, *ground))
     scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem())
     drawn = sample(*scene, model, key=KEY, count=96, keep=True)
-    look = Look.of(*scene)
-    aim = look.aim(FirstHit())
+    look = ModelInputs.of(*scene)
+    aim = look.nominal_fix(FirstHit())
 
     @jax.jit
     def miss(look, aim, number):
         error = model.factor() @ Random().standard_normal(KEY, number, model.size)
-        return model.miss(look, aim, error, FirstHit())
+        return model.fix_offset(look, aim, error, FirstHit())
 
     misses, statuses = jax.vmap(miss, in_axes=(None, None, 0))(look, aim, np.arange(96))
     np.testing.assert_array_equal(statuses, drawn.codes)
@@ -131,8 +131,8 @@ def test_a_sample_is_the_miss_of_its_error(moves_ground: bool) -> None:
 @pytest.mark.parametrize("model", [MODEL, ErrorModel((sources.TerrainHeight.from_metres(4.0),))])
 def test_crowds_are_told_where_to_begin_whatever_errs(model: ErrorModel) -> None:
     """Also if nothing moves the ground, or nothing but the ground moves: it can be traced."""
-    look = Look.of(looks.sensor(), looks.shot(), looks.UV, looks.dem())
-    aim = eqx.filter_eval_shape(look.aim, FirstHit())
+    look = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, looks.dem())
+    aim = eqx.filter_eval_shape(look.nominal_fix, FirstHit())
     found = eqx.filter_eval_shape(with_beam, FirstHit(), model, look, aim)
     assert found.beam.start.shape == ()
 

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.uncertainty import ErrorModel, Random, Sobol, propagate
 from jaxgeo.uncertainty.budget import budget, sigmas_of, with_sigmas
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sensitivity import (
     COMPONENTS,
     evaluated,
@@ -120,8 +120,8 @@ def test_a_look_gives_the_indices_of_another_program():
     analyze = pytest.importorskip("SALib.analyze.sobol").analyze
     draw = pytest.importorskip("SALib.sample.sobol").sample
     indices = indices_at(76.0, 4.0)  # so far off, and with such errors, that sources act together
-    look = Look.of(a_sensor(), a_shot(76.0), UV, GROUND)
-    plan = planned(look, look.aim(FIRST_HIT), some_errors(4.0))
+    look = ModelInputs.of(a_sensor(), a_shot(76.0), UV, GROUND)
+    plan = planned(look, look.nominal_fix(FIRST_HIT), some_errors(4.0))
     names, members = groups_of(plan.model, False)
     groups = [names[int(np.argmax(members[:, axis]))] for axis in range(plan.model.size)]
     problem = {

@@ -10,13 +10,13 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, Gimbal
-from jaxgeo.uncertainty import EachShot, ErrorModel, InTime, presets, propagate, sources
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty import ErrorModel, PerImage, TimeCorrelated, presets, propagate, sources
 from jaxgeo.uncertainty.model import checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
 LEVEL = ConstantHeight(120.0)
-LOOK = Look.of(looks.sensor(), looks.shot(), looks.UV, LEVEL)
+LOOK = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, LEVEL)
 NAN = math.nan
 
 
@@ -29,8 +29,8 @@ NAN = math.nan
         (sources.Attitude(jnp.array([0.1, 0.2])), "one number for each of heading, pitch, roll"),
         (sources.Attitude(jnp.ones(3), 2.0 * jnp.eye(3)), "ones on its diagonal"),
         (sources.Attitude(jnp.ones(3), 2.0 * jnp.ones((3, 3)) - jnp.eye(3)), "not positive semi-definite"),
-        (sources.Attitude(jnp.ones(3), sharing=InTime(-1.0)), "duration of InTime"),
-        (sources.Attitude(jnp.ones(3), sharing=InTime(1.0, alpha=2.0)), "alpha of InTime"),
+        (sources.Attitude(jnp.ones(3), sharing=TimeCorrelated(-1.0)), "duration of TimeCorrelated"),
+        (sources.Attitude(jnp.ones(3), sharing=TimeCorrelated(1.0, alpha=2.0)), "alpha of TimeCorrelated"),
         (sources.TimeTag.from_seconds(0.1), "velocity_ned"),
         (sources.Refraction.from_kelvin_and_pascal(temperature=1.0, pressure=1.0), "atmosphere"),
         (sources.GimbalAngles.from_degrees(yaw=1.0, pitch=1.0), "outer, inner"),
@@ -84,7 +84,7 @@ def test_covariances_that_are_none(covariance: np.ndarray, message: str) -> None
 
 def test_a_covariance_goes_in_and_comes_out() -> None:
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, -2.0], [0.0, -2.0, 0.0 + 4.0 / 9.0 + 1.0]])
-    source = sources.Position.from_covariance(covariance, sharing=EachShot())
+    source = sources.Position.from_covariance(covariance, sharing=PerImage())
     np.testing.assert_allclose(source.covariance(), covariance, atol=1e-12)
     factor = ErrorModel((source,)).factor()
     np.testing.assert_allclose(factor @ factor.T, covariance, atol=1e-12)
@@ -103,7 +103,7 @@ def test_a_block_of_sources_is_one() -> None:
         sources.Attitude.from_degrees(heading=0.1, pitch=0.2, roll=0.3),
         sources.Position.from_ned(north=1.0, east=2.0, down=3.0),
         correlation=correlation,
-        sharing=EachShot(),
+        sharing=PerImage(),
     )
     covariance = np.asarray(block.covariance())
     np.testing.assert_allclose(np.sqrt(np.diagonal(covariance))[3:], [1.0, 2.0, 3.0])
@@ -112,15 +112,15 @@ def test_a_block_of_sources_is_one() -> None:
     assert len(block.axes) == 6
     with pytest.raises(ValueError, match="no part of a block"):
         sources.Correlated.of(
-            sources.TerrainField.of_variograms(gaussian=[(1.0, 9.0)]), correlation=np.eye(33), sharing=EachShot()
+            sources.TerrainField.of_variograms(gaussian=[(1.0, 9.0)]), correlation=np.eye(33), sharing=PerImage()
         )
 
 
 @pytest.mark.slow
 def test_a_field_over_the_ground_has_its_variograms() -> None:
     dem = looks.dem()
-    look = Look.of(looks.sensor(), looks.shot(), looks.UV, dem)
-    aim = look.aim(jaxgeo.FirstHit())
+    look = ModelInputs.of(looks.sensor(), looks.shot(), looks.UV, dem)
+    aim = look.nominal_fix(jaxgeo.FirstHit())
     field = sources.TerrainField.of_variograms(gaussian=[(2.0, 100.0)], spherical=[(1.0, 300.0)], nodes=9)
     placed = field.at(look, aim)
     covariance = np.asarray(placed.covariance())

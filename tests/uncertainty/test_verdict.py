@@ -11,7 +11,7 @@ import pytest
 import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot
 from jaxgeo.studies.scenes import tangent_dem
-from jaxgeo.uncertainty import ErrorModel, Trust, accuracy, compare, propagate, sample, sources
+from jaxgeo.uncertainty import ErrorModel, Method, accuracy, compare, propagate, sample, sources
 
 CENTRE = Geodetic.from_degrees(lat=46.0, lon=8.0, height=0.0)
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=20_000.0, width=401, height=401)
@@ -54,22 +54,22 @@ def dem():
 
 # The crest, 240 m wide and 120 m high, hides some 450 m behind it. Rows go south: looking north is towards row 0.
 CASES = [
-    ("plain", 0.0, Trust.facet),
-    ("sawtooth", 0.4, Trust.footprint),
-    ("crest", 18.6, Trust.samples),
+    ("plain", 0.0, Method.facet),
+    ("sawtooth", 0.4, Method.footprint),
+    ("crest", 18.6, Method.samples),
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
-def test_the_method_fits_the_ground(dem, kind: str, rows_ahead: float, expected: Trust) -> None:
+def test_the_method_fits_the_ground(dem, kind: str, rows_ahead: float, expected: Method) -> None:
     scene = (SENSOR, shot_at(rows_ahead), UV, dem.with_posts(ground(kind)), MODEL)
     result = accuracy(*scene, key=KEY, count=4096)
     drawn = sample(*scene, key=jax.random.key(9), count=4096)
     assert result.trust is expected, str(result)
     truth = drawn.circular_error(0.9)
     assert 0.93 * truth.low <= result.circular <= 1.07 * truth.high, (str(result), truth)
-    assert (result.sampled is not None) == (expected is Trust.samples)
+    assert (result.sampled is not None) == (expected is Method.samples)
     assert f"CE90 {result.circular:.4g} m" in str(result)
     assert result.because in str(result)
 
@@ -96,7 +96,7 @@ def test_on_a_plain_the_samples_bear_every_method_out(dem) -> None:
 @pytest.mark.slow
 def test_constant_height_needs_no_samples() -> None:
     result = accuracy(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL)
-    assert result.trust is Trust.facet
+    assert result.trust is Method.facet
     linear = propagate(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL)
     assert result.circular == pytest.approx(float(linear.circular_error(0.9)), rel=1e-9)
     half = accuracy(SENSOR, shot_at(0.0), UV, ConstantHeight(100.0), MODEL, probability=0.5)

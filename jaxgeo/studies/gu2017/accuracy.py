@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.locate import locate
-from jaxgeo.register import FullJacobian, LevelGround, TieErrors, TiePoints, update
+from jaxgeo.register import FullJacobian, LevelGround, TieErrors, TiePoints, update_orientation
 from jaxgeo.register.gu2017 import CASES, Case, Row, error_table
 from jaxgeo.register.tie_errors import AbstractTiePropagation
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor, Shot
@@ -101,7 +101,7 @@ def _rms(sensor: Sensor, shot: Shot, terrain: Dem, ties: TiePoints, case: Case, 
         )
     )
     told = TieErrors(registration=case.registration, terrain=case.terrain)
-    found = update(sensor, shot, ties, terrain, errors, told, propagation=how)
+    found = update_orientation(sensor, shot, ties, terrain, errors, told, propagation=how)
     middle = (0.5 * (WIDTH - 1), 0.5 * (WIDTH - 1))
     return pose_rms(found.fix(middle, case.terrain))
 

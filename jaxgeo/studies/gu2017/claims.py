@@ -19,8 +19,8 @@ from jaxgeo.studies.gu2017.frames import ALONE, CARRIED, SELDOM, Frame
 from jaxgeo.studies.gu2017.report import Report
 from jaxgeo.studies.gu2017.searching import CONSTRAINED, WHOLE, Searched
 
-REGISTER, MATCH, CLUSTERS = "jaxgeo.register.register", "jaxgeo.register.match", "jaxgeo.register.Clusters"
-TABLE, UPDATE = "jaxgeo.register.gu2017.error_table", "jaxgeo.register.update"
+REGISTER, MATCH, CLUSTERS = "jaxgeo.register.register_image", "jaxgeo.register.match_blocks", "jaxgeo.register.Clusters"
+TABLE, UPDATE = "jaxgeo.register.gu2017.error_table", "jaxgeo.register.update_orientation"
 ABOUT = 25.0  # m, of what "about 100 m" may be off
 ALIKE = 3.0  # cells, within which shifts are one shift
 STEADY = 0.02  # of an error that stays the same
@@ -446,7 +446,7 @@ def _frames(found: Sequence[Frame]) -> list[Claim]:
             "Section 4, sequences",
             "the method extends to sequences of images: carried over, the last position is surer than by itself",
             gap - half > 0.0,
-            "jaxgeo.register.next_prior",
+            "jaxgeo.register.propagate_prior",
             f"{flights} flights over {len(set(found[0].relief))} grounds. Position in the last frame {told}; mean "
             f"difference of squares {gap:.0f} ± {half:.0f} m2. Fix in the middle {fixes}.",
         )

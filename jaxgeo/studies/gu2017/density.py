@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgeo.earth import Geodetic
-from jaxgeo.register import PoseConsensus, TieErrors, TiePoints, Update, update
+from jaxgeo.register import PoseConsensus, TieErrors, TiePoints, Update, update_orientation
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.gu2017.fixes import Spread, alike, fixes_of, pose_error, spread, truth
 from jaxgeo.studies.gu2017.intervals import mean
@@ -124,7 +124,7 @@ def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched)
 
 def _with(im: Imaged, shot: Shot, ties: TiePoints, registration: float) -> tuple[Update, float]:
     errors = TieErrors(registration=registration, terrain=im.tie_errors.terrain)
-    return update(*alike((im.sensor, shot)), ties, im.terrain, im.errors, errors), registration
+    return update_orientation(*alike((im.sensor, shot)), ties, im.terrain, im.errors, errors), registration
 
 
 def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:

@@ -16,14 +16,14 @@ import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.locate import locate
-from jaxgeo.register import TieErrors, TiePoints, update
+from jaxgeo.register import TieErrors, TiePoints, update_orientation
 from jaxgeo.register.gu2017 import conditions, ground_covariance, parameter_covariance, parameter_step
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty import ErrorModel, propagate, sources
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 PAPER = "Gu 2017"
 LAT, LON, HEIGHT, OFF_NADIR = 30.0, 104.0, 10_000.0, 75.0  # deg, deg, m, deg
@@ -329,7 +329,7 @@ def eq7(of: Inputs) -> list[Claim]:
         swapped += b[:2].T @ inner @ b[:2]
     sigmas = np.repeat([POSITION, math.radians(ATTITUDE)], 3)
     righted = _sigmas(np.linalg.inv(normal + np.diag(sigmas**-2.0)))
-    look = Look(of.sensor, of.shot, jnp.asarray(0.0), jnp.zeros(2), ConstantHeight(GROUND))
+    look = ModelInputs(of.sensor, of.shot, jnp.asarray(0.0), jnp.zeros(2), ConstantHeight(GROUND))
     _, J, by_ground = _conditions(look, of.errors, jnp.asarray(of.uv), jnp.asarray(of.points), jnp.asarray(GROUND))
     prior = jnp.asarray(of.errors.covariance())
     ours = _sigmas(np.asarray(parameter_covariance(J[:, :2], by_ground[:, :2], jnp.asarray(np.stack(grounds)), prior)))
@@ -361,7 +361,7 @@ def eq7(of: Inputs) -> list[Claim]:
             updated,
             [1e-6 * x for x in righted],
             "",
-            "jaxgeo.register.update",
+            "jaxgeo.register.update_orientation",
             reason="Printed: the equation with A and B in their places, and the navigation as prior.",
             digits=".4g",
         ),
@@ -372,7 +372,7 @@ def _updated_sigmas(of: Inputs) -> list[float]:
     lat, lon = (np.asarray(x) for x in _placed(jnp.asarray(of.points)))
     ties = TiePoints(of.uv, Geodetic(lat=lat, lon=lon, height=np.zeros(len(lat))), np.zeros((len(lat), 2, 2)))
     told = TieErrors(registration=REGISTRATION, terrain=TERRAIN)
-    found = update(of.sensor, of.shot, ties, ConstantHeight(GROUND), of.errors, told)
+    found = update_orientation(of.sensor, of.shot, ties, ConstantHeight(GROUND), of.errors, told)
     return _sigmas(np.asarray(found.cov_error))
 
 

@@ -16,7 +16,7 @@ from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.studies.gu2017.scene import Imaged, points_seen
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty import EachMeasurement, EachShot, ErrorModel, propagate
+from jaxgeo.uncertainty import ErrorModel, PerImage, PerMeasurement, propagate
 from jaxgeo.uncertainty.sources import Correlated, TerrainHeight
 
 Tree = TypeVar("Tree")
@@ -135,8 +135,8 @@ def _fixed(
     sigma = safe_sqrt(jnp.diagonal(cov))
     scale = jnp.where(sigma > 0.0, sigma, 1.0)
     correlation = jnp.where(jnp.eye(len(scale)) > 0.0, 1.0, cov / (scale[:, None] * scale[None, :]))
-    block = Correlated(parts=errors.sources, sigma=sigma, correlation=correlation, sharing=EachShot())
-    model = ErrorModel((block, TerrainHeight.from_metres(sigma_terrain, sharing=EachMeasurement())))
+    block = Correlated(parts=errors.sources, sigma=sigma, correlation=correlation, sharing=PerImage())
+    model = ErrorModel((block, TerrainHeight.from_metres(sigma_terrain, sharing=PerMeasurement())))
 
     def one(pixel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         found = propagate(sensor, shot, pixel, terrain, model)

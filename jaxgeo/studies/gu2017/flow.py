@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo.register import Orthoimage, Registration, rectify, register
+from jaxgeo.register import Orthoimage, Registration, rectify, register_image
 from jaxgeo.register.prediction import window_of
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.gu2017.fixes import Fixes, Spread, direct, spread, truth, updated
 from jaxgeo.studies.gu2017.scene import SIGMA_ATTITUDE, SIGMA_POSITION, Imaged, disturbed
 from jaxgeo.uncertainty import Propagation, propagate
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 MARGIN = 0.05  # of the window's side
 
@@ -57,7 +57,7 @@ def one_run(im: Imaged, seed: int) -> Run:
     """Register an image and see what its fixes are worth."""
     began = time.perf_counter()
     arguments: Any = im.sensor, im.given, im.image, im.reference, im.terrain, im.errors, im.tie_errors
-    found = register(*arguments, known=im.known)
+    found = register_image(*arguments, known=im.known)
     seconds, true = time.perf_counter() - began, truth(im)
     after = spread(updated(im, found), true) if found.accepted else None
     return Run(seed, im.given, found, seconds, spread(direct(im), true), after)
@@ -70,7 +70,7 @@ def middle(im: Imaged) -> tuple[float, float]:
 
 
 def _pictured(im: Imaged, runs: list[Run]) -> Flow:
-    from jaxgeo.uncertainty import EachMeasurement, ErrorModel, sources
+    from jaxgeo.uncertainty import ErrorModel, PerMeasurement, sources
 
     found = runs[0].registration
     reference = part_of(im)
@@ -80,14 +80,14 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
     if found.accepted:
         after = rectify(found.sensor, found.shot, im.image, found.terrain, *place, known=im.known).orthoimage
         fix = found.fix(middle(im), im.tie_errors.terrain)
-    height = sources.TerrainHeight.from_metres(im.tie_errors.terrain, sharing=EachMeasurement())
+    height = sources.TerrainHeight.from_metres(im.tie_errors.terrain, sharing=PerMeasurement())
     model = ErrorModel((*im.errors.sources, height))
     return Flow(runs, reference, before, after, propagate(im.sensor, im.given, middle(im), im.terrain, model), fix)
 
 
 def part_of(im: Imaged) -> Orthoimage:
     """The part of the map in which the image lies by the navigation, and a margin."""
-    look = Look(im.sensor, im.given, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+    look = ModelInputs(im.sensor, im.given, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
     window = window_of(look, im.reference.grid, im.reference.shape)
     if window is None:
         return im.reference

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
-from jaxgeo.register import Prior, TieErrors, TiePoints, Update, next_prior, update
+from jaxgeo.register import Prior, TieErrors, TiePoints, Update, propagate_prior, update_orientation
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.studies.gu2017.fixes import alike, fixes_of, lattice
 from jaxgeo.studies.gu2017.scene import (
@@ -29,8 +29,8 @@ from jaxgeo.studies.gu2017.scene import (
 )
 from jaxgeo.studies.scenes import fractal_posts
 from jaxgeo.terrain import Dem
-from jaxgeo.uncertainty import ErrorModel, InTime
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty import ErrorModel, TimeCorrelated
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
 FRAMES, STEP, SPEED = 6, 5.0, 60.0  # number, s, m/s to the north
@@ -73,7 +73,7 @@ def frames(im: Imaged, flights: int = FLIGHTS, seed: int = 0) -> list[Frame]:
     """
     if im.ground is None:
         return []
-    model = navigation(sharing=InTime(DURATION))
+    model = navigation(sharing=TimeCorrelated(DURATION))
     ways = {ALONE: [], CARRIED: [], SELDOM: []}
     names = []
     for place, (name, ground) in enumerate(grounds(im.ground, seed).items()):
@@ -156,9 +156,11 @@ def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: s
     last: tuple[int, Update] | None = None
     rows = []
     for k, frame in enumerate(flown):
-        prior = None if last is None or way == ALONE else next_prior(last[1], _occasion(last[0]), _occasion(k))
+        prior = None if last is None or way == ALONE else propagate_prior(last[1], _occasion(last[0]), _occasion(k))
         if _is_registered(way, k):
-            found = update(*alike((camera(), frame.given)), frame.ties, im.terrain, model, told, prior=prior)
+            found = update_orientation(
+                *alike((camera(), frame.given)), frame.ties, im.terrain, model, told, prior=prior
+            )
             last = k, found
             rows.append(_off(im, frame, found.shot, found.cov_error))
         else:
@@ -169,12 +171,12 @@ def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: s
 
 def _foretold(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
     """(the shot as the frames before have it, the covariance of its errors)."""
-    look = Look(*alike((camera(), frame.given)), jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+    look = ModelInputs(*alike((camera(), frame.given)), jnp.asarray(0.0), jnp.zeros(2), im.terrain)
     return _moved(model, look, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
 
 
 @eqx.filter_jit
-def _moved(model: ErrorModel, look: Look, error: Any) -> Look:
+def _moved(model: ErrorModel, look: ModelInputs, error: Any) -> ModelInputs:
     return model.moved(look, error)
 
 

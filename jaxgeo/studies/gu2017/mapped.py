@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo.earth import WGS84, Geodetic
-from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, flattened, match, rectify
+from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, match_blocks, rectify, remove_illumination
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.gu2017.scene import Imaged, between
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty import ErrorModel
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 ASIDE = 1.0  # cells: standard deviation of what shifts a block beside the navigation's errors
 LATTICE = 4  # points along a side of a block, from which its true shift is computed
@@ -38,7 +38,7 @@ class Mapped(NamedTuple):
     def shifts(self, centres: np.ndarray, size: int) -> Shifts:
         """How the errors shift blocks."""
         im = self.im
-        look = Look(im.sensor, self.shot, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+        look = ModelInputs(im.sensor, self.shot, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
         return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
 
 
@@ -65,9 +65,11 @@ def mapped(im: Imaged, shot: Shot, errors: ErrorModel) -> Mapped:
     """Rectify an image from a shot, by the elevation model."""
     grid, shape = im.reference.grid, im.reference.shape
     ortho = rectify(im.sensor, shot, im.image, im.terrain, grid, shape, known=im.known).orthoimage
-    grey = np.asarray(flattened(ortho.values[0], ortho.known, 31))
+    grey = np.asarray(remove_illumination(ortho.values[0], ortho.known, 31))
     known = np.asarray(im.reference.known)
-    return Mapped(im, shot, errors, ortho, grey, np.asarray(flattened(np.asarray(im.reference.grey()), known, 31)))
+    return Mapped(
+        im, shot, errors, ortho, grey, np.asarray(remove_illumination(np.asarray(im.reference.grey()), known, 31))
+    )
 
 
 def blocks(
@@ -82,7 +84,7 @@ def blocks(
 ) -> Blocks:
     """Blocks of `size` cells, sought where a `covariance` of their shifts, cells2, allows with a probability: one for
     all, so that one program serves. Candidates correlate `above_chance` times better than chance has it (see
-    `match`)."""
+    `match_blocks`)."""
     centres = blocks_of(here.ortho.known, size)
     cov = np.broadcast_to(np.asarray(covariance, float), (len(centres), 2, 2))
     pair = here.grey, here.ortho.known, here.reference, np.asarray(here.im.reference.known)
@@ -93,7 +95,7 @@ def blocks(
         "peaks": peaks,
         "largest_sigma": largest_sigma,
     }
-    matches = match(*pair, centres, cov, **options)
+    matches = match_blocks(*pair, centres, cov, **options)
     shifts = here.shifts(np.asarray(matches.centre), size)
     return Blocks(matches, shifts, _true(here, np.asarray(matches.centre), size))
 

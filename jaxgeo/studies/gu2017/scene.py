@@ -20,7 +20,7 @@ from jaxgeo.studies.scenes import fractal_posts
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight, Dem, TangentGrid
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty import ErrorModel, sources
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 WIDTH, HEIGHT, FOCAL = 2400, 1500, 8540.0  # px: 16 by 10 deg
 STRIDE = 5  # px between lines of sight that are followed to the ground; places between are interpolated
@@ -158,7 +158,7 @@ def sight_of(sensor: Sensor, shot: Shot, ground: AbstractTerrain) -> Sight:
 
 def points_seen(sensor: Sensor, shot: Shot, ground: AbstractTerrain, uv: np.ndarray) -> np.ndarray:
     """Points (n, 3) in ECEF, m, of the first ground that pixels (n, 2) see; NaN without one."""
-    found = met(Look(sensor, shot, jnp.asarray(0.0), jnp.zeros(2), ground), np.asarray(uv, float))
+    found = met(ModelInputs(sensor, shot, jnp.asarray(0.0), jnp.zeros(2), ground), np.asarray(uv, float))
     return np.where((np.asarray(found.status) == Status.hit)[:, None], np.asarray(found.p_ecef), np.nan)
 
 

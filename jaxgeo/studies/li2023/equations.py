@@ -19,7 +19,7 @@ from jaxgeo.studies import in_numpy
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.in_numpy import E2, A, R_about_x, R_about_y, R_ned_from_body, ecef
 from jaxgeo.studies.li2023 import printed
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 PAPER = "Li 2023"
 B = A * math.sqrt(1.0 - E2)
@@ -242,8 +242,8 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
 
 def _fix(row: printed.Terrain) -> np.ndarray:
     """The point met at the height of a printed target, in ECEF."""
-    look = Look.of(printed.sensor(), printed.shot_of(row), printed.UV, printed.level_ground(row.target[2]))
-    return np.asarray(look.aim(FIRST_HIT).fix.ecef)
+    look = ModelInputs.of(printed.sensor(), printed.shot_of(row), printed.UV, printed.level_ground(row.target[2]))
+    return np.asarray(look.nominal_fix(FIRST_HIT).fix.ecef)
 
 
 def near_range(origin: np.ndarray, direction: np.ndarray) -> float:

@@ -17,8 +17,8 @@ from jaxgeo.sensor import Shot
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.uncertainty import ErrorModel, Random, presets
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.metrics import circular_probability
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 LIMITS = (printed.LOS_BAND[0], printed.LOS_BAND[1], *printed.LOS_WITHIN)  # deg
 GRID = np.linspace(0.0, 0.25, 126)  # deg, on which the linear distribution is drawn
@@ -55,7 +55,7 @@ class Pointing:
 
 def pointing_errors(setting: str, shot: Shot, *, samples: int, key: Array) -> Pointing:
     """Pointing errors of a shot under Table 1: to first order, and of `samples` draws."""
-    look = Look.of(printed.sensor(), shot, printed.UV, printed.level_ground(0.0))
+    look = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(0.0))
     model = presets.li_2023()
     variances, angles = _errors(look, model, key, samples)
     variances, angles = np.rad2deg(np.rad2deg(np.asarray(variances))), np.rad2deg(np.asarray(angles))
@@ -76,7 +76,9 @@ def pointing_errors(setting: str, shot: Shot, *, samples: int, key: Array) -> Po
 
 
 @eqx.filter_jit
-def _errors(look: Look, model: ErrorModel, key: Array, samples: int) -> tuple[Float[Array, "2"], Float[Array, " n"]]:
+def _errors(
+    look: ModelInputs, model: ErrorModel, key: Array, samples: int
+) -> tuple[Float[Array, "2"], Float[Array, " n"]]:
     """(variances in rad2 along the axes of the error across the line of sight, angles in rad of the samples)."""
     nominal, factor = _direction(look), model.factor()
     swept = jax.jacfwd(lambda error: _direction(model.moved(look, error)))(jnp.zeros(model.size))
@@ -89,6 +91,6 @@ def _errors(look: Look, model: ErrorModel, key: Array, samples: int) -> tuple[Fl
     return jnp.linalg.eigvalsh(cov)[1:], jax.vmap(angle)(jnp.arange(samples))
 
 
-def _direction(look: Look) -> Vector3:
+def _direction(look: ModelInputs) -> Vector3:
     """Where the look points, in ECEF: no error of this study moves the aircraft, so any fixed frame serves."""
     return line_of_sight(look.sensor, look.motion, jnp.asarray(look.time), look.uv)[1]

@@ -23,8 +23,8 @@ from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.scenes import fractal_posts, tangent_dem
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.uncertainty import Facet, Footprint, accuracy, presets, propagate, sample
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.slopes import AbstractSlope
 
 LEVEL_GROUND = "level"
@@ -254,7 +254,7 @@ def _rms_slope(dem: Dem) -> float:
 
 
 def _fix(shot: Shot, terrain: AbstractTerrain) -> Fix:
-    return Look.of(printed.sensor(), shot, printed.UV, terrain).aim(FIRST_HIT).fix
+    return ModelInputs.of(printed.sensor(), shot, printed.UV, terrain).nominal_fix(FIRST_HIT).fix
 
 
 def _linear(

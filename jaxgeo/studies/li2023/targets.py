@@ -11,7 +11,7 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.li2023 import printed
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ def table_2() -> list[Target]:
 
 def _target(name: str, row: printed.Terrain, inner: float, shot: Shot) -> Target:
     expected = printed.target_of(row)
-    look = Look.of(printed.sensor(), shot, printed.UV, printed.level_ground(row.target[2]))
-    found = look.aim(FIRST_HIT).fix.position
+    look = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(row.target[2]))
+    found = look.nominal_fix(FIRST_HIT).fix.position
     along_meridian, along_parallel = metres_per_radian(expected)
     north = (float(found.lat) - float(expected.lat)) * along_meridian
     east = (float(found.lon) - float(expected.lon)) * along_parallel

@@ -163,7 +163,7 @@ def _direct(report: Report) -> Iterator[Claim]:
             _rms(report.cases.of(name)),
             tolerance,
             "m",
-            "jaxgeo.adjust.intersect_images",
+            "jaxgeo.adjust.forward_intersection",
             Explanation(
                 f"of adjacent pairs, mean of {len(draws)} draws",
                 tuple(draws.mean(axis=0).tolist()),

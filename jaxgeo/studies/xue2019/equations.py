@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgeo.adjust import Adjustment, intersect_images
+from jaxgeo.adjust import Adjustment, forward_intersection
 from jaxgeo.adjust.navigation import sights_of
 from jaxgeo.sensor import Bauer, FrameCamera
 from jaxgeo.studies.claims import Claim, Explanation
@@ -100,7 +100,7 @@ def intersection(block: Simulated) -> Claim:
             sides.append(row @ S)
         pixels.append(np.asarray(uv))
     wanted = np.linalg.lstsq(np.array(rows), np.array(sides), rcond=None)[0]
-    found = intersect_images(sensor, shots, np.array(pixels), sigma=0.3)
+    found = forward_intersection(sensor, shots, np.array(pixels), sigma=0.3)
     return Claim(
         PAPER,
         "Eq. 2",
@@ -109,7 +109,7 @@ def intersection(block: Simulated) -> Claim:
         np.asarray(block.frame.from_ecef(found.p_ecef)).tolist(),
         tolerance=1e-5,
         unit="m",
-        function="jaxgeo.adjust.intersect_images",
+        function="jaxgeo.adjust.forward_intersection",
         reason="The paper refers to a textbook for l1 to l6: they follow from Eq. 1.",
         digits=".3f",
     )

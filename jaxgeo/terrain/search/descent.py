@@ -22,7 +22,7 @@ NEWTON_STEPS = 2  # from 1 m off over 20 km; each squares the error times 1e-7 p
 LEAST_SINKING = 1e-6  # sine of the depression below which Newton takes no step
 
 
-class Look(Record):
+class DemSample(Record):
     """One evaluation of the DEM: the height Z asked about, the ground h(Z) under the ray there, m, and the range."""
 
     height: Scalar
@@ -70,20 +70,20 @@ class Descent(Record):
 
         return jax.lax.fori_loop(0, NEWTON_STEPS, newton, distance)
 
-    def look(self, height: Scalar) -> Look:
+    def look(self, height: Scalar) -> DemSample:
         """h(Z): one evaluation of the DEM."""
         return self._look_from(self.range_at(height), height)
 
-    def look_along(self, distance: Scalar, height: Scalar) -> Look:
+    def look_along(self, distance: Scalar, height: Scalar) -> DemSample:
         """The ground under the ray's point at a range, beside another height than the ray's: one evaluation."""
         return self._look_from(distance, height)
 
-    def _look_from(self, distance: Scalar, height: Scalar) -> Look:
+    def _look_from(self, distance: Scalar, height: Scalar) -> DemSample:
         rowcol, _ = self.dem.over(self.ray.at(distance))
         last = (jnp.asarray(self.dem.extent) - 1).astype(jnp.float64)
         nearest = jnp.clip(rowcol, 0.0, last)
         ground = self.dem.surface(nearest, self.cell(nearest))
-        return Look(height, ground, distance, rowcol, self.dem.contains(rowcol))
+        return DemSample(height, ground, distance, rowcol, self.dem.contains(rowcol))
 
     def cell(self, rowcol: Float[Array, "2"]) -> Int[Array, "2"]:
         """The cell at (row, col)."""

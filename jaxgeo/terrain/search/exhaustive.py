@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxgeo._numerics import tree_where
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
 from jaxgeo.terrain.search.window import AbstractWindow, WholeTerrain
@@ -38,11 +38,11 @@ class ExhaustiveFirst(AbstractStudiedSearch):
         eps, step = jnp.asarray(self.eps), jnp.asarray(self.step)
         count = tries(lowest, highest, step)
 
-        def is_going_on(state: tuple[Look, Index]) -> Flag:
+        def is_going_on(state: tuple[DemSample, Index]) -> Flag:
             look, tried = state
             return (look.clearance > eps) & (tried < count)
 
-        def advance(state: tuple[Look, Index]) -> tuple[Look, Index]:
+        def advance(state: tuple[DemSample, Index]) -> tuple[DemSample, Index]:
             _, tried = state
             return descent.look(highest - step * tried), tried + 1
 
@@ -77,10 +77,10 @@ def tries(lowest: Scalar, highest: Scalar, step: Scalar) -> Index:
     return jnp.ceil((highest - lowest) / step).astype(jnp.int32) + 1
 
 
-def nearest_of(descent: Descent, highest: Scalar, step: Scalar, count: Index) -> Look:
+def nearest_of(descent: Descent, highest: Scalar, step: Scalar, count: Index) -> DemSample:
     """Of `count` heights from `highest` down, the look with the least |D|; the highest of equals."""
 
-    def try_next(k: Index, best: Look) -> Look:
+    def try_next(k: Index, best: DemSample) -> DemSample:
         look = descent.look(highest - step * k)
         return tree_where(jnp.abs(look.clearance) < jnp.abs(best.clearance), look, best)
 

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
 from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
@@ -70,7 +70,7 @@ class FastIteration(AbstractStudiedSearch):
 class _State(Record):
     """The last look, the two heights whose middle is next, m, and the steps taken."""
 
-    look: Look
+    look: DemSample
     high: Scalar
     low: Scalar
     iterations: Index

@@ -17,8 +17,8 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch, Reach, above_ground, reach_of, way_of
+from jaxgeo.terrain.search.batched import Walker, walk_all
 from jaxgeo.terrain.search.beam import Beam
-from jaxgeo.terrain.search.crowd import Walker, walk_all
 from jaxgeo.terrain.search.ground import Ground, fits_together
 from jaxgeo.terrain.search.march import (
     cell_between,

@@ -9,16 +9,16 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import Search, ending_where
 
-Step = Callable[[Descent, Look], tuple[Scalar, Index]]
+Step = Callable[[Descent, DemSample], tuple[Scalar, Index]]
 """From a look at Z to the next height, and the evaluations that finding it took."""
 
 
 class _State(Record):
-    look: Look
+    look: DemSample
     evaluations: Index
     iterations: Index
     has_left: Flag

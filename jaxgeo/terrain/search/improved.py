@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.fixed_point import iterate, middle_height
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
 
@@ -49,7 +49,7 @@ class ImprovedLiteral(AbstractStudiedSearch):
         most = jnp.asarray(self.outward)
         start = middle_height(descent, self.start)
 
-        def step(descent: Descent, look: Look) -> tuple[Scalar, Index]:
+        def step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
             return _to_line(descent, look, most)
 
         return iterate(descent, start, step, jnp.asarray(self.eps), jnp.asarray(self.limit))
@@ -71,7 +71,7 @@ class ImprovedSecant(AbstractStudiedSearch):
         return iterate(descent, start, secant_step, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
 
-def secant_step(descent: Descent, look: Look) -> tuple[Scalar, Index]:
+def secant_step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
     """The next height by the secant through (Z, D(Z)) and (h, D(h)); infinite where that is level."""
     below = descent.look(look.ground)
     rise = below.clearance - look.clearance
@@ -87,7 +87,7 @@ class _Outward(Record):
     now: Scalar
 
 
-def _to_line(descent: Descent, look: Look, most: Index) -> tuple[Scalar, Index]:
+def _to_line(descent: Descent, look: DemSample, most: Index) -> tuple[Scalar, Index]:
     """Where the line through 1 (ground below A) and 2 (ground met horizontally outward) meets the ray."""
     unit = descent.post_step() * jnp.where(look.clearance > 0.0, 1.0, -1.0)
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxgeo._typing import Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.fixed_point import iterate, middle_height
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
 
@@ -38,5 +38,5 @@ class Photogrammetric(AbstractStudiedSearch):
         return iterate(descent, start, _to_ground, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
 
-def _to_ground(descent: Descent, look: Look) -> tuple[Scalar, Index]:
+def _to_ground(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
     return look.ground, jnp.asarray(0, jnp.int32)

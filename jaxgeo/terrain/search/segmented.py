@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.exhaustive import nearest_of
 from jaxgeo.terrain.search.fixed_point import iterate, middle_height
 from jaxgeo.terrain.search.improved import secant_step
@@ -79,7 +79,7 @@ class Segmented(AbstractStudiedSearch):
 class _State(Record):
     """The best look so far, the window as its middle and half width, and the step that made it, m."""
 
-    look: Look
+    look: DemSample
     middle: Scalar
     half: Scalar
     step: Scalar

@@ -15,7 +15,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain.interface import Bracket
 from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
-from jaxgeo.terrain.search.descent import Descent, Look
+from jaxgeo.terrain.search.descent import DemSample, Descent
 from jaxgeo.terrain.search.run import Ending, Run, ending_code
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ EPS = 0.2  # m: the tolerance of the experiments of Li et al. (2023), section 5.
 class Search(Record):
     """Where a studied search ended: its last look, what it cost, and the int8 `Ending`."""
 
-    look: Look
+    look: DemSample
     evaluations: Index
     iterations: Index
     ending: Int8[Array, ""]

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import equinox as eqx
 from jax.typing import ArrayLike
 
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
 
 
@@ -17,7 +17,7 @@ class Refraction(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     names: ClassVar = ("temperature", "pressure")
     unit: ClassVar = "K and Pa"
 
@@ -26,13 +26,13 @@ class Refraction(AbstractSource):
         """From standard deviations in K and Pa."""
         return cls(sigmas(temperature, pressure), **options)
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         if look.air is None:
             raise ValueError(
                 "A Refraction source needs the air whose temperature and pressure err: pass atmosphere=Atmosphere()."
             )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         air = look.air
         assert air is not None
         after = (air.temperature_offset + error[0], air.sea_level_pressure + error[1])

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, Num
 
 from jaxgeo._checks import as_array, as_float64, check_finite, concrete, require_x64
 from jaxgeo._record import Record
-from jaxgeo.uncertainty.look import Aim, Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, InTime, Occasion
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, TimeCorrelated
 
 SourceT = TypeVar("SourceT", bound="AbstractSource")
 Error: TypeAlias = Float[Array, " axes"]
@@ -58,7 +58,7 @@ class AbstractSource(Record):
         """What each of its standard deviations is of."""
         return self.axes
 
-    def at(self: SourceT, look: Look, aim: Aim) -> SourceT:
+    def at(self: SourceT, look: ModelInputs, aim: NominalFix) -> SourceT:
         """The source as it is at a look; only what varies over the ground makes use of it."""
         del look, aim
         return self
@@ -75,10 +75,10 @@ class AbstractSource(Record):
         return self.sharing.correlation(*when) * self.covariance()
 
     @abstractmethod
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         """The look with an error in it."""
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         """Raise `ValueError` where the source can have no part in a look, `TypeError` where it makes no sense."""
         del look
 
@@ -87,7 +87,7 @@ class AbstractSource(Record):
         check_sigma(self.sigma, self.sigma_axes, self.label)
         if self.correlation is not None:
             check_correlation(self.correlation, len(self.axes), self.label)
-        if isinstance(self.sharing, InTime):
+        if isinstance(self.sharing, TimeCorrelated):
             self.sharing.check()
 
     @classmethod

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxgeo.uncertainty.look import Look
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import AbstractSharing
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma
 
@@ -43,11 +43,11 @@ class Correlated(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return tuple(f"{part.label}: {axis}" for part in self.parts for axis in part.axes)
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         for part in self.parts:
             part.check(look)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         first = 0
         for part in self.parts:
             look = part.moved(look, error[first : first + len(part.axes)])

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo.sensor import Gimbal
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachShot
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerImage
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
 
 AxesT = TypeVar("AxesT", bound="_OfGimbalAxes")
@@ -42,7 +42,7 @@ class _OfGimbalAxes(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.gimbal_axes
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         names = look.sensor.gimbal.names
         if tuple(self.gimbal_axes) != tuple(names):
             raise ValueError(
@@ -56,10 +56,10 @@ class GimbalAngles(_OfGimbalAxes):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachShot()
+    sharing: AbstractSharing = PerImage()
     gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         readings = jnp.asarray(look.motion.gimbal_readings)
         readings = readings + (error if readings.ndim == 1 else error[None, :])
         return eqx.tree_at(lambda look: look.motion.gimbal_readings, look, readings)
@@ -70,10 +70,10 @@ class GimbalMounting(_OfGimbalAxes):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         gimbal = look.sensor.gimbal
         offset = jnp.asarray(gimbal.offset) - error / (jnp.asarray(gimbal.sign) * jnp.asarray(gimbal.gain))
         return eqx.tree_at(lambda look: look.sensor.gimbal.offset, look, offset)

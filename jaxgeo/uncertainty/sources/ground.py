@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 from jaxgeo._checks import check_finite, concrete
 from jaxgeo._typing import Scalar
 from jaxgeo.terrain import ConstantField, Dem, LineField
-from jaxgeo.uncertainty.look import Aim, Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, Everywhere, Occasion
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, Systematic
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Covariance, Error, Sigma, sigmas
 
 NODES_A_RANGE = 4  # nodes in the shortest of a field's correlation lengths
@@ -25,7 +25,7 @@ class TerrainHeight(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = Everywhere()
+    sharing: AbstractSharing = Systematic()
     names: ClassVar = ("height",)
     unit: ClassVar = "m"
 
@@ -34,7 +34,7 @@ class TerrainHeight(AbstractSource):
         """From a standard deviation in m."""
         return cls(sigmas(height), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         return _raised(look, error[0])
 
 
@@ -46,7 +46,7 @@ class Geoid(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = Everywhere()
+    sharing: AbstractSharing = Systematic()
     platform: bool = eqx.field(static=True, default=False)
     names: ClassVar = ("undulation",)
     unit: ClassVar = "m"
@@ -56,7 +56,7 @@ class Geoid(AbstractSource):
         """From a standard deviation in m."""
         return cls(sigmas(undulation), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         look = _raised(look, error[0])
         if not self.platform:
             return look
@@ -76,7 +76,7 @@ class TerrainField(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = Everywhere()
+    sharing: AbstractSharing = Systematic()
     _: KW_ONLY
     gaussian_lengths: Float[Array, "..."]
     spherical_lengths: Float[Array, "..."]
@@ -108,7 +108,7 @@ class TerrainField(AbstractSource):
         of_gaussian, of_spherical = (jnp.asarray([pair[1] for pair in part], float) for part in (gaussian, spherical))
         return cls(
             sigmas(*(pair[0] for pair in pairs)),
-            sharing=Everywhere() if sharing is None else sharing,
+            sharing=Systematic() if sharing is None else sharing,
             gaussian_lengths=of_gaussian.reshape(-1),
             spherical_lengths=of_spherical.reshape(-1),
             place=jnp.full((nodes, 3), jnp.nan),  # until it is placed at a look
@@ -126,7 +126,7 @@ class TerrainField(AbstractSource):
         gaussian = len(self.gaussian_lengths)
         return tuple(f"{'gaussian' if k < gaussian else 'spherical'} {k}" for k in range(len(self.sigma)))
 
-    def at(self, look: Look, aim: Aim) -> TerrainField:
+    def at(self, look: ModelInputs, aim: NominalFix) -> TerrainField:
         east, north = aim.direction_enu[0], aim.direction_enu[1]
         level = jnp.sqrt(east**2 + north**2)
         plumb = level < 1e-9
@@ -147,14 +147,14 @@ class TerrainField(AbstractSource):
     def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
         return self.sharing.correlation(*when) * self.variance_at(_distances(self.place, there.place))
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         if not isinstance(look.terrain, Dem):
             raise ValueError(
                 f"A TerrainField is one of the posts of a Dem; this terrain is a {type(look.terrain).__name__}. Use "
                 "TerrainHeight for a height that errs everywhere alike."
             )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         assert isinstance(look.terrain, Dem)
         field = LineField(error, self.rowcol, self.step)
         return eqx.tree_at(lambda look: look.terrain, look, look.terrain.with_field(field))
@@ -171,7 +171,7 @@ class TerrainField(AbstractSource):
         return total
 
 
-def _raised(look: Look, height: Scalar) -> Look:
+def _raised(look: ModelInputs, height: Scalar) -> ModelInputs:
     terrain: Any = look.terrain
     return eqx.tree_at(lambda look: look.terrain, look, terrain.with_field(ConstantField(height)))
 

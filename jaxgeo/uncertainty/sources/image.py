@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxgeo.sensor import AbstractCamera, FrameCamera
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachMeasurement
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerMeasurement
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
 
 
@@ -19,7 +19,7 @@ class PixelMeasurement(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachMeasurement()
+    sharing: AbstractSharing = PerMeasurement()
     names: ClassVar = ("column", "row")
     unit: ClassVar = "px"
 
@@ -28,7 +28,7 @@ class PixelMeasurement(AbstractSource):
         """From standard deviations in px."""
         return cls(sigmas(column, row), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         return eqx.tree_at(lambda look: look.uv, look, look.uv + error)
 
 
@@ -37,7 +37,7 @@ class InteriorOrientation(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     names: ClassVar = ("focal length", "principal column", "principal row")
     unit: ClassVar = "px"
 
@@ -48,15 +48,15 @@ class InteriorOrientation(AbstractSource):
         """From standard deviations in px."""
         return cls(sigmas(focal, principal_column, principal_row), **options)
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         optics_of(look.sensor.camera)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         optics = optics_of(look.sensor.camera)
         focal = jnp.asarray(optics.focal_px)
         after = (focal * (1.0 + error[0] / focal[0]), jnp.asarray(optics.principal_px) + error[1:])
 
-        def where(look: Look) -> tuple[Any, Any]:
+        def where(look: ModelInputs) -> tuple[Any, Any]:
             optics = optics_of(look.sensor.camera)
             return optics.focal_px, optics.principal_px
 
@@ -68,7 +68,7 @@ class Distortion(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     coefficients: tuple[str, ...] = eqx.field(static=True, default=("k1",))
     unit: ClassVar = "1"
 
@@ -82,7 +82,7 @@ class Distortion(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.coefficients
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         distortion = optics_of(look.sensor.camera).distortion
         missing = [name for name in self.coefficients if name not in distortion.names]
         if missing:
@@ -91,7 +91,7 @@ class Distortion(AbstractSource):
                 "BrownConrady lens, of zeros if need be."
             )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         lens = optics_of(look.sensor.camera).distortion
         by_name = dict(zip(self.coefficients, error, strict=True))
         change = jnp.stack([by_name.get(name, jnp.zeros(())) for name in lens.names])

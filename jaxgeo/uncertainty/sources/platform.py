@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._numerics import product, turned
+from jaxgeo._numerics import matmul3, matvec
 from jaxgeo._typing import ScalarField, Vector3, Vector3Field
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.rotations import R_from_heading_pitch_roll, R_from_rotation_vector, heading_pitch_roll_from_R
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.sensor.gimbal import Numbers
-from jaxgeo.uncertainty.look import Look
-from jaxgeo.uncertainty.sharing import AbstractSharing, EachFlight, EachShot
+from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.sharing import AbstractSharing, PerFlight, PerImage
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, Sigma, sigmas
 
 
@@ -25,7 +25,7 @@ class Attitude(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachShot()
+    sharing: AbstractSharing = PerImage()
     names: ClassVar = ("heading", "pitch", "roll")
     unit: ClassVar = "rad"
 
@@ -34,7 +34,7 @@ class Attitude(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(heading, pitch, roll, degrees=True), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         pose = look.pose
         heading, pitch, roll = error
         heading, pitch, roll = pose.heading + heading, pose.pitch + pitch, pose.roll + roll
@@ -46,7 +46,7 @@ class Position(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachShot()
+    sharing: AbstractSharing = PerImage()
     frame: Literal["ned", "ecef"] = eqx.field(static=True, default="ned")
     names: ClassVar = ("north", "east", "down")
     unit: ClassVar = "m"
@@ -60,9 +60,9 @@ class Position(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.names if self.frame == "ned" else ("x", "y", "z")
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         def shifted(position: Geodetic) -> Geodetic:
-            shift = turned(R_ecef_from_ned(position), error) if self.frame == "ned" else error
+            shift = matvec(R_ecef_from_ned(position), error) if self.frame == "ned" else error
             return WGS84.to_geodetic(WGS84.to_ecef(position) + shift)
 
         pose = look.pose
@@ -75,7 +75,7 @@ class Velocity(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachShot()
+    sharing: AbstractSharing = PerImage()
     latency: ScalarField = 0.005
     names: ClassVar = ("north", "east", "down")
     unit: ClassVar = "m/s"
@@ -85,7 +85,7 @@ class Velocity(AbstractSource):
         """From standard deviations in m/s."""
         return cls(sigmas(north, east, down), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         return Position(self.sigma).moved(look, error * self.latency)
 
 
@@ -98,7 +98,7 @@ class TimeTag(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachShot()
+    sharing: AbstractSharing = PerImage()
     velocity_ned: Vector3Field | None = None
     body_rates: Vector3Field | None = None
     gimbal_rates: Any = None
@@ -120,25 +120,25 @@ class TimeTag(AbstractSource):
         velocity, turning, moving = (None if rate is None else jnp.asarray(rate, float) for rate in rates)
         return cls(sigmas(time), velocity_ned=velocity, body_rates=turning, gimbal_rates=moving, **options)
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         if isinstance(look.motion, Shot) and self.velocity_ned is None:
             raise ValueError(
                 "A TimeTag needs to know how a single shot moves: give it velocity_ned in m/s (and body_rates, "
                 "gimbal_rates in rad/s), or a Trajectory in place of the shot."
             )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         later = error[0]
         if not isinstance(look.motion, Shot):
             return eqx.tree_at(lambda look: look.time, look, look.time + later)
         shot, pose = look.motion, look.motion.pose
         velocity: Vector3 = jnp.zeros(3) if self.velocity_ned is None else jnp.asarray(self.velocity_ned)
-        way = turned(R_ecef_from_ned(pose.position), later * velocity)
+        way = matvec(R_ecef_from_ned(pose.position), later * velocity)
         position = WGS84.to_geodetic(WGS84.to_ecef(pose.position) + way)
         pose = Pose(position, pose.heading, pose.pitch, pose.roll, pose.deflection)
         if self.body_rates is not None:
             R_level_from_body = R_from_heading_pitch_roll(*map(jnp.asarray, (pose.heading, pose.pitch, pose.roll)))
-            R = product(R_level_from_body, R_from_rotation_vector(later * jnp.asarray(self.body_rates)))
+            R = matmul3(R_level_from_body, R_from_rotation_vector(later * jnp.asarray(self.body_rates)))
             pose = Pose(position, *heading_pitch_roll_from_R(R), pose.deflection)
         readings = jnp.asarray(shot.gimbal_readings)
         if self.gimbal_rates is not None:
@@ -152,7 +152,7 @@ class Boresight(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     names: ClassVar = ("heading", "pitch", "roll")
     unit: ClassVar = "rad"
 
@@ -161,16 +161,16 @@ class Boresight(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(heading, pitch, roll, degrees=True), **options)
 
-    def check(self, look: Look) -> None:
+    def check(self, look: ModelInputs) -> None:
         if look.sensor.gimbal.reference == "level":
             raise ValueError(
                 "A gimbal that reports in local level has no boresight against the body: its angles are against the "
                 "horizon. Use CameraMounting for the camera in the head, or GimbalMounting for the axes."
             )
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         turn = R_from_heading_pitch_roll(*error)
-        R = product(turn, jnp.asarray(look.sensor.mount.R_body_from_base))
+        R = matmul3(turn, jnp.asarray(look.sensor.mount.R_body_from_base))
         return eqx.tree_at(lambda look: look.sensor.mount.R_body_from_base, look, R)
 
 
@@ -179,7 +179,7 @@ class CameraMounting(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     names: ClassVar = ("forward", "right", "down")
     unit: ClassVar = "rad"
 
@@ -188,8 +188,8 @@ class CameraMounting(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(forward, right, down, degrees=True), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
-        R = product(R_from_rotation_vector(error), jnp.asarray(look.sensor.mount.R_head_from_camera))
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+        R = matmul3(R_from_rotation_vector(error), jnp.asarray(look.sensor.mount.R_head_from_camera))
         return eqx.tree_at(lambda look: look.sensor.mount.R_head_from_camera, look, R)
 
 
@@ -198,7 +198,7 @@ class LeverArm(AbstractSource):
 
     sigma: Sigma
     correlation: Correlation = None
-    sharing: AbstractSharing = EachFlight()
+    sharing: AbstractSharing = PerFlight()
     names: ClassVar = ("forward", "right", "down")
     unit: ClassVar = "m"
 
@@ -207,6 +207,6 @@ class LeverArm(AbstractSource):
         """From standard deviations in m."""
         return cls(sigmas(forward, right, down), **options)
 
-    def moved(self, look: Look, error: Error) -> Look:
+    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
         lever = jnp.asarray(look.sensor.mount.lever_body) + error
         return eqx.tree_at(lambda look: look.sensor.mount.lever_body, look, lever)

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxgeo._arguments import UNIT_TOLERANCE, observation
 from jaxgeo._checks import as_array, as_float64, check_is
-from jaxgeo._doors import UNIT_TOLERANCE, observation
 from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix

@@ -12,9 +12,9 @@ from jaxtyping import Array, Int
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
 from jaxgeo.uncertainty.linear import FACET, Propagation, swept_over
-from jaxgeo.uncertainty.look import Aim, Look
 from jaxgeo.uncertainty.metrics import circular_error, linear_error
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.profile import Profile, profile_of
 from jaxgeo.uncertainty.slopes import Footprint
 
@@ -31,7 +31,7 @@ GRAZING = 0.01  # sine of the angle between ray and surface
 
 
 @portable
-class Signs(NamedTuple):
+class Diagnostics(NamedTuple):
     """What can be known of a fix's error without samples: figures at 90 % in m, and how the ground lies about it.
 
     `facet`, `footprint` and `profile` are circular errors by the slope under the fix, by that of its footprint, and
@@ -56,18 +56,18 @@ class Signs(NamedTuple):
 
 
 @portable
-class Surveyed(NamedTuple):
+class Diagnosed(NamedTuple):
     """The signs of a fix, and what they were read from: linear propagation over its facet and its footprint, and the
     profile of the ground."""
 
-    signs: Signs
+    signs: Diagnostics
     facet: Propagation
     footprint: Propagation
     profile: Profile
 
 
 @eqx.filter_jit
-def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
+def diagnose(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Diagnosed:
     """What can be known of how sure a fix is without samples."""
     model = model.at(look, aim)
     sweep = model.sweep(look, aim)
@@ -78,7 +78,7 @@ def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
     facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
     facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
     profile = profile_of(look.terrain, aim, sweep, facet.cov_error, footprint.surface.normal)
-    signs = Signs(
+    signs = Diagnostics(
         facet_ce,
         footprint_ce,
         profile.circular_error(0.9),
@@ -92,10 +92,10 @@ def surveyed(look: Look, aim: Aim, model: ErrorModel) -> Surveyed:
         footprint.surface.known,
         profile.off,
     )
-    return Surveyed(signs, facet, footprint, profile)
+    return Diagnosed(signs, facet, footprint, profile)
 
 
-class Trust(enum.IntEnum):
+class Method(enum.IntEnum):
     """The cheapest method that can be trusted at a fix."""
 
     facet = 0
@@ -108,8 +108,8 @@ class Trust(enum.IntEnum):
         return ("linear propagation", "linear propagation over the footprint", "samples")[self]
 
 
-def trust_of(signs: Signs) -> Int[Array, ""]:
-    """Which method the signs trust, as a `Trust`; under `vmap` for many fixes."""
+def method_of(signs: Diagnostics) -> Int[Array, ""]:
+    """Which method the signs trust, as a `Method`; under `vmap` for many fixes."""
     calm = (signs.jumps + signs.fails <= FEW) & (signs.known == 1.0) & (signs.grazing > GRAZING)
     calm &= signs.off <= SAME_GROUND
     least = NOTHING * signs.profile
@@ -117,8 +117,8 @@ def trust_of(signs: Signs) -> Int[Array, ""]:
     facet &= _agree(signs.facet_up + least, signs.profile_up + least, AGREEMENT_UP)
     footprint = _agree(signs.footprint, signs.profile, AGREEMENT)
     footprint &= _agree(signs.footprint_up + least, signs.profile_up + least, AGREEMENT_UP)
-    code = jnp.where(calm & footprint, Trust.footprint.value, Trust.samples.value)
-    return jnp.where(calm & facet, Trust.facet.value, code)
+    code = jnp.where(calm & footprint, Method.footprint.value, Method.samples.value)
+    return jnp.where(calm & facet, Method.facet.value, code)
 
 
 def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:

@@ -119,7 +119,7 @@ def _points_along(problem: Problem, equations: Equations, images: Any, shared: A
     return back_substituted(problem, points, images, shared) * problem.free_point.T
 
 
-def weakest(
+def weakest_directions(
     ready: Prepared, solution: Solution, most: int, datum: Datum | None = None, weak: Weak | None = None
 ) -> list[Direction]:
     """The combinations of unknowns that the normal equations, and a `datum`, hold least, the weakest first.

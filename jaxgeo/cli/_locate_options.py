@@ -92,7 +92,7 @@ Refraction = Annotated[
 ]
 
 
-class Asked(NamedTuple):
+class LocateOptions(NamedTuple):
     """What was typed."""
 
     files: list[pathlib.Path]
@@ -137,7 +137,7 @@ def is_scene_file(path: pathlib.Path) -> bool:
     return path.suffix.lower() == ".toml"
 
 
-def check_asked(asked: Asked) -> None:
+def check_asked(asked: LocateOptions) -> None:
     if not asked.files and asked.scene is None:
         raise UserError("give a FILE of a camera or an aircraft, as jaxgeo inspect reads it, or --scene SCENE.toml.")
     if len(asked.files) > 1:

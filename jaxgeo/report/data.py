@@ -23,7 +23,7 @@ ONE_SCENE: Axes = (None, None, 0, None, None)
 
 
 @dataclass(frozen=True)
-class Subject:
+class ReportData:
     """n pixels `uv` (n, 2), the exposures that they are of, and their `fixes` (n,).
 
     `axes`, for (sensor, shots, uv, terrain, errors), has 0 where there is one for each pixel and None where one is for
@@ -59,7 +59,7 @@ class Subject:
         probability: float = 0.9,
         atmosphere: Atmosphere | None = None,
         labels: Sequence[Mapping[str, Any]] = (),
-    ) -> Subject:
+    ) -> ReportData:
         """What these pixels see, and how sure that is: by default pixels (n, 2), or one, of one shot.
 
         `in_axes` as for `accuracy_of_each`. Raises as `locate` and `accuracy_of_each`, and `ValueError` for labels of

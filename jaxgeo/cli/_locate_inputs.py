@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in
-from jaxgeo.cli._asked import Asked, check_asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import errors_given, ground_errors
+from jaxgeo.cli._exposures import ExposureSet, Seen, in_air, joined_positions, reasons_of, views_of_scene
 from jaxgeo.cli._file_views import tell_unread, views_of_files
 from jaxgeo.cli._inputs import read_terrain, said_datum, terrain_files
+from jaxgeo.cli._locate_options import LocateOptions, check_asked
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import tell
-from jaxgeo.cli._views import Seen, Views, in_air, joined_positions, reasons_of, views_of_scene
 
 REPORTED = "reported"
 
@@ -37,7 +37,7 @@ class Batch(NamedTuple):
     rows: Any
 
 
-class Question(NamedTuple):
+class LocateInputs(NamedTuple):
     """All pixels, by batches, and what is known of them.
 
     `carried` are columns of each row beside its fix; `unread` are those rows, by number, whose file could not be read.
@@ -90,11 +90,11 @@ class Question(NamedTuple):
 
 
 def told_question(
-    asked: Asked,
+    asked: LocateOptions,
     with_errors: bool | None,
     output: pathlib.Path | None,
-    check: Callable[[Views, bool], object] | None = None,
-) -> Question:
+    check: Callable[[ExposureSet, bool], object] | None = None,
+) -> LocateInputs:
     """The question, its assumptions printed on stderr. An `output` that would replace what is read is refused."""
     check_asked(asked)
     if output is not None:
@@ -107,7 +107,7 @@ def told_question(
     return question
 
 
-def _tell_of_pixels_outside(texts: list[str], question: Question) -> None:
+def _tell_of_pixels_outside(texts: list[str], question: LocateInputs) -> None:
     """On stderr, before anything is computed, which of the pixels typed are not on the image; they keep their rows."""
     import numpy as np
 
@@ -135,8 +135,8 @@ def on_image(camera: Any, uv: Any) -> Any:
 
 
 def read_question(
-    asked: Asked, *, with_errors: bool | None, check: Callable[[Views, bool], object] | None = None
-) -> Question:
+    asked: LocateOptions, *, with_errors: bool | None, check: Callable[[ExposureSet, bool], object] | None = None
+) -> LocateInputs:
     """All input, what is small and likely to be mistaken first.
 
     `check` is called with the views, and with whether there are errors, before the ground is read.
@@ -164,7 +164,7 @@ def read_question(
         Batch(seen.sensor, seen.shots, seen.uv, ground, own, _axes(views.is_each, has_ground_each), seen.rows)
         for seen, own, (ground, has_ground_each) in zip(views.seen, sources, _terrain(asked, views), strict=True)
     ]
-    return Question(
+    return LocateInputs(
         batches,
         views.unread,
         bool(with_errors),
@@ -183,7 +183,7 @@ def _axes(is_each: bool, has_ground_each: bool) -> tuple[int | None, ...]:
     return own, 0, 0, 0 if has_ground_each else None, own
 
 
-def _sources(seen: Seen, views: Views, asked: Asked) -> tuple[tuple[Any, ...], list[str]]:
+def _sources(seen: Seen, views: ExposureSet, asked: LocateOptions) -> tuple[tuple[Any, ...], list[str]]:
     """(sources of error, one entry for each pixel where exposures have their own; what was assumed of the ground)."""
     import numpy as np
 
@@ -210,7 +210,7 @@ def _sources(seen: Seen, views: Views, asked: Asked) -> tuple[tuple[Any, ...], l
     return found, of_heights
 
 
-def _terrain(asked: Asked, views: Views) -> list[tuple[Any, bool]]:
+def _terrain(asked: LocateOptions, views: ExposureSet) -> list[tuple[Any, bool]]:
     """For each part of what is seen (the ground, whether there is one for each pixel)."""
     import numpy as np
 
@@ -245,7 +245,7 @@ def _level(seen: Seen, height: float, datum: str | float) -> Any:
     return ConstantHeight(ellipsoidal_heights(lon, lat, np.full(len(lon), height), datum))
 
 
-def _inputs(asked: Asked) -> dict[str, Any]:
+def _inputs(asked: LocateOptions) -> dict[str, Any]:
     """What was typed, in plain words."""
     paths = {"file": asked.files[0] if len(asked.files) == 1 else None, "scene": asked.scene, "shots": asked.shots}
     found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
@@ -260,7 +260,7 @@ def _inputs(asked: Asked) -> dict[str, Any]:
     return found | ({"sigmas": sigmas} if sigmas else {}) | ({"refraction": True} if asked.refraction else {})
 
 
-def _reads(asked: Asked) -> list[Any]:
+def _reads(asked: LocateOptions) -> list[Any]:
     named = [*asked.files, asked.scene, asked.shots]
     named += [asked.how.get(name) for name in ("errors", "interior", "positions")]
     files: list[Any] = [one for one in named if one is not None]

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxgeo._numerics import product, turned
+from jaxgeo._numerics import matmul3, matvec
 from jaxgeo._typing import Index, Matrix3, Scalar, Vector3
 from jaxgeo.earth import WGS84, R_ecef_from_ned
 from jaxgeo.rotations import R_from_rotation_vector, rotation_rate_from_body_rate, rotation_vector_from_R
@@ -43,7 +43,7 @@ class Legs(NamedTuple):
         p_ecef, R_ecef_from_ned_, R_ecef_from_body = _orientations(poses)
         steps, turns = p_ecef[1:] - p_ecef[:-1], _turns(R_ecef_from_body)
         reading_steps = readings[1:] - readings[:-1]
-        given = None if velocity_ned is None else jax.vmap(turned)(R_ecef_from_ned_, velocity_ned)
+        given = None if velocity_ned is None else jax.vmap(matvec)(R_ecef_from_ned_, velocity_ned)
         return cls(
             times,
             p_ecef,
@@ -66,7 +66,7 @@ class Legs(NamedTuple):
         away = _hermite(share, self.steps[k], duration * velocities[k], duration * velocities[k + 1])
         at_end = rotation_rate_from_body_rate(turn, rates[k + 1])
         rotation = _hermite(share, turn, duration * rates[k], duration * at_end)
-        return self.p_ecef[k] + away, product(self.R_ecef_from_body[k], R_from_rotation_vector(rotation))
+        return self.p_ecef[k] + away, matmul3(self.R_ecef_from_body[k], R_from_rotation_vector(rotation))
 
     def station(self, time: Scalar, later: Scalar) -> Station:
         """The station a little `later` than `time`, both in s."""
@@ -77,7 +77,7 @@ class Legs(NamedTuple):
         R_ecef_from_level = R_ecef_from_ned(WGS84.to_geodetic(p_ecef))
         deflection = self.deflection_at(time, later)
         if deflection is not None:
-            R_ecef_from_level = product(R_ecef_from_level, deflection.R_ned_from_level)
+            R_ecef_from_level = matmul3(R_ecef_from_level, deflection.R_ned_from_level)
         return Station(p_ecef, R_ecef_from_body, R_ecef_from_level, readings)
 
     def deflection_at(self, time: Scalar, later: Scalar) -> Deflection | None:
@@ -110,14 +110,14 @@ def _orientations(poses: Pose) -> tuple[Array, Array, Array]:
 
     def one(pose: Pose) -> tuple[Vector3, Matrix3, Matrix3]:
         R = R_ecef_from_ned(pose.position)
-        return WGS84.to_ecef(pose.position), R, product(R, pose.R_ned_from_body)
+        return WGS84.to_ecef(pose.position), R, matmul3(R, pose.R_ned_from_body)
 
     return jax.vmap(one)(poses)
 
 
 def _turns(R_ecef_from_body: Array) -> Array:
     """Rotation vectors (n - 1, 3) from each orientation to the next, the same in the body axes of both."""
-    return jax.vmap(lambda a, b: rotation_vector_from_R(product(a.T, b)))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
+    return jax.vmap(lambda a, b: rotation_vector_from_R(matmul3(a.T, b)))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
 
 
 def _slopes(times: Array, steps: Array) -> Array:

@@ -21,18 +21,18 @@ from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
 from jaxgeo.uncertainty.draws import MORE, AbstractDraws
-from jaxgeo.uncertainty.look import Aim, Look
+from jaxgeo.uncertainty.method_selection import Diagnostics, Method
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import Sampling, sampled_at
-from jaxgeo.uncertainty.verdict import Signs, Trust
 
 T = TypeVar("T")
 SAME_GROUND = 0.1  # m by which the fix of a place's pixel may be off it
 _linear_figures = jax.jit(linear_figures)
 
 
-class World(NamedTuple):
+class MapContext(NamedTuple):
     """What all places have in common; `motion` is a pose where the gimbal is pointed at each of them."""
 
     sensor: Sensor
@@ -41,14 +41,14 @@ class World(NamedTuple):
     terrain: AbstractTerrain
     air: Atmosphere | None
 
-    def look(self, place: Place, search: AbstractSearch) -> Look:
+    def look(self, place: Cell, search: AbstractSearch) -> ModelInputs:
         """The look at a place."""
         motion = Shot(self.motion, place.readings) if isinstance(self.motion, Pose) else self.motion
         options: dict[str, Any] = {"time": self.time, "search": search, "atmosphere": self.air}
-        return Look.of(self.sensor, motion, place.uv, self.terrain, **options)
+        return ModelInputs.of(self.sensor, motion, place.uv, self.terrain, **options)
 
 
-class Place(NamedTuple):
+class Cell(NamedTuple):
     """A pixel, and why it sees nothing unless `hit`; the ground it is to see, and readings, if there are any."""
 
     uv: Float[Array, "... 2"]
@@ -69,13 +69,13 @@ class Request(NamedTuple):
     block: int
 
 
-class Answers(NamedTuple):
+class CellAccuracy(NamedTuple):
     """Which method is trusted at places, its circular, linear and spherical errors in m with the share of samples that
     have no fix, and the signs."""
 
     trust: Int[Array, " places"]
     figures: tuple[Float[Array, " places"], ...]
-    signs: Signs
+    signs: Diagnostics
 
 
 def requested(
@@ -95,23 +95,23 @@ def requested(
 
 
 @eqx.filter_jit
-def placed(lat: Float[Array, " places"], lon: Float[Array, " places"], world: World) -> Place:
+def placed(lat: Float[Array, " places"], lon: Float[Array, " places"], world: MapContext) -> Cell:
     """Places on the ground, and the pixels that see them if nothing hides them."""
     return jax.vmap(_placed, in_axes=(0, 0, None))(lat, lon, world)
 
 
 @eqx.filter_jit
-def on_image(uv: Float[Array, "places 2"], sensor: Sensor) -> Place:
+def on_image(uv: Float[Array, "places 2"], sensor: Sensor) -> Cell:
     """Pixels as places; those that lie beside the image, or the lens's field, have that status."""
-    return Place(uv, jax.vmap(sensor.camera.ray)(uv)[1])
+    return Cell(uv, jax.vmap(sensor.camera.ray)(uv)[1])
 
 
 @eqx.filter_jit
-def aimed(places: Place, world: World, search: AbstractSearch) -> tuple[Aim, Int8[Array, " places"]]:
+def aimed(places: Cell, world: MapContext, search: AbstractSearch) -> tuple[NominalFix, Int8[Array, " places"]]:
     """Where the pixels' lines of sight come down, and the status of the fix of the place."""
 
-    def one(place: Place) -> tuple[Aim, StatusCode]:
-        aim = world.look(place, search).aim(search)
+    def one(place: Cell) -> tuple[NominalFix, StatusCode]:
+        aim = world.look(place, search).nominal_fix(search)
         status = jnp.asarray(aim.fix.status)
         if place.ground is not None:
             off = safe_norm(jnp.where(aim.fix.found, aim.fix.ecef - WGS84.to_ecef(place.ground), 0.0))
@@ -123,18 +123,26 @@ def aimed(places: Place, world: World, search: AbstractSearch) -> tuple[Aim, Int
 
 
 def judged_at(
-    places: Place, aims: Aim, met: Int8[Array, " places"], world: World, model: ErrorModel, request: Request
-) -> Answers:
+    places: Cell, aims: NominalFix, met: Int8[Array, " places"], world: MapContext, model: ErrorModel, request: Request
+) -> CellAccuracy:
     """What can be said without samples of places whose status is `met`."""
     one = _judged(places, aims, met, world, model, request.search)
-    return Answers(one.trust, (*_linear_figures(one, request.probability), jnp.full(met.shape, jnp.nan)), one.signs)
+    return CellAccuracy(
+        one.trust, (*_linear_figures(one, request.probability), jnp.full(met.shape, jnp.nan)), one.signs
+    )
 
 
 def with_samples(
-    answers: Answers, places: Place, aims: Aim, world: World, model: ErrorModel, request: Request, progress: bool
-) -> Answers:
+    answers: CellAccuracy,
+    places: Cell,
+    aims: NominalFix,
+    world: MapContext,
+    model: ErrorModel,
+    request: Request,
+    progress: bool,
+) -> CellAccuracy:
     """The answers with the figures of samples where these are needed."""
-    index = jnp.flatnonzero(answers.trust == Trust.samples)
+    index = jnp.flatnonzero(answers.trust == Method.samples)
     if not request.count or not index.size:
         return answers
     sampling = Sampling(request.key, request.count, request.draws, chunk=request.chunk)
@@ -200,21 +208,23 @@ def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> It
 
 
 @eqx.filter_jit
-def _judged(places: Place, aims: Aim, met: Array, world: World, model: ErrorModel, search: AbstractSearch) -> Judged:
+def _judged(
+    places: Cell, aims: NominalFix, met: Array, world: MapContext, model: ErrorModel, search: AbstractSearch
+) -> Judged:
     one = jax.vmap(lambda place, aim: judged(world.look(place, search), aim, model))(places, aims)
     return one._replace(trust=jnp.where(counts_as_fix(met), one.trust, NO_FIX))
 
 
-def _placed(lat: Scalar, lon: Scalar, world: World) -> Place:
+def _placed(lat: Scalar, lon: Scalar, world: MapContext) -> Cell:
     ground, unknown = ground_at(lat, lon, world.terrain)
     stand_in = tree_where(unknown == Status.hit, ground, Geodetic(lat=ground.lat, lon=ground.lon, height=0.0))
     if not isinstance(world.motion, Pose):
         seen = project(world.sensor, world.motion, stand_in, time=world.time, atmosphere=world.air)
-        return Place(jnp.asarray(seen.uv), first_failure(unknown, jnp.asarray(seen.status)), ground)
+        return Cell(jnp.asarray(seen.uv), first_failure(unknown, jnp.asarray(seen.status)), ground)
     readings = world.sensor.looking_at(world.motion, stand_in, atmosphere=world.air).gimbal_readings
     uv, status = world.sensor.camera.project(world.sensor.camera.axis())
     reached = status_where(all_finite(readings), Status.hit, Status.invalid_input.code)
-    return Place(uv, first_failure(unknown, reached, status), ground, readings)
+    return Cell(uv, first_failure(unknown, reached, status), ground, readings)
 
 
 def ground_at(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geodetic, StatusCode]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._numerics import cross, dot, product, safe_norm, safe_sqrt, turned
+from jaxgeo._numerics import cross, dot, matmul3, matvec, safe_norm, safe_sqrt
 from jaxgeo._typing import Flag, Matrix3, Numbers, Scalar, Vector3
 from jaxgeo.rotations import Rx, Ry, Rz
 from jaxgeo.sensor.gimbal import Gimbal, Readings
@@ -145,17 +145,17 @@ def _two_axes(
     before, between, after = jnp.eye(3), jnp.eye(3), jnp.eye(3)
     for k, (axis, angle) in enumerate(zip(gimbal.axes, angles, strict=True)):
         R = _ROTATIONS[axis](angle)
-        before = product(before, _if(k < first, R))
-        between = product(between, _if((k > first) & (k < last), R))
-        after = product(after, _if(k > last, R))
+        before = matmul3(before, _if(k < first, R))
+        between = matmul3(between, _if((k > first) & (k < last), R))
+        after = matmul3(after, _if(k > last, R))
     named = jnp.array([_AXES[axis] for axis in gimbal.axes])
     outer = named[first]
     if free.shape[0] == 1:
         stand_in = jnp.roll(outer, 1)
-        axes = TwoAxes(outer, stand_in, turned(after, sight_head), turned(before.T, wanted_base))
+        axes = TwoAxes(outer, stand_in, matvec(after, sight_head), matvec(before.T, wanted_base))
         return axes, jnp.stack([angles[first], jnp.zeros(())])
-    inner, sight = turned(between, named[last]), turned(between, turned(after, sight_head))
-    return TwoAxes(outer, inner, sight, turned(before.T, wanted_base)), angles[free]
+    inner, sight = matvec(between, named[last]), matvec(between, matvec(after, sight_head))
+    return TwoAxes(outer, inner, sight, matvec(before.T, wanted_base)), angles[free]
 
 
 def _limit_angles(gimbal: Gimbal, free: FreeAxes) -> Float[Array, "2 2"]:

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
+from jaxgeo._arguments import check_terrain, checked_air, pixel_of_shot
 from jaxgeo._checks import as_float64
-from jaxgeo._doors import check_terrain, checked_air, pixel_of_shot
-from jaxgeo._numerics import implicit_root, safe_norm, tree_where, turned
+from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Matrix3, PixelField, Scalar, ScalarField, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
@@ -41,9 +41,9 @@ class Sightline(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """Offsets from an `Aim` in east, north, up there, m: of the point where a line of sight meets the surface of the
-    same cell (`facet`), and of its points at the same range (`line`) and `FARTHER` behind it; and how far the terrain
-    at the fix lies above it, m. What the error ellipse is made of, before and after a slope turns it.
+    """Offsets from a `NominalFix` in east, north, up, m: of the intersection of a line of sight with the surface of the
+    same cell (`facet`), and of its points at the same range (`line`) and `FARTHER` behind it; and the height of the
+    terrain at the fix above it, m. The error ellipse is made of them, before and after a slope turns it.
     """
 
     facet: Float[Array, "3 *axes"]
@@ -52,7 +52,7 @@ class Sweep(NamedTuple):
     ground: Float[Array, "*axes"]
 
 
-class Aim(NamedTuple):
+class NominalFix(NamedTuple):
     """Where a look comes down: its fix, the cell of the terrain there, and the frame in which misses are counted.
 
     `distance` in m is the range along the ray, `direction_enu` that of the ray as it arrives, `R_ecef_from_enu` the
@@ -66,7 +66,7 @@ class Aim(NamedTuple):
     direction_enu: Vector3
     R_ecef_from_enu: Matrix3
 
-    def missed_by(
+    def offset_of(
         self, line: Sightline, terrain: AbstractTerrain, air: Atmosphere | None, search: AbstractSearch
     ) -> tuple[Vector3, StatusCode]:
         """(offset of the fix of a line of sight from this one in east, north, up here, m; status)."""
@@ -78,7 +78,7 @@ class Aim(NamedTuple):
             fix, _ = met_by(ray, status, terrain, search, air)
             p_ecef, found, status = fix.ecef, fix.found, jnp.asarray(fix.status)
         offset = jnp.where(found, p_ecef - self.p_ecef, 0.0)
-        return turned(self.R_ecef_from_enu.T, offset), status
+        return matvec(self.R_ecef_from_enu.T, offset), status
 
     def require_fix(self) -> None:
         """Raise `ValueError` unless there is a fix, of a look that is not traced, whose ground is the first met."""
@@ -88,10 +88,10 @@ class Aim(NamedTuple):
             raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
 
 
-class Look(Record):
+class ModelInputs(Record):
     """A sensor, where it was (a shot, or a trajectory with the image's time), a pixel, the terrain, and any air.
 
-    Made by `Look.of`, which checks what it is given. An error source moves any of these.
+    Made by `ModelInputs.of`, which checks what it is given. An error source moves any of these.
     """
 
     sensor: Sensor
@@ -112,7 +112,7 @@ class Look(Record):
         time: ArrayLike | None = None,
         search: AbstractSearch = FIRST_HIT,
         atmosphere: Atmosphere | None = None,
-    ) -> Look:
+    ) -> ModelInputs:
         """A look at pixel `uv`, with the arguments and errors of `jaxgeo.locate`.
 
         Of a trajectory the knots about the exposure are kept.
@@ -130,18 +130,18 @@ class Look(Record):
         """The fix, whether or not the pixel lies on the image."""
         return self._located(search)[0]
 
-    def aim(self, search: AbstractSearch) -> Aim:
+    def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Where the look comes down; without derivatives."""
         return _aim(self, search)
 
-    def near_miss(self, aim: Aim) -> Vector3:
+    def linear_offset(self, aim: NominalFix) -> Vector3:
         """Offset from `aim` of the point where this look's line of sight meets the surface of the same cell.
 
         The derivatives, of every order, of `miss` where nothing has moved yet: the search only chose the cell.
         """
         return self.sweep(aim).facet
 
-    def sweep(self, aim: Aim) -> Sweep:
+    def sweep(self, aim: NominalFix) -> Sweep:
         """Where this look's line of sight passes the fix of `aim`."""
         ray = self._ray()
         distance = implicit_root(_clearance, aim.distance, (ray, self.terrain, aim.cell))
@@ -149,9 +149,9 @@ class Look(Record):
         ground = -self.terrain.clearance(aim.p_ecef, aim.cell)
         return Sweep(offset(distance), offset(aim.distance), offset(aim.distance + FARTHER), ground)
 
-    def miss(self, aim: Aim, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
+    def fix_offset(self, aim: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
         """(offset of this look's fix from `aim` in east, north, up there in m, status)."""
-        return aim.missed_by(self.sightline(), self.terrain, self.air, search)
+        return aim.offset_of(self.sightline(), self.terrain, self.air, search)
 
     def sightline(self) -> Sightline:
         """The line of sight of a look whose numbers are finite, whether or not the pixel lies on the image.
@@ -170,7 +170,7 @@ class Look(Record):
         """The pose of the shot, or the poses of the knots."""
         return self.motion.pose if isinstance(self.motion, Shot) else self.motion.poses
 
-    def with_pose(self, pose: Pose) -> Look:
+    def with_pose(self, pose: Pose) -> ModelInputs:
         """The look from another pose, or other poses at the knots."""
         where = (lambda look: look.motion.pose) if isinstance(self.motion, Shot) else (lambda look: look.motion.poses)
         return eqx.tree_at(where, self, pose)
@@ -188,7 +188,7 @@ class Look(Record):
 
 
 @eqx.filter_jit
-def _aim(look: Look, search: AbstractSearch) -> Aim:
+def _aim(look: ModelInputs, search: AbstractSearch) -> NominalFix:
     look = jax.lax.stop_gradient(look)
     terrain, _ = look.terrain.made_safe()
     fix, bracket = look._located(search)
@@ -199,7 +199,7 @@ def _aim(look: Look, search: AbstractSearch) -> Aim:
     p_ecef = ray.at(distance)
     R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
     arriving = ray.heading_at(distance)
-    return Aim(fix, p_ecef, distance, bracket.cell, R.T @ (arriving / safe_norm(arriving)), R)
+    return NominalFix(fix, p_ecef, distance, bracket.cell, R.T @ (arriving / safe_norm(arriving)), R)
 
 
 def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, Array]) -> Scalar:

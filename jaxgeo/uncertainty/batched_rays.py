@@ -15,8 +15,8 @@ from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.search.beam import Beam, Spread
 from jaxgeo.uncertainty.draws import Random
-from jaxgeo.uncertainty.look import Aim, Look, Sightline
 from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sightline
 from jaxgeo.uncertainty.sources.base import Error
 
 BLOCK = 2048  # lines of sight: what they are made of stays in a core's cache
@@ -27,10 +27,12 @@ WIDER = 1.5  # than the trials' farthest: some four sigmas, so that hardly any d
 LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: for rounding, where nothing spreads
 
 Stages: TypeAlias = Sequence[Callable[[Any], Any]]
-Misses: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
+FixOffsets: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
 
 
-def misses(model: ErrorModel, look: Look, aim: Aim, search: AbstractSearch, stages: Stages, each: Array) -> Misses:
+def fix_offsets(
+    model: ErrorModel, look: ModelInputs, aim: NominalFix, search: AbstractSearch, stages: Stages, each: Array
+) -> FixOffsets:
     """`ErrorModel.miss` in m, and statuses, of the errors that `stages`, one after the other, make of each of many
     (leading axis).
 
@@ -42,7 +44,7 @@ def misses(model: ErrorModel, look: Look, aim: Aim, search: AbstractSearch, stag
 
     def miss(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
         terrain, air = eqx.combine(own, common)
-        return aim.missed_by(line, terrain, air, search)
+        return aim.offset_of(line, terrain, air, search)
 
     return jax.vmap(miss)(lines, own)
 
@@ -59,7 +61,7 @@ def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -
     return _joined(of_each, count), of_part
 
 
-def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -> AbstractSearch:
+def with_beam(search: AbstractSearch, model: ErrorModel, look: ModelInputs, aim: NominalFix) -> AbstractSearch:
     """The search, told where on their way the lines of sight of this model begin to be near the ground.
 
     How far they spread is seen from some trial draws; one that lies farther off is searched as if nothing were known.
@@ -80,7 +82,7 @@ def with_beam(search: AbstractSearch, model: ErrorModel, look: Look, aim: Aim) -
     return FirstHit(Beam.about(ray, aim.distance, look.terrain, spread))
 
 
-def _lines(model: ErrorModel, look: Look, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
+def _lines(model: ErrorModel, look: ModelInputs, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
     """(lines of sight, what the errors move of the ground that each comes down on, what all have in common)."""
     given = {id(leaf) for leaf in jax.tree.leaves(_ground(look))}
     example = _ground(model.moved(look, jnp.zeros(model.size)))
@@ -99,7 +101,7 @@ def _rise(terrain: Dem) -> Scalar:
     return jnp.asarray(0.0 if terrain.rise is None else terrain.rise)
 
 
-def _ground(look: Look) -> tuple[AbstractTerrain, Atmosphere | None]:
+def _ground(look: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
     """What a line of sight comes down on, and through what."""
     return look.terrain, look.air
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
+from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
 from jaxgeo._checks import as_float64, check_is, concrete
-from jaxgeo._doors import check_mapped_terrain, checked_air, observation
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.register._equations import Problem
@@ -22,15 +22,15 @@ from jaxgeo.register.ties import TiePoints, checked_ties, padded
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import TerrainField
 
 ALONE = 10.0  # standard deviations of a lone tie, within which a prior must foretell it
 HUBER, FULL_JACOBIAN = Huber(), FullJacobian()
 
 
-def update(
+def update_orientation(
     sensor: Sensor,
     shot: Shot | Trajectory,
     ties: TiePoints,
@@ -59,7 +59,7 @@ def update(
     that falls to nothing (`Tukey`, `Cauchy`) starts from what `Huber` finds.
 
     `prior` says what is known before: by default that no error is likeliest, with the covariance of `errors` and of
-    `tie_errors.shift`. One of `next_prior` goes on from another image; `tie_errors.shift` then has no part.
+    `tie_errors.shift`. One of `propagate_prior` goes on from another image; `tie_errors.shift` then has no part.
 
     Works under `jit` and `vmap`; derivatives of the result are not to be had. One that does not converge has that
     status, and NaN.
@@ -76,7 +76,7 @@ def update(
     check_is(loss, AbstractLoss, "loss")
     check_is(propagation, AbstractTiePropagation, "propagation")
     terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
-    look = Look(sensor, shot, moment, jnp.asarray(ties.uv)[0], terrain, checked_air(atmosphere))
+    look = ModelInputs(sensor, shot, moment, jnp.asarray(ties.uv)[0], terrain, checked_air(atmosphere))
     model = checked_model(errors, look)
     _check_sources(model)
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
@@ -87,7 +87,9 @@ def update(
     return _handed_over(solution, look, model, prior, ties.count, time is not None)
 
 
-def _handed_over(solution: Solution, look: Look, model: ErrorModel, prior: Prior, count: int, has_time: bool) -> Update:
+def _handed_over(
+    solution: Solution, look: ModelInputs, model: ErrorModel, prior: Prior, count: int, has_time: bool
+) -> Update:
     moving = solution.moving
     terrain = look.terrain
     if solution.terrain is not None:

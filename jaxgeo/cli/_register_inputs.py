@@ -172,9 +172,9 @@ def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: 
     import jax.numpy as jnp
 
     from jaxgeo.register.prediction import window_of
-    from jaxgeo.uncertainty.look import Look
+    from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-    look = Look(sensor, shot, jnp.zeros(()), jnp.zeros(2), terrain, atmosphere)
+    look = ModelInputs(sensor, shot, jnp.zeros(()), jnp.zeros(2), terrain, atmosphere)
     window = window_of(look, reference.grid, reference.shape)
     if window is None:
         return None
@@ -184,11 +184,11 @@ def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: 
 def fixes_of(scene: Any, shot: Any, terrain: Any, errors: Errors, found: Any, pixels: list[list[float]]) -> list[Any]:
     """(pixel, fix by the navigation, fix as registered or None) of pixels."""
     from jaxgeo.uncertainty import propagate
-    from jaxgeo.uncertainty.sharing import EachMeasurement
+    from jaxgeo.uncertainty.sharing import PerMeasurement
     from jaxgeo.uncertainty.sources import TerrainHeight
 
     sigma = errors.terrain
-    model = (*errors.sources, TerrainHeight.from_metres(sigma, sharing=EachMeasurement()))
+    model = (*errors.sources, TerrainHeight.from_metres(sigma, sharing=PerMeasurement()))
     rows = []
     for uv in pixels:
         direct = propagate(scene.sensor, shot, uv, terrain, model, atmosphere=scene.atmosphere)

@@ -23,7 +23,7 @@ def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
     return np.stack([omega, phi, kappa], axis=1)
 
 
-def angles_by_turn(R_frame_from_camera: Any) -> np.ndarray:
+def angle_derivatives(R_frame_from_camera: Any) -> np.ndarray:
     """Derivatives (n, 3, 3) of these angles by a turn about the camera's axes; infinite where phi is 90 degrees.
 
     A turn about the image's axes is Rz' Ry' (1, 0, 0) d omega + Rz' (0, 1, 0) d phi + (0, 0, 1) d kappa.

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from jaxgeo.cli._common import FAULT, NO_ANSWER
-from jaxgeo.cli._question import Batch, Question, on_image
+from jaxgeo.cli._locate_inputs import Batch, LocateInputs, on_image
 from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell, working
 
 CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
@@ -20,13 +20,13 @@ SAMPLES_OF_MANY = 2000  # for each of more, whose figures then are good to some 
 WIDE = 120  # characters of a screen on which there is room for all columns
 
 
-class Located(NamedTuple):
+class LocateResults(NamedTuple):
     """Fixes (n) and how sure they are, an `AccuracyOfEach` or None; a row without a file has the status of that."""
 
     fixes: Any
     accuracy: Any
 
-    def rows(self, name: str, question: Question) -> list[dict[str, Any]]:
+    def rows(self, name: str, question: LocateInputs) -> list[dict[str, Any]]:
         """Output rows: carried columns, and the columns of `write_fixes` without a number."""
         from jaxgeo.io._fix_columns import figures_of, rows_of
 
@@ -35,16 +35,16 @@ class Located(NamedTuple):
         pairs = zip(found, question.carried, strict=True)
         return [more | {key: row[key] for key in row if key != "index"} for row, more in pairs]
 
-    def part(self, rows: Any) -> Located:
+    def part(self, rows: Any) -> LocateResults:
         """Some of the rows."""
         if self.accuracy is None:
-            return Located(_part(self.fixes, rows), None)
+            return LocateResults(_part(self.fixes, rows), None)
         one = self.accuracy
         fixes, arrays = _part((self.fixes, _arrays(one)), rows)
-        return Located(fixes, _with(one, fixes, arrays))
+        return LocateResults(fixes, _with(one, fixes, arrays))
 
 
-def located(question: Question, probability: float) -> Located:
+def located(question: LocateInputs, probability: float) -> LocateResults:
     """The fixes, and how sure they are if the question has errors; with bars on stderr."""
     import jax
     import numpy as np
@@ -57,18 +57,18 @@ def located(question: Question, probability: float) -> Located:
     rows = np.concatenate([batch.rows for batch in question.batches])
     fixes = _spread(each, rows, blank)
     if not question.has_errors:
-        return Located(fixes, None)
+        return LocateResults(fixes, None)
     pairs = zip(question.batches, each, strict=True)
     is_long = len(question.carried) > FEW
     sure = [_how_sure(batch, found, probability, question.atmosphere, is_long=is_long) for batch, found in pairs]
     known = [one for one in sure if one is not None]
     if not known:
-        return Located(fixes, None)
+        return LocateResults(fixes, None)
     arrays = [_arrays(one) for one in known]
     where = [batch.rows for batch, one in zip(question.batches, sure, strict=True) if one is not None]
     blank = jax.tree.map(lambda leaf: _blank(leaf, count, -1), arrays[0])
     own = _spread(arrays, np.concatenate(where), blank)
-    return Located(fixes, _with(known[0], fixes, own))
+    return LocateResults(fixes, _with(known[0], fixes, own))
 
 
 def _with(one: Any, fixes: Any, arrays: tuple[Any, ...]) -> Any:
@@ -85,7 +85,7 @@ def _arrays(one: Any) -> tuple[Any, ...]:
     return jax.tree.map(np.asarray, found)
 
 
-def _fixes_of_each(question: Question) -> Iterator[list[Any]]:
+def _fixes_of_each(question: LocateInputs) -> Iterator[list[Any]]:
     """Fixes of each batch, in parts; a bar on stderr."""
     total = sum(len(batch.uv) for batch in question.batches)
     with progress_bar() as progress:
@@ -117,7 +117,7 @@ def _spread(each: list[Any], rows: Any, blank: Any) -> Any:
     return jax.tree.map(placed, blank, *each)
 
 
-def fixes_in_parts(question: Question) -> Iterator[tuple[int, Any]]:
+def fixes_in_parts(question: LocateInputs) -> Iterator[tuple[int, Any]]:
     """(number of the first, fixes) of parts of all pixels of the only batch, one after the other; a bar on stderr."""
     (batch,) = question.batches
     with progress_bar() as progress:
@@ -275,7 +275,7 @@ def _plain(value: Any, spec: str) -> Any:
     return float(value) if spec and isinstance(value, str) else value
 
 
-def leave_without_a_fix(question: Question, found: Located) -> None:
+def leave_without_a_fix(question: LocateInputs, found: LocateResults) -> None:
     """Exit with 1 where no pixel at all has a fix; what was to be written says so, and is written before.
 
     With 70 where a file could not be read by a fault of the program's.
@@ -291,7 +291,7 @@ def leave_without_a_fix(question: Question, found: Located) -> None:
     raise typer.Exit(NO_ANSWER)
 
 
-def where_from(question: Question) -> str | None:
+def where_from(question: LocateInputs) -> str | None:
     """Why there may be no fix at all, in words: the elevation model lies elsewhere than the first camera."""
     import numpy as np
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from jaxgeo.cli._asked import Asked
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import pixel_pitch_of
 from jaxgeo.cli._inputs import check_stated, height_datum_of, numbers_in, shot_of
-from jaxgeo.cli._words import reason_not_read
+from jaxgeo.cli._locate_options import LocateOptions
+from jaxgeo.cli._option_names import reason_not_read
 
 
 class Seen(NamedTuple):
@@ -26,7 +26,7 @@ class Seen(NamedTuple):
     centre_heights: Any = None
 
 
-class Views(NamedTuple):
+class ExposureSet(NamedTuple):
     """All pixels and their exposures, before anything is known of the ground.
 
     `carried` are the columns of each row, in order; `unread` are reasons of rows whose file could not be read.
@@ -86,7 +86,7 @@ def reasons_of(unread: Mapping[int, Any], count: int) -> list[str | None] | None
     return [found.get(row) for row in range(count)]
 
 
-def views_of_scene(asked: Asked) -> Views:
+def views_of_scene(asked: LocateOptions) -> ExposureSet:
     import jax
     import numpy as np
 
@@ -117,7 +117,7 @@ def views_of_scene(asked: Asked) -> Views:
             raise SceneError(f"{path}, with the heights of {asked.shots}: {error}") from error
         carried = table.rows
     seen = Seen(scene.sensor, shots, uv, sources, np.arange(len(uv)))
-    return Views([seen], False, carried, scene.atmosphere, [], f"{path}", pixel_pitch_of(path), [], {})
+    return ExposureSet([seen], False, carried, scene.atmosphere, [], f"{path}", pixel_pitch_of(path), [], {})
 
 
 def pixels_of(texts: list[str], camera: Any) -> Any:
@@ -128,7 +128,7 @@ def pixels_of(texts: list[str], camera: Any) -> Any:
     return np.array(found or [[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
 
 
-def in_air(views: Views) -> Views:
+def in_air(views: ExposureSet) -> ExposureSet:
     """The views through the standard atmosphere above mean sea level at the first exposure. Raises `UserError`."""
     import numpy as np
 

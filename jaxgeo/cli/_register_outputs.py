@@ -6,7 +6,7 @@ import pathlib
 from typing import Any, NamedTuple
 
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._registering import Errors, fixes_of, picture_of, seen_part
+from jaxgeo.cli._register_inputs import Errors, fixes_of, picture_of, seen_part
 from jaxgeo.cli._results import print_json
 from jaxgeo.cli._screen import bars_on_stderr, number_table, tell
 

@@ -9,15 +9,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxgeo._arguments import check_latitude, checked_air
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
-from jaxgeo._doors import check_latitude, checked_air
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.platform import Pose
 from jaxgeo.terrain import ConstantHeight
-from jaxgeo.uncertainty.look import Look
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 from jaxgeo.uncertainty.sources import TerrainField, TerrainHeight
 
@@ -38,7 +38,7 @@ class Measured(Record):
 def checked_measurements(
     sensor: Any, shots: Any, uvs: Any, sigma: Any, errors: Any, use: Any, atmosphere: Any, shot_of: Any, flight_of: Any
 ) -> Measured:
-    """The arguments of `intersect_images`, with its errors."""
+    """The arguments of `forward_intersection`, with its errors."""
     require_x64()
     air = checked_air(atmosphere)
     pixels = jnp.asarray(as_float64(as_array(uvs, "uvs"), "uvs"))
@@ -57,7 +57,7 @@ def checked_measurements(
     model = None
     if errors is not None:
         one, shot, pixel = jax.tree.map(lambda x: x[0], (sensors, stacked, pixels))
-        model = checked_model(_without_terrain(errors), Look(one, shot, 0.0, pixel, ConstantHeight(0.0), air))
+        model = checked_model(_without_terrain(errors), ModelInputs(one, shot, 0.0, pixel, ConstantHeight(0.0), air))
     numbers = jnp.arange(rays).astype(jnp.float64)
     occasions = Occasion(
         numbers,

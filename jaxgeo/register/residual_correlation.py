@@ -11,7 +11,7 @@ FEWEST = 12  # ties: of fewer nothing is told
 LARGEST = 3.0  # standard deviations, as which larger residuals count
 
 
-def alike(residuals: Float[np.ndarray, "n 2"], places: Float[np.ndarray, "n 2"]) -> float:
+def morans_i_zscore(residuals: Float[np.ndarray, "n 2"], places: Float[np.ndarray, "n 2"]) -> float:
     """By how many standard deviations residuals, each in its own standard deviations, are more alike to those of their
     nearest neighbours than by chance.
 
