@@ -128,7 +128,7 @@ def errors(scale: Any) -> ErrorModel:
 
 
 def look_from(pose: jaxgeo.Pose, terrain: Dem, pixel: Any = PIXEL) -> ModelInputs:
-    return ModelInputs(SENSOR, jaxgeo.Shot(pose), jnp.asarray(0.0), jnp.asarray(pixel), terrain)
+    return ModelInputs(jaxgeo.Exposure(SENSOR, jaxgeo.Shot(pose), jnp.asarray(0.0)), jnp.asarray(pixel), terrain)
 
 
 def sampled(pose: jaxgeo.Pose, scale: float, terrain: Dem, seed: Any, count: int, pixel: Any = PIXEL) -> Sampled:

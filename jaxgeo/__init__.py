@@ -34,6 +34,7 @@ from jaxgeo.earth import WGS84, Atmosphere, Ellipsoid, Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix, Projection
 from jaxgeo.locate import at_range, intersect, locate, project
+from jaxgeo.observation import Exposure, Observation
 from jaxgeo.sensor import (
     BrownConrady,
     Deflection,
@@ -74,12 +75,14 @@ __all__ = [
     "Dem",
     "Ellipsoid",
     "ErrorModel",
+    "Exposure",
     "FirstHit",
     "Fix",
     "FrameCamera",
     "Geodetic",
     "Gimbal",
     "Mount",
+    "Observation",
     "Pose",
     "Projection",
     "PushbroomCamera",

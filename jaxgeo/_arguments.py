@@ -26,11 +26,11 @@ from jaxgeo.terrain import AbstractSearch, AbstractTerrain, ConstantHeight, Dem,
 UNIT_TOLERANCE = 1e-6
 
 
-def pixel_of_shot(
+def checked_observation(
     sensor: Sensor, shot: Shot | Trajectory, time: Any, uv: ArrayLike | Sequence[ArrayLike]
 ) -> tuple[Sensor, Shot | Trajectory, Scalar, Pixel]:
     """Sensor, shot or trajectory, time of the image and one pixel in float64, checked."""
-    sensor, shot, time = observation(sensor, shot, time)
+    sensor, shot, time = checked_exposure(sensor, shot, time)
     pixel = as_float64(as_array(uv, "uv"), "uv")
     if pixel.shape != (2,):
         raise ValueError(
@@ -40,7 +40,7 @@ def pixel_of_shot(
     return sensor, shot, time, pixel
 
 
-def observation(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sensor, Shot | Trajectory, Scalar]:
+def checked_exposure(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sensor, Shot | Trajectory, Scalar]:
     """Sensor, shot or trajectory, and the time of the image in float64, checked."""
     require_x64()
     check_is(sensor, Sensor, "sensor")

@@ -17,8 +17,8 @@ from jaxgeo._arguments import (
     check_terrain,
     check_throw,
     checked_air,
-    observation,
-    pixel_of_shot,
+    checked_exposure,
+    checked_observation,
     thrown,
 )
 from jaxgeo._checks import as_array, as_float64, check_is
@@ -30,6 +30,7 @@ from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.earth.refraction import apparent_point
 from jaxgeo.fix import Fix, Projection
+from jaxgeo.observation import accepts_exposure, accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point, line_of_sight
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
@@ -77,6 +78,7 @@ def intersect(
     return thrown(fix) if throw else fix
 
 
+@accepts_observation
 def locate(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -117,13 +119,14 @@ def locate(
     """
     check_throw(throw, (sensor, shot, uv, terrain, time, atmosphere))
     check_terrain(terrain, search)
-    looked = pixel_of_shot(sensor, shot, time, uv)
+    looked = checked_observation(sensor, shot, time, uv)
     if throw:
         check_on_image(looked[0], looked[-1])
     fix = _locate(*looked, terrain, search, checked_air(atmosphere))
     return thrown(fix) if throw else fix
 
 
+@accepts_observation
 def at_range(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -147,13 +150,14 @@ def at_range(
     >>> print(f"{hit.position.height:.2f} m above the ellipsoid")
     543.23 m above the ellipsoid
     """
-    looked = pixel_of_shot(sensor, shot, time, uv)
+    looked = checked_observation(sensor, shot, time, uv)
     distance = as_float64(as_array(slant_range, "slant_range"), "slant_range")
     if distance.shape != ():
         raise ValueError(f"slant_range must be one number in m; got shape {distance.shape}. For many use jax.vmap.")
     return _at_range(*looked, distance, checked_air(atmosphere))
 
 
+@accepts_exposure
 def project(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -192,7 +196,7 @@ def project(
     >>> print(jaxgeo.Status(int(behind.status)).name)
     behind_camera
     """
-    seen_from = observation(sensor, shot, time)
+    seen_from = checked_exposure(sensor, shot, time)
     check_is(point, Geodetic, "point")
     if terrain is not None:
         check_terrain(terrain, FIRST_HIT)

@@ -176,7 +176,7 @@ def test_overlaps_of_a_flight(tmp_path: pathlib.Path, flight) -> None:
     assert [(row["before"], row["after"]) for row in rows] == [("101 s", "103 s"), ("103 s", "107 s")]
     scene, dem = read_scene(scene_file()), example_dem()
     trajectory = read_navigation(path, ("outer", "inner"), height_datum="EPSG:5773")
-    before, after = (coverage.Exposure(trajectory, np.float64(time)) for time in (101.0, 103.0))
+    before, after = (coverage.MovingExposure(trajectory, np.float64(time)) for time in (101.0, 103.0))
     found = coverage.overlap(scene.sensor, before, after, dem)
     for name in ("near", "far", "least", "side", "area"):
         assert float(rows[0][name]) == pytest.approx(float(getattr(found, name)), abs=2e-6)

@@ -34,6 +34,7 @@ DOORS = {
     "io/geoid.py": "height_msl",
     "io/acquisitions/detect.py": "read_acquisition",
     "io/fix_files.py": "write_fixes",
+    "observation.py": "Exposure Observation",
     "uncertainty/model.py": "ErrorModel",
     "uncertainty/linear.py": "propagate",
     "uncertainty/accuracy.py": "accuracy",

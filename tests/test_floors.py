@@ -17,6 +17,7 @@ FLOORS = [
     ["sensor", "terrain"],
     ["fix"],
     ["fix"],
+    ["observation"],
     ["_arguments"],
     ["locate"],
     ["uncertainty"],

@@ -13,9 +13,9 @@ from jaxgeo._arguments import check_latitude, checked_air
 from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
 from jaxgeo._record import Record
 from jaxgeo.earth import Atmosphere
+from jaxgeo.observation import Exposure
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.platform import Pose
-from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
@@ -57,7 +57,7 @@ def checked_measurements(
     model = None
     if errors is not None:
         one, shot, pixel = jax.tree.map(lambda x: x[0], (sensors, stacked, pixels))
-        model = checked_model(_without_terrain(errors), ModelInputs(one, shot, 0.0, pixel, ConstantHeight(0.0), air))
+        model = checked_model(_without_terrain(errors), ModelInputs(Exposure(one, shot, 0.0, air), pixel))
     numbers = jnp.arange(rays).astype(jnp.float64)
     occasions = Occasion(
         numbers,

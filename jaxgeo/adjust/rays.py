@@ -12,10 +12,10 @@ from jaxgeo._numerics import cross, dot, safe_angle
 from jaxgeo._typing import Flag, Matrix3, Pixel, Scalar, StatusCode, Vector3
 from jaxgeo.earth import Atmosphere
 from jaxgeo.earth.refraction import apparent_point
+from jaxgeo.observation import Exposure
 from jaxgeo.sensor import AbstractCamera, Sensor, Shot
 from jaxgeo.sensor.sensor import Sight
 from jaxgeo.status import Status, seen_beside
-from jaxgeo.terrain import ConstantHeight
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
@@ -123,7 +123,7 @@ def moved_by_errors(
     """
 
     def of_ray(sensor: Sensor, shot: Shot, uv: Pixel, used: Flag) -> Float[Array, "2 axes"]:
-        look = ModelInputs(sensor, shot, 0.0, uv, ConstantHeight(0.0), air)  # of the ground nothing depends
+        look = ModelInputs(Exposure(sensor, shot, 0.0, air), uv)
 
         def residual(error: Float[Array, " axes"]) -> Pixel:
             moved = model.moved(look, error)

@@ -169,12 +169,11 @@ class Seen(NamedTuple):
 
 def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: Any) -> Seen | None:
     """The part of a reference on which an image lies; None if it lies beside it."""
-    import jax.numpy as jnp
-
+    from jaxgeo.observation import Exposure
     from jaxgeo.register.prediction import window_of
     from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-    look = ModelInputs(sensor, shot, jnp.zeros(()), jnp.zeros(2), terrain, atmosphere)
+    look = ModelInputs(Exposure(sensor, shot, 0.0, atmosphere), terrain=terrain)
     window = window_of(look, reference.grid, reference.shape)
     if window is None:
         return None

@@ -156,7 +156,7 @@ def _exposures(
     """(name, exposure) at times of a flight."""
     import jax.numpy as jnp
 
-    from jaxgeo.coverage import Exposure
+    from jaxgeo.coverage import MovingExposure
 
     flight = trajectory_of(scene, path, navigation, height_datum)
     start, end = float(flight.start), float(flight.end)
@@ -165,7 +165,7 @@ def _exposures(
             raise UserError(
                 f"--times: {time:.9g} s is not in {navigation}, which goes from {start:.9g} to {end:.9g} s."
             )
-    return [(f"{time:.9g} s", Exposure(flight, jnp.asarray(time))) for time in times]
+    return [(f"{time:.9g} s", MovingExposure(flight, jnp.asarray(time))) for time in times]
 
 
 def _images(

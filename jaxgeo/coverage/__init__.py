@@ -2,7 +2,7 @@
 
 from jaxgeo._renamed import renamed
 from jaxgeo.coverage.clock import ExposureClock
-from jaxgeo.coverage.exposure import Exposure, Image, local_projection, near_edge
+from jaxgeo.coverage.exposure import Image, MovingExposure, local_projection, near_edge
 from jaxgeo.coverage.flight import Compensation, FlightNoise, Strip
 from jaxgeo.coverage.footprint import Footprint, GroundSampleDistance, footprint, ground_sample_distance
 from jaxgeo.coverage.gaps import Flights, LinearGaps, fly, linear_gaps, linear_is_valid, required_overlap
@@ -14,7 +14,6 @@ from jaxgeo.sensor.aiming import LineOfSight
 
 __all__ = [
     "Compensation",
-    "Exposure",
     "ExposureClock",
     "FixedPeriod",
     "FlightNoise",
@@ -25,6 +24,7 @@ __all__ = [
     "Image",
     "LineOfSight",
     "LinearGaps",
+    "MovingExposure",
     "Overlap",
     "Plan",
     "Pointing",
@@ -50,6 +50,7 @@ __all__ = [
 ]
 
 DEPRECATED = {
+    "Exposure": "MovingExposure",
     "GroundSampling": "GroundSampleDistance",
     "GroundSeen": "VisibleGround",
     "ground_sampling": "ground_sample_distance",

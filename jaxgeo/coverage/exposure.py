@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgeo._arguments import observation
+from jaxgeo._arguments import checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo._numerics import dot
 from jaxgeo._record import Record
@@ -25,7 +25,7 @@ Places = Float[Array, "places 2"]
 Along = Literal["columns", "rows"]  # the axis of an image that lies along the flight
 
 
-class Exposure(Record):
+class MovingExposure(Record):
     """An image of a moving sensor: a `Trajectory` and the `time` in s at which it is taken."""
 
     trajectory: Trajectory
@@ -37,21 +37,23 @@ class Exposure(Record):
         return self.trajectory.at(self.time)
 
 
-Image = Shot | Exposure
+Image = Shot | MovingExposure
 
 
 def motion_of(image: Image) -> tuple[Shot | Trajectory, Any]:
     """What `locate` takes as its shot and its time. Raises `TypeError` for anything else than a shot or an exposure."""
     if isinstance(image, Shot):
         return image, None
-    check_is(image, Exposure, "image", "Of one moment it is a Shot; of a Trajectory, Exposure(trajectory, time).")
+    check_is(
+        image, MovingExposure, "image", "Of one moment it is a Shot; of a Trajectory, MovingExposure(trajectory, time)."
+    )
     return image.trajectory, image.time
 
 
 def checked_image(sensor: Sensor, image: Image) -> tuple[Sensor, Image]:
     """Sensor and image in float64, checked as at the doors of `locate`."""
-    sensor, motion, time = observation(sensor, *motion_of(image))
-    return sensor, motion if isinstance(motion, Shot) else Exposure(motion, time)
+    sensor, motion, time = checked_exposure(sensor, *motion_of(image))
+    return sensor, motion if isinstance(motion, Shot) else MovingExposure(motion, time)
 
 
 def seen_at(

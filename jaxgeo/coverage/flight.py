@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._arguments import check_terrain, checked_air, observation
+from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, check_range
 from jaxgeo._numerics import cross, matvec, safe_norm
 from jaxgeo._record import Record
@@ -163,7 +163,7 @@ class Strip(Record):
         check_along(along)
         check_terrain(terrain, FIRST_HIT)
         check_is(shot, Shot, "shot")
-        given: Any = observation(sensor, shot, None)
+        given: Any = checked_exposure(sensor, shot, None)
         sensor, shot, _ = given
         air = checked_air(atmosphere)
         course = shot.pose.heading if course is None else checked_finite(course, "course", "rad")

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxgeo._arguments import check_terrain, checked_air, pixel_of_shot
+from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_array, check_finite
 from jaxgeo._numerics import dot, safe_angle, safe_norm
 from jaxgeo._record import Record
@@ -163,7 +163,7 @@ def ground_sample_distance(
     motion, time = motion_of(image)
     air = checked_air(atmosphere)
     check_terrain(terrain, FIRST_HIT)
-    seen_from = pixel_of_shot(sensor, motion, time, as_array(uv, "uv"))
+    seen_from = checked_observation(sensor, motion, time, as_array(uv, "uv"))
     return _ground_sampling(*seen_from, terrain, air)
 
 

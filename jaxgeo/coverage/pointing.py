@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool
 
-from jaxgeo._arguments import check_latitude, check_terrain, checked_air, observation
+from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._numerics import matvec
 from jaxgeo._record import Record
@@ -84,7 +84,7 @@ def point_gimbal(
     outer 60.00 deg, 12.46 deg short: outside_gimbal_range
     """
     check_axes(sensor.gimbal)
-    sensor, shot, _ = observation(sensor, shot, None)
+    sensor, shot, _ = checked_exposure(sensor, shot, None)
     if not isinstance(target, Geodetic | LineOfSight):
         raise TypeError(
             f"target must be a Geodetic point or a LineOfSight; got {type(target).__name__}. Of a Fix, fix.position."
@@ -112,7 +112,7 @@ def point_gimbal(
 def line_of_sight(sensor: Sensor, shot: Shot, *, uv: Numbers | None = None) -> LineOfSight:
     """Line of sight (north-east-down) of the optical axis of a shot, or of pixel `uv`; a target for `point_gimbal`."""
     check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one.")
-    given: Any = observation(sensor, shot, None)
+    given: Any = checked_exposure(sensor, shot, None)
     sensor, shot, _ = given
     pixel: Any = as_float64(as_array(uv, "uv"), "uv")
     sight = sensor.camera.axis() if pixel is None else sensor.camera.ray(pixel)[0]

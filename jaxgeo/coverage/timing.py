@@ -14,14 +14,14 @@ import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._arguments import check_terrain, checked_air, observation
+from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_finite, check_is
 from jaxgeo._numerics import matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_overlap, checked_positive
 from jaxgeo.coverage._too_short import no_ground, refuse_too_short, too_few
-from jaxgeo.coverage.exposure import Along, Exposure, local_projection, near_length, on_map
+from jaxgeo.coverage.exposure import Along, MovingExposure, local_projection, near_length, on_map
 from jaxgeo.coverage.overlap import (
     STATIONS,
     GroundEdges,
@@ -246,7 +246,7 @@ def plan(
     """
     check_terrain(terrain, FIRST_HIT)
     check_is(timing, AbstractTiming, "timing", "FixedPeriod, VelocityHeight or GroundShared.")
-    given: Any = observation(sensor, trajectory, start)
+    given: Any = checked_exposure(sensor, trajectory, start)
     sensor, trajectory, time = given
     check_is(trajectory, Trajectory, "trajectory", "Of one Shot, Trajectory.steady.")
     check_stations(stations)
@@ -295,7 +295,7 @@ def images_at(course: Course, times: Float[Array, " images"], stations: int) -> 
     """The edges of images at times."""
 
     def one(time: Scalar) -> GroundEdges:
-        image = Exposure(course.trajectory, time)
+        image = MovingExposure(course.trajectory, time)
         return ground_edges(course.sensor, image, course.terrain, course.along, stations, course.air)
 
     return jax.vmap(one)(times)
@@ -338,6 +338,6 @@ def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " time
 
 def _axis_at(sensor: Sensor, trajectory: Trajectory, time: Scalar, terrain: AbstractTerrain) -> Along:
     later = jnp.where(time < trajectory.end, trajectory.end, trajectory.start)
-    image, other = (Exposure(trajectory, moment) for moment in (time, 0.5 * (time + later)))
+    image, other = (MovingExposure(trajectory, moment) for moment in (time, 0.5 * (time + later)))
     projection = local_projection(image)
     return axis_along(sensor, image, flight_direction(image, other, projection), terrain, projection)

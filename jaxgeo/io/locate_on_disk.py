@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._arguments import UNIT_TOLERANCE, observation
+from jaxgeo._arguments import UNIT_TOLERANCE, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo.earth import Geodetic
 from jaxgeo.earth.ray import Ray
@@ -76,7 +76,7 @@ def locate_files(
     As `locate` for each pixel, of a shot or of the image at `time` on a trajectory; with the limits and errors of
     `intersect_files`.
     """
-    moving = observation(sensor, shot, time)
+    moving = checked_exposure(sensor, shot, time)
     pixels = as_float64(as_array(uv, "uv"), "uv")
     if pixels.shape[-1:] != (2,):
         raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")

@@ -22,6 +22,7 @@ from jaxgeo._destination import destination
 from jaxgeo._typing import Scalar
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 from jaxgeo.io.tie_points import TieRow
+from jaxgeo.observation import Exposure
 from jaxgeo.register._equations import on_surface
 from jaxgeo.register.blocks import BlockOutcome, count_outcomes
 from jaxgeo.register.passes import Pass
@@ -57,7 +58,7 @@ def tie_heights(ties: TiePoints, update: Update | None) -> np.ndarray:
     if update is None:
         return np.asarray(ties.ground.height)
     time = jnp.zeros(()) if update.time is None else update.time
-    look = ModelInputs(update.sensor, update.shot, time, jnp.zeros(2), update.terrain, update.atmosphere)
+    look = ModelInputs(Exposure(update.sensor, update.shot, time, update.atmosphere), terrain=update.terrain)
     given = update.errors.moved(look, -jnp.asarray(update.error)).terrain
     heights = _heights(padded(checked_ties(ties)), jnp.asarray(update.shift), given, update.terrain)
     return np.asarray(heights)[: ties.count]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +13,7 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Matrix3, Scalar, StatusCode, Vector3
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
-from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.observation import Exposure
 from jaxgeo.register.prior import Prior
 from jaxgeo.register.tie_errors import (
     AbstractTiePropagation,
@@ -29,7 +30,6 @@ from jaxgeo.register.tie_errors import (
     whitener,
 )
 from jaxgeo.register.ties import PaddedTies
-from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.status import Status, seen_beside
 from jaxgeo.terrain import AbstractTerrain, Dem
@@ -51,23 +51,6 @@ class Problem(Record):
     prior: Prior
     loss: AbstractLoss
     propagation: AbstractTiePropagation
-
-
-class Moving(NamedTuple):
-    """What errors move, but for the terrain, to which they are added all at once."""
-
-    sensor: Sensor
-    motion: Shot | Trajectory
-    time: Scalar
-    air: Atmosphere | None
-
-    @classmethod
-    def of(cls, look: ModelInputs) -> Moving:
-        return cls(look.sensor, look.motion, jnp.asarray(look.time), look.air)
-
-    def over(self, look: ModelInputs) -> ModelInputs:
-        """With the pixel and terrain of a look."""
-        return ModelInputs(self.sensor, self.motion, self.time, look.uv, look.terrain, self.air)
 
 
 class Equations(NamedTuple):
@@ -94,12 +77,12 @@ def on_surface(terrain: AbstractTerrain, p_ecef: Vector3, cell: Int[Array, "2"] 
 
 
 def equations_about(
-    problem: Problem, factor: Square, moving: Moving, place: Unknowns, settled: Flag, cells: Cells | None = None
+    problem: Problem, factor: Square, exposure: Exposure, place: Unknowns, settled: Flag, cells: Cells | None = None
 ) -> Equations:
     """Residuals and normal equations about a look, with ties on the surfaces of these cells or of those they lie in."""
     ties, count = problem.ties, problem.model.size
     unknowns = jnp.asarray(problem.prior.mean) + factor @ place
-    about = moving.over(problem.look)
+    about = dataclasses.replace(problem.look, exposure=exposure)
     places, R = _places(problem, unknowns[-2:])
     cells = cells_of(problem, place, factor) if cells is None else cells
     given = (places, R, cells) if ties.rise is None else (places, R, cells, ties.rise)
@@ -147,7 +130,7 @@ def _images(
     function, that is compiled once.
     """
     error, along, enu = jnp.split(change, [problem.model.size, problem.model.size + 2])
-    moved = Moving.of(problem.model.moved(look, error))
+    moved = problem.model.moved(look, error).exposure
     terrain = problem.model.moved(problem.look, unknowns[:-2] + error).terrain
 
     def image(
@@ -160,7 +143,7 @@ def _images(
             lift = problem.look.terrain.clearance(place, cell) - terrain.clearance(place, cell)
             p_ecef = p_ecef + R[:, 2] * (jnp.sum(rise * along) + lift)
         p_ecef = p_ecef + R @ enu
-        uv, status, _ = image_of_point(moved.sensor, moved.motion, moved.time, p_ecef, moved.air)
+        uv, status, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.atmosphere)
         return uv, status, p_ecef
 
     uv, statuses, p_ecef = jax.vmap(image)(*ties)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -13,7 +14,8 @@ from jaxgeo._numerics import all_finite
 from jaxgeo._typing import Flag, Scalar, StatusCode
 from jaxgeo.adjust.losses import Cauchy, Tukey
 from jaxgeo.earth import Geodetic
-from jaxgeo.register._equations import Equations, Moving, Problem, Square, Unknowns, cells_of, equations_about
+from jaxgeo.observation import Exposure
+from jaxgeo.register._equations import Equations, Problem, Square, Unknowns, cells_of, equations_about
 from jaxgeo.register.tie_errors import Blocks, Pixels, Weights, squared_length
 from jaxgeo.status import Status, first_failure, status_where
 from jaxgeo.terrain import AbstractTerrain, Dem
@@ -29,7 +31,7 @@ FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 class State(NamedTuple):
     """The look so far, where it lies from the prior's mean in standard deviations, and the step to try next."""
 
-    moving: Any
+    exposure: Any
     place: Unknowns
     equations: Equations
     step: Unknowns
@@ -42,7 +44,7 @@ class State(NamedTuple):
 class Solution(NamedTuple):
     """What an update finds, of ties padded; `foretold` is how many standard deviations of theirs the prior leaves."""
 
-    moving: Moving
+    exposure: Exposure
     terrain: AbstractTerrain | None
     field: AbstractField | None
     unknowns: Unknowns
@@ -64,7 +66,7 @@ class Solution(NamedTuple):
 def solved(problem: Problem) -> Solution:
     """The update of checked input."""
     factor = problem.prior.factor()
-    start = Moving.of(problem.model.moved(problem.look, jnp.asarray(problem.prior.mean)[:-2]))
+    start = problem.model.moved(problem.look, jnp.asarray(problem.prior.mean)[:-2]).exposure
     dynamic, static = eqx.partition(start, eqx.is_array)
 
     def tried(state: State) -> State:
@@ -79,14 +81,14 @@ def solved(problem: Problem) -> Solution:
     settled = jnp.asarray(not isinstance(problem.loss, Tukey | Cauchy))
     first = State(dynamic, zero, blank, zero, jnp.asarray(0.0), settled, jnp.asarray(False), jnp.asarray(0))
     state = jax.lax.while_loop(goes_on, tried, first)
-    return _told(problem, factor, state, eqx.combine(state.moving, static))
+    return _told(problem, factor, state, eqx.combine(state.exposure, static))
 
 
 def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State:
     """One step: taken if the squares become less, or tried shorter next time."""
-    kept = eqx.combine(state.moving, static)
+    kept = eqx.combine(state.exposure, static)
     change = (factor @ state.step)[:-2]
-    moved = Moving.of(problem.model.moved(kept.over(problem.look), change))
+    moved = problem.model.moved(dataclasses.replace(problem.look, exposure=kept), change).exposure
     place = state.place + state.step
     old = state.equations
     cells = jnp.where(state.count < HELD, cells_of(problem, place, factor), old.cells)
@@ -98,7 +100,7 @@ def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State
     dynamic, _ = eqx.partition(moved, eqx.is_array)
     choose = lambda new, was: jnp.where(taken, new, was)  # noqa: E731
     dynamic, place, equations = jax.tree.map(
-        choose, (dynamic, place, equations), (state.moving, state.place, state.equations)
+        choose, (dynamic, place, equations), (state.exposure, state.place, state.equations)
     )
     less = jnp.where(state.damping > LEAST_DAMPING, 0.1 * state.damping, 0.0)
     damping = jnp.where(taken, less, jnp.maximum(10.0 * state.damping, FIRST_DAMPING))
@@ -121,7 +123,7 @@ def _has_ground(problem: Problem) -> Bool[Array, " ties"]:
     return jnp.isfinite(jax.vmap(at)(ties.lat, ties.lon)) | ~ties.used
 
 
-def _told(problem: Problem, factor: Square, state: State, moving: Moving) -> Solution:
+def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) -> Solution:
     """What the last state says, all of it NaN unless it is an answer."""
     equations, ties = state.equations, problem.ties
     unknowns = jnp.asarray(problem.prior.mean) + factor @ state.place
@@ -146,7 +148,7 @@ def _told(problem: Problem, factor: Square, state: State, moving: Moving) -> Sol
     known = lambda tree: jax.tree.map(  # noqa: E731
         lambda x: jnp.where(ok, x, jnp.nan) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
     )
-    dynamic, static = eqx.partition(moving, eqx.is_array)
+    dynamic, static = eqx.partition(exposure, eqx.is_array)
     unknowns = known(unknowns)
     terrain: Any = problem.model.moved(problem.look, unknowns[:-2]).terrain
     is_dem = isinstance(terrain, Dem)

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
+from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, concrete
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.register._equations import Problem
 from jaxgeo.register._solution import Solution, solved
 from jaxgeo.register.posterior import Update
@@ -30,6 +31,7 @@ ALONE = 10.0  # standard deviations of a lone tie, within which a prior must for
 HUBER, FULL_JACOBIAN = Huber(), FullJacobian()
 
 
+@accepts_exposure
 def update_orientation(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -69,14 +71,14 @@ def update_orientation(
     `jaxgeo.uncertainty.propagate` does for errors, and for a single tie whose pixel the prior foretells less well than
     to ten of its standard deviations: nothing would tell a wrong one.
     """
-    sensor, shot, moment = observation(sensor, shot, time)
+    sensor, shot, moment = checked_exposure(sensor, shot, time)
     check_mapped_terrain(terrain)
     ties = checked_ties(ties)
     tie_errors = checked_tie_errors(tie_errors, ties)
     check_is(loss, AbstractLoss, "loss")
     check_is(propagation, AbstractTiePropagation, "propagation")
     terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
-    look = ModelInputs(sensor, shot, moment, jnp.asarray(ties.uv)[0], terrain, checked_air(atmosphere))
+    look = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=terrain)
     model = checked_model(errors, look)
     _check_sources(model)
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
@@ -90,18 +92,18 @@ def update_orientation(
 def _handed_over(
     solution: Solution, look: ModelInputs, model: ErrorModel, prior: Prior, count: int, has_time: bool
 ) -> Update:
-    moving = solution.moving
+    exposure = solution.exposure
     terrain = look.terrain
     if solution.terrain is not None:
         terrain = solution.terrain
     elif isinstance(terrain, Dem) and solution.field is not None:
         terrain = dataclasses.replace(terrain, field=solution.field)  # without a copy of its posts
     return Update(
-        sensor=moving.sensor,
-        shot=moving.motion,
-        time=moving.time if has_time or isinstance(moving.motion, Trajectory) else None,
+        sensor=exposure.sensor,
+        shot=exposure.motion,
+        time=exposure.time if has_time or isinstance(exposure.motion, Trajectory) else None,
         terrain=terrain,
-        atmosphere=moving.air,
+        atmosphere=exposure.atmosphere,
         errors=model,
         prior=prior,
         error=solution.unknowns[:-2],

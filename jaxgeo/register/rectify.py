@@ -16,10 +16,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int8
 
-from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
+from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is
 from jaxgeo._record import Record, packed, unpacked
 from jaxgeo.earth import Atmosphere
+from jaxgeo.observation import accepts_exposure
 from jaxgeo.register.cells import Cells, View, cells_one_by_one, hidden, may_be_hidden, where_any
 from jaxgeo.register.chart import WELL_MAPPED, Chart, basis, charted, charted_cells
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Nearest, Pixels, halved_pixels, sampled
@@ -98,7 +99,7 @@ class Rectifier:
         check_mapped_terrain(terrain)
         check_is(grid, AbstractGrid, "grid")
         check_is(interpolation, AbstractInterpolation, "interpolation")
-        sensor, motion, moment = observation(sensor, shot, time)
+        sensor, motion, moment = checked_exposure(sensor, shot, time)
         values = checked_image(values, sensor)
         self.view = View(sensor, motion, moment, terrain, as_float64(grid, "grid"), checked_air(atmosphere))
         self._how = How(interpolation, values.dtype)
@@ -185,6 +186,7 @@ def _made_again(given: tuple[Any, ...], how: dict[str, Any]) -> Rectifier:
     return Rectifier(*unpacked(given), **unpacked(how))
 
 
+@accepts_exposure
 def rectify(
     sensor: Sensor,
     shot: Shot | Trajectory,

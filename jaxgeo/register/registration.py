@@ -11,11 +11,12 @@ import numpy as np
 import scipy  # loads its parts when they are asked for
 from jax.typing import ArrayLike
 
-from jaxgeo._arguments import check_mapped_terrain, checked_air, observation
+from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_float64, check_is, require_x64
 from jaxgeo._record import Record
 from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth import Atmosphere
+from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.consensus import PoseConsensus
 from jaxgeo.register.images import Images, RegistrationFailed
@@ -107,6 +108,7 @@ class Registration(Record):
         return "\n".join(lines)
 
 
+@accepts_exposure
 def register_image(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -161,11 +163,11 @@ def register_image(
         raise ValueError(f"probability must lie between 0.5 and 1, to find what is likely; got {probability!r}.")
     if block < SIDES[0]:
         raise ValueError(f"block must be {SIDES[0]} cells or more: smaller ones tell nothing; got {block!r}.")
-    sensor, motion, moment = observation(sensor, shot, time)
+    sensor, motion, moment = checked_exposure(sensor, shot, time)
     check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
-    look = ModelInputs(sensor, motion, moment, jnp.zeros(2), _of_arrays(terrain), checked_air(atmosphere))
+    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=_of_arrays(terrain))
     model = checked_model(errors, look)
     tie_errors = as_float64(tie_errors, "tie_errors")
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
@@ -312,7 +314,7 @@ def _moved(given: _Given, error: np.ndarray) -> ModelInputs:
 
 def _look_of(found: Update, look: ModelInputs) -> ModelInputs:
     time = look.time if found.time is None else found.time
-    return ModelInputs(found.sensor, found.shot, time, look.uv, found.terrain, found.atmosphere)
+    return ModelInputs(Exposure(found.sensor, found.shot, time, found.atmosphere), terrain=found.terrain)
 
 
 def _of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:

@@ -11,10 +11,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int8
 
-from jaxgeo._arguments import check_terrain, checked_air, observation
+from jaxgeo._arguments import check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import FIRST_HIT, located_anywhere
+from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
 from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
@@ -48,6 +49,7 @@ class Met(NamedTuple):
     status: Int8[Any, " n"]
 
 
+@accepts_exposure
 def render(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -73,11 +75,11 @@ def render(
     check_is(reference, Orthoimage, "reference")
     check_is(interpolation, AbstractInterpolation, "interpolation")
     check_terrain(terrain, FIRST_HIT)
-    sensor, motion, moment = observation(sensor, shot, time)
+    sensor, motion, moment = checked_exposure(sensor, shot, time)
     rows, cols = _size_of(sensor)
     if supersampling < 1:
         raise ValueError(f"supersampling must be 1 ray a pixel along each axis or more; got {supersampling}.")
-    look = ModelInputs(sensor, motion, moment, jnp.zeros(2), terrain, checked_air(atmosphere))
+    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=terrain)
     total, seen, status = np.zeros(()), np.ones(rows * cols, bool), np.zeros(rows * cols, np.int8)
     pixels = np.stack(np.meshgrid(np.arange(cols), np.arange(rows)), axis=-1).reshape(-1, 2).astype(float)
     for offset in _offsets(supersampling):

@@ -13,6 +13,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
@@ -52,6 +53,7 @@ class Accuracy(Record):
         )
 
 
+@accepts_observation
 def accuracy(
     sensor: Sensor,
     shot: Shot | Trajectory,

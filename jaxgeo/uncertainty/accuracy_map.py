@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._arguments import check_latitude, observation
+from jaxgeo._arguments import check_latitude, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, PixelField, ScalarField, StatusField
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_exposure, accepts_observation
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status, count_statuses, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
@@ -114,6 +115,7 @@ class AccuracyMap(Record):
         return "\n".join(lines)
 
 
+@accepts_exposure
 def accuracy_map(
     sensor: Sensor,
     shot: Shot | Trajectory | Pose,
@@ -181,6 +183,7 @@ def checked_map(
     return world, model, requested(probability, count, key, draws, chunk, search, block)
 
 
+@accepts_observation
 def accuracy_of_pixels(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -244,7 +247,7 @@ def _world(
     if isinstance(shot, Pose) and not sensor.gimbal.axes:
         raise ValueError("From a Pose the gimbal is turned to each place, but this sensor's has no axes: give a Shot.")
     given = Shot(shot, sensor.gimbal.neutral_readings()) if isinstance(shot, Pose) else shot
-    sensor, motion, moment = observation(sensor, given, time)
+    sensor, motion, moment = checked_exposure(sensor, given, time)
     moment = moment if isinstance(motion, Trajectory) else None
     some = ModelInputs.of(sensor, motion, (0.0, 0.0), terrain, time=moment, search=search, atmosphere=atmosphere)
     model = checked_model(errors, some)

@@ -14,6 +14,7 @@ from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, ScalarFiel
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
@@ -42,6 +43,7 @@ class Assessment(Record):
     signs: Diagnostics
 
 
+@accepts_observation
 def assess(
     sensor: Sensor,
     shot: Shot | Trajectory,

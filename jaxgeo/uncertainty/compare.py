@@ -15,6 +15,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.draws import AbstractDraws, Random
@@ -93,6 +94,7 @@ class Comparison(Record):
         return "\n".join([*lines, f"m; x: not as sampling to {self.digits} digits, ?: undecided. {self.verdict}"])
 
 
+@accepts_observation
 def compare(
     sensor: Sensor,
     shot: Shot | Trajectory,

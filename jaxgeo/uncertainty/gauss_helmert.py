@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxgeo._typing import Matrix3, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import image_of_point
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
@@ -21,6 +22,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 
+@accepts_observation
 def gauss_helmert(
     sensor: Sensor,
     shot: Shot | Trajectory,

@@ -16,6 +16,7 @@ from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
@@ -67,6 +68,7 @@ class Propagation(Record):
         return _spherical_error(self.cov_enu, probability, self.bias_enu)
 
 
+@accepts_observation
 def propagate(
     sensor: Sensor,
     shot: Shot | Trajectory,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -11,17 +11,18 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from jaxgeo._arguments import check_terrain, checked_air, pixel_of_shot
+from jaxgeo._arguments import check_terrain, checked_air, checked_observation
 from jaxgeo._checks import as_float64
 from jaxgeo._numerics import implicit_root, matvec, safe_norm, tree_where
 from jaxgeo._record import Record
-from jaxgeo._typing import Matrix3, PixelField, Scalar, ScalarField, StatusCode, Vector3
+from jaxgeo._typing import Matrix3, PixelField, Scalar, StatusCode, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.frames import R_ecef_from_enu
 from jaxgeo.earth.ray import Ray
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT, has_point, located_anywhere, met_by, touched_by
+from jaxgeo.observation import Exposure
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.sensor.platform import Pose, Station
@@ -88,18 +89,24 @@ class NominalFix(NamedTuple):
             raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
 
 
-class ModelInputs(Record):
-    """A sensor, where it was (a shot, or a trajectory with the image's time), a pixel, the terrain, and any air.
+if TYPE_CHECKING:
+    OptionalPixel: TypeAlias = Any
+    OptionalTerrain: TypeAlias = Any
+else:
+    OptionalPixel: TypeAlias = PixelField | None
+    OptionalTerrain: TypeAlias = AbstractTerrain | None
 
-    Made by `ModelInputs.of`, which checks what it is given. An error source moves any of these.
+
+class ModelInputs(Record):
+    """Inputs of the forward model that error sources perturb: an exposure, a pixel of it, and the terrain.
+
+    `uv` is None where the exposure as a whole is meant, `terrain` where nothing depends on the ground. Made from user
+    arguments by `ModelInputs.of`, which checks them.
     """
 
-    sensor: Sensor
-    motion: Shot | Trajectory
-    time: ScalarField
-    uv: PixelField
-    terrain: AbstractTerrain
-    air: Atmosphere | None = None
+    exposure: Exposure
+    uv: OptionalPixel = None
+    terrain: OptionalTerrain = None
 
     @classmethod
     def of(
@@ -113,18 +120,38 @@ class ModelInputs(Record):
         search: AbstractSearch = FIRST_HIT,
         atmosphere: Atmosphere | None = None,
     ) -> ModelInputs:
-        """A look at pixel `uv`, with the arguments and errors of `jaxgeo.locate`.
+        """Inputs of `jaxgeo.locate` for pixel `uv`, with its arguments and errors.
 
         Of a trajectory the knots about the exposure are kept.
         """
         check_terrain(terrain, search)
-        given: Any = pixel_of_shot(sensor, shot, time, uv)
+        given: Any = checked_observation(sensor, shot, time, uv)
         sensor, motion, moment, pixel = given
         if isinstance(motion, Trajectory):
             motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
         # A plain number would be a constant of the program, which then is compiled for every other one.
         terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
-        return cls(sensor, motion, moment, pixel, terrain, checked_air(atmosphere))
+        return cls(Exposure(sensor, motion, moment, checked_air(atmosphere)), pixel, terrain)
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of the exposure."""
+        return self.exposure.sensor
+
+    @property
+    def motion(self) -> Shot | Trajectory:
+        """The shot or trajectory of the exposure."""
+        return self.exposure.motion
+
+    @property
+    def time(self) -> Any:
+        """The time of the exposure, s."""
+        return self.exposure.time
+
+    @property
+    def air(self) -> Atmosphere | None:
+        """The atmosphere of the exposure."""
+        return self.exposure.atmosphere
 
     def ground(self, search: AbstractSearch) -> Fix:
         """The fix, whether or not the pixel lies on the image."""

@@ -15,6 +15,7 @@ from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
@@ -97,6 +98,7 @@ class Sampled(Record):
         return Quantile(float(value), float(low), float(high), float(conditional), self.found / self.count)
 
 
+@accepts_observation
 def sample(
     sensor: Sensor,
     shot: Shot | Trajectory,

@@ -15,6 +15,7 @@ from jaxgeo._record import portable
 from jaxgeo._typing import Matrix3, Scalar, StatusField, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
@@ -47,6 +48,7 @@ class Moments(NamedTuple):
         return jax.jit(spherical_error)(self.cov_enu, probability, self.mean_enu)
 
 
+@accepts_observation
 def sigma_points(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -86,6 +88,7 @@ def sigma_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel, search:
     return Moments(jnp.where(sound, mean, jnp.nan), jnp.where(sound, cov, jnp.nan), aim.fix.status, failed)
 
 
+@accepts_observation
 def second_order(
     sensor: Sensor,
     shot: Shot | Trajectory,

@@ -18,6 +18,7 @@ from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
@@ -127,6 +128,7 @@ class Plan(NamedTuple):
     factor: Float[Array, "axes axes"]
 
 
+@accepts_observation
 def sobol_indices(
     sensor: Sensor,
     shot: Shot | Trajectory,

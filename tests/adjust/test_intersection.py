@@ -14,6 +14,7 @@ import jaxgeo
 from jaxgeo import Atmosphere, BrownConrady, ConstantHeight, FrameCamera, Gimbal, Mount, Pose, Sensor, Shot, Status
 from jaxgeo.adjust.intersection import forward_intersection
 from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.observation import Exposure
 from jaxgeo.sensor import boresight_from_degrees
 from jaxgeo.uncertainty import ErrorModel, PerFlight, circular_error, joint_covariance, linear_error, propagate, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -217,7 +218,7 @@ def simulated(key, index):
     parts = [draw(number, *part) for number, part in enumerate(MODEL.parts())]
 
     def image(shot, uv, error):
-        look = MODEL.moved(ModelInputs(SENSOR, shot, 0.0, uv, ConstantHeight(0.0)), error)
+        look = MODEL.moved(ModelInputs(Exposure(SENSOR, shot, 0.0), uv), error)
         return look.sensor.project_ecef(look.motion, jnp.asarray(P_ECEF))[0] - (look.uv - uv)
 
     return jax.vmap(image)(SHOTS, UVS, jnp.concatenate(parts, axis=1))

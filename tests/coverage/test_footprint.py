@@ -30,7 +30,7 @@ from jaxgeo import (
     WhiskbroomCamera,
     locate,
 )
-from jaxgeo.coverage import Exposure, footprint, ground_sample_distance
+from jaxgeo.coverage import MovingExposure, footprint, ground_sample_distance
 from jaxgeo.coverage.exposure import local_projection, seen_at
 from jaxgeo.coverage.footprint import FINEST
 from jaxgeo.terrain import HeightFunction, TangentGrid
@@ -344,7 +344,7 @@ STANDING = Trajectory.steady(shot(20.0, heading=10.0), velocity_ned=[0.0, 0.0, 0
 
 @pytest.mark.slow
 def test_the_outline_of_a_sweep_in_flight():
-    exposure = Exposure(FLYING, 0.25)
+    exposure = MovingExposure(FLYING, 0.25)
     outline = footprint(SWEEP, exposure, GROUND, tolerance=0.5)
     assert outline.ok
     place = {tuple(uv): k for k, uv in enumerate(outline.uv)}
@@ -357,7 +357,7 @@ def test_the_outline_of_a_sweep_in_flight():
         counts.append(len(finer.uv))
         assert np.max(off_outline(SWEEP, exposure, GROUND, finer, rng)) <= tolerance
     assert counts[0] < counts[1] < counts[2] < 2000
-    still = footprint(SWEEP, Exposure(STANDING, 0.25), GROUND, tolerance=0.5)
+    still = footprint(SWEEP, MovingExposure(STANDING, 0.25), GROUND, tolerance=0.5)
     assert abs(outline.area - still.area) > 1e-3 * still.area  # it flies on, and turns, while it sweeps
     held = footprint(SWEEP, shot(20.0, heading=10.0), GROUND, tolerance=0.5)
     assert still.area == pytest.approx(held.area, rel=1e-9)

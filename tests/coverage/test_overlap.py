@@ -21,7 +21,7 @@ from jaxgeo import (
     Status,
     Trajectory,
 )
-from jaxgeo.coverage import Exposure, footprint, geometry, local_projection, overlap, polygon_overlap, transform
+from jaxgeo.coverage import MovingExposure, footprint, geometry, local_projection, overlap, polygon_overlap, transform
 from jaxgeo.coverage.overlap import axis_along, check_along, flight_direction
 from jaxgeo.locate import locate
 from jaxgeo.sensor.conventions import li_2020_sensor, li_2023_sweep_sensor
@@ -256,8 +256,8 @@ def test_sweeps_overlap_as_frames_do() -> None:
         Trajectory.steady(shot(0.0, outer=outer), velocity_ned=velocity, before=1.0, after=2.0 * step)
         for outer in (OUTER, 90.0)
     ]
-    frame = shared(*(Exposure(flights[0], time) for time in times))
-    before, after = (Exposure(flights[1], time) for time in times)
+    frame = shared(*(MovingExposure(flights[0], time) for time in times))
+    before, after = (MovingExposure(flights[1], time) for time in times)
     for duration in (1e-6, 1.0):
         found = overlap(sweep(duration), before, after, GROUND, along="columns", stations=STATIONS)
         assert int(found.status) == Status.hit

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, locate
+from jaxgeo import ConstantHeight, Exposure, Geodetic, Pose, Shot, locate
 from jaxgeo.adjust.losses import LeastSquares
 from jaxgeo.earth import WGS84, R_ecef_from_enu
 from jaxgeo.register import gu2017
@@ -52,7 +52,7 @@ def navigation(duration: float) -> ErrorModel:
 
 
 def look(number: int) -> ModelInputs:
-    return ModelInputs(SENSOR, shot(number), jnp.asarray(0.0), UV[0], GROUND)
+    return ModelInputs(Exposure(SENSOR, shot(number), jnp.asarray(0.0)), UV[0], GROUND)
 
 
 @jax.jit

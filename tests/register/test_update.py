@@ -13,6 +13,7 @@ import pytest
 from jaxgeo import ConstantHeight, Dem, Geodetic, Sensor, Shot, locate
 from jaxgeo.adjust.losses import LeastSquares, Tukey
 from jaxgeo.earth import WGS84, R_ecef_from_enu
+from jaxgeo.observation import Exposure
 from jaxgeo.register import gu2017
 from jaxgeo.register._equations import on_surface
 from jaxgeo.register.orientation_update import update_orientation
@@ -32,7 +33,7 @@ TIE_ERRORS = TieErrors(registration=3.0, terrain=5.0)
 MIDDLE = gu2017.MIDDLE
 SENSOR, SHOT = gu2017._camera(75.0, 10_000.0, 10.0)
 UV = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(jnp.linspace(100.0, 1900.0, 5), jnp.linspace(100.0, 1900.0, 4))], 1)
-LOOK = ModelInputs(SENSOR, SHOT, jnp.asarray(0.0), jnp.asarray(MIDDLE), ConstantHeight(jnp.asarray(500.0)))
+LOOK = ModelInputs(Exposure(SENSOR, SHOT, jnp.asarray(0.0)), jnp.asarray(MIDDLE), ConstantHeight(jnp.asarray(500.0)))
 
 
 def navigation(position: float = 10.0, angle: float = 0.05) -> ErrorModel:
@@ -221,7 +222,7 @@ def simulated(key: jax.Array, model: ErrorModel, tie_errors: TieErrors, sensor: 
         keys = jax.random.split(key, 4)
         error = model.factor() @ jax.random.normal(keys[0], (model.size,))
         heights = 500.0 + jnp.asarray(tie_errors.terrain) * jax.random.normal(keys[1], (21,))
-        truth = model.moved(ModelInputs(sensor, shot, jnp.asarray(0.0), UV[0], LOOK.terrain), error)
+        truth = model.moved(ModelInputs(Exposure(sensor, shot, jnp.asarray(0.0)), UV[0], LOOK.terrain), error)
         places = seen_from(truth, jnp.concatenate([UV, jnp.asarray([MIDDLE])]), heights)
         enu = jnp.asarray(tie_errors.registration) * jax.random.normal(keys[2], (20, 2))
         enu = enu + (jnp.asarray(tie_errors.shift) * jax.random.normal(keys[3], (2,)))[None, :]

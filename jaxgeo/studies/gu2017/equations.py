@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.locate import locate
+from jaxgeo.observation import Exposure
 from jaxgeo.register import TieErrors, TiePoints, update_orientation
 from jaxgeo.register.gu2017 import conditions, ground_covariance, parameter_covariance, parameter_step
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -329,7 +330,7 @@ def eq7(of: Inputs) -> list[Claim]:
         swapped += b[:2].T @ inner @ b[:2]
     sigmas = np.repeat([POSITION, math.radians(ATTITUDE)], 3)
     righted = _sigmas(np.linalg.inv(normal + np.diag(sigmas**-2.0)))
-    look = ModelInputs(of.sensor, of.shot, jnp.asarray(0.0), jnp.zeros(2), ConstantHeight(GROUND))
+    look = ModelInputs(Exposure(of.sensor, of.shot, jnp.asarray(0.0)), terrain=ConstantHeight(GROUND))
     _, J, by_ground = _conditions(look, of.errors, jnp.asarray(of.uv), jnp.asarray(of.points), jnp.asarray(GROUND))
     prior = jnp.asarray(of.errors.covariance())
     ours = _sigmas(np.asarray(parameter_covariance(J[:, :2], by_ground[:, :2], jnp.asarray(np.stack(grounds)), prior)))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgeo.observation import Exposure
 from jaxgeo.register import Orthoimage, Registration, rectify, register_image
 from jaxgeo.register.prediction import window_of
 from jaxgeo.sensor import Shot
@@ -87,7 +88,7 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
 
 def part_of(im: Imaged) -> Orthoimage:
     """The part of the map in which the image lies by the navigation, and a margin."""
-    look = ModelInputs(im.sensor, im.given, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+    look = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
     window = window_of(look, im.reference.grid, im.reference.shape)
     if window is None:
         return im.reference

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
+from jaxgeo.observation import Exposure
 from jaxgeo.register import Prior, TieErrors, TiePoints, Update, propagate_prior, update_orientation
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.studies.gu2017.fixes import alike, fixes_of, lattice
@@ -171,7 +172,7 @@ def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: s
 
 def _foretold(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
     """(the shot as the frames before have it, the covariance of its errors)."""
-    look = ModelInputs(*alike((camera(), frame.given)), jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+    look = ModelInputs(Exposure(*alike((camera(), frame.given)), jnp.asarray(0.0)), terrain=im.terrain)
     return _moved(model, look, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo.earth import WGS84, Geodetic
+from jaxgeo.observation import Exposure
 from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, match_blocks, rectify, remove_illumination
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
@@ -38,7 +39,7 @@ class Mapped(NamedTuple):
     def shifts(self, centres: np.ndarray, size: int) -> Shifts:
         """How the errors shift blocks."""
         im = self.im
-        look = ModelInputs(im.sensor, self.shot, jnp.asarray(0.0), jnp.zeros(2), im.terrain)
+        look = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
         return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
 
 

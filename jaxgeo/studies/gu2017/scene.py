@@ -12,6 +12,7 @@ import scipy  # loads its parts when they are asked for
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.io import example_dem
+from jaxgeo.observation import Exposure
 from jaxgeo.register import Orthoimage, TieErrors
 from jaxgeo.register.render import met
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
@@ -158,7 +159,7 @@ def sight_of(sensor: Sensor, shot: Shot, ground: AbstractTerrain) -> Sight:
 
 def points_seen(sensor: Sensor, shot: Shot, ground: AbstractTerrain, uv: np.ndarray) -> np.ndarray:
     """Points (n, 3) in ECEF, m, of the first ground that pixels (n, 2) see; NaN without one."""
-    found = met(ModelInputs(sensor, shot, jnp.asarray(0.0), jnp.zeros(2), ground), np.asarray(uv, float))
+    found = met(ModelInputs(Exposure(sensor, shot, jnp.asarray(0.0)), terrain=ground), np.asarray(uv, float))
     return np.where((np.asarray(found.status) == Status.hit)[:, None], np.asarray(found.p_ecef), np.nan)
 
 

@@ -29,6 +29,8 @@ class PixelMeasurement(AbstractSource):
         return cls(sigmas(column, row), **options)
 
     def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+        if look.uv is None:  # of an exposure as a whole no pixel is measured
+            return look
         return eqx.tree_at(lambda look: look.uv, look, look.uv + error)
 
 

@@ -1,0 +1,130 @@
+"""Exposures and observations: one image with its orientation, and one pixel measured in it."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Collection
+from typing import Any, Concatenate, Generic, ParamSpec, Protocol, TypeVar, overload, runtime_checkable
+
+from jaxgeo._record import Record
+from jaxgeo._typing import PixelField, ScalarField
+from jaxgeo.earth.atmosphere import Atmosphere
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+
+
+class Exposure(Record):
+    """One image: interior orientation (`sensor`), exterior orientation (`motion`), and the atmosphere it looks through.
+
+    `motion` is a `Shot`, or a `Trajectory` with the `time` of the image in s (None counts as 0; none goes with a shot).
+    Without an `atmosphere` lines of sight are straight. For many exposures give every leaf a leading axis and use
+    `jax.vmap`. Functions of (sensor, shot, ...) take an exposure in place of these two, `time` and `atmosphere`.
+
+    >>> sensor = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000))
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> exposure = jaxgeo.Exposure(sensor, jaxgeo.Shot(pose))
+    >>> seen = jaxgeo.project(exposure, jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=600.0))
+    >>> print(np.round(seen.uv, 1))
+    [1999.5 1499.5]
+    """
+
+    sensor: Sensor
+    motion: Shot | Trajectory
+    time: ScalarField | None = None
+    atmosphere: Atmosphere | None = None
+
+
+class Observation(Record):
+    """One pixel `uv` = (column, row) measured in an `exposure`; pixel centres are at integers.
+
+    For many pixels of one exposure: `jax.vmap(lambda uv: locate(Observation(exposure, uv), terrain))(pixels)`, or an
+    observation whose leaves all have a leading axis under `jax.vmap`. Functions of (sensor, shot, uv, ...) take an
+    observation in place of these three, `time` and `atmosphere`.
+
+    >>> sensor = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000))
+    >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
+    >>> observation = jaxgeo.Observation(jaxgeo.Exposure(sensor, jaxgeo.Shot(pose)), np.array([1999.5, 1499.5]))
+    >>> print(f"{jaxgeo.locate(observation, jaxgeo.ConstantHeight(600.0)).slant_range:.3f} m")
+    120.000 m
+    """
+
+    exposure: Exposure
+    uv: PixelField
+
+
+@runtime_checkable
+class OfExposure(Protocol, Generic[P, R]):
+    """A function of a sensor and a shot, or of an `Exposure`."""
+
+    @overload
+    def __call__(self, sensor: Sensor, shot: Shot | Trajectory | Pose, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
+    @overload
+    def __call__(self, exposure: Exposure, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
+
+
+@runtime_checkable
+class OfObservation(Protocol, Generic[P, R]):
+    """A function of a sensor, a shot and a pixel, or of an `Observation`."""
+
+    @overload
+    def __call__(self, sensor: Sensor, shot: Shot | Trajectory, uv: Any, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
+    @overload
+    def __call__(self, observation: Observation, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
+
+
+def accepts_exposure(function: Callable[Concatenate[Sensor, Any, P], R]) -> OfExposure[P, R]:
+    """Decorator: the function takes an `Exposure` in place of sensor, shot, time and atmosphere."""
+
+    inner: Callable[..., Any] = function
+    names = inspect.signature(function).parameters
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        if args and isinstance(args[0], Exposure):
+            exposure, *rest = args
+            named = _moment(function.__name__, names, exposure, kwargs)
+            return inner(exposure.sensor, exposure.motion, *rest, **named)
+        if args and isinstance(args[0], Observation):
+            raise TypeError(f"{function.__name__} takes an Exposure; got an Observation. Give its `exposure`.")
+        return inner(*args, **kwargs)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+def accepts_observation(function: Callable[Concatenate[Sensor, Any, Any, P], R]) -> OfObservation[P, R]:
+    """Decorator: the function takes an `Observation` in place of sensor, shot, pixel, time and atmosphere."""
+
+    inner: Callable[..., Any] = function
+    names = inspect.signature(function).parameters
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        if args and isinstance(args[0], Observation):
+            observation, *rest = args
+            exposure = observation.exposure
+            named = _moment(function.__name__, names, exposure, kwargs)
+            return inner(exposure.sensor, exposure.motion, observation.uv, *rest, **named)
+        if args and isinstance(args[0], Exposure):
+            raise TypeError(
+                f"{function.__name__} takes an Observation; got an Exposure: give Observation(exposure, uv)."
+            )
+        return inner(*args, **kwargs)
+
+    return call  # pyright: ignore[reportReturnType]
+
+
+def _moment(function: str, names: Collection[str], exposure: Exposure, kwargs: dict[str, Any]) -> dict[str, Any]:
+    """Keywords of a function of these parameters, with the time and the atmosphere of an exposure.
+
+    Raises `TypeError` where one is given a second time, or has no part in the function.
+    """
+    held = {name: value for name in ("time", "atmosphere") if (value := getattr(exposure, name)) is not None}
+    for name in ("time", "atmosphere"):
+        if kwargs.get(name) is not None:
+            raise TypeError(f"{function}: {name} is part of the exposure; leave out {name}=.")
+        if name in held and name not in names:
+            raise TypeError(f"{function} has no {name}; give an exposure without one.")
+    return {**kwargs, **held}

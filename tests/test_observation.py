@@ -1,0 +1,147 @@
+"""Exposures and observations: every function that takes one gives what it gives of sensor, shot and pixel."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgeo
+from jaxgeo import Atmosphere, ConstantHeight, ErrorModel, Exposure, Observation, uncertainty
+from jaxgeo.uncertainty import sources
+
+CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
+POSE = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=2720.0)
+SHOT = jaxgeo.Shot(POSE, SENSOR.gimbal.readings_from_degrees(yaw=30.0, pitch=-45.0, roll=0.0))
+POSES = jaxgeo.Pose.from_degrees(lat=np.array([47.0, 47.001]), lon=np.full(2, 11.0), height=np.full(2, 2720.0))
+FLIGHT = jaxgeo.Trajectory.from_knots(np.array([0.0, 4.0]), POSES, np.stack([SHOT.gimbal_readings] * 2))
+UV = np.array([1500.0, 1200.0])
+GROUND = ConstantHeight(600.0)
+AIR = Atmosphere()
+ERRORS = ErrorModel((sources.Position.from_ned(north=3.0, east=3.0, down=5.0),))
+POINT = jaxgeo.Geodetic.from_degrees(lat=47.015, lon=11.012, height=600.0)
+
+EXPOSURES = {
+    "shot": (Exposure(SENSOR, SHOT), (SENSOR, SHOT), {}),
+    "shot in air": (Exposure(SENSOR, SHOT, atmosphere=AIR), (SENSOR, SHOT), {"atmosphere": AIR}),
+    "trajectory": (Exposure(SENSOR, FLIGHT, 1.5), (SENSOR, FLIGHT), {"time": 1.5}),
+}
+OF_OBSERVATION = {
+    "locate": (jaxgeo.locate, (GROUND,), {}),
+    "at_range": (jaxgeo.at_range, (3000.0,), {}),
+    "propagate": (jaxgeo.propagate, (GROUND, ERRORS), {}),
+    "assess": (uncertainty.assess, (GROUND, ERRORS), {}),
+}
+MORE = {
+    "accuracy": (jaxgeo.accuracy, (GROUND, ERRORS), {}),
+    "sample": (jaxgeo.sample, (GROUND, ERRORS), {"key": jax.random.key(0), "count": 200}),
+    "compare": (jaxgeo.compare, (GROUND, ERRORS), {"key": jax.random.key(0), "count": 200}),
+    "second_order": (uncertainty.second_order, (GROUND, ERRORS), {}),
+    "sigma_points": (uncertainty.sigma_points, (GROUND, ERRORS), {}),
+    "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),
+}
+OF_EXPOSURE = {"project": (jaxgeo.project, (POINT,), {})}
+
+
+def same(one: object, other: object) -> None:
+    ours, theirs = jax.tree.leaves(one), jax.tree.leaves(other)
+    assert len(ours) == len(theirs) > 0
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b))
+
+
+@pytest.mark.parametrize("kind", EXPOSURES)
+@pytest.mark.parametrize("name", [*OF_OBSERVATION, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)])
+def test_an_observation_stands_for_sensor_shot_and_pixel(name: str, kind: str) -> None:
+    function, rest, named = (OF_OBSERVATION | MORE)[name]
+    exposure, parts, moment = EXPOSURES[kind]
+    found = function(Observation(exposure, UV), *rest, **named)
+    same(vars_of(found), vars_of(function(*parts, UV, *rest, **named, **moment)))
+
+
+def vars_of(found: object) -> object:
+    """Fields of a result that is a plain dataclass, whose leaves JAX does not know."""
+    return vars(found) if dataclasses.is_dataclass(found) else found
+
+
+@pytest.mark.parametrize("kind", EXPOSURES)
+@pytest.mark.parametrize("name", OF_EXPOSURE)
+def test_an_exposure_stands_for_sensor_and_shot(name: str, kind: str) -> None:
+    function, rest, named = OF_EXPOSURE[name]
+    exposure, parts, moment = EXPOSURES[kind]
+    same(function(exposure, *rest, **named), function(*parts, *rest, **named, **moment))
+
+
+def test_locate_and_project_are_inverse() -> None:
+    exposure = EXPOSURES["shot in air"][0]
+    fix = jaxgeo.locate(Observation(exposure, UV), GROUND)
+    np.testing.assert_allclose(jaxgeo.project(exposure, fix.position).uv, UV, atol=1e-6)
+
+
+def test_a_batch_of_observations_under_vmap() -> None:
+    exposure = Exposure(SENSOR, SHOT)
+    pixels = jnp.array([[1500.0, 1200.0], [100.0, 2900.0], [3999.0, 0.0]])
+    one_image = jax.vmap(lambda uv: jaxgeo.locate(Observation(exposure, uv), GROUND).ecef)(pixels)
+    headings = jnp.array([0.0, 0.1, 0.2])
+    shots = jax.vmap(lambda h: dataclasses.replace(SHOT, pose=dataclasses.replace(POSE, heading=h)))(headings)
+    sensors = jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x), (3, *jnp.shape(x))), SENSOR)
+    batch = Observation(Exposure(sensors, shots), pixels)
+    many = jax.vmap(lambda one: jaxgeo.locate(one, GROUND).ecef)(batch)
+    np.testing.assert_allclose(many[0], one_image[0], atol=1e-6)
+    for k in range(3):
+        shot = jax.tree.map(lambda x, k=k: x[k], shots)
+        np.testing.assert_allclose(many[k], jaxgeo.locate(SENSOR, shot, pixels[k], GROUND).ecef, atol=1e-6)
+
+
+def test_a_derivative_by_the_exposure() -> None:
+    def north(exposure: Exposure) -> jax.Array:
+        return jnp.asarray(jaxgeo.locate(Observation(exposure, UV), GROUND).position.lat)
+
+    slope = jax.grad(lambda heading: north(Exposure(SENSOR, with_heading(heading))))(0.0)
+    step = 1e-5
+    numeric = (north(Exposure(SENSOR, with_heading(step))) - north(Exposure(SENSOR, with_heading(-step)))) / (2 * step)
+    np.testing.assert_allclose(slope, numeric, rtol=1e-6, atol=1e-12)
+
+
+def with_heading(heading: object) -> jaxgeo.Shot:
+    nadir = jaxgeo.Pose(POSE.position, heading, 0.2, 0.1)
+    return jaxgeo.Shot(nadir, SHOT.gimbal_readings)
+
+
+def test_observations_pass_between_processes() -> None:
+    observation = Observation(EXPOSURES["trajectory"][0], UV)
+    same(observation, pickle.loads(pickle.dumps(observation)))
+
+
+WRONG = {
+    "time twice": (
+        lambda: jaxgeo.locate(Observation(EXPOSURES["trajectory"][0], UV), GROUND, time=1.0),
+        "locate: time is part of the exposure; leave out time=",
+    ),
+    "air twice": (
+        lambda: jaxgeo.project(EXPOSURES["shot in air"][0], POINT, atmosphere=AIR),
+        "project: atmosphere is part of the exposure; leave out atmosphere=",
+    ),
+    "no pixel": (lambda: jaxgeo.locate(Exposure(SENSOR, SHOT), GROUND), "give Observation\\(exposure, uv\\)"),
+    "a pixel": (
+        lambda: jaxgeo.project(Observation(Exposure(SENSOR, SHOT), UV), POINT),
+        "takes an Exposure.*`exposure`",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_mistakes(name: str) -> None:
+    call, words = WRONG[name]
+    with pytest.raises(TypeError, match=words):
+        call()
+
+
+def test_a_shot_with_a_time_is_refused() -> None:
+    with pytest.raises(ValueError, match="time goes with a Trajectory"):
+        jaxgeo.locate(Observation(Exposure(SENSOR, SHOT, 3.0), UV), GROUND)
