@@ -110,9 +110,8 @@ def traced_arc(
 ) -> Scalar:
     """Arc in m along the ground of a spherical Earth, from below a sensor to the ground point of its refracted ray.
 
-    `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (the ray must hit the
-    ground), `radius` of the sphere in m. Traces `SHELLS` shells with constant n r sin z (Snell), as reference for
-    `Bending`.
+    `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (small enough to hit the
+    ground), `radius` in m. Traces `SHELLS` shells with constant n r sin z (Snell), as reference for `Bending`.
     """
     height, ground, zenith = as_float64((height, ground, zenith), "traced_arc")
     constant = air.refractive_index(height) * (radius + height) * jnp.sin(zenith)
