@@ -25,9 +25,7 @@ class Classical(Record):
 
 
 class Comparison(Record):
-    """Radius by a formula and exact radius in m, relative error, and the probability that the formula's circle
-    contains.
-    """
+    """Radius by a formula and exact radius in m, relative error, and actual probability of the formula's circle."""
 
     radius: Numbers
     exact: Numbers
