@@ -40,7 +40,7 @@ class JointFixes(Record):
         """(best linear unbiased estimate of one target from all observations, ECEF m; its covariance in ENU there, m2).
 
         Generalised least squares with all correlations: correlated observations count for less than their number. The
-        covariance may be singular, e.g. for fixes on one known surface (Rao 1971, "Unified theory of linear
+        covariance may be singular, as for fixes on one known surface (Rao 1971, "Unified theory of linear
         estimation").
         """
         count = self.p_ecef.shape[0]

@@ -31,9 +31,7 @@ Levels = Float[Array, " levels"]
 
 
 class Ground(NamedTuple):
-    """Ground along a line of sight: distance `ahead` of the fix and height `above` the ray in m, and whether it is
-    known.
-    """
+    """Ground along a line of sight: distance `ahead` of the fix and height `above` the ray in m, and a known flag."""
 
     ahead: Places
     above: Places
