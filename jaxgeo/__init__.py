@@ -1,6 +1,6 @@
-"""Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain, in JAX.
+"""Geolocation of aerial images on real terrain, with the accuracy of every fix, in JAX.
 
-Examples in docstrings take for granted that `jaxgeo` and `numpy as np` are imported, and 64-bit floats on:
+Docstring examples assume that `jaxgeo` and `numpy as np` are imported and that 64-bit floats are on:
 
 >>> jaxgeo.enable_x64()
 >>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)

@@ -1,4 +1,4 @@
-"""`python -m jaxgeo` is the command `jaxgeo`."""
+"""Entry point of `python -m jaxgeo`, the same as the command `jaxgeo`."""
 
 from jaxgeo.cli import main
 

@@ -1,4 +1,4 @@
-"""The doors of the hall: what callers hand in is checked and put into float64, and mistakes are named."""
+"""Validation of public arguments and their conversion to float64."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ UNIT_TOLERANCE = 1e-6
 def checked_observation(
     sensor: Sensor, shot: Shot | Trajectory, time: Any, uv: ArrayLike | Sequence[ArrayLike]
 ) -> tuple[Sensor, Shot | Trajectory, Scalar, Pixel]:
-    """Sensor, shot or trajectory, time of the image and one pixel in float64, checked."""
+    """Validated sensor, shot or trajectory, image time and one pixel, in float64."""
     sensor, shot, time = checked_exposure(sensor, shot, time)
     pixel = as_float64(as_array(uv, "uv"), "uv")
     if pixel.shape != (2,):
@@ -41,7 +41,7 @@ def checked_observation(
 
 
 def checked_exposure(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tuple[Sensor, Shot | Trajectory, Scalar]:
-    """Sensor, shot or trajectory, and the time of the image in float64, checked."""
+    """Validated sensor, shot or trajectory, and image time, in float64."""
     require_x64()
     check_is(sensor, Sensor, "sensor")
     if not isinstance(shot, Shot | Trajectory):
@@ -62,7 +62,7 @@ def checked_exposure(sensor: Sensor, shot: Shot | Trajectory, time: Any) -> tupl
 
 
 def check_terrain(terrain: Any, search: Any) -> None:
-    """Raise `TypeError` unless these are a terrain and a search."""
+    """Raise `TypeError` unless the arguments are a terrain and a search."""
     if not isinstance(terrain, AbstractTerrain):
         raise TypeError(
             f"terrain must be a jaxgeo terrain; got {type(terrain).__name__}. Read one with jaxgeo.io.read_dem(path), "
@@ -72,7 +72,7 @@ def check_terrain(terrain: Any, search: Any) -> None:
 
 
 def check_mapped_terrain(terrain: Any) -> None:
-    """Raise `TypeError` unless this is a terrain whose height at a place is read from a grid, or one number."""
+    """Raise `TypeError` unless the terrain is a `Dem` or a `ConstantHeight`, `ValueError` if it is not on WGS 84."""
     check_terrain(terrain, FirstHit())
     if not isinstance(terrain, Dem | ConstantHeight):
         raise TypeError(
@@ -88,7 +88,7 @@ def check_mapped_terrain(terrain: Any) -> None:
 
 
 def checked_air(atmosphere: Any) -> Atmosphere | None:
-    """The atmosphere in float64, or None for no air; raises `TypeError` for anything else."""
+    """The atmosphere in float64, or None for no refraction; raises `TypeError` for anything else."""
     if atmosphere is None:
         return None
     if not isinstance(atmosphere, Atmosphere):
@@ -100,7 +100,7 @@ def checked_air(atmosphere: Any) -> Atmosphere | None:
 
 
 def check_latitude(position: Geodetic, name: str) -> None:
-    """Raise `ValueError` for a known latitude beyond a pole: most often degrees in place of radians."""
+    """Raise `ValueError` for a concrete latitude beyond a pole; the usual cause is degrees instead of radians."""
     known = concrete(position.lat)
     if known is not None and np.any(np.abs(known) > 0.5 * np.pi + 1e-12):
         raise ValueError(
@@ -110,7 +110,7 @@ def check_latitude(position: Geodetic, name: str) -> None:
 
 
 def check_ray(ray: Ray) -> None:
-    """Raise `ValueError` unless a ray is one ray, with a direction of unit length where that is known."""
+    """Raise `ValueError` unless `ray` is a single ray; a concrete direction must have unit length."""
     for name, vector in (("origin", ray.origin), ("direction", ray.direction)):
         if jnp.shape(vector) != (3,):
             raise ValueError(
@@ -128,7 +128,7 @@ def check_ray(ray: Ray) -> None:
 
 
 def check_on_image(sensor: Sensor, pixel: Pixel) -> None:
-    """Raise `ValueError` for a known pixel outside the image, with its size; nothing is compiled for that."""
+    """Raise `ValueError`, with the image size, for a concrete pixel outside the image; compiles nothing."""
     camera, known = sensor.camera, concrete(pixel)
     if known is None or not isinstance(camera, FrameCamera | AbstractScanningCamera):
         return
@@ -141,7 +141,7 @@ def check_on_image(sensor: Sensor, pixel: Pixel) -> None:
 
 
 def check_throw(throw: bool, arguments: Any) -> None:
-    """Raise `ValueError` if an exception is asked for where none can be raised."""
+    """Raise `ValueError` if `throw` is set but the arguments are traced, so that no exception can be raised."""
     if throw and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
         raise ValueError(
             "throw=True needs values that are known now, but these are traced by JAX (inside jit, vmap or grad), where "
@@ -150,7 +150,7 @@ def check_throw(throw: bool, arguments: Any) -> None:
 
 
 def thrown(fix: Fix) -> Fix:
-    """The fix, or `ValueError` with its status if it is not a hit."""
+    """The fix if it is a hit; otherwise raises `ValueError` with its status."""
     status = Status(int(np.asarray(fix.status)))
     if status is not Status.hit:
         raise ValueError(f"{status.name}: {status.message}")

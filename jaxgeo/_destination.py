@@ -1,4 +1,4 @@
-"""Where results go: the screen, a device, or a file that appears only when it is whole."""
+"""Output destinations: screen, device, or a file that is written atomically."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from typing import Any
 from jaxgeo._partial import partial_file
 
 SCREEN = pathlib.Path("-")
-UNWRITABLE = "backslashreplace"  # how text that UTF-8 cannot hold is written: bytes of a file's name that are no UTF-8
-# What the system says where bytes cannot be written: no room, too large a file, a quota, a fault of the device.
+UNWRITABLE = "backslashreplace"  # for text that UTF-8 cannot encode, such as file names with invalid bytes
+# Write failures of the system: disk full, file too large, quota exceeded, I/O error.
 DEVICE_FAILURES = frozenset({errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
 
 class DestinationError(ValueError):
-    """Results cannot be written where the caller asked."""
+    """Results cannot be written to the requested destination."""
 
 
 @contextlib.contextmanager
 def destination(option: str, output: pathlib.Path | None, *, binary: bool = False) -> Iterator[Any]:
-    """The screen, a device, or a file that appears only when all of it is written.
+    """Stream to the screen, a device, or a file that appears only once it is completely written.
 
-    It is opened before the work, so that a place that cannot be written to is told at once. Raises `DestinationError`.
+    It is opened before the computation starts, so a destination that cannot be written is reported at once.
+    Raises `DestinationError`.
     """
     if output is None or output == SCREEN:
         yield sys.stdout.buffer if binary else sys.stdout
@@ -36,7 +37,7 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
             yield stream
     else:
         check_place(option, output)
-        target = output.resolve()  # a link stays a link
+        target = output.resolve()  # keep a symbolic link, replace its target
         with partial_file(target) as partial:
             stream = _opened(option, output, partial, binary)
             with _failure_told(option, output, only=DEVICE_FAILURES):
@@ -48,8 +49,7 @@ def destination(option: str, output: pathlib.Path | None, *, binary: bool = Fals
 
 
 def is_device(output: pathlib.Path) -> bool:
-    """Whether a path is a pipe, a terminal, /dev/null, /dev/stdout or "-", the screen: no file that another may take
-    the place of."""
+    """Whether a path is the screen ("-"), a pipe, a terminal, /dev/null or /dev/stdout: not a replaceable file."""
     if output == SCREEN:
         return True
     of_the_system = os.path.islink(output) and output.absolute().is_relative_to("/dev")
@@ -59,7 +59,7 @@ def is_device(output: pathlib.Path) -> bool:
 
 
 def check_place(option: str, output: pathlib.Path) -> None:
-    """Raises `DestinationError` where a file cannot be written: in no folder, onto a folder, without permission."""
+    """Raise `DestinationError` if a file cannot be written: missing folder, path is a folder, or no permission."""
     with _failure_told(option, output), contextlib.suppress(FileNotFoundError):
         output.stat()
     if output.is_dir():
@@ -81,7 +81,7 @@ def _opened(option: str, output: pathlib.Path, path: pathlib.Path, binary: bool)
 
 
 def check_no_input(option: str, outputs: Iterable[pathlib.Path], inputs: Iterable[str | os.PathLike[str]]) -> None:
-    """Raises `DestinationError` where a file to be written is one that is read, by whatever name or link."""
+    """Raise `DestinationError` if an output file is also an input, under any name or link."""
     read = [pathlib.Path(path) for path in inputs]
     for output in outputs:
         if any(_are_one(output, path) for path in read):
@@ -89,14 +89,14 @@ def check_no_input(option: str, outputs: Iterable[pathlib.Path], inputs: Iterabl
 
 
 def _are_one(one: pathlib.Path, other: pathlib.Path) -> bool:
-    with contextlib.suppress(OSError, RuntimeError):  # one is not there, or no file's name, or links go in a circle
+    with contextlib.suppress(OSError, RuntimeError):  # missing file, invalid name or circular link
         return one.resolve() == other.resolve() or one.samefile(other)
     return False
 
 
 @contextlib.contextmanager
 def _failure_told(option: str, output: pathlib.Path, only: frozenset[int] | None = None) -> Iterator[None]:
-    """Failures of the system as `DestinationError`; `only` those of some numbers that name no file of their own."""
+    """Convert an `OSError` to `DestinationError`; with `only`, just those error numbers, if they name no other file."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Sines, cosines, arctangents and logarithms of crowds; the compiler asks the system for them one after the other."""
+"""Vectorised sine, cosine, arctangent and logarithm, for which the compiler calls scalar library functions."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Taylor's series of sine and cosine on [-pi/4, pi/4], their coefficients shifted for the least error there (Cephes).
+# Minimax polynomials of sine and cosine on [-pi/4, pi/4] (Cephes).
 _SINE = (-1.66666666666666307295e-1, 8.33333333332211858878e-3, -1.98412698295895385996e-4, 2.75573136213857245213e-6,
          -2.50507477628578072866e-8, 1.58962301576546568060e-10)  # fmt: skip
 _COSINE = (4.16666666666665929218e-2, -1.38888888888730564116e-3, 2.48015872888517045348e-5,
            -2.75573141792967388112e-7, 2.08757008419747316778e-9, -1.13585365213876817300e-11)  # fmt: skip
-_QUARTER = (1.5707963267341256, 6.0771005063039e-11, 2.9e-21)  # pi / 2, the first two parts with zeros at their end
+_QUARTER = (
+    1.5707963267341256,
+    6.0771005063039e-11,
+    2.9e-21,
+)  # pi / 2 in three parts, two with trailing zero bits
 
 
-_TO_INTEGER = 1.5 * 2.0**52  # added to a whole number, leaves it in the last bits
-_NEAR_SINE = (-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0)  # Taylor's; enough to the last digit within
+_TO_INTEGER = 1.5 * 2.0**52  # adding it to an integer puts the integer into the last bits
+_NEAR_SINE = (-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0)  # Taylor series, exact to the last digit within _NEAR
 _NEAR_COSINE = (-1.0 / 2.0, 1.0 / 24.0, -1.0 / 720.0, 1.0 / 40320.0)
 _NEAR = 1.0 / 16.0  # rad
-_CROWD = 512  # angles, from which on they are worth a place of their own in memory
+_CROWD = 512  # batch size from which a separate buffer pays off
 
 
 @jax.custom_jvp
 def sine_and_cosine(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Both of an angle in rad below 10^5, to the last digit: for crowds, in a tenth of the time of the compiler's."""
+    """Sine and cosine of an angle in rad below 10^5, to the last digit; for batches 10 times as fast as jnp."""
     return _either_way(angle)
 
 
@@ -49,8 +53,9 @@ _either_way = jax.custom_batching.custom_vmap(_sine_and_cosine)
 
 @_either_way.def_vmap
 def _(size: int, is_batched: list[bool], angle: Array) -> tuple[tuple[Array, Array], tuple[bool, bool]]:
-    """A crowd's behind a branch: or the compiler makes all of them anew wherever one is used, and in loops that it does
-    not make wide. Samples of one angle lie so near each other that a few terms about the first of them will do."""
+    """Large batches are computed behind a branch; otherwise the compiler recomputes them at every use, in loops that it
+    does not vectorise. If all angles are within `_NEAR` of the first, a short series about the first is sufficient.
+    """
     del is_batched
     if angle.ndim != 1 or size < _CROWD:
         return _sine_and_cosine(angle), (True, True)
@@ -67,7 +72,7 @@ def _about_first(angle: Array) -> tuple[Array, Array]:
         sine = sine * squared + coefficient
     for coefficient in _NEAR_COSINE[-2::-1]:
         cosine = cosine * squared + coefficient
-    sine, fall = x + x * squared * sine, squared * cosine  # of x, and its cosine less 1
+    sine, fall = x + x * squared * sine, squared * cosine  # sin(x) and cos(x) - 1
     s, c = jnp.sin(first), jnp.cos(first)
     return s + (c * sine + s * fall), c + (c * fall - s * sine)
 
@@ -84,13 +89,14 @@ def _(primals, tangents):
     return (sine, cosine), (cosine * change, -sine * change)
 
 
-_NEAR_ARCTANGENT = tuple((-1.0) ** k / (2 * k + 1) for k in range(8))  # Taylor's
+_NEAR_ARCTANGENT = tuple((-1.0) ** k / (2 * k + 1) for k in range(8))
 
 
 @jax.custom_jvp
 def arctangent(y: Float[Array, "..."], x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """`arctan2`, which the compiler asks the system for, one number after the other; crowds that lie close together are
-    told from the first of them, to the last digit and in a tenth of the time."""
+    """`arctan2`, which the compiler evaluates element by element; batches of nearly equal angles use a series about the
+    first one, to the last digit and 10 times as fast.
+    """
     return _arctangent(y, x)
 
 
@@ -99,7 +105,7 @@ _arctangent = jax.custom_batching.custom_vmap(jnp.arctan2)
 
 @_arctangent.def_vmap
 def _(size: int, is_batched: list[bool], y: Array, x: Array) -> tuple[Array, bool]:
-    """As for `sine_and_cosine`."""
+    """Batching rule, as for `sine_and_cosine`."""
     y, x = (a if own else jnp.broadcast_to(a, (size, *a.shape)) for a, own in zip((y, x), is_batched, strict=True))
     if y.ndim != 1 or size < _CROWD:
         return jnp.arctan2(y, x), True
@@ -125,16 +131,16 @@ def _(primals, tangents):
     return arctangent(y, x), (x * dy - y * dx) / (x * x + y * y)
 
 
-# fdlibm's series of log((1 + s) / (1 - s)) in s^2, and the two parts of log 2.
+# Series of log((1 + s) / (1 - s)) in s^2 (fdlibm), and log 2 in two parts.
 _LOGARITHM = (6.666666666666735130e-1, 3.999999999940941908e-1, 2.857142874366239149e-1, 2.222219843214978396e-1,
               1.818357216161805012e-1, 1.531383769920937332e-1, 1.479819860510658591e-1)  # fmt: skip
 _LOG_2 = (6.93147180369123816490e-1, 1.90821492927058770002e-10)
-_SQUARE_ROOT_OF_HALF = 0x3FE6A09E667F3BCD  # the bits of it
+_SQUARE_ROOT_OF_HALF = 0x3FE6A09E667F3BCD  # as bits
 
 
 def logarithm(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Natural logarithm of positive numbers above 1e-300, to the last digit: for crowds in a quarter of the time of the
-    compiler's, which asks the system's for one after the other. Not to be differentiated.
+    """Natural logarithm of positive numbers above 1e-300, to the last digit; for batches 4 times as fast as jnp, which
+    calls the scalar library function for each element. Not differentiable.
     """
     bits = jax.lax.bitcast_convert_type(x, jnp.int64)
     doublings = (bits - _SQUARE_ROOT_OF_HALF) >> 52

@@ -1,10 +1,10 @@
-"""How the command `jaxgeo` ends when a signal stops it: at once or in order, in one line, with nothing partial left.
+"""Signal handling of the command `jaxgeo`: exit on SIGINT, SIGTERM or SIGHUP with one line and no partial files.
 
 The package imports this module before JAX, and it imports little itself, so that signals are handled from the start.
-A program that imports jaxgeo keeps its own handlers: only the command installs these.
+Only the command installs these handlers; a program that imports jaxgeo keeps its own.
 
-A Python handler runs only between two steps of the main thread, which may compile or read for minutes. A second thread
-therefore waits for the signal, and ends the process if the main thread has not done so.
+Python runs a handler only between two bytecode steps of the main thread, which may compile or read for minutes. A
+second thread therefore waits for the signal and ends the process if the main thread does not.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
-GRACE = 1.0  # s that the main thread has for an orderly end
+GRACE = 1.0  # s allowed to the main thread for an orderly exit
 WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
-EXIT_CODE = 128  # and the number of the signal, as shells count: 130 after Ctrl-C
-CLEARED = b"\r\x1b[2K\x1b[?25h"  # a terminal without the spinner, and with its cursor
+EXIT_CODE = 128  # plus the signal number, the shell convention: 130 after Ctrl-C
+CLEARED = b"\r\x1b[2K\x1b[?25h"  # erase the spinner, show the cursor
 
 
 class _State:
-    """What has happened so far. One signal is reported, and unwinds the main thread, once."""
+    """State of signal handling. One signal is reported and unwinds the main thread, once."""
 
     def __init__(self) -> None:
         self.is_heeding = False
         self.is_orderly = False
         self.is_raised = False
-        self.number: int | None = None  # of the signal
-        self.untold = [True]  # taken out by the thread that tells: popping is atomic
+        self.number: int | None = None  # signal number
+        self.untold = [True]  # popped by the thread that reports: pop is atomic
         self.is_told = False
         self.undo: dict[object, Callable[[], None]] = {}
 
@@ -43,7 +43,7 @@ _state = _State()
 
 
 def heed() -> None:
-    """Handle SIGINT, SIGTERM and SIGHUP from now on, but for those that the caller has the process ignore (nohup)."""
+    """Install handlers for SIGINT, SIGTERM and SIGHUP, except those that the parent process ignores (nohup)."""
     if _state.is_heeding or threading.current_thread() is not threading.main_thread():
         return
     _state.is_heeding = True
@@ -61,8 +61,8 @@ def heed() -> None:
 def run(command: Callable[[], Any]) -> NoReturn:
     """Run the command in the main thread, and end the process with its exit code.
 
-    While it runs, a signal raises `KeyboardInterrupt` once, so that files are removed and put back in order. Before and
-    after, the process just ends.
+    While it runs, a signal raises `KeyboardInterrupt` once, so that files are removed or restored. Before and after, a
+    signal ends the process at once.
     """
     heed()
     code: Any = 0
@@ -74,7 +74,7 @@ def run(command: Callable[[], Any]) -> NoReturn:
             _state.is_orderly = False
     except SystemExit as end:
         code = end.code
-    except BaseException:  # of which the signal may be the cause by way of a callback
+    except BaseException:  # possibly caused by the signal, through a callback
         if _state.number is None:
             raise
     _leave(code if _state.number is None else EXIT_CODE + _state.number)
@@ -82,9 +82,9 @@ def run(command: Callable[[], Any]) -> NoReturn:
 
 @contextlib.contextmanager
 def undone_if_stopped(undo: Callable[[], None]) -> Iterator[None]:
-    """Call `undo` if the process is ended from within this block while the main thread cannot do so.
+    """Call `undo` if the process is ended within this block while the main thread cannot unwind.
 
-    It runs in another thread, or in a signal handler, and may be called when there is nothing to undo any more.
+    `undo` runs in another thread or in a signal handler, and may be called when there is nothing left to undo.
     """
     key = object()
     _state.undo[key] = undo
@@ -95,7 +95,7 @@ def undone_if_stopped(undo: Callable[[], None]) -> Iterator[None]:
 
 
 def _handle(number: int, _: Any) -> None:
-    """The handler proper, in the main thread."""
+    """Signal handler of the main thread."""
     _tell(number)
     if _state.is_orderly and not _state.is_raised:  # a second signal ends the process at once
         _state.is_raised = True
@@ -112,9 +112,9 @@ def _watch(read: int, wanted: set[int]) -> None:
 
 
 def _tell(number: int) -> None:
-    """Say once, in one line, what happened; whatever else goes to stderr afterwards is dropped.
+    """Report the signal once, in one line; later output to stderr is dropped.
 
-    Callbacks of the compiler print the traceback of a `KeyboardInterrupt` that is raised in them, for example.
+    Compiler callbacks, for example, print the traceback of a `KeyboardInterrupt` raised in them.
     """
     _state.number = _state.number or number
     try:
@@ -134,7 +134,7 @@ def _tell(number: int) -> None:
 
 
 def _takes_a_line(stream: int) -> bool:
-    """Whether writing to it does not wait for a reader."""
+    """Whether a write to the stream does not block."""
     if not hasattr(select, "poll"):
         return True
     poll = select.poll()
@@ -151,9 +151,9 @@ def _end() -> NoReturn:
 
 
 def _leave(code: Any) -> NoReturn:
-    """End the process without taking the interpreter apart.
+    """End the process without interpreter shutdown.
 
-    That takes up to a second with JAX loaded, in which Python handles no signals; and threads of XLA that are still
+    Shutdown takes up to a second with JAX loaded, during which Python handles no signals; XLA threads that are still
     compiling after a signal would crash.
     """
     if not isinstance(code, int | None):

@@ -1,4 +1,4 @@
-"""Files that are being written: hidden beside the one whose place they take when they are whole."""
+"""Temporary files beside a target, which they replace when complete."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ PARTIAL = ".partial"
 
 @contextlib.contextmanager
 def partial_file(target: pathlib.Path) -> Iterator[pathlib.Path]:
-    """The name of a hidden file in the folder of `target`, to be written and moved to it; else it is removed.
+    """Path of a hidden file in the folder of `target`; it is moved to `target` by the caller, otherwise removed.
 
-    So are files whose names go on after it, as GDAL makes them, and those that a killed process has left there.
+    Also removed are files whose names extend it, as GDAL creates them, and those left behind by a killed process.
     """
     for one in left_over(target.parent, PARTIAL):
-        with contextlib.suppress(OSError):  # another user's
+        with contextlib.suppress(OSError):  # owned by another user
             one.unlink()
     path = hidden_name(target, PARTIAL)
 
@@ -38,13 +38,13 @@ def partial_file(target: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 def hidden_name(target: pathlib.Path, ending: str) -> pathlib.Path:
-    """A name beside `target` that is new, and tells which process of which machine it belongs to."""
+    """A new hidden name beside `target` that encodes the machine and the process id."""
     return target.with_name(f".jaxgeo-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{ending}")
 
 
 def left_over(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
-    """What has a hidden name with this ending in a folder, and belongs to a process of this machine that was killed."""
-    if os.name != "posix":  # where a process is not looked up without harm
+    """Hidden files with this ending in a folder that a killed process of this machine left behind."""
+    if os.name != "posix":  # os.kill(pid, 0) is not a harmless check elsewhere
         return []
     ours = re.compile(rf"\.jaxgeo-{_machine()}-(\d+)-[0-9a-f]{{8}}{re.escape(ending)}")
     named = [(path, ours.match(path.name)) for path in folder.glob(".jaxgeo-*")]
@@ -52,7 +52,7 @@ def left_over(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
 
 
 def _machine() -> str:
-    """A word for this machine, or container: numbers of processes mean nothing on another that shares the folder."""
+    """Hash of this machine or container: process ids are meaningless on another machine that shares the folder."""
     told = os.uname().nodename if hasattr(os, "uname") else ""
     with contextlib.suppress(OSError):
         told += os.readlink("/proc/self/ns/pid")
@@ -64,6 +64,6 @@ def _is_running(number: int) -> bool:
         os.kill(number, 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except PermissionError:  # another user's
+    except PermissionError:  # owned by another user
         return True
     return True

@@ -1,4 +1,4 @@
-"""Base of jaxgeo's records: frozen pytrees that are never rounded to 32-bit floats on their way between processes."""
+"""Base class of jaxgeo's records: frozen pytrees that stay float64 when pickled between processes."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Record(eqx.Module):
     """A frozen record, a pytree of its fields. Subclasses declare fields as an `equinox.Module` does.
 
     Pickling (and so `copy`, `multiprocessing`, joblib, Dask) carries arrays as NumPy arrays of their own dtype. Loading
-    one where JAX computes in 32 bits raises `RuntimeError`, but in a worker process in which JAX has computed nothing
-    yet, where it turns on 64-bit floats, as they are on where the record was made. Making one from an array that JAX
-    has rounded already raises too: `jnp.asarray` rounds without a word.
+    one where JAX computes in 32 bits raises `RuntimeError`, except in a worker process in which JAX has computed
+    nothing yet: there it turns on 64-bit floats. Constructing a record from an array that JAX has already rounded to 32
+    bits raises too, since `jnp.asarray` rounds silently.
     """
 
     def __check_init__(self) -> None:
@@ -44,8 +44,7 @@ class Record(eqx.Module):
 
 
 def portable(cls: type[T]) -> type[T]:
-    """Class decorator: a `NamedTuple` or dataclass that is pickled as a `Record` is, or an error that takes more than
-    its message when it is made, which a worker process could not hand back."""
+    """Class decorator: pickle a `NamedTuple` or dataclass like a `Record`; also for exceptions with extra arguments."""
     if issubclass(cls, BaseException):
         cls.__reduce__ = lambda self: (_loaded_error, (type(self), self.args, dict(vars(self))))
     elif issubclass(cls, tuple):
@@ -56,7 +55,7 @@ def portable(cls: type[T]) -> type[T]:
 
 
 class _JaxArray:
-    """The numbers of a `jax.Array` while they are in a pickle."""
+    """The values of a `jax.Array` inside a pickle."""
 
     def __init__(self, values: np.ndarray):
         self.values = values
@@ -66,7 +65,7 @@ _TURN_ON = "Call jaxgeo.enable_x64() at the start of the program, or set JAX_ENA
 
 
 def packed(value: Any) -> Any:
-    """A field, or a container of plain Python in one, with arrays of JAX as NumPy arrays; records pack themselves."""
+    """A field, or a container of plain Python, with JAX arrays converted to NumPy arrays; records pack themselves."""
     if isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer):
         is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
         return value if is_key else _JaxArray(np.asarray(value))
@@ -93,7 +92,7 @@ def _walked(each: Callable[[Any], Any], value: Any) -> Any:
 
 
 def check_loading(cls: type) -> None:
-    """Raises `RuntimeError` where an object of a class would lose digits; a new worker process gets 64-bit floats."""
+    """Raise `RuntimeError` if loading an object of a class would lose digits; enable x64 in a new worker process."""
     if is_x64():
         return
     if _is_new_worker():
@@ -106,19 +105,18 @@ def check_loading(cls: type) -> None:
 
 
 def _is_worker() -> bool:
-    """Whether `multiprocessing` started this process for another: so do `concurrent.futures`, joblib and Dask."""
+    """Whether `multiprocessing` started this process; `concurrent.futures`, joblib and Dask do so too."""
     module = sys.modules.get("multiprocessing.process")
     return module is not None and module.current_process().name != "MainProcess"
 
 
 def _is_new_worker() -> bool:
-    """Whether this process works for another, nobody chose 32 bits for it, and JAX has computed nothing in it: then
-    nothing can have relied on them."""
+    """Whether this is a worker process without an explicit choice of 32 bits in which JAX has computed nothing yet."""
     return _is_worker() and "JAX_ENABLE_X64" not in os.environ and not xla_bridge.backends_are_initialized()
 
 
 def _for_workers() -> str:
-    """What to do for a worker process."""
+    """Advice for worker processes, for error messages."""
     if not _is_worker():
         return ""
     if "distributed" in sys.modules:

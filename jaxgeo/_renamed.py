@@ -1,4 +1,4 @@
-"""Deprecated names: each gives the object of its new name with a `DeprecationWarning`, for one release."""
+"""Deprecated names: each returns the object of its new name with a `DeprecationWarning`, for one release."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """A module's `__getattr__` for old `names` of a `package`, by their new ones."""
+    """A module `__getattr__` that maps the old `names` of a `package` to their new ones."""
 
     def __getattr__(name: str) -> Any:
         new = names.get(name)

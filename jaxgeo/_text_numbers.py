@@ -1,8 +1,8 @@
-"""Numbers as text files and command lines write them: ASCII digits, a decimal point, an exponent; nothing else.
+"""Parsing of numbers in text files and command lines: ASCII digits, a decimal point, an exponent; nothing else.
 
-Python's `float` and `int` also take underscores between digits (1_0), digits of other scripts, no-break spaces around
-a number, and the words nan, inf and infinity. In a table each of them is a mistake of the program that wrote it, or a
-word for "unknown" that its reader has to know.
+Python's `float` and `int` also accept underscores between digits (1_0), digits of other scripts, no-break spaces
+around a number, and the words nan, inf and infinity. In a table each of them is an error of the writing program, or a
+no-data word that the reader must handle.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import math
 import re
 from collections.abc import Iterable
 
-BLANKS = " \t\r\n\f\v"  # white space that may stand around a number or between two
-MOST_DIGITS = 400  # of a number: a float64 written out in full has at most 310 before its point
+BLANKS = " \t\r\n\f\v"  # white space allowed around or between numbers
+MOST_DIGITS = 400  # of a number: a float64 in full has at most 310 before its decimal point
 
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 
 
 def number_in(text: str) -> float | None:
-    """The finite number that a text is, blanks around it passed over; None for any other text.
+    """The finite number in a text, surrounding blanks ignored; None for any other text.
 
     >>> from jaxgeo._text_numbers import number_in
     >>> print(number_in(" -1.5e3 "), number_in("1_0"), number_in("nan"), number_in("1e999"))
@@ -33,7 +33,7 @@ def number_in(text: str) -> float | None:
 
 
 def whole_in(text: str) -> int | None:
-    """The whole number below 2^63 in size that a text is, blanks around it passed over; None for any other text."""
+    """The integer below 2^63 in magnitude in a text, surrounding blanks ignored; None for any other text."""
     bare = text.strip(BLANKS)
     if len(bare) > MOST_DIGITS or _WHOLE.fullmatch(bare) is None:
         return None
@@ -42,7 +42,7 @@ def whole_in(text: str) -> int | None:
 
 
 def numbers_in(words: Iterable[str]) -> list[float] | None:
-    """All words as finite numbers, or None where one of them is none."""
+    """All words as finite numbers, or None if any is not a finite number."""
     numbers: list[float] = []
     for word in words:
         number = number_in(word)
@@ -53,5 +53,5 @@ def numbers_in(words: Iterable[str]) -> list[float] | None:
 
 
 def words_of(text: str) -> list[str]:
-    """The words of a text with blanks between; a no-break space is part of a word, as it may be part of a number."""
+    """The blank-separated words of a text; a no-break space counts as part of a word, as it may be part of a number."""
     return re.split(f"[{BLANKS}]+", text.strip(BLANKS)) if text.strip(BLANKS) else []

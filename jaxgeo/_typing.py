@@ -1,4 +1,4 @@
-"""Names for array shapes. Functions are strict about them; fields of records may carry batch axes."""
+"""Type aliases for array shapes. Functions require exact shapes; fields of records may carry batch axes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Flag: TypeAlias = Bool[Array, ""]
 Index: TypeAlias = Int[Array, ""]
 StatusCode: TypeAlias = Int8[Array, ""]
 
-# One item or a whole crowd, for functions that work element by element.
+# One item or a batch, for elementwise functions.
 Numbers: TypeAlias = Float[Array, "..."]
 Flags: TypeAlias = Bool[Array, "..."]
 Indices: TypeAlias = Int[Array, "..."]
 
-# Fields of records: one item, or a batch of them for `vmap`; plain numbers are promoted at the public doors. A static
-# checker cannot follow that promotion (it sees a union with `complex` to the end), so to it they are `Any`.
+# Fields of records: one item, or a batch for `vmap`; public functions promote plain numbers. A static type checker
+# cannot follow that promotion (it keeps a union with `complex`), so it sees `Any`.
 if TYPE_CHECKING:
     ScalarLike: TypeAlias = Any
     ScalarField: TypeAlias = Any

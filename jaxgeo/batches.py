@@ -1,4 +1,4 @@
-"""A function for one item over many, a batch at a time, in bounded memory."""
+"""Batched evaluation of a function over many items in bounded memory."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ SIZE = 16_384
 
 
 def in_batches(function: Callable[..., Any], many: Any, *common: Any, size: int = SIZE) -> Any:
-    """What `function(item, *common)` gives for each item of `many`, `size` of them at a time, as NumPy arrays.
+    """Results of `function(item, *common)` for each item of `many`, `size` items at a time, as NumPy arrays.
 
     `many` is an array or a record (or a tuple of such) with a leading axis of items; the result has that axis too. Only
-    the result and one batch are in memory, and one program is compiled, for the last batch is filled up with its last
-    item: in `jax.lax.map(..., batch_size=)` what is left over is a second program. That program is kept for the next
-    call with the same `function`, an argument like `jaxgeo.locate` or a function with a name rather than a new lambda.
-    Raises `ValueError` where there are no items, their number is not the same everywhere, or `size` is not at least 1.
+    the result and one batch are in memory. One program is compiled, since the last batch is padded with its last item;
+    `jax.lax.map(..., batch_size=)` compiles a second one for the remainder. The program is cached for the next call
+    with the same `function`: pass `jaxgeo.locate` or a named function, not a new lambda. Raises `ValueError` if there
+    are no items, leading axes differ in length, or `size` is below 1.
     """
     if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
         raise ValueError(f"size must be an integer of at least 1, the number of items at a time; got {size!r}.")
@@ -51,7 +51,7 @@ def _batch(function: Callable[..., Any], many: Any, common: tuple[Any, ...]) -> 
 
 
 def _filled(x: Any, first: int, last: int, size: int) -> np.ndarray:
-    """Entries from `first` up to `last`, the last of them again where they are fewer than `size`."""
+    """Entries from `first` to `last`, padded to `size` by repeating the last one."""
     part = np.asarray(x[first:last])
     missing = size - len(part)
     return part if missing == 0 else np.concatenate([part, np.repeat(part[-1:], missing, axis=0)])
@@ -62,9 +62,9 @@ def _put(whole: np.ndarray, part: Any, first: int, last: int) -> None:
 
 
 def _give_back() -> None:
-    """Give the system back what tracing and compiling left free: half a GB, which glibc would keep."""
+    """Return memory freed after tracing and compiling to the system: half a GB, which glibc would keep."""
     gc.collect()
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:  # other C libraries have none
+        if trim is not None:  # glibc only
             trim(0)

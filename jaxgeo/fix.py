@@ -1,4 +1,4 @@
-"""What comes out of the hall: a point on the ground, or a place in an image, and whether it can be trusted."""
+"""Results of `locate` and `project`: a ground point or an image point, with a status."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from jaxgeo.status import Status
 
 
 class Fix(Record):
-    """A point on the ground, how it is seen, and whether it can be trusted.
+    """A located ground point with its viewing geometry and status.
 
     `position` and `ecef` (m) are the same point; `slant_range` in m from the perspective centre; angles in rad:
-    `incidence_ellipsoid` between the reversed ray and the ellipsoid's normal there, `incidence_surface` between it and
-    the normal of the terrain's own surface, `slope` between that surface and the horizontal. `status` is an int8
-    `Status`. What could not be computed is NaN.
+    `incidence_ellipsoid` between the reversed ray and the ellipsoid normal, `incidence_surface` between the reversed
+    ray and the terrain normal, `slope` between the terrain surface and the horizontal. `status` is an int8 `Status`.
+    Values that could not be computed are NaN.
     """
 
     position: Geodetic
@@ -33,16 +33,16 @@ class Fix(Record):
 
     @property
     def ok(self) -> Bool[Array, "..."]:
-        """Whether the fix is an unconditional hit."""
+        """Whether the status is `hit`."""
         return jnp.asarray(self.status) == Status.hit
 
     @property
     def found(self) -> Bool[Array, "..."]:
-        """Whether there are coordinates: also near a tangent, after coming in from the side, and at a void's edge."""
+        """Whether coordinates exist: also for `near_tangent`, `enters_from_side` and `hits_void`."""
         return jnp.isfinite(jnp.asarray(self.slant_range))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words, in degrees and m, of one fix (or lists of them for a batch)."""
+        """One fix as plain numbers and words, in degrees and m (lists for a batch)."""
         lat, lon, height = self.position.to_degrees()
         status = np.asarray(self.status)
         words = [Status(int(code)).name for code in status.reshape(-1)]
@@ -59,9 +59,9 @@ class Fix(Record):
 
 
 class Projection(Record):
-    """Where a ground point lies in an image: `uv` = (column, row) in px, and an int8 `Status`.
+    """Image point of a ground point: `uv` = (column, row) in px, and an int8 `Status`.
 
-    `uv` is NaN where there is no image of the point; a point beside the image keeps its `uv`.
+    `uv` is NaN if the point has no image; a point outside the image keeps its `uv`.
     """
 
     uv: PixelField
@@ -69,5 +69,5 @@ class Projection(Record):
 
     @property
     def ok(self) -> Bool[Array, "..."]:
-        """Whether the point is seen inside the image."""
+        """Whether the point is visible inside the image."""
         return jnp.asarray(self.status) == Status.hit

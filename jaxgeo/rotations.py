@@ -1,4 +1,4 @@
-"""Rotations. All are active and right-handed: `R_b_from_a @ v_a = v_b`."""
+"""Rotation matrices and vectors. All are active and right-handed: `R_b_from_a @ v_a = v_b`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def Rz(angle: Scalar) -> Matrix3:
 
 
 def about_x(angle: Scalar, v: Components) -> Components:
-    """`Rx(angle)` times a vector, both by their components: a crowd of matrices takes longer to make than to use."""
+    """`Rx(angle)` times a vector, by components: for a batch, building the matrices takes longer than using them."""
     s, c = sine_and_cosine(angle)
     return v[0], c * v[1] - s * v[2], s * v[1] + c * v[2]
 
@@ -50,7 +50,7 @@ def about_z(angle: Scalar, v: Components) -> Components:
 
 
 def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> Matrix3:
-    """`Rz(heading) Ry(pitch) Rx(roll)`: with angles of a body (forward, right, down), `R_ned_from_body`."""
+    """`Rz(heading) Ry(pitch) Rx(roll)`; for the angles of a body (forward, right, down) this is `R_ned_from_body`."""
     (sh, ch), (sp, cp), (sr, cr) = (sine_and_cosine(jnp.asarray(angle)) for angle in (heading, pitch, roll))
     forward, right, down = [ch, sh], [-sh, ch], [ch * sp, sh * sp]
     return matrix(
@@ -64,20 +64,20 @@ def R_from_heading_pitch_roll(heading: Scalar, pitch: Scalar, roll: Scalar) -> M
 def heading_pitch_roll_from_R(R: Matrix3) -> tuple[Scalar, Scalar, Scalar]:
     """Heading in (-pi, pi], pitch in [-pi/2, pi/2] and roll in (-pi, pi] rad of `Rz(heading) Ry(pitch) Rx(roll)`.
 
-    At pitch of exactly +-pi/2 heading and roll turn about one axis; roll is then zero by choice.
+    At a pitch of exactly +-pi/2 (gimbal lock) heading and roll rotate about one axis; roll is then set to zero.
     """
     horizontal = safe_norm(R[:2, 0])
     locked = horizontal < 1e-15
     pitch = jnp.arctan2(-R[2, 0], horizontal)
     heading = jnp.arctan2(jnp.where(locked, -R[0, 1], R[1, 0]), jnp.where(locked, R[1, 1], R[0, 0]))
-    # Not atan2(R[2, 1], R[2, 2]): close to the lock that and the heading would be noise independent of each other.
+    # Not atan2(R[2, 1], R[2, 2]): near gimbal lock its noise would be independent of that of the heading.
     levelled = matmul3(Rz(-heading), R)
     roll = jnp.arctan2(-levelled[1, 2], levelled[1, 1])
     return heading, pitch, jnp.where(locked, 0.0, roll)
 
 
 def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
-    """Rotation about `rotation` by its length in rad (Rodrigues), smooth at zero."""
+    """Rotation about `rotation` by its length in rad (Rodrigues formula), smooth at zero."""
     x, y, z = rotation
     zero = jnp.zeros_like(x)
     K = matrix([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
@@ -90,9 +90,9 @@ def R_from_rotation_vector(rotation: Vector3) -> Matrix3:
 
 
 def rotation_vector_from_R(R: Matrix3) -> Vector3:
-    """The rotation vector in rad of a turn by less than 180 degrees, smooth at none; the inverse of the above.
+    """Rotation vector in rad of a rotation below 180 degrees, smooth at zero; inverse of `R_from_rotation_vector`.
 
-    By the quaternion's real part, which must not vanish: for a turn close to 180 degrees the digits are lost.
+    Uses the real part of the quaternion, which must not vanish: precision is lost close to 180 degrees.
     """
     real = 0.5 * safe_sqrt(1.0 + R[0, 0] + R[1, 1] + R[2, 2])
     axis = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
@@ -105,9 +105,9 @@ def rotation_vector_from_R(R: Matrix3) -> Vector3:
 
 
 def rotation_rate_from_body_rate(rotation: Vector3, rate: Vector3) -> Vector3:
-    """How a rotation vector (rad) changes while its body turns at a rate (rad/s, in the turned axes), rad/s.
+    """Time derivative in rad/s of a rotation vector (rad) for a body rate in rad/s (rotated axes).
 
-    The inverse right Jacobian of the rotation group, for rotations well below 360 degrees.
+    Inverse right Jacobian of the rotation group, for rotations well below 360 degrees.
     """
     squared = jnp.sum(rotation * rotation)
     small = squared < 1e-4

@@ -1,4 +1,4 @@
-"""What became of a ray or a projection: one small integer that stands for a full sentence."""
+"""Status codes of rays and projections: an int8 code with a full-sentence message."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from jaxgeo._typing import Flag, Flags, Indices, Numbers, StatusCode
 
 
 class Status(enum.IntEnum):
-    """Outcome of one ray or one projection. Records hold it as an int8 array; `Status(code).message` is the sentence.
+    """Outcome of one ray or one projection. Records store it as an int8 array; `Status(code).message` is the sentence.
 
-    Only `hit` is an unconditional answer. `near_tangent` and `enters_from_side` keep their coordinates for callers
-    who accept them; every other member comes with NaN coordinates (`hits_void` gives the point of entry).
+    Only `hit` is an unconditional result. `near_tangent` and `enters_from_side` keep their coordinates for callers who
+    accept them; every other member has NaN coordinates (`hits_void` gives the point of entry).
     """
 
     hit = 0
@@ -49,7 +49,7 @@ class Status(enum.IntEnum):
 
     @property
     def code(self) -> StatusCode:
-        """The status as the int8 scalar that records carry."""
+        """The status as the int8 scalar that records store."""
         return jnp.asarray(self.value, jnp.int8)
 
 
@@ -94,22 +94,23 @@ def status_where(condition: Flag, status: Status, otherwise: StatusCode) -> Stat
 
 
 def seen_beside(status: Indices, given: Numbers) -> Indices:
-    """`hit` in place of `outside_image` where that comes with its pixel or direction `given`, the last axis of finite
-    numbers; any other status as it is. So a measured pixel may lie beside the image, but not where a lens has no ray.
+    """`hit` in place of `outside_image` if the pixel or direction `given` (last axis) is finite; others unchanged.
+
+    A measured pixel may thus lie outside the image, but not where the lens has no ray.
     """
     is_beside = (status == Status.outside_image) & jnp.all(jnp.isfinite(given), axis=-1)
     return jnp.where(is_beside, Status.hit.code, status)
 
 
 def counts_as_fix(code: Indices) -> Flags:
-    """Whether a sample with a status counts as one with a fix: its position holds, even if no derivative does.
+    """Whether a sample with this status counts as a fix: the position is valid, even if derivatives are not.
 
-    Over a void, and in from the side, the ground that the line of sight met first is not known.
+    For a void, or a ray that enters from the side, the first ground that the line of sight meets is unknown.
     """
     return (code == Status.hit) | (code == Status.near_tangent)
 
 
 def count_statuses(codes: ArrayLike) -> dict[Status, int]:
-    """How often each status occurs in a concrete array of codes; only those that do."""
+    """Number of occurrences of each status in a concrete array of codes; only those that occur."""
     values, counts = np.unique(np.asarray(codes), return_counts=True)
     return {Status(int(value)): int(count) for value, count in zip(values, counts, strict=True)}

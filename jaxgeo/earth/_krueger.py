@@ -1,4 +1,4 @@
-"""Krueger's series between the transverse Mercator map of the conformal sphere and that of the ellipsoid.
+"""Krueger series between the transverse Mercator map of the conformal sphere and that of the ellipsoid.
 
 The complex map coordinate is xi + i eta (northing and easting over the rectifying radius). Coefficients to the eighth
 order of the third flattening n: Karney (2011), "Transverse Mercator with an accuracy of a few nanometers", Eqs 14, 35
@@ -44,27 +44,27 @@ BETA = (
 
 
 def rectifying_radius(ellipsoid: Ellipsoid) -> float:
-    """Radius in m of the circle as long as the ellipsoid's meridian."""
+    """Rectifying radius in m: radius of the circle with the circumference of a meridian ellipse."""
     n2 = ellipsoid.n**2
     series = 1.0 + n2 * (1 / 4 + n2 * (1 / 64 + n2 * (1 / 256 + n2 * 25 / 16384)))
     return ellipsoid.a / (1.0 + ellipsoid.n) * series
 
 
 def map_from_sphere(ellipsoid: Ellipsoid, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
-    """(xi, eta) on the ellipsoid's map of a unit vector on the conformal sphere; the central meridian has y = 0."""
+    """(xi, eta) on the ellipsoid's map from a unit vector on the conformal sphere; y = 0 on the central meridian."""
     xi, eta = _spherical_map(x, y, z)
     d_xi, d_eta = _sine_sum(_coefficients(ALPHA, ellipsoid.n), xi, eta)
     return xi + d_xi, eta + d_eta
 
 
 def meridian_from_sphere(ellipsoid: Ellipsoid, xi: Scalar) -> Scalar:
-    """xi on the ellipsoid's central meridian of a conformal latitude in rad."""
+    """xi on the ellipsoid's central meridian from a conformal latitude in rad."""
     orders = 2.0 * jnp.arange(1.0, len(ALPHA) + 1.0)
     return xi + jnp.dot(jnp.array(_coefficients(ALPHA, ellipsoid.n)), jnp.sin(orders * xi))
 
 
 def sphere_from_map(ellipsoid: Ellipsoid, xi: Scalar, eta: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Unit vector on the conformal sphere of (xi, eta) on the ellipsoid's map."""
+    """Unit vector on the conformal sphere from (xi, eta) on the map of the ellipsoid."""
     d_xi, d_eta = _sine_sum(_coefficients(BETA, ellipsoid.n), xi, eta)
     xi, eta = xi - d_xi, eta - d_eta
     cosh = jnp.cosh(eta)
@@ -72,13 +72,13 @@ def sphere_from_map(ellipsoid: Ellipsoid, xi: Scalar, eta: Scalar) -> tuple[Scal
 
 
 def rectifying_slope(ellipsoid: Ellipsoid, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
-    """d(ellipsoid's map) / d(sphere's map) at a unit vector, real and imaginary part."""
+    """d(map of the ellipsoid) / d(map of the sphere) at a unit vector, real and imaginary part."""
     re, im = _cosine_sum(_times_order(_coefficients(ALPHA, ellipsoid.n)), *_spherical_map(x, y, z))
     return 1.0 + re, im
 
 
 def _spherical_map(x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
-    """Transverse Mercator of the sphere; the two points at infinity are moved to where numbers stay finite."""
+    """Transverse Mercator of the sphere; the two points at infinity are shifted so that results stay finite."""
     outside = x**2 + z**2 < 1e-8
     x = jnp.where(outside, 1e-4, x)
     return jnp.arctan2(z, x), jnp.arcsinh(y / jnp.sqrt(x**2 + z**2))
@@ -92,19 +92,19 @@ def _times_order(coefficients: tuple[float, ...], sign: float = 1.0) -> tuple[fl
     return tuple(sign * 2.0 * j * c for j, c in enumerate(coefficients, start=1))
 
 
-# The sums are their own derivatives, so neither Clenshaw's recurrence nor its graph is ever differentiated.
+# Each sum is the derivative of the other, so the Clenshaw recurrence is never differentiated.
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _sine_sum(coefficients: tuple[float, ...], xi: Scalar, eta: Scalar) -> tuple[Scalar, Scalar]:
-    """Real and imaginary part of the sum of c_j sin(2 j (xi + i eta))."""
+    """Real and imaginary part of sum c_j sin(2 j (xi + i eta))."""
     (sin, _), b1, _ = _clenshaw(coefficients, xi, eta)
     return _product(sin, b1)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _cosine_sum(coefficients: tuple[float, ...], xi: Scalar, eta: Scalar) -> tuple[Scalar, Scalar]:
-    """Real and imaginary part of the sum of c_j cos(2 j (xi + i eta)), j from 1."""
+    """Real and imaginary part of sum c_j cos(2 j (xi + i eta)), j from 1."""
     (_, cos), b1, b2 = _clenshaw(coefficients, xi, eta)
     re, im = _product(cos, b1)
     return re - b2[0], im - b2[1]

@@ -1,4 +1,4 @@
-"""The air: temperature, pressure and density by height."""
+"""Atmosphere model: temperature, pressure and density by height."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ R_AIR = 8314.32 / 28.9644  # J/(kg K), dry air
 SEA_LEVEL_PRESSURE = 101_325.0  # Pa
 SEA_LEVEL_TEMPERATURE = 288.15  # K
 REFRACTIVITY = 2.7789e-4 / 1.2250  # m3/kg: (n - 1) / density, visible light
-# Geopotential height of each layer's base in m, and how temperature changes with it in K/m.
+# Geopotential height of each layer's base in m, and its temperature gradient in K/m.
 LAYERS = ((0.0, -6.5e-3), (11e3, 0.0), (20e3, 1e-3), (32e3, 2.8e-3), (47e3, 0.0), (51e3, -2.8e-3), (71e3, -2e-3))
-TOP = 84_852.0  # m, geopotential: the end of the standard's layers
-COLDEST = 100.0  # K: a shifted atmosphere is taken as no colder, so that nothing divides by zero
+TOP = 84_852.0  # m, geopotential: top of the standard's layers
+COLDEST = 100.0  # K: lower limit of a shifted atmosphere, which avoids a division by zero
 
 Heights = Float[Array, "..."]
 
 
 class Atmosphere(Record):
-    """Dry air at rest: the US Standard Atmosphere 1976, or as near to it as a measurement lets it be.
+    """Dry air at rest: the US Standard Atmosphere 1976, optionally shifted to a measurement.
 
-    `temperature_offset` in K is added at every height, `sea_level_pressure` in Pa is at sea level, which lies
-    `sea_level` m above the ellipsoid (the undulation of the geoid: air follows the geoid, heights here the ellipsoid),
-    `refractivity` in m3/kg is (n - 1) / density and stands for the colour of the light. All may be traced and
-    differentiated. Humidity is left out: at 20 g/m3 it changes n - 1 of visible light by less than half a percent.
+    `temperature_offset` in K is added at every height. `sea_level_pressure` in Pa applies at sea level, `sea_level` m
+    above the ellipsoid (the geoid undulation: air follows the geoid, heights here the ellipsoid). `refractivity` in
+    m3/kg is (n - 1) / density and depends on the wavelength. All may be traced and differentiated. Humidity is ignored:
+    at 20 g/m3 it changes n - 1 of visible light by less than 0.5 %.
 
     >>> air = jaxgeo.Atmosphere.measured(pressure=95_000.0, temperature=298.15, height=560.0)
     >>> print(f"{air.temperature_offset:+.2f} K, and {air.sea_level_pressure / 100:.1f} hPa at sea level")
@@ -45,9 +45,9 @@ class Atmosphere(Record):
     def measured(
         cls, *, pressure: ScalarLike, temperature: ScalarLike, height: ScalarLike, sea_level: ScalarLike = 0.0
     ) -> Atmosphere:
-        """The standard atmosphere shifted to a `pressure` in Pa and a `temperature` in K measured at a `height` in m.
+        """Standard atmosphere shifted to a `pressure` in Pa and a `temperature` in K measured at a `height` in m.
 
-        `height` and `sea_level` (the geoid's undulation) are above the ellipsoid. Raises `ValueError` for a pressure
+        `height` and `sea_level` (the geoid undulation) are above the ellipsoid. Raises `ValueError` for a pressure
         outside [10 000, 120 000] Pa, a temperature outside [150, 350] K, or a height outside [-1000, 15 000] m.
         """
         check_range(pressure, "pressure", "Pa (1013.25 hPa are 101325 Pa)", 10_000.0, 120_000.0)
@@ -76,7 +76,7 @@ class Atmosphere(Record):
     def pressure_and_density(self, height: Heights, layers: int = len(LAYERS)) -> tuple[Heights, Heights]:
         """Pressure in Pa and density in kg/m3 at a height in m above the ellipsoid.
 
-        With fewer `layers` the last of them goes on to the top: three are enough below 32 km, and cost half.
+        With fewer `layers` the last of them extends to the top: three suffice below 32 km, at half the cost.
         """
         temperature, log_pressure = _temperature_and_log_pressure(
             self._geopotential(height), self.temperature_offset, layers
@@ -101,7 +101,7 @@ class Atmosphere(Record):
 def _temperature_and_log_pressure(
     z: Heights, offset: ScalarField, layers: int = len(LAYERS)
 ) -> tuple[Heights, Heights]:
-    """Temperature in K, and the logarithm of pressure over that at sea level, at a geopotential height in m."""
+    """Temperature in K, and log(pressure / sea-level pressure), at a geopotential height in m."""
     z = jnp.minimum(z, TOP)
     temperature = jnp.asarray(SEA_LEVEL_TEMPERATURE + offset)
     log_pressure = jnp.zeros_like(z)

@@ -1,4 +1,4 @@
-"""The ellipsoid: geodetic and ECEF coordinates, radii of curvature, and where a ray meets a constant height."""
+"""Ellipsoid: geodetic and ECEF coordinates, radii of curvature, intersection of a ray with a constant height."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, Vector3
 from jaxgeo.earth.geodetic import Geodetic
 
-BOWRING_STEPS = 2  # on WGS 84 they reach the last bit from -10 km to 100 000 km
-BOWRING_STEPS_IF_FLAT = 6  # for a flattening above 0.01; four reach the last bit at 0.3
-CLOSE_ENOUGH = 1e-7  # m of height before the last Newton step, which squares it; a tighter bound would chase rounding
+BOWRING_STEPS = 2  # exact to the last bit on WGS 84 from -10 km to 100 000 km
+BOWRING_STEPS_IF_FLAT = 6  # for a flattening above 0.01; four are exact to the last bit at 0.3
+CLOSE_ENOUGH = 1e-7  # m of height before the last Newton step, which squares it; a tighter bound is below rounding
 
 
 class Ellipsoid(Record):
@@ -61,9 +61,8 @@ class Ellipsoid(Record):
     def to_geodetic(self, p_ecef: Vector3) -> Geodetic:
         """Geodetic position of ECEF coordinates in m.
 
-        A fixed number of Bowring steps (it cannot stop early) and analytic derivatives: full precision from -10 to
-        1000 km and beyond, finite derivatives everywhere, the poles and the date line included. At a pole the
-        longitude is 0 and its derivative is taken as zero.
+        A fixed number of Bowring steps and analytic derivatives: full precision from -10 to 1000 km and beyond, finite
+        derivatives everywhere, including the poles and the date line. At a pole the longitude and its derivative are 0.
         """
         p_ecef = as_float64(p_ecef, "p_ecef")
         normal, height = self.normal_and_height(p_ecef)
@@ -73,7 +72,7 @@ class Ellipsoid(Record):
         return Geodetic(lat=jnp.arctan2(z, safe_norm(normal[:2])), lon=lon, height=height)
 
     def normal_and_height(self, p_ecef: Vector3) -> tuple[Vector3, Scalar]:
-        """Outward unit normal of the ellipsoid below an ECEF point (its local up), and the point's height in m.
+        """Outward unit normal of the ellipsoid (local up) at an ECEF point, and the height of the point in m.
 
         Unlike latitude and longitude, both are smooth at the poles and across the date line.
         """
@@ -81,37 +80,36 @@ class Ellipsoid(Record):
         return jnp.stack(normal), height
 
     def normal_and_height_of(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        """The components of `normal_and_height`; for a crowd, vectors of three are slow to make and to take apart."""
+        """`normal_and_height` by components; for batches, building and unpacking vectors of three is slow."""
         return _normal_and_height(self, x, y, z)
 
     def prime_vertical_radius(self, lat: Scalar) -> Scalar:
-        """Radius of curvature N across the meridian, m."""
+        """Radius of curvature N in the prime vertical, m."""
         return self.a / jnp.sqrt(1.0 - self.e2 * jnp.sin(lat) ** 2)
 
     def meridian_radius(self, lat: Scalar) -> Scalar:
-        """Radius of curvature M along the meridian, m."""
+        """Radius of curvature M in the meridian, m."""
         return self.a * (1.0 - self.e2) / (1.0 - self.e2 * jnp.sin(lat) ** 2) ** 1.5
 
     def radius_in_azimuth(self, lat: Scalar, azimuth: Scalar) -> Scalar:
-        """Radius of curvature of the normal section in an azimuth (Euler), m."""
+        """Radius of curvature of the normal section in an azimuth (Euler's formula), m."""
         M, N = self.meridian_radius(lat), self.prime_vertical_radius(lat)
         return M * N / (N * jnp.cos(azimuth) ** 2 + M * jnp.sin(azimuth) ** 2)
 
     def range_to_height(self, origin: Vector3, direction: Vector3, height: Scalar) -> tuple[Scalar, Flag]:
-        """Range in m to the near point where a ray meets the surface of constant geodetic `height`.
+        """Range in m to the near intersection of a ray with the surface of constant geodetic `height`.
 
-        Exact: the surface is that of constant geodetic height, not an inflated ellipsoid. `origin` in ECEF m,
-        `direction` a unit vector. The flag is false, and the range NaN, where the ray misses the surface or meets
-        its near side behind the origin.
+        Exact: uses geodetic height, not an inflated ellipsoid. `origin` in ECEF m, `direction` a unit vector. The flag
+        is false, and the range NaN, if the ray misses the surface or the near intersection lies behind the origin.
         """
         near, _, meets = self.ranges_to_height(origin, direction, height)
         ahead = meets & (near >= 0.0)
         return jnp.where(ahead, near, jnp.nan), ahead
 
     def ranges_to_height(self, origin: Vector3, direction: Vector3, height: Scalar) -> tuple[Scalar, Scalar, Flag]:
-        """Signed ranges in m at which a line enters and leaves the solid below a geodetic `height`, and if it does.
+        """Signed ranges in m at which a line enters and leaves the solid below a geodetic `height`, and a flag.
 
-        Where the flag is false both ranges are those of closest approach.
+        The flag says whether the line meets the solid; if false, both ranges are those of the closest approach.
         """
         origin, direction, height = as_float64((origin, direction, height), "(origin, direction, height)")
         heights = jnp.stack([height, height])
@@ -130,8 +128,8 @@ class Ellipsoid(Record):
     ) -> tuple[Float[Array, " n"], Bool[Array, " n"]]:
         """Signed ranges in m at which a line crosses surfaces of constant height, and which of them it meets at all.
 
-        `sides` is -1 where the near crossing is wanted and +1 for the far one. For searches: the values of
-        `ranges_to_height` without its derivatives, many at once.
+        `sides` is -1 for the near crossing and +1 for the far one. For searches: the values of `ranges_to_height`
+        without derivatives, vectorised.
         """
         return jax.vmap(lambda height, side: _crossing(self, origin, direction, height, side))(heights, sides)
 
@@ -142,7 +140,7 @@ GRS80 = Ellipsoid(a=6378137.0, f=1.0 / 298.257222101)
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _normal_and_height(ellipsoid: Ellipsoid, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Bowring (1976) for the reduced latitude, carried as a unit vector so that no pole divides by zero."""
+    """Bowring (1976) for the reduced latitude, carried as a unit vector to avoid a division by zero at the poles."""
     a, b, e2 = ellipsoid.a, ellipsoid.b, ellipsoid.e2
     ratio = 1.0 - ellipsoid.f
     p = jnp.sqrt(x * x + y * y)
@@ -157,7 +155,7 @@ def _normal_and_height(ellipsoid: Ellipsoid, x: Scalar, y: Scalar, z: Scalar) ->
 
 @_normal_and_height.defjvp
 def _(ellipsoid, primals, tangents):
-    """dh = n . dp; dn by the principal curvatures, written so that the difference between them vanishes at a pole."""
+    """dh = n . dp; dn from the principal curvatures, written so that their difference vanishes at a pole."""
     *normal, height = _normal_and_height(ellipsoid, *primals)
     x, y, sin_lat = normal
     W2 = 1.0 - ellipsoid.e2 * sin_lat * sin_lat
@@ -181,10 +179,10 @@ def _unit(s: Scalar, c: Scalar) -> tuple[Scalar, Scalar]:
 def _crossing(
     ellipsoid: Ellipsoid, origin: Vector3, direction: Vector3, height: Scalar, side: Scalar
 ) -> tuple[Scalar, Flag]:
-    """One crossing of a line and a surface of constant height, by Newton on the exact height.
+    """One crossing of a line and a surface of constant height, by Newton's method on the exact height.
 
-    Height along a line is convex, so after at most one step the iterates approach the root from outside, monotonically.
-    Where the line misses the surface, the range of its closest approach.
+    Height along a line is convex, so after at most one step the iterates approach the root monotonically from outside.
+    If the line misses the surface, the range of its closest approach.
     """
     closest, half_chord, meets = _chord(ellipsoid, origin, direction, height)
 
@@ -206,9 +204,9 @@ def _crossing(
 
 
 def _chord(ellipsoid: Ellipsoid, origin: Vector3, direction: Vector3, height: Scalar) -> tuple[Scalar, Scalar, Flag]:
-    """Range of closest approach to the surface, half the chord (a first value), and whether there is one.
+    """Range of closest approach to the surface, half the chord (initial value), and whether the line meets the surface.
 
-    From the inflated ellipsoid (a + h, b + h), good to millimetres; a line that grazes or misses is settled by the
+    From the inflated ellipsoid (a + h, b + h), accurate to millimetres; for a line that grazes or misses, from the
     exact height.
     """
     axes = jnp.array([ellipsoid.a, ellipsoid.a, ellipsoid.b]) + height
@@ -217,7 +215,7 @@ def _chord(ellipsoid: Ellipsoid, origin: Vector3, direction: Vector3, height: Sc
     inflated = -dot(o, d) / dd
     nearest = o + inflated * d
     squared = (1.0 - dot(nearest, nearest)) / dd
-    grazes = squared * dd < 0.02  # at its deepest less than some 64 km below the surface, or a miss
+    grazes = squared * dd < 0.02  # less than about 64 km below the surface at its deepest, or a miss
 
     def normal_and_height(s: Scalar) -> tuple[Vector3, Scalar]:
         return ellipsoid.normal_and_height(origin + s * direction)

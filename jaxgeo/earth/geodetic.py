@@ -1,4 +1,4 @@
-"""A position given by latitude, longitude and height."""
+"""Geodetic position: latitude, longitude and ellipsoidal height."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Geodetic(Record):
 
     @classmethod
     def from_degrees(cls, *, lat: ArrayLike, lon: ArrayLike, height: ArrayLike) -> Geodetic:
-        """Geodetic position from degrees and m; shapes may carry a batch axis.
+        """Geodetic position from degrees and m; inputs may have batch axes.
 
         Raises `ValueError` for a latitude outside [-90, 90], a longitude outside [-360, 360] or a height that is not
         finite; `RuntimeError` with 64-bit floats off; `TypeError` for float32.

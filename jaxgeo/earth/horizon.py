@@ -1,4 +1,4 @@
-"""How far one sees, and how far below the level the horizon lies, with the air and without."""
+"""Distance and dip of the horizon, with or without refraction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ VACUUM = Atmosphere(refractivity=0.0)
 
 
 class Horizon(Record):
-    """`distance` in m along the ground to the horizon, and its `dip` in rad below the level of the observer."""
+    """`distance` in m along the ground to the horizon, and its `dip` in rad below the observer's horizontal."""
 
     distance: ScalarField
     dip: ScalarField
@@ -24,11 +24,11 @@ class Horizon(Record):
 def horizon(
     height: ScalarLike, *, ground: ScalarLike = 0.0, atmosphere: Atmosphere | None = None, radius: float = MEAN_RADIUS
 ) -> Horizon:
-    """The horizon of smooth ground at the height `ground`, seen from `height` (m above the ellipsoid, not below it).
+    """Horizon of smooth ground at the height `ground`, seen from `height` (m above the ellipsoid, not below `ground`).
 
-    On a sphere of `radius` m (for one azimuth: `WGS84.radius_in_azimuth`); with an `atmosphere` along the ray that
-    grazes the ground, n r sin z = n r there (Snell on spherical shells). Differentiable in heights and air where
-    `height` is above `ground`. Raises `ValueError` for known heights that are not finite or lie below the ground.
+    On a sphere of `radius` m (for one azimuth: `WGS84.radius_in_azimuth`). With an `atmosphere`, along the ray that
+    grazes the ground, where n r sin z = n r (Snell on spherical shells). Differentiable in heights and atmosphere while
+    `height` is above `ground`. Raises `ValueError` for concrete heights that are not finite or lie below the ground.
 
     >>> from jaxgeo.earth.horizon import horizon
     >>> bare, in_air = horizon(3000.0), horizon(3000.0, atmosphere=jaxgeo.Atmosphere())
@@ -42,7 +42,7 @@ def horizon(
     air = as_float64(VACUUM if atmosphere is None else atmosphere, "atmosphere")
     constant = air.refractive_index(low) * (radius + low)
     thinner = air.refractivity * (air.density(high) - air.density(low))
-    more = air.refractive_index(high) * (high - low) + thinner * (radius + low)  # of n r, without cancellation
+    more = air.refractive_index(high) * (high - low) + thinner * (radius + low)  # change in n r, no cancellation
     dip = jnp.arctan2(safe_sqrt(more * (2.0 * constant + more)), constant)
     above = high > low
     level = jnp.zeros_like(constant)
@@ -58,9 +58,9 @@ def sight_range(
     atmosphere: Atmosphere | None = None,
     radius: float = MEAN_RADIUS,
 ) -> Scalar:
-    """Distance in m along smooth ground at which a target at `target_height` comes up over the horizon of `height`.
+    """Distance in m along smooth ground at which a target at `target_height` appears above the horizon of `height`.
 
-    All heights in m above the ellipsoid; the sum of both horizons' distances. Raises as `horizon`.
+    All heights in m above the ellipsoid; the sum of both horizon distances. Raises as `horizon`.
 
     >>> from jaxgeo.earth.horizon import sight_range
     >>> print(f"a mast of 200 m comes up over the horizon of 3 km at {sight_range(3000.0, 200.0) / 1000:.0f} km")

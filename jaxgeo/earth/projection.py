@@ -17,17 +17,17 @@ from jaxgeo._typing import Scalar, ScalarField, ScalarLike, Vector3
 from jaxgeo.earth import _krueger
 from jaxgeo.earth.ellipsoid import WGS84, Ellipsoid
 
-LATITUDE_STEPS = 4  # Newton squares an error that starts at e2 / 2: three reach the last bit, one is to spare
+LATITUDE_STEPS = 4  # Newton squares an initial error of e2 / 2: three reach the last bit, the fourth is a margin
 
 
 class TransverseMercator(Record):
     """A transverse Mercator map: central meridian `lon0` and latitude of origin `lat0` in rad, false origin in m.
 
-    `k0` is the scale on the central meridian. Krueger's series to the eighth order of the third flattening (Karney
-    2011, "Transverse Mercator with an accuracy of a few nanometers"): on terrestrial ellipsoids the truncation stays
-    below a nanometre to 30 degrees from the central meridian. No branch and no iteration that could stop early:
-    every derivative is finite at the central meridian, the equator, the poles and the date line. The two points on
-    the equator 90 degrees from the meridian, which lie outside the map, get large finite numbers without meaning.
+    `k0` is the scale on the central meridian. Krueger series to the eighth order of the third flattening (Karney 2011,
+    "Transverse Mercator with an accuracy of a few nanometers"): on terrestrial ellipsoids the truncation error stays
+    below a nanometre to 30 degrees from the central meridian. No branches and no early termination: every derivative is
+    finite at the central meridian, the equator, the poles and the date line. The two points on the equator 90 degrees
+    from the central meridian lie outside the map and get large finite values without meaning.
 
     All methods take one point; use `jax.vmap` for many.
     """
@@ -42,7 +42,7 @@ class TransverseMercator(Record):
 
     @classmethod
     def utm(cls, zone: int, *, north: bool = True, ellipsoid: Ellipsoid = WGS84) -> TransverseMercator:
-        """UTM of a zone 1 to 60, for the northern or the southern half. Raises `ValueError` for any other zone."""
+        """UTM of a zone 1 to 60, for the northern or southern hemisphere. Raises `ValueError` for any other zone."""
         check_range(zone, "zone", "(UTM zone number)", 1.0, 60.0)
         return cls(
             lon0=math.radians(6.0 * zone - 183.0),
@@ -56,21 +56,21 @@ class TransverseMercator(Record):
     def gauss_krueger(
         cls, lon0: ScalarField, *, false_easting: ScalarField = 500_000.0, ellipsoid: Ellipsoid = WGS84
     ) -> TransverseMercator:
-        """Gauss-Krueger about the meridian `lon0` in rad: scale 1, northing from the equator.
+        """Gauss-Krueger map with the central meridian `lon0` in rad: scale 1, northing from the equator.
 
-        A zone number in front of the easting, where a country writes one, is part of `false_easting`.
+        Where a country prefixes the easting with a zone number, include it in `false_easting`.
         """
         return cls(lon0=lon0, false_easting=false_easting, ellipsoid=ellipsoid)
 
     def forward(self, lat: ScalarLike, lon: ScalarLike) -> tuple[Scalar, Scalar]:
-        """(easting, northing) in m of a latitude and longitude in rad; `lon` may be off by whole turns."""
+        """(easting, northing) in m of a latitude and longitude in rad; `lon` may be off by multiples of 2 pi."""
         lat, lon, projection = as_float64((lat, lon, self), "(lat, lon, projection)")
         return projection._easting_northing(_normal(lat, lon - projection.lon0))
 
     def forward_from_normal(self, normal: Vector3) -> tuple[Scalar, Scalar]:
-        """(easting, northing) in m of the place where the ellipsoid's outward unit normal is `normal` (ECEF axes).
+        """(easting, northing) in m of the point whose outward unit normal on the ellipsoid is `normal` (ECEF axes).
 
-        Smooth across the date line and at the poles, where a longitude is not.
+        Smooth across the date line and at the poles, unlike longitude.
         """
         normal, projection = as_float64((normal, self), "(normal, projection)")
         return projection._easting_northing(_turned(normal, -projection.lon0))
@@ -93,8 +93,8 @@ class TransverseMercator(Record):
         """Meridian convergence in rad and point scale factor at a latitude and longitude in rad.
 
         The convergence is the azimuth of grid north, clockwise from true north (PROJ's `meridian_convergence`), so
-        azimuth = grid bearing + convergence: positive east of the central meridian on the northern half. At a pole
-        it is that of the meridian `lon`. The scale is map length over length on the ellipsoid, `k0` included.
+        azimuth = grid bearing + convergence: positive east of the central meridian in the northern hemisphere. At a
+        pole it is that of the meridian `lon`. The scale is map length over ellipsoidal length, including `k0`.
         """
         lat, lon, projection = as_float64((lat, lon, self), "(lat, lon, projection)")
         dlon = lon - projection.lon0
@@ -109,7 +109,7 @@ class TransverseMercator(Record):
         return convergence, projection.k0 * radius * slope * W / (stretch * jnp.sqrt(x**2 + z**2))
 
     def _easting_northing(self, normal: Vector3) -> tuple[Scalar, Scalar]:
-        """Map position of a normal that is turned so that the central meridian has y = 0."""
+        """Map position of a normal rotated so that the central meridian has y = 0."""
         x, y, z, _ = _conformal_sphere(self.ellipsoid, normal)
         xi, eta = _krueger.map_from_sphere(self.ellipsoid, x, y, z)
         metres = self.k0 * _krueger.rectifying_radius(self.ellipsoid)
@@ -140,8 +140,8 @@ def _turned(normal: Vector3, angle: Scalar) -> Vector3:
 def _conformal_sphere(ellipsoid: Ellipsoid, normal: Vector3) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Unit vector on the conformal sphere and cos(lat) / cos(conformal latitude).
 
-    With sinh and cosh of sigma = e atanh(e sin lat), the vector (x, y, z cosh - sinh) has length cosh - z sinh: no
-    tangent, so nothing is singular at a pole.
+    With sinh and cosh of sigma = e atanh(e sin lat), the vector (x, y, z cosh - sinh) has length cosh - z sinh. It
+    avoids the tangent, so nothing is singular at a pole.
     """
     x, y, z = normal
     sigma = _sigma(ellipsoid, z)
@@ -159,7 +159,7 @@ def _normal_from_conformal(ellipsoid: Ellipsoid, x: Scalar, y: Scalar, z: Scalar
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _sin_lat(ellipsoid: Ellipsoid, z: Scalar) -> Scalar:
-    """sin(lat) of z = sin(conformal latitude): Newton on s = (z + T(s)) / (1 + z T(s)), T = tanh(e atanh(e s))."""
+    """sin(lat) from z = sin(conformal latitude): Newton on s = (z + T(s)) / (1 + z T(s)), T = tanh(e atanh(e s))."""
     e2 = ellipsoid.e2
     s = z
     for _ in range(LATITUDE_STEPS):

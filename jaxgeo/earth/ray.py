@@ -1,4 +1,4 @@
-"""A line of sight."""
+"""Rays: lines of sight in ECEF, straight or refracted."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxgeo.earth.refraction import Bending
 
 
 class Ray(Record):
-    """A half-line in ECEF: `origin` in m, `direction` a unit vector; bent by the air if `bending` is given.
+    """A half-line in ECEF: `origin` in m, `direction` a unit vector; refracted if `bending` is given.
 
-    Ranges along a bent ray are counted on its first direction: the point at a range lies below the straight one.
+    Ranges along a refracted ray are measured along its initial direction: the point at a range lies below it.
     """
 
     origin: Vector3Field
@@ -22,7 +22,7 @@ class Ray(Record):
     bending: Bending | None = None
 
     def through(self, air: Atmosphere | None) -> Ray:
-        """The same line of sight through the air; straight without."""
+        """The same ray refracted by an atmosphere; straight if `air` is None."""
         bending = None if air is None else Bending.of(self.origin, self.direction, air)
         return Ray(self.origin, self.direction, bending)
 
@@ -31,7 +31,7 @@ class Ray(Record):
         return jnp.stack(self.components_at(distance))
 
     def components_at(self, distance: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """`at` by components; for a crowd, vectors of three are slow to make and to take apart."""
+        """`at` by components; for batches, building and unpacking vectors of three is slow."""
         x, y, z = (o + distance * d for o, d in zip(self.origin, self.direction, strict=True))
         if self.bending is None:
             return x, y, z
@@ -39,7 +39,7 @@ class Ray(Record):
         return x + dx, y + dy, z + dz
 
     def heading_at(self, distance: Scalar) -> Vector3:
-        """Direction in ECEF in which the ray goes on at `distance` m; its length is 1 but for the bending."""
+        """Direction of the ray in ECEF at `distance` m; its length is 1 except for the refraction term."""
         if self.bending is None:
             return self.direction
         return jax.jvp(self.at, (distance,), (jnp.ones_like(distance),))[1]

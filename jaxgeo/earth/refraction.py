@@ -1,4 +1,4 @@
-"""How the air bends a line of sight: a closed form for every ray, and a trace through shells to hold it against."""
+"""Atmospheric refraction of a line of sight: closed form for every ray, and a trace through shells as reference."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from jaxgeo._typing import Scalar, ScalarField, ScalarLike, Vector3, Vector3Fiel
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
 
-LEVEL = 10.0  # m between sensor and point: within, a difference of pressures would lose digits, and two terms are exact
-AIR_LAYERS = 3  # of the standard atmosphere: up to 32 km, above which a hundredth of the air is left
-GUESSES = (0.0, 4000.0)  # m: between these heights the bending is guessed, to find the height of the bent ray
-CORRECTIONS = 6  # each leaves a thousandth of the error before
+LEVEL = 10.0  # m between sensor and point: below this pressure differences lose digits; use a two-term series
+AIR_LAYERS = 3  # of the standard atmosphere: up to 32 km; 1 % of the air lies above
+GUESSES = (0.0, 4000.0)  # m: linear first estimate of the bending between these heights, for the height of the bent ray
+CORRECTIONS = 6  # each reduces the error by a factor of 1000
 SHELLS = 4000
 MEAN_RADIUS = 6_371_008.8  # m
 
 
 class Bending(Record):
-    """How far a ray falls below its first direction, by range.
+    """Deflection of a refracted ray below its initial direction, by range.
 
-    The closed form angle = K (tan z_s + tan z_g) / 2 with K = beta [(P_g - P_s) / (g (H - h)) - rho_s], from pressure
-    and density at both ends alone (z_s, z_g: angles off the vertical at sensor and ground), written with
-    (H - h) tan z = S sin z, so that a level or rising ray is as good as a steep one.
-    `down` is perpendicular to the ray, towards nadir, of length sin z_s; `climb` the ray's share upwards; `height` and
-    `radius` in m those of the sensor above the ellipsoid and of the Earth there, `thinning` and `thinning_rate` the
-    first and second derivative of density by height at the sensor, `guess` and `guess_rate` a line by height through
-    the bending of two points.
+    Closed form: angle = K (tan z_s + tan z_g) / 2 with K = beta [(P_g - P_s) / (g (H - h)) - rho_s], from pressure and
+    density at both ends (z_s, z_g: angles off the vertical at sensor and ground). It is written with (H - h) tan z = S
+    sin z, so that it also holds for level and rising rays. `down` is perpendicular to the ray, towards nadir, of length
+    sin z_s; `climb` is the upward component of the ray direction; `height` of the sensor above the ellipsoid and
+    `radius` of the Earth there in m; `thinning` and `thinning_rate` are the first and second derivative of density by
+    height at the sensor; `guess` and `guess_rate` are a linear estimate of the bending by height, through two points.
     """
 
     air: Atmosphere
@@ -47,11 +46,11 @@ class Bending(Record):
 
     @classmethod
     def of(cls, origin: Vector3, direction: Vector3, air: Atmosphere) -> Bending:
-        """The bending of a ray that leaves an ECEF point in m in a unit direction."""
+        """Bending of a ray from an ECEF point in m in a unit direction."""
         normal, height = WGS84.normal_and_height(origin)
         climb = dot(normal, direction)
         squared = 1.0 - WGS84.e2 * normal[2] ** 2
-        radius = WGS84.b / squared  # Gaussian
+        radius = WGS84.b / squared  # Gaussian radius of curvature
         pressure, density = air.pressure_and_density(height, AIR_LAYERS)
         density_at = lambda h: air.pressure_and_density(h, AIR_LAYERS)[1]  # noqa: E731
         thinning, rate = value_and_slope(lambda h: value_and_slope(density_at, h)[1], height)
@@ -61,7 +60,7 @@ class Bending(Record):
         return eqx.tree_at(lambda b: (b.guess, b.guess_rate), bending, (low, (high - low) / (GUESSES[1] - GUESSES[0])))
 
     def aimed(self, up: Vector3, direction: Vector3) -> Bending:
-        """That of another ray from the same origin, whose local `up` is given; both unit vectors in ECEF."""
+        """Bending of another ray from the same origin, given the local `up`; both unit vectors in ECEF."""
         climb = dot(up, direction)
         return eqx.tree_at(lambda b: (b.down, b.climb), self, (climb * direction - up, climb))
 
@@ -72,7 +71,7 @@ class Bending(Record):
         return amount * x, amount * y, amount * z
 
     def _amount(self, distance: Scalar) -> Scalar:
-        """Displacement in m, over the sine of the angle off the vertical at the sensor."""
+        """Displacement in m, divided by the sine of the angle off the vertical at the sensor."""
         r = self.radius + self.height
         gain = distance * (2.0 * r * self.climb + distance)
         height = self.height + gain / (jnp.sqrt(r * r + gain) + r)
@@ -83,7 +82,7 @@ class Bending(Record):
         return strength * self._excess(lowered) * mean_sine
 
     def _excess(self, height: Scalar) -> Scalar:
-        """How much denser the air is between `height` and the sensor, on average, than there; kg/m3 per m."""
+        """Mean excess of the density between `height` and the sensor over that at the sensor, kg/m3 per m of height."""
         above = self.height - height
         is_level = jnp.abs(above) < LEVEL
         apart = jnp.where(is_level, LEVEL, above)
@@ -94,7 +93,7 @@ class Bending(Record):
 
 
 def apparent_point(origin: Vector3, p_ecef: Vector3, air: Atmosphere) -> Vector3:
-    """Where a point in ECEF m seems to lie from `origin`: on the ray's first direction, at the range of that ray."""
+    """Apparent ECEF position in m of a point seen from `origin`: on the initial ray direction, at the ray's range."""
 
     up, _ = WGS84.normal_and_height(origin)
     bending, seeming = Bending.of(origin, -up, air), p_ecef
@@ -109,11 +108,10 @@ def apparent_point(origin: Vector3, p_ecef: Vector3, air: Atmosphere) -> Vector3
 def traced_arc(
     air: Atmosphere, *, height: ScalarLike, ground: ScalarLike, zenith: ScalarLike, radius: float = MEAN_RADIUS
 ) -> Scalar:
-    """Arc in m along the ground, under a spherical Earth's air, from below a sensor to where its ray comes down.
+    """Arc in m along the ground of a spherical Earth, from below a sensor to the ground point of its refracted ray.
 
-    `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (it must come down), `radius`
-    of the sphere in m. A trace through `SHELLS` shells, in which n r sin z is constant (Snell), for comparison with
-    `Bending`.
+    `height` and `ground` in m, `zenith` the apparent angle off nadir at the sensor in rad (small enough to hit the
+    ground), `radius` in m. Traces `SHELLS` shells with constant n r sin z (Snell), as reference for `Bending`.
     """
     height, ground, zenith = as_float64((height, ground, zenith), "traced_arc")
     constant = air.refractive_index(height) * (radius + height) * jnp.sin(zenith)
@@ -122,22 +120,22 @@ def traced_arc(
 
 
 def arc_between(air: Atmosphere, spare: Scalar, *, low: Scalar, high: Scalar, radius: float) -> Scalar:
-    """Arc in m at the lower height that a ray passes between two heights in m.
+    """Arc in m, at the lower height, that a ray spans between two heights in m.
 
-    n r sin z, the same all along it, is less than n r at `low` by `spare` (0 for a ray that is level there). The shells
-    thin out quadratically towards `low`.
+    n r sin z is constant along the ray and `spare` less than n r at `low` (0 for a ray that is level there). Shell
+    thickness decreases quadratically towards `low`.
     """
     density = air.density(low)
     constant = air.refractive_index(low) * (radius + low) - spare
     edges = jnp.arange(SHELLS + 1) / SHELLS
     middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 / SHELLS
-    aside = half * 0.6**0.5  # three nodes of Gauss in each
+    aside = half * 0.6**0.5  # three Gauss-Legendre nodes per shell
 
     def turn(t: jax.Array) -> jax.Array:
         above = (high - low) * t * t
         n_less_one = air.refractivity * air.density(low + above)
         thinner = air.refractivity * (air.density(low + above) - density)
-        more = spare + (1.0 + n_less_one) * above + thinner * (radius + low)  # n r, less that of the ray
+        more = spare + (1.0 + n_less_one) * above + thinner * (radius + low)  # n r minus its value for the ray
         return constant / jnp.sqrt(more * (2.0 * constant + more)) / (radius + low + above) * t
 
     parts = 5.0 * turn(middle - aside) + 8.0 * turn(middle) + 5.0 * turn(middle + aside)

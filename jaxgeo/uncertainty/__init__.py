@@ -1,4 +1,4 @@
-"""How sure a fix is: error sources, and every way of pushing chance through the one map from pixel to ground."""
+"""Accuracy of fixes: error sources, linear propagation, Monte Carlo, sigma points, error budgets and design."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.uncertainty import metrics, presets, sources

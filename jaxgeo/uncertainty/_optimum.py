@@ -1,4 +1,4 @@
-"""The optimisation behind a design: the least cost of sigmas, in their logarithms, with which an error is met."""
+"""Constrained optimisation of a design: minimum cost over log sigmas subject to an error bound."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jaxtyping import Bool, Float
 
 from jaxgeo._record import Record
@@ -22,7 +22,7 @@ MOST_STEPS = 500
 
 
 class Problem(Record):
-    """Cost and circular error by the logarithms of the factors on today's sigmas; those that are zero stay so."""
+    """Cost and circular error as functions of the log factors on today's sigmas; zero sigmas stay zero."""
 
     linear: Linear
     today: Sigmas
@@ -36,24 +36,24 @@ class Problem(Record):
         return self.today * jnp.exp(jnp.asarray(logs))
 
     def log_error(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
-        """Logarithm of the circular error in m, and its slopes."""
+        """Logarithm of the circular error in m, and its gradient."""
         sigma = self.sigma(logs)
         error, slopes = error_and_slopes(self.linear, sigma, self.probability)
         return math.log(max(self.ratio * float(error), 1e-300)), np.asarray(slopes * sigma / error)
 
     def priced(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
-        """The cost and its slopes."""
+        """Cost and its gradient."""
         sigma = self.sigma(logs)
         cost, slopes = _cost_and_slopes(self.cost, sigma, self.today)
         return float(cost), np.asarray(slopes * sigma)
 
     @property
     def box(self) -> list[tuple[float, float]]:
-        """The bounds of each sigma."""
+        """Bounds of each sigma."""
         return list(zip(self.low.tolist(), self.high.tolist(), strict=True))
 
     def equal(self, log_factor: float) -> np.ndarray:
-        """One factor for all, each kept within its bounds."""
+        """One log factor for all sigmas, each clipped to its bounds."""
         return np.clip(np.full(self.low.shape, log_factor), self.low, self.high)
 
 
@@ -63,7 +63,7 @@ def _cost_and_slopes(cost: Callable[[Sigmas, Sigmas], Scalar], sigma: Sigmas, to
 
 
 def equal_scaling(problem: Problem, goal: float) -> float:
-    """Logarithm of the factor on all of today's sigmas that meets the goal, NaN if none does."""
+    """Logarithm of the common factor on all of today's sigmas that meets the goal; NaN if none does."""
     excess = lambda factor: problem.log_error(problem.equal(factor))[0] - goal  # noqa: E731
     low, high = float(np.min(problem.low)), float(np.max(problem.high))
     if excess(low) > 0.0:
@@ -75,17 +75,17 @@ def equal_scaling(problem: Problem, goal: float) -> float:
 
 
 def closest(problem: Problem) -> np.ndarray:
-    """The smallest error within the bounds; with correlated errors not all sigmas need to be at their lowest for it."""
+    """Log factors of the smallest error within the bounds; with correlated errors some may be above their lowest."""
     found = scipy.optimize.minimize(problem.log_error, problem.low, jac=True, bounds=problem.box, method="SLSQP")
     best = np.clip(found.x, problem.low, problem.high)
     return best if problem.log_error(best)[0] <= problem.log_error(problem.low)[0] else problem.low
 
 
 def cheapest(problem: Problem, start: np.ndarray, goal: float) -> np.ndarray:
-    """The least cost that meets the goal, from sigmas that do; the cost is counted in that of the start."""
+    """Log factors of minimum cost that meet the goal, from a feasible start; cost is relative to that of the start."""
     scale = problem.priced(start)[0] or 1.0
 
-    @functools.lru_cache(maxsize=1)  # value and slopes are asked for one after the other
+    @functools.lru_cache(maxsize=1)  # value and gradient are evaluated in succession
     def log_error(logs: bytes) -> tuple[float, np.ndarray]:
         return problem.log_error(np.frombuffer(logs))
 
@@ -105,9 +105,9 @@ def cheapest(problem: Problem, start: np.ndarray, goal: float) -> np.ndarray:
 def karush_kuhn_tucker(
     cost: np.ndarray, error: np.ndarray, lowest: np.ndarray, highest: np.ndarray, free: Bool[np.ndarray, " sigmas"]
 ) -> tuple[float, float]:
-    """(multiplier of the constraint on the log of the error, by how much the conditions of an optimum are broken).
+    """(multiplier of the constraint on the log of the error, violation of the Karush-Kuhn-Tucker conditions).
 
-    At an optimum cost + multiplier error is zero but for sigmas at a bound, at which it points out of the bounds.
+    At an optimum cost + multiplier * error has zero gradient, except for sigmas at a bound, where it points outwards.
     """
     between = free & ~lowest & ~highest
     if np.any(between):

@@ -1,4 +1,4 @@
-"""Many draws of one look at once: their lines of sight are made in blocks, and come down together."""
+"""Batched line-of-sight perturbation: sampled errors, lines of sight and ground intersections, in blocks."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, Sightline
 from jaxgeo.uncertainty.sources.base import Error
 
-BLOCK = 2048  # lines of sight: what they are made of stays in a core's cache
-LANES = 64  # a block is so many times some lines, or the search would fill up its own
-PART = 4096  # of them that are searched together, which bounds the memory
+BLOCK = 2048  # lines of sight per block; intermediate results fit into the cache of a core
+LANES = 64  # block sizes are multiples of this, so that the search needs no padding
+PART = 4096  # lines of sight searched together, which bounds the memory
 TRIALS = 1024
-WIDER = 1.5  # than the trials' farthest: some four sigmas, so that hardly any draw lies outside
-LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: for rounding, where nothing spreads
+WIDER = 1.5  # factor on the largest trial deviation: about four sigmas, so that hardly any draw lies outside
+LEAST = Spread(1e-3, 1e-9, 1e-3)  # m, rad, m: margin for rounding if there is no spread
 
 Stages: TypeAlias = Sequence[Callable[[Any], Any]]
 FixOffsets: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]]
@@ -33,12 +33,10 @@ FixOffsets: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]
 def fix_offsets(
     model: ErrorModel, look: ModelInputs, aim: NominalFix, search: AbstractSearch, stages: Stages, each: Array
 ) -> FixOffsets:
-    """`ErrorModel.miss` in m, and statuses, of the errors that `stages`, one after the other, make of each of many
-    (leading axis).
+    """Fix offsets in m, and statuses, for a batch of errors that `stages` compute in order from `each` (leading axis).
 
-    All go through the first stage, then all through the next, then all lines of sight are made, then all searched for
-    their ground: left to itself, the compiler would have an error drawn again wherever it is looked at, and the chain
-    of rotations gone through again.
+    The whole batch passes through each stage, then all lines of sight are formed, then all are intersected. Otherwise
+    the compiler would recompute an error at each use, and with it the chain of rotations.
     """
     lines, own, common = _lines(model, look, stages, each)
 
@@ -50,10 +48,10 @@ def fix_offsets(
 
 
 def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -> tuple[Any, Any]:
-    """A function of many (leading axis), in parts of one size, one after the other, which bound the memory.
+    """A function applied to a batch (leading axis) in parts of one size, in sequence, which bounds the memory.
 
-    It gets a part, and which of that are not there only to fill it up. It returns what is kept of each, which is joined
-    again, and what is kept of the part, which gets the parts as leading axis.
+    It takes a part and a flag per item that is false for padding. It returns results per item, which are concatenated,
+    and results per part, which are stacked along a leading axis.
     """
     parts, count = _blocks(each, PART)
     is_own = jnp.arange(parts.shape[0] * parts.shape[1]).reshape(parts.shape[:2]) < count
@@ -62,9 +60,9 @@ def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -
 
 
 def with_beam(search: AbstractSearch, model: ErrorModel, look: ModelInputs, aim: NominalFix) -> AbstractSearch:
-    """The search, told where on their way the lines of sight of this model begin to be near the ground.
+    """The search, given the range from which the lines of sight of this model can be near the ground.
 
-    How far they spread is seen from some trial draws; one that lies farther off is searched as if nothing were known.
+    Their spread is estimated from `TRIALS` draws; a line outside that spread is searched without this information.
     """
     if not isinstance(search, FirstHit) or not isinstance(look.terrain, Dem) or look.air is not None:
         return search
@@ -83,7 +81,7 @@ def with_beam(search: AbstractSearch, model: ErrorModel, look: ModelInputs, aim:
 
 
 def _lines(model: ErrorModel, look: ModelInputs, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
-    """(lines of sight, what the errors move of the ground that each comes down on, what all have in common)."""
+    """(lines of sight, perturbed parts of terrain and atmosphere per line, parts common to all)."""
     given = {id(leaf) for leaf in jax.tree.leaves(_ground(look))}
     example = _ground(model.moved(look, jnp.zeros(model.size)))
     is_moved = jax.tree.map(lambda leaf: id(leaf) not in given, example)
@@ -97,18 +95,17 @@ def _lines(model: ErrorModel, look: ModelInputs, stages: Stages, each: Array) ->
 
 
 def _rise(terrain: Dem) -> Scalar:
-    """How far in m a field raises the ground."""
+    """Height in m by which a field raises the ground."""
     return jnp.asarray(0.0 if terrain.rise is None else terrain.rise)
 
 
 def _ground(look: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
-    """What a line of sight comes down on, and through what."""
+    """Terrain and atmosphere of an observation."""
     return look.terrain, look.air
 
 
 def _in_turn(stages: Stages, each: Array) -> Any:
-    """What stages, one after the other, make of each of many (leading axis), in blocks; between them the last axis
-    counts."""
+    """Results of `stages` applied in order to a batch (leading axis), in blocks; in between, the batch axis is last."""
     blocks, count = _blocks(each, BLOCK)
     *others, last = stages
     axis = 0
@@ -119,7 +116,7 @@ def _in_turn(stages: Stages, each: Array) -> Any:
 
 
 def _blocks(each: Array, largest: int) -> tuple[Array, int]:
-    """Blocks of one size, the last one filled up; and how many there were."""
+    """The batch in blocks of one size, the last one padded, and the number of items."""
     count, shape = each.shape[0], each.shape[1:]
     blocks = max(-(-count // largest), 1)
     size = -(-count // blocks)
@@ -129,5 +126,5 @@ def _blocks(each: Array, largest: int) -> tuple[Array, int]:
 
 
 def _joined(blocks: Any, count: int) -> Any:
-    """The first so many of what lies in blocks."""
+    """The first `count` items of blocks, concatenated."""
     return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:count], blocks)

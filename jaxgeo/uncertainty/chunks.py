@@ -1,4 +1,4 @@
-"""What is sampled, and the drawing of it chunk by chunk, on all devices."""
+"""Chunked Monte Carlo sampling on all devices."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for
 
 
 class Plan(NamedTuple):
-    """What is sampled and how, once and for all chunks."""
+    """Inputs of a sampling, common to all chunks."""
 
     look: ModelInputs
     aim: NominalFix
@@ -41,7 +41,7 @@ class Plan(NamedTuple):
 def planned(
     look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any
 ) -> Plan:
-    """The plan of a look; its terrain does not go through a program, which would give back a copy."""
+    """Sampling plan of an observation; its terrain bypasses the compiled function, which would return a copy."""
     model, roots, turn, search = _prepared(look, aim, model, draws, search)
     return Plan(look, aim, model, roots, turn, draws, search, key)
 
@@ -50,7 +50,7 @@ def planned(
 def _prepared(
     look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:
-    """(the model at the look, its roots, a turn for points of Sobol, the search with a beam)."""
+    """(model at the observation, its roots, rotation for Sobol points, search with a beam)."""
     model = model.at(look, aim)
     turn = None
     if isinstance(draws, Sobol):
@@ -59,30 +59,30 @@ def _prepared(
 
 
 def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
-    """A rotation of standard normal vectors after which the first of them move the fix the most."""
+    """Rotation of standard normal vectors after which the leading components displace the fix most."""
     sound = jnp.all(jnp.isfinite(swept))
     _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
     return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
 
 
 def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
-    """Misses in m and statuses of the samples of these numbers."""
+    """Fix offsets in m and statuses of the samples with these numbers."""
 
     *others, last = plan.draws.stages(plan.key, plan.model.size)
 
     def error_of(numbers: Any) -> Float[Array, " axes"]:
         normal = last(numbers)
         if plan.turn is not None:
-            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # a product of matrices would round by its batch
+            normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
         return plan.model.drawn(plan.roots, normal)
 
     return fix_offsets(plan.model, plan.look, plan.aim, plan.search, (*others, error_of), numbers)
 
 
 class Drawn(NamedTuple):
-    """A chunk: sums, device by device, over the samples with a fix of the products of (east, north, up, 1), their
-    errors about the centre in m; and of each sample the radii in m for CE, LE and SE, its status and, if asked for, its
-    error."""
+    """One chunk: per device, sums over samples with a fix of the products of (east, north, up, 1), in m about the
+    centre; per sample, the radii in m for CE, LE and SE, the status and, if requested, the error.
+    """
 
     moments: Float[Array, "devices 4 4"]
     radii: tuple[Float[Array, " samples"], ...]
@@ -99,7 +99,7 @@ def drawn_chunk(
     devices: tuple[Any, ...],
     keep: bool,
 ) -> Drawn:
-    """The chunk of a `part`, (first sample, how many), spread over the devices and filled up to `size` samples."""
+    """The chunk `part` = (first sample, number of samples), split over the devices and padded to `size` samples."""
     drawn = partial(_drawn, keep)
     if len(devices) == 1:
         return drawn(plan, part, centre, jnp.arange(size))
@@ -121,7 +121,7 @@ def _drawn(
     centre: Vector3,
     places: Int[Array, " samples"],
 ) -> Drawn:
-    """What one device draws of a chunk: the samples at these places of it. No device waits for another one's sums."""
+    """Samples of a chunk at the indices `places`, drawn on one device. Devices do not wait for each other's sums."""
     first, count = part
 
     def some(places: Int[Array, " part"], is_own: Flags) -> tuple[Any, Any]:
@@ -140,8 +140,7 @@ def _drawn(
 
 
 def _moments(error: Float[Array, "part 3"], counts: Flags) -> Float[Array, "4 4"]:
-    """Sums of the products of (east, north, up, 1) over those that count: all at once, for each would go through the
-    part again."""
+    """Sums of the products of (east, north, up, 1) over the counted samples, in one pass over the part."""
     known = [jnp.where(counts, x, 0.0) for x in (*error.T, jnp.ones(error.shape[0]))]
     products = [known[i] * known[j] for i, j in _PAIRS]
     sums = jax.lax.reduce(
@@ -157,8 +156,8 @@ def _mesh(devices: tuple[Any, ...]) -> Mesh:
 def one_ahead(
     plan: Plan, parts: Iterator[tuple[int, int, int]], centre: Vector3, devices: tuple[Any, ...], keep: bool
 ) -> Iterator[tuple[int, int, Drawn]]:
-    """(first sample, number of samples, what was drawn) of chunk after chunk; the next is drawn meanwhile."""
-    # once, not with every chunk: the terrain may be large
+    """(first sample, number of samples, drawn samples) chunk by chunk; the next chunk is drawn in the meantime."""
+    # copied to the devices once, not per chunk: the terrain may be large
     arrays, rest = eqx.partition((plan, centre), eqx.is_array)
     plan, centre = eqx.combine(jax.device_put(arrays, NamedSharding(_mesh(devices), PartitionSpec())), rest)
     waiting = None
@@ -173,13 +172,13 @@ def one_ahead(
 
 
 def chunks(count: int, chunk: int, devices: int, unit: int, progress: bool) -> Iterator[tuple[int, int, int]]:
-    """(first sample, number of samples, the same padded to one size that goes into devices and scrambles)."""
+    """(first sample, number of samples, padded number); the last is a multiple of the device and scramble counts."""
     unit = int(np.lcm(devices, unit))
     size = -(-min(chunk, count) // unit) * unit
     parts = [(first, min(size, count - first), size) for first in range(0, count, size)]
     if not progress:
         yield from parts
         return
-    from rich.progress import track  # only who wants to see it needs it
+    from rich.progress import track  # optional, imported only if used
 
     yield from track(parts, description="sampling")

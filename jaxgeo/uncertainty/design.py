@@ -1,4 +1,4 @@
-"""Inverse design: the cheapest standard deviations with which a fix is as sure as it has to be."""
+"""Inverse design: cheapest standard deviations of the error sources for a required circular error."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Quantile, sample
 
-CLOSE = 1e-8  # of the target, by which an optimum may miss it
-AT_BOUND = 1e-7  # of log sigma, within which a sigma is at its bound
-KEPT = 1e-6  # of the cost, by which an optimum may break the conditions of Karush, Kuhn and Tucker
+CLOSE = 1e-8  # of the target: tolerance for meeting it
+AT_BOUND = 1e-7  # of log sigma: distance within which a sigma counts as at its bound
+KEPT = 1e-6  # of the cost: tolerance for the Karush-Kuhn-Tucker conditions
 
 
 class InverseCost(Record):
-    """The cost of each sigma is `weights` (one, or one for each) times today's sigma over it: half of it costs double.
+    """Cost inversely proportional to sigma: `weights` (one, or one for each) times today's sigma / sigma, summed.
 
-    A sigma that is zero today costs nothing.
+    Halving a sigma doubles its cost. A sigma that is zero today costs nothing.
     """
 
     weights: Any = 1.0
@@ -44,7 +44,7 @@ INVERSE_COST = InverseCost()
 
 
 class Outcome(enum.Enum):
-    """What became of a design, as a sentence."""
+    """Outcome of a design, as a sentence."""
 
     optimal = "The target is met, and nothing cheaper meets it."
     slack = "The target is met with every sigma at its highest: looser bounds would be cheaper still."
@@ -53,12 +53,12 @@ class Outcome(enum.Enum):
 
 
 class Design(Record):
-    """The cheapest standard deviations, and how sure a fix is with them.
+    """Cheapest standard deviations, and the accuracy of the fix with them.
 
-    `sigmas` in rad, m, px, s, ... under `names`, `model` the errors with them, `cost` theirs, `equal_cost` that of
-    `equal_factor` times all of today's (each within its bounds) to the same target, NaN where that does not reach it.
-    `multiplier` is the cost that one m more of the target would save; `kkt_residual` how far the conditions of Karush,
-    Kuhn and Tucker are broken, in shares of the cost; `at_lowest` and `at_highest` name the sigmas at their bounds.
+    `sigmas` in rad, m, px, s, ... under `names`, `model` the error model with them, `cost` their cost. `equal_factor`
+    scales all of today's sigmas alike (each within its bounds) to the same target, at `equal_cost`; NaN if it cannot be
+    reached. `multiplier` is the cost saved per additional m of target; `kkt_residual` the violation of the
+    Karush-Kuhn-Tucker conditions, relative to the cost; `at_lowest` and `at_highest` name the sigmas at their bounds.
     `circular_error` in m is that of linear propagation times `ratio`.
     """
 
@@ -81,7 +81,7 @@ class Design(Record):
     at_highest: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words; standard deviations, and those of `today`, in `unit`."""
+        """Plain numbers and words; the standard deviations and those of `today` in `unit`."""
         rows = zip(self.names, self.units, self.today.tolist(), self.sigmas.tolist(), strict=True)
         figures = "circular_error target probability ratio cost equal_cost equal_factor multiplier kkt_residual".split()
         return {
@@ -103,16 +103,16 @@ class Design(Record):
         count: int = 100_000,
         **options: Any,
     ) -> Certificate:
-        """Draw the errors of the design at its look, by `sample`, which takes the same arguments.
+        """Monte Carlo certificate of the design at its observation, by `sample`, which takes the same arguments.
 
-        The design is a linear one; this asks the whole map, samples without a fix counted as infinitely far.
+        The design uses linear propagation, the certificate the full model; samples without a fix are infinitely far.
         """
         sampled = sample(sensor, shot, uv, terrain, self.model, key=key, count=count, figures=("CE",), **options)
         return Certificate(sampled.circular_error(self.probability), self.target, self.circular_error)
 
 
 class Certificate(NamedTuple):
-    """A target in m beside the circular error of samples, and the one that the design reckoned with."""
+    """A target in m, the circular error from samples, and that predicted by the design."""
 
     sampled: Quantile
     target: float
@@ -120,17 +120,17 @@ class Certificate(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """How many times what was designed the samples err."""
+        """Sampled circular error divided by the designed one."""
         return self.sampled.value / self.designed
 
     @property
     def holds(self) -> bool:
-        """Whether the target lies in the interval of the samples, or above it."""
+        """Whether the target is at least the lower end of the sampled confidence interval."""
         return self.target >= self.sampled.low
 
     @property
     def is_proven(self) -> bool:
-        """Whether it lies at the interval's upper end or above: with confidence no less than asked for."""
+        """Whether the target is at least the upper end of the interval, i.e. met at the requested confidence."""
         return self.target >= self.sampled.high
 
 
@@ -143,16 +143,15 @@ def design(
     bounds: Sequence[Any] = (0.01, 100.0),
     ratio: float = 1.0,
 ) -> Design:
-    """The cheapest standard deviations with which the circular error at `probability` is no more than `target` m.
+    """Cheapest standard deviations for which the circular error at `probability` is at most `target` m.
 
-    `cost(sigma, today)` is the cost of standard deviations in rad, m, px, s, ..., in the order of the model's, beside
-    today's; it must be written with jax.numpy, and fall as sigmas grow. `bounds` are the lowest and the highest
-    multiples of today's, one for all or one for every sigma. By sequential quadratic programming in log sigma with
-    exact derivatives (Kraft 1988, "A software package for sequential quadratic programming"); for correlated errors,
-    which may cancel, it finds a local optimum. It holds for the linear propagation, times a `ratio` that samples may
-    have shown: `certify` what comes out, or call `certified_design`, which does so until it holds.
-    Raises `ValueError` for a target that is not positive, a negative cost, bounds in disorder, or a propagation without
-    a fix.
+    `cost(sigma, today)` is the cost of standard deviations in rad, m, px, s, ..., in the order of the model's, given
+    today's; it must use jax.numpy and decrease as sigmas grow. `bounds` are the lowest and highest multiples of today's
+    sigmas, each a number or one per sigma. Solved by sequential quadratic programming in log sigma with exact
+    derivatives (Kraft 1988, "A software package for sequential quadratic programming"); for correlated errors, which
+    may cancel, it finds a local optimum. Valid for linear propagation, times a `ratio` that samples may have shown:
+    `certify` the result, or call `certified_design`, which iterates until it holds. Raises `ValueError` for a target
+    that is not positive, a negative cost, invalid bounds, or a propagation without a fix.
     """
     linear = Linear.of(propagation, "A design")
     probability_ = check_probability(probability)
@@ -189,10 +188,10 @@ def certified_design(
     sampling: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> tuple[Design, Certificate]:
-    """(a design as `design` makes it with the same options, its certificate), made to hold for samples.
+    """(design as by `design` with the same options, its certificate), adjusted until samples confirm it.
 
-    Where samples err more than linear propagation says, as on rough ground, all is designed again for so much less,
-    `rounds` times at most. `sampling` holds more arguments of `sample`. Raises as `design` and `sample`.
+    If the sampled error exceeds the linear one, as on rough ground, the design is repeated with a reduced target, at
+    most `rounds` times. `sampling` holds further arguments of `sample`. Raises as `design` and `sample`.
     """
     ratio = 1.0
     for _ in range(max(rounds, 1)):
@@ -205,7 +204,7 @@ def certified_design(
 
 
 def _design(problem: Problem, logs: np.ndarray, outcome: Outcome, goal: float, equal: float) -> Design:
-    """The record of a design, with the optimality of what is called optimal checked."""
+    """The record of a design; verifies optimality if `outcome` claims it."""
     log_error, error_slopes = problem.log_error(logs)
     cost, cost_slopes = problem.priced(logs)
     free = problem.low < problem.high
@@ -229,7 +228,7 @@ def _design(problem: Problem, logs: np.ndarray, outcome: Outcome, goal: float, e
 
 
 def _log_bounds(bounds: Any, today: Sigmas) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of the bounds, one for each sigma; zero for those that are zero today, and stay so."""
+    """Logarithms of the bounds, one for each sigma; zero for sigmas that are zero today, which stay zero."""
     if not isinstance(bounds, tuple | list) or len(bounds) != 2:
         raise ValueError(f"bounds must be two, the lowest and the highest multiples of today's sigmas; got {bounds!r}.")
     both = []
@@ -251,7 +250,7 @@ def _log_bounds(bounds: Any, today: Sigmas) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _check_cost(problem: Problem) -> None:
-    """Raise as `design` for what is no cost; asked at both ends of the bounds."""
+    """Raise as `design` for an invalid cost, evaluated at both ends of the bounds."""
     if isinstance(problem.cost, InverseCost):
         weights = np.asarray(as_array(problem.cost.weights, "weights"))
         check_finite(weights, "weights", "units of cost")

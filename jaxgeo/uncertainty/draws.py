@@ -1,4 +1,4 @@
-"""Standard normal vectors by their number: a sample hangs on a key and its index, never on its neighbours."""
+"""Counter-based standard normal vectors: a sample depends on a key and its index only."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Pairs: TypeAlias = tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
 Stage: TypeAlias = Callable[[Any], Any]
 
 
-MORE = "Draw them in several parts, each with a key of its own."  # than can be told apart
-OWN = 0x6A617867  # folded into a key, so that nobody else draws these numbers with it
+MORE = "Draw them in several parts, each with a key of its own."  # appended to messages about too large indices
+OWN = 0x6A617867  # folded into a key, so that other uses of the key draw different numbers
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
 class AbstractDraws(Record):
-    """Where the standard normal vectors of a sampling come from."""
+    """Generator of the standard normal vectors of a sampling."""
 
     def standard_normal(self, key: Any, index: IndexField, size: int) -> Vector:
         """Sample number `index`, counted from 0: `size` independent standard normal numbers.
 
-        The same for the same key and index, alone or under `vmap`, in whatever chunks. Its first numbers do not change
-        when `size` grows. None is infinite: they lie within 8.5 of zero. Raises `ValueError` for an index out of range
-        and for a key other than JAX's usual kind, whose numbers change under `vmap`.
+        The same for the same key and index, alone or under `vmap`, in chunks of any size. The first numbers do not
+        change when `size` grows. All are finite, within 8.5 of zero. Raises `ValueError` for an index out of range and
+        for a key other than JAX's default kind, whose numbers change under `vmap`.
         """
         numbers = index
         for stage in self.stages(key, size):
@@ -44,14 +44,14 @@ class AbstractDraws(Record):
 
     @abc.abstractmethod
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
-        """What, one after the other, make `standard_normal` of an index, with the errors that it raises.
+        """Functions that, applied in order to an index, give `standard_normal`, with the errors that it raises.
 
-        A crowd goes through them together, or the compiler would go through the first for each use of the last.
+        A batch passes each stage as a whole; otherwise the compiler repeats the first stage for each use of the last.
         """
 
 
 class Random(AbstractDraws):
-    """Independent draws, for up to 2^32 samples: two at a time, by Box and Muller 1958."""
+    """Independent draws, up to 2^32 samples: two at a time, by the Box-Muller transform (1958)."""
 
     def stages(self, key: Any, size: int) -> tuple[Stage, ...]:
         def uniform(index: IndexField) -> Pairs:
@@ -73,12 +73,12 @@ class Random(AbstractDraws):
 
 
 class Sobol(AbstractDraws):
-    """Sobol points, which fill space evenly, scrambled several times over so that their error can be told.
+    """Sobol points (low discrepancy) in several independent scrambles, whose spread gives an error estimate.
 
-    Sample `index` is point `index // scrambles` of scramble `index % scrambles`; 2^32 points in each. The scrambles are
-    independent, each by itself an even and unbiased sample; it is best at a power of two of points. So the spread
-    between the scrambles' results tells the error of their mean (see `intervals.scrambled_interval`); the samples of
-    one scramble are not independent of each other. Raises `ValueError` for more dimensions than 1024.
+    Sample `index` is point `index // scrambles` of scramble `index % scrambles`; 2^32 points in each. Each scramble is
+    a uniform and unbiased sample, best at a power of two of points. The spread between the scrambles' results estimates
+    the error of their mean (see `intervals.scrambled_interval`); samples within one scramble are not independent.
+    Raises `ValueError` for more than 1024 dimensions.
     """
 
     scrambles: int = eqx.field(static=True, default=16)
@@ -100,7 +100,7 @@ class Sobol(AbstractDraws):
         return uniform, normal_quantile
 
     def _seeds(self, key: Any, size: int) -> UInt32[Array, "scrambles 3 size"]:
-        """Random words of all scrambles: under `vmap` over the index they are drawn only once."""
+        """Random words of all scrambles; under `vmap` over the index they are drawn once."""
 
         def of_scramble(number):
             return jax.random.bits(jax.random.fold_in(key, number), (size, 3), jnp.uint32).T
@@ -111,10 +111,10 @@ class Sobol(AbstractDraws):
 def threefry(
     key: UInt32[Array, "2"], first: UInt32[Array, "*shape"], second: UInt32[Array, "*shape"]
 ) -> tuple[UInt32[Array, "*shape"], UInt32[Array, "*shape"]]:
-    """Two random words for every two words of a counter: the generator behind JAX's keys, written out.
+    """Two random words for each pair of counter words: the generator behind JAX's keys, unrolled.
 
-    Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3", Threefry-2x32-20. JAX's own loops over its
-    rounds, each of which then goes through memory: three times as slow on a processor.
+    Threefry-2x32-20, Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3". JAX's own version loops over
+    the rounds and writes each to memory: three times as slow on a CPU.
     """
     keys = key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(0x1BD11BDA)
     first, second = first + keys[0], second + keys[1]
@@ -128,24 +128,24 @@ def threefry(
 
 
 def _centred(high: UInt32[Array, " size"], low: UInt32[Array, " size"]) -> Vector:
-    """Numbers in (-1/2, 1/2) of 51 random bits: odd multiples of 2^-52, so never 0 nor an end, and exact.
+    """Numbers in (-1/2, 1/2) from 51 random bits: odd multiples of 2^-52, so never 0 nor an end point, and exact.
 
-    The bits make the fraction of a float in [1, 2), which costs much less than converting 64-bit integers. The odd one
-    is among them: XLA would fold it into the 1.5 if it were added later, and lose it.
+    The bits form the fraction of a float in [1, 2), which is much cheaper than a conversion of 64-bit integers. The odd
+    bit is set in the fraction: XLA would fold it into the 1.5 if it were added later, and lose it.
     """
     fraction = high.astype(jnp.uint64) << 20 | (low >> 12 | 1).astype(jnp.uint64)
     return jax.lax.bitcast_convert_type(fraction | jnp.uint64(0x3FF << 52), jnp.float64) - 1.5
 
 
-# Of sin(pi / 2 w) / w in w^2 on [-1, 1]: through Chebyshev's nine nodes, so within 4e-19.
+# Polynomial of sin(pi / 2 w) / w in w^2 on [-1, 1] through nine Chebyshev nodes; error below 4e-19.
 _SINE = (1.5707963267948966, -0.6459640975062462, 0.07969262624616565, -0.004681754135304255, 0.0001604411847130916,
          -3.5988430204672576e-06, 5.6921364280986254e-08, -6.684416831856085e-10, 5.87297574479995e-12)  # fmt: skip
 
 
 def _cosine_and_sine_in_turn(turn: Vector) -> Vector:
-    """Cosines of even numbers and sines of odd ones, of angles in turns from -1/2 to 1/2.
+    """Cosines at even indices and sines at odd ones, of angles in turns from -1/2 to 1/2.
 
-    Every one as the sine of quarter turns from -1 to 1, which are exact: so one loop makes them all.
+    All are computed in one loop as sines of quarter turns from -1 to 1, which are exact.
     """
     size = jnp.abs(turn)
     of_cosine = 1.0 - 4.0 * size
@@ -158,7 +158,7 @@ def _cosine_and_sine_in_turn(turn: Vector) -> Vector:
     return sine * quarters
 
 
-# Coefficients of numerator and denominator, from the highest power down, for the middle and for the near and far tails.
+# Coefficients of numerator and denominator, highest power first, for the middle and the near and far tails.
 _MIDDLE = (
     (2509.0809287301226727, 33430.575583588128105, 67265.770927008700853, 45921.953931549871457,
      13731.693765509461125, 1971.5909503065514427, 133.14166789178437745, 3.3871328727963666080),
@@ -180,10 +180,10 @@ _FAR = (
 
 
 def normal_quantile(centred: Numbers) -> Numbers:
-    """Quantile of the standard normal distribution at the probability 1/2 + `centred`, which lies in (-1/2, 1/2).
+    """Quantile of the standard normal distribution at the probability 1/2 + `centred`, with `centred` in (-1/2, 1/2).
 
     Wichura 1988, "Algorithm AS 241: the percentage points of the normal distribution", to 1e-15; odd to the last bit.
-    Of its three quotients the coefficients are chosen and one is computed: twice as fast as `jax.scipy.special.ndtri`.
+    The coefficients are selected first and one quotient is evaluated: twice as fast as `jax.scipy.special.ndtri`.
     """
     middle = jnp.abs(centred) <= 0.425
     tail = jnp.where(middle, 0.5, 0.5 - jnp.abs(centred))
@@ -198,7 +198,7 @@ def normal_quantile(centred: Numbers) -> Numbers:
 
 
 def _check(key: Any, index: Any, size: int, count: int) -> None:
-    """Raise `ValueError` where a sample cannot be drawn."""
+    """Raise `ValueError` if a sample cannot be drawn."""
     require_x64()
     if not isinstance(size, int) or size < 0:
         raise ValueError(f"size must be a whole number of at least 0; got {size!r}.")

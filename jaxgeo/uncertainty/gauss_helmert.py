@@ -1,4 +1,4 @@
-"""The covariance of a fix by another way: adjustment of conditions between what is observed and the point itself."""
+"""Covariance of a fix by the Gauss-Helmert model (condition equations between observations and point)."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def gauss_helmert(
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
 ) -> Matrix3:
-    """Covariance of the fix in east, north, up (m2) as `propagate` gives it, but through `project`.
+    """Covariance of the fix in east, north, up (m2), equal to that of `propagate` but computed through `project`.
 
-    Gu (2017), Eq 3: of the conditions F(X, l) = 0, that the point X is imaged at the pixel (two rows of collinearity)
-    and lies on the ground (one row), with B = dF/dX and A = dF/dl, the covariance is (B' (A Sigma A')^-1 B)^-1. All
-    three rows must err, so a source of the ground's height must be among the errors, or the inner matrix is singular:
-    the result then is NaN or infinite. Raises as `propagate`.
+    Gu (2017), Eq 3. Conditions F(X, l) = 0: the point X projects to the pixel (two collinearity equations) and lies on
+    the ground (one equation). With B = dF/dX and A = dF/dl, the covariance is (B' (A Sigma A')^-1 B)^-1. All three
+    equations need errors, so the model must include a terrain height source; otherwise the inner matrix is singular and
+    the result NaN or infinite. Raises as `propagate`.
     """
     look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     return _gauss_helmert(look, look.nominal_fix(search), checked_model(errors, look))
@@ -57,7 +57,7 @@ def _gauss_helmert(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Mat
 
     B, A = jax.jacfwd(conditions, (0, 1))(jnp.zeros(3), jnp.zeros(model.size))
     inner = A @ model.covariance() @ A.T
-    weight = jnp.diag(1.0 / jnp.sqrt(jnp.diagonal(inner)))  # rows of pixels and of metres are put on one scale
+    weight = jnp.diag(1.0 / jnp.sqrt(jnp.diagonal(inner)))  # scale pixel and metre rows alike
     B, inner = weight @ B, weight @ inner @ weight
     cov_enu = jnp.linalg.inv(B.T @ jnp.linalg.solve(inner, B))
     return jnp.where(aim.fix.found, cov_enu, jnp.nan)

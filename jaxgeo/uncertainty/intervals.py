@@ -1,4 +1,4 @@
-"""How sure a quantile of sampled errors is: intervals that assume nothing about how the errors are distributed."""
+"""Distribution-free confidence intervals for quantiles of sampled errors."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 
 LEAST_SCRAMBLES = 16
-MANY = 65_536  # errors, from which on not all are put in order
+MANY = 65_536  # number of errors from which a full sort is avoided
 SAMPLE = 16_384
 
 
 class Interval(NamedTuple):
-    """An estimate and its bounds, all in the unit of the errors; infinite where too many samples failed."""
+    """An estimate and its bounds in the unit of the errors; infinite if too many samples failed."""
 
     estimate: float
     low: float
@@ -22,11 +22,10 @@ class Interval(NamedTuple):
 
 
 def order_ranks(count: int, probability: float, confidence: float = 0.95) -> tuple[int, int]:
-    """Ranks, counted from 1, of the two of `count` independent samples that enclose a quantile.
+    """Ranks, counted from 1, of the two of `count` independent samples that bracket a quantile.
 
-    How many samples lie below the quantile is binomial, however they are distributed. The lower rank may be 0 and the
-    upper one `count` + 1: too few samples for a bound on that side. Source: David and Nagaraja 2003, "Order
-    statistics", section 7.1.
+    The number of samples below the quantile is binomial for any distribution. The lower rank may be 0 and the upper one
+    `count` + 1: too few samples for a bound on that side. David and Nagaraja 2003, "Order statistics", section 7.1.
     """
     count = _whole(count, "count", 1)
     _check_share(probability, "probability")
@@ -36,15 +35,15 @@ def order_ranks(count: int, probability: float, confidence: float = 0.95) -> tup
 
 
 def quantile_interval(errors: Any, probability: float, confidence: float = 0.95) -> Interval:
-    """The `probability` quantile of independent samples of an error, in any order, and its interval.
+    """The `probability` quantile of independent samples of an error, in any order, and its confidence interval.
 
-    The quantile is the smallest sample below or at which lies that share of them. Failed samples are infinite: they
-    count as the worst. A bound that the samples do not give is 0 or infinite. Raises `ValueError` for none, for NaN and
-    for errors below zero.
+    The quantile is the smallest sample that at least that share of the samples does not exceed. Failed samples are
+    infinite and count as the largest. A bound not determined by the samples is 0 or infinite. Raises `ValueError` for
+    no samples, NaN and negative errors.
     """
     errors = _errors(errors, "errors")
     low, high = order_ranks(errors.size, probability, confidence)
-    # Rounding up must not be led astray by a product that is a whole number but for its last bit.
+    # Guards ceil against a product that is an integer except for its last bit.
     rank = max(1, math.ceil(probability * errors.size * (1.0 - 2.0**-50)))
     inside = sorted({max(low, 1), rank, min(high, errors.size)})
     ordered = dict(zip(inside, _ordered(errors, [k - 1 for k in inside]), strict=True))
@@ -56,12 +55,11 @@ def quantile_interval(errors: Any, probability: float, confidence: float = 0.95)
 
 
 def scramble_quantile(errors: Any, probability: float) -> float:
-    """The `probability` quantile of one scramble's errors, between samples where it falls between them.
+    """The `probability` quantile of one scramble's errors, interpolated between samples.
 
-    Sample k of n in order stands for the middle of its share, (k - 1/2) / n (Hazen 1914, "Storage to be provided in
-    impounding reservoirs"). Evenly spread points are so sure of their quantile that the half rank by which the k-th
-    sample itself is off would spoil the interval: at 2^8 points it covers 87 to 95 % instead of 94 to 95 %.
-    Infinite where it leans on a failed sample.
+    Sample k of n in order is at (k - 1/2) / n (Hazen 1914, "Storage to be provided in impounding reservoirs"). For
+    low-discrepancy points the half-rank bias of the k-th sample itself is not negligible: at 2^8 points the interval
+    would cover 87 to 95 % instead of 94 to 95 %. Infinite if it depends on a failed sample.
     """
     errors = _errors(errors, "errors")
     _check_share(probability, "probability")
@@ -70,17 +68,17 @@ def scramble_quantile(errors: Any, probability: float) -> float:
     above = min(below + 1, errors.size)
     lower, upper = _ordered(errors, [below - 1, above - 1])
     weight = rank - below
-    if weight < 1e-9:  # an infinite neighbour without weight has no say
+    if weight < 1e-9:  # ignore an infinite neighbour of zero weight
         return lower
     return (1.0 - weight) * lower + weight * upper
 
 
 def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
-    """Mean of the quantiles of independent scrambles, at least 16, and Student's interval about it.
+    """Mean of the quantiles of at least 16 independent scrambles, and Student's confidence interval.
 
-    Samples of one scramble of Sobol points are not independent, so that their ranks say nothing; the scrambles are.
-    `per_scramble` holds the `scramble_quantile` of each. An infinite one leaves the mean infinite and without bounds.
-    Raises `ValueError` for fewer.
+    Samples within one scramble of Sobol points are not independent, so rank intervals do not apply; the scrambles are
+    independent. `per_scramble` holds the `scramble_quantile` of each. If one is infinite, so is the mean, without
+    bounds. Raises `ValueError` for fewer than 16.
     """
     quantiles = _errors(per_scramble, "per_scramble")
     _check_share(confidence, "confidence")
@@ -98,9 +96,9 @@ def scrambled_interval(per_scramble: Any, confidence: float = 0.95) -> Interval:
 
 
 def relative_half_width(interval: Interval) -> float:
-    """Half of an interval's width over its estimate: what adaptive sampling makes small.
+    """Half the width of an interval divided by its estimate: the stopping criterion of adaptive sampling.
 
-    Infinite while the interval is; 0 if it has no width. Source: JCGM 101:2008, section 7.9.
+    Infinite while the interval is infinite; 0 if it has no width. JCGM 101:2008, section 7.9.
     """
     if not all(map(math.isfinite, interval)):
         return math.inf
@@ -111,11 +109,11 @@ def relative_half_width(interval: Interval) -> float:
 
 
 def _ordered(errors: np.ndarray, ranks: list[int]) -> list[float]:
-    """The errors of these ranks, counted from 0, in rising order.
+    """The errors of these ranks, counted from 0, in ascending order.
 
-    Of many, only those are put in order that lie where a sample of them says that the ranks are (Floyd and Rivest 1975,
-    "Expected time bounds for selection"): there is no copy of all, and it takes a fifth of the time. If the sample was
-    wrong, which the count of those below tells, all are.
+    For large samples only the errors near the ranks are sorted, located by a subsample (Floyd and Rivest 1975,
+    "Expected time bounds for selection"): no full copy, a fifth of the time. If the count below shows that the
+    subsample was wrong, all errors are sorted.
     """
     count = errors.size
     if count >= MANY:
@@ -141,14 +139,14 @@ def _ordered_of_all(errors: np.ndarray, ranks: list[int]) -> list[float]:
 
 
 def _binomial_quantile(share: float, count: int, probability: float) -> int:
-    """Smallest number of successes in `count` trials that is not exceeded with at least the probability `share`."""
+    """Smallest number of successes in `count` trials that is not exceeded with probability `share` or more."""
     number = math.ceil(scipy.special.bdtrik(share, count, probability))
     below = max(number - 1, 0)
     return below if scipy.special.bdtr(below, count, probability) >= share else number
 
 
 def _errors(values: Any, name: str) -> np.ndarray:
-    """`values` as a flat array of float64 of at least one error, none of them NaN or below zero."""
+    """`values` as a flat float64 array of at least one error, none NaN or negative."""
     errors = np.asarray(values, np.float64)
     if errors.ndim != 1:
         raise ValueError(f"{name} must be one row of numbers; got an array of shape {errors.shape}.")

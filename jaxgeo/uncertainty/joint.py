@@ -1,4 +1,4 @@
-"""Several fixes together: what their errors have in common, the differences between targets, and looks fused."""
+"""Joint covariance of several fixes, differences between targets, and fusion of observations of one target."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.sharing import Occasion
 
-SINGULAR = 1e-10  # of the largest eigenvalue: less is rounding
+SINGULAR = 1e-10  # of the largest eigenvalue: smaller ones are rounding
 Joint = Float[Array, "coordinates coordinates"]
 
 
 class JointFixes(Record):
-    """Fixes with the covariance of all their errors, in ECEF m2, `cov_ecef` (3 n, 3 n) in the order of the fixes."""
+    """Fixes with their joint covariance, `cov_ecef` (3 n, 3 n) in ECEF m2, in the order of the fixes."""
 
     p_ecef: Float[Array, "fixes 3"]
     cov_ecef: Joint
@@ -29,7 +29,7 @@ class JointFixes(Record):
     def baseline(self, here: int, there: int) -> tuple[Vector3, Matrix3]:
         """(vector from one fix to another in east, north, up at the first, m; its covariance, m2).
 
-        What the two have in common cancels.
+        Common errors of the two fixes cancel.
         """
         a, b = slice(3 * here, 3 * here + 3), slice(3 * there, 3 * there + 3)
         cov = self.cov_ecef[a, a] + self.cov_ecef[b, b] - self.cov_ecef[a, b] - self.cov_ecef[b, a]
@@ -37,10 +37,10 @@ class JointFixes(Record):
         return R.T @ (self.p_ecef[there] - self.p_ecef[here]), R.T @ cov @ R
 
     def fused(self) -> tuple[Vector3, Matrix3]:
-        """(the best linear unbiased estimate of one target seen by all looks, ECEF m; its covariance in ENU there, m2).
+        """(best linear unbiased estimate of one target from all observations, ECEF m; its covariance in ENU there, m2).
 
-        Generalised least squares with all correlations: looks that err together count for less than their number. The
-        covariance may be singular, as that of fixes on one known surface is (Rao 1971, "Unified theory of linear
+        Generalised least squares with all correlations: correlated observations count for less than their number. The
+        covariance may be singular, as for fixes on one known surface (Rao 1971, "Unified theory of linear
         estimation").
         """
         count = self.p_ecef.shape[0]
@@ -64,11 +64,11 @@ def joint_covariance(
     times: Sequence[float] | None = None,
     flights: Sequence[int] | None = None,
 ) -> JointFixes:
-    """Fixes of several looks with the covariance of all of them, by what each source shares from look to look.
+    """Fixes of several observations with their joint covariance, from the sharing of each error source.
 
-    `shots` numbers the shot of each look (all different if left out: two targets in one image have the same number),
-    `times` gives each in s, for what is correlated in time, `flights` the flight (all one). All must come from the same
-    error model. Raises `ValueError` for models that differ, or lists of other lengths.
+    `shots` numbers the shot of each observation (default: all different; two targets in one image have the same
+    number), `times` gives each in s, for time-correlated errors, `flights` the flight (default: all the same). All must
+    come from the same error model. Raises `ValueError` for models that differ, or lists of other lengths.
     """
     count = len(propagations)
     if count < 1:

@@ -1,4 +1,4 @@
-"""The places of a map of accuracy: where each is seen, and what can be said of it, in blocks of one size."""
+"""Cells of an accuracy map: viewing pixel, fix and accuracy of each, in blocks of one size."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import Sampling, sampled_at
 
 T = TypeVar("T")
-SAME_GROUND = 0.1  # m by which the fix of a place's pixel may be off it
+SAME_GROUND = 0.1  # m: largest distance between a cell and the fix of its pixel
 _linear_figures = jax.jit(linear_figures)
 
 
 class MapContext(NamedTuple):
-    """What all places have in common; `motion` is a pose where the gimbal is pointed at each of them."""
+    """Data common to all cells; `motion` is a pose if the gimbal is pointed at each cell."""
 
     sensor: Sensor
     motion: Shot | Trajectory | Pose
@@ -42,14 +42,14 @@ class MapContext(NamedTuple):
     air: Atmosphere | None
 
     def look(self, place: Cell, search: AbstractSearch) -> ModelInputs:
-        """The look at a place."""
+        """Forward-model inputs of a cell."""
         motion = Shot(self.motion, place.readings) if isinstance(self.motion, Pose) else self.motion
         options: dict[str, Any] = {"time": self.time, "search": search, "atmosphere": self.air}
         return ModelInputs.of(self.sensor, motion, place.uv, self.terrain, **options)
 
 
 class Cell(NamedTuple):
-    """A pixel, and why it sees nothing unless `hit`; the ground it is to see, and readings, if there are any."""
+    """A pixel with the status of its view; optionally the ground point to observe and the gimbal readings."""
 
     uv: Float[Array, "... 2"]
     status: Int8[Array, "..."]
@@ -58,7 +58,7 @@ class Cell(NamedTuple):
 
 
 class Request(NamedTuple):
-    """What is asked of every place, and how."""
+    """Requested accuracy and sampling options, common to all cells."""
 
     probability: Scalar
     count: int
@@ -70,8 +70,7 @@ class Request(NamedTuple):
 
 
 class CellAccuracy(NamedTuple):
-    """Which method is trusted at places, its circular, linear and spherical errors in m with the share of samples that
-    have no fix, and the signs."""
+    """Selected method per cell; CE, LE and SE in m and the share of samples without a fix; diagnostics."""
 
     trust: Int[Array, " places"]
     figures: tuple[Float[Array, " places"], ...]
@@ -81,7 +80,7 @@ class CellAccuracy(NamedTuple):
 def requested(
     probability: Any, count: Any, key: Any, draws: Any, chunk: Any, search: AbstractSearch, block: Any
 ) -> Request:
-    """What is asked, checked."""
+    """Validated `Request`."""
     level = check_probability(probability)
     if jnp.ndim(level) != 0:
         raise ValueError(f"probability must be one number; got shape {jnp.shape(level)}.")
@@ -96,19 +95,19 @@ def requested(
 
 @eqx.filter_jit
 def placed(lat: Float[Array, " places"], lon: Float[Array, " places"], world: MapContext) -> Cell:
-    """Places on the ground, and the pixels that see them if nothing hides them."""
+    """Cells at ground points, with the pixels that view them if nothing occludes them."""
     return jax.vmap(_placed, in_axes=(0, 0, None))(lat, lon, world)
 
 
 @eqx.filter_jit
 def on_image(uv: Float[Array, "places 2"], sensor: Sensor) -> Cell:
-    """Pixels as places; those that lie beside the image, or the lens's field, have that status."""
+    """Cells of given pixels; pixels outside the image or the lens field have that status."""
     return Cell(uv, jax.vmap(sensor.camera.ray)(uv)[1])
 
 
 @eqx.filter_jit
 def aimed(places: Cell, world: MapContext, search: AbstractSearch) -> tuple[NominalFix, Int8[Array, " places"]]:
-    """Where the pixels' lines of sight come down, and the status of the fix of the place."""
+    """Nominal fixes of the cells' pixels, and the status of each cell."""
 
     def one(place: Cell) -> tuple[NominalFix, StatusCode]:
         aim = world.look(place, search).nominal_fix(search)
@@ -125,7 +124,7 @@ def aimed(places: Cell, world: MapContext, search: AbstractSearch) -> tuple[Nomi
 def judged_at(
     places: Cell, aims: NominalFix, met: Int8[Array, " places"], world: MapContext, model: ErrorModel, request: Request
 ) -> CellAccuracy:
-    """What can be said without samples of places whose status is `met`."""
+    """Accuracy of cells without samples; `met` is the status of each cell."""
     one = _judged(places, aims, met, world, model, request.search)
     return CellAccuracy(
         one.trust, (*_linear_figures(one, request.probability), jnp.full(met.shape, jnp.nan)), one.signs
@@ -141,7 +140,7 @@ def with_samples(
     request: Request,
     progress: bool,
 ) -> CellAccuracy:
-    """The answers with the figures of samples where these are needed."""
+    """The accuracy of cells, with sampled figures where the method requires them."""
     index = jnp.flatnonzero(answers.trust == Method.samples)
     if not request.count or not index.size:
         return answers
@@ -158,14 +157,14 @@ def with_samples(
 
 @eqx.filter_jit
 def middles_of_cells(dem: Dem, rows: Int[Array, " rows"], cols: Int[Array, " cols"]) -> Geodetic:
-    """Positions (rows, cols) of the middles of cells, at height zero."""
+    """Positions (rows, cols) of cell centres, at height zero."""
     rowcol = jnp.stack(jnp.meshgrid(rows + 0.5, cols + 0.5, indexing="ij"), axis=-1)
     x, y, z = jnp.moveaxis(jax.vmap(jax.vmap(dem.grid.normal))(rowcol), -1, 0)
     return Geodetic(lat=jnp.arctan2(z, jnp.sqrt(x * x + y * y)), lon=jnp.arctan2(y, x), height=jnp.zeros_like(z))
 
 
 def in_parts(lanes: T, size: int, words: str, progress: bool) -> Iterator[T]:
-    """Lanes (n, ...) in parts of one size, a power of two at most if there are few; the last lane fills up the last."""
+    """Lanes (n, ...) in parts of one size, at most the next power of two above n; the last lane pads the last part."""
     count = jax.tree.leaves(lanes)[0].shape[0]
     size = min(size, 1 << (count - 1).bit_length())
     numbers = (jnp.minimum(first + jnp.arange(size), count - 1) for first in range(0, count, size))
@@ -175,12 +174,12 @@ def in_parts(lanes: T, size: int, words: str, progress: bool) -> Iterator[T]:
 
 @eqx.filter_jit
 def joined(parts: Sequence[T], count: int) -> T:
-    """Parts put together again, without what they were filled up with."""
+    """Parts concatenated, without padding."""
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
 
 
 def chosen(lanes: T, here: Bool[Array, " lanes"]) -> tuple[Int[Array, " some"], T]:
-    """The lanes for which something is true, and their numbers; if there is none, the first, under no lane's number."""
+    """Indices and values of the lanes where `here` is true; if none, the first lane with an out-of-range index."""
     index = jnp.flatnonzero(here)
     if not index.size:
         return jnp.full(1, here.size), taken(lanes, jnp.zeros(1, int))
@@ -189,7 +188,7 @@ def chosen(lanes: T, here: Bool[Array, " lanes"]) -> tuple[Int[Array, " some"], 
 
 @eqx.filter_jit
 def spread(values: T, index: Int[Array, " some"], count: int) -> T:
-    """Numbers of some of `count` places among all of them, NaN elsewhere; for whole numbers, -1."""
+    """Values of some of `count` cells scattered to all of them; NaN elsewhere, -1 for integers."""
 
     def among(leaf: Array) -> Array:
         blank = jnp.nan if jnp.issubdtype(leaf.dtype, jnp.floating) else -1
@@ -199,10 +198,10 @@ def spread(values: T, index: Int[Array, " some"], count: int) -> T:
 
 
 def with_bar(items: Iterable[Any], count: int, words: str, progress: bool) -> Iterable[Any]:
-    """The items, with a bar on the screen if it is asked for."""
+    """The items, with a progress bar if requested."""
     if not progress:
         return items
-    from rich.progress import track  # only who wants to see it needs it
+    from rich.progress import track  # optional, imported only if used
 
     return track(items, description=words, total=count)
 
@@ -228,7 +227,7 @@ def _placed(lat: Scalar, lon: Scalar, world: MapContext) -> Cell:
 
 
 def ground_at(lat: Scalar, lon: Scalar, terrain: AbstractTerrain) -> tuple[Geodetic, StatusCode]:
-    """The point of the terrain at a latitude and longitude; NaN for its height, and why, where it is not known."""
+    """Terrain point at a latitude and longitude, with a status; the height is NaN where unknown."""
     is_place = jnp.isfinite(lat) & jnp.isfinite(lon)
     level = Geodetic(lat=jnp.where(is_place, lat, 0.0), lon=jnp.where(is_place, lon, 0.0), height=jnp.zeros_like(lat))
     if isinstance(terrain, Dem):

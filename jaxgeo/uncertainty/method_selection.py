@@ -1,4 +1,4 @@
-"""Which way of propagating errors can be trusted at a fix, told without drawing a sample."""
+"""Selection of the cheapest valid error propagation method at a fix, without sampling."""
 
 from __future__ import annotations
 
@@ -19,26 +19,24 @@ from jaxgeo.uncertainty.profile import Profile, profile_of
 from jaxgeo.uncertainty.slopes import Footprint
 
 FOOTPRINT = Footprint()
-# Set on made-up terrain, judged on other terrain (benchmarks/verdict.py).
-AGREEMENT = 0.1  # of a logarithm: circular errors that differ by more do not agree
-AGREEMENT_UP = 0.15  # the same of linear errors
-NOTHING = (
-    1e-3  # of the circular error: linear errors smaller than this, of level ground that is sure, count for nothing
-)
-FEW = 0.01  # of chance: more lines of sight that jump or fail show in a figure at 90 %
-SAME_GROUND = 0.1  # m: ground that is probed farther from the fix than this is not what the line of sight met
+# Thresholds tuned on synthetic terrain, validated on other terrain (benchmarks/verdict.py).
+AGREEMENT = 0.1  # largest log ratio at which two circular errors agree
+AGREEMENT_UP = 0.15  # the same for linear errors
+NOTHING = 1e-3  # of the circular error: smaller linear errors, as on level ground of known height, are negligible
+FEW = 0.01  # probability: a larger share of lines of sight that jump or fail affects a 90 % figure
+SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the two to agree
 GRAZING = 0.01  # sine of the angle between ray and surface
 
 
 @portable
 class Diagnostics(NamedTuple):
-    """What can be known of a fix's error without samples: figures at 90 % in m, and how the ground lies about it.
+    """Diagnostics of a fix computed without samples: 90 % figures in m, and the terrain around it.
 
-    `facet`, `footprint` and `profile` are circular errors by the slope under the fix, by that of its footprint, and
-    over the profile of the ground along the look; `facet_up`, `footprint_up` and `profile_up` linear errors. `jumps`
-    and `fails` are shares of chance, `clearance` how many sigmas off they begin; `grazing` is the sine of the angle
-    between ray and surface, `known` the share of the footprint over known ground, `off` how far in m the ground probed
-    at the fix lies from it: infinite if it is unknown there.
+    `facet`, `footprint` and `profile` are circular errors for the slope under the fix, for the plane fitted to the
+    footprint, and for the terrain profile along the line of sight; `facet_up`, `footprint_up` and `profile_up` are the
+    linear errors. `jumps` and `fails` are probabilities, `clearance` the number of sigmas at which they begin;
+    `grazing` is the sine of the angle between ray and surface, `known` the share of the footprint over known ground,
+    `off` the distance in m between the ground probed at the fix and the fix, infinite if the ground is unknown there.
     """
 
     facet: Scalar
@@ -57,8 +55,7 @@ class Diagnostics(NamedTuple):
 
 @portable
 class Diagnosed(NamedTuple):
-    """The signs of a fix, and what they were read from: linear propagation over its facet and its footprint, and the
-    profile of the ground."""
+    """Diagnostics of a fix with their sources: linear propagation over facet and footprint, and the terrain profile."""
 
     signs: Diagnostics
     facet: Propagation
@@ -68,12 +65,12 @@ class Diagnosed(NamedTuple):
 
 @eqx.filter_jit
 def diagnose(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Diagnosed:
-    """What can be known of how sure a fix is without samples."""
+    """Diagnostics of a fix, without samples."""
     model = model.at(look, aim)
     sweep = model.sweep(look, aim)
     facet, footprint = (swept_over(look, aim, model, sweep, slope) for slope in (FACET, FOOTPRINT))
     grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
-    cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # both at once: what inverts the integral is compiled once
+    cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # stacked: the inverse of the integral is compiled once
     bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
     facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
     facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
@@ -96,7 +93,7 @@ def diagnose(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Diagnosed
 
 
 class Method(enum.IntEnum):
-    """The cheapest method that can be trusted at a fix."""
+    """Cheapest valid error propagation method at a fix."""
 
     facet = 0
     footprint = 1
@@ -104,12 +101,12 @@ class Method(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The method, in words."""
+        """Display name of the method."""
         return ("linear propagation", "linear propagation over the footprint", "samples")[self]
 
 
 def method_of(signs: Diagnostics) -> Int[Array, ""]:
-    """Which method the signs trust, as a `Method`; under `vmap` for many fixes."""
+    """The valid method according to the diagnostics, as a `Method` code; use `vmap` for many fixes."""
     calm = (signs.jumps + signs.fails <= FEW) & (signs.known == 1.0) & (signs.grazing > GRAZING)
     calm &= signs.off <= SAME_GROUND
     least = NOTHING * signs.profile
@@ -122,5 +119,5 @@ def method_of(signs: Diagnostics) -> Int[Array, ""]:
 
 
 def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
-    """Whether two figures differ by no more than is trusted; those that are infinite, zero or NaN do not agree."""
+    """Whether two figures differ by less than a log ratio; infinite, zero or NaN figures do not agree."""
     return jnp.abs(jnp.log(one / other)) <= tolerance

@@ -1,4 +1,4 @@
-"""The error models of published tables."""
+"""Error models from published tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.uncertainty.sources import (
 )
 from jaxgeo.uncertainty.sources.base import AbstractSource
 
-# Xue et al. (2019), Table 1: position in the plane and in height (m), velocity (m/s), roll and pitch, heading (deg).
+# Xue et al. (2019), Table 1: horizontal and vertical position (m), velocity (m/s), roll and pitch, heading (deg).
 POS_AV_310 = {
     "SPS": (1.5, 3.0, 0.05, 0.03, 0.10),
     "RTX": (0.1, 0.2, 0.05, 0.02, 0.08),
@@ -27,9 +27,9 @@ POS_AV_310 = {
 
 def li_2023(*, terrain_height: ArrayLike | None = None) -> ErrorModel:
     """Table 1 of Li et al. (2023), "A target location method for aerial images through fast iteration of elevation
-    based on DEM": ten independent angles of a two-axis frame, and, if given, the terrain's standard deviation in m.
+    based on DEM": ten independent angles of a two-axis gimbal, optionally the terrain's standard deviation in m.
 
-    The paper takes 20 m for the latter.
+    The paper uses 20 m for the latter.
     """
     sources: list[AbstractSource] = [
         Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.02),
@@ -43,11 +43,11 @@ def li_2023(*, terrain_height: ArrayLike | None = None) -> ErrorModel:
 
 
 def pos_av_310(solution: str, *, latency: ArrayLike = 0.005) -> ErrorModel:
-    """A column of Table 1 of Xue et al. (2019), on the geolocation accuracy of an unmanned helicopter: the POS AV 310.
+    """POS AV 310 accuracies of Table 1 of Xue et al. (2019), on the geolocation accuracy of an unmanned helicopter.
 
     `solution` is one of `POS_AV_310`: "SPS", "RTX", "RTX post-processed", "SmartBase post-processed". Standard
-    deviations are taken for each axis. The velocity's counts over a `latency` in s, from the record of the position to
-    the exposure (half an interval of 100 Hz). Raises `ValueError` for a solution that is not in the table.
+    deviations apply to each axis. The velocity error acts over a `latency` in s, from the position record to the
+    exposure (half an interval of 100 Hz). Raises `ValueError` for a solution that is not in the table.
     """
     if solution not in POS_AV_310:
         raise ValueError(f"solution must be one of {', '.join(POS_AV_310)}; got {solution!r}.")

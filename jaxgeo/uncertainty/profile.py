@@ -1,4 +1,4 @@
-"""The ground's profile under a line of sight, and where lines of sight that err by so many sigmas would come down."""
+"""Error propagation over the terrain profile along a line of sight."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from jaxgeo._typing import Numbers, Scalar, Vector3
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.model_inputs import FARTHER, NominalFix, Sweep
 
-NODES = 512  # places before the fix, and as many behind it
-NEAREST = 0.25  # of a cell: how far the nearest of them lie from it
-GROWTH = 1.009  # of the distance between neighbours; the farthest lie 2700 cells away
-LEVELS = 256  # lines of sight, each standing for an equal share of chance
+NODES = 512  # sample points before the fix, and the same number behind it
+NEAREST = 0.25  # of a cell: distance of the nearest ones
+GROWTH = 1.009  # of the spacing; the farthest are 2700 cells away
+LEVELS = 256  # lines of sight of equal probability
 HALVINGS = 60
-FLAT = 1e-3  # level part of a direction: a steeper line of sight has no profile
-LEAST = 1e-9  # m: a standard deviation of nothing
-GAP = 1.0  # of a cell: unseen ground that is longer is a gap, beyond which lines of sight jump
-FINEST = 0.5  # of the errors' reach along the look: the same where the ground has no cells
-FARTHEST = 30.0  # of that reach: how far the ground is probed at least
-FLATTEST = 0.02  # fall of a line of sight by which its reach over level ground is told
+FLAT = 1e-3  # horizontal component of a direction, at least: steeper lines of sight have no profile
+LEAST = 1e-9  # m: lower limit of a standard deviation
+GAP = 1.0  # of a cell: longer hidden ground is a gap, over which lines of sight jump
+FINEST = 0.5  # of the error along the line of sight: the same for terrain without cells
+FARTHEST = 30.0  # of that error: smallest distance over which the ground is sampled
+FLATTEST = 0.02  # smallest descent per m used for the error along the line of sight over level ground
 
 Places = Float[Array, " places"]
 Levels = Float[Array, " levels"]
 
 
 class Ground(NamedTuple):
-    """Ground along a line of sight: places `ahead` of the fix and height `above` the ray in m, and if it is known."""
+    """Ground along a line of sight: distance `ahead` of the fix and height `above` the ray in m, and a known flag."""
 
     ahead: Places
     above: Places
@@ -39,14 +39,14 @@ class Ground(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """Where lines of sight of equal chance come down, in the vertical plane of the nominal one.
+    """Ground points of lines of sight of equal probability, in the vertical plane of the nominal one.
 
-    `ahead` of the fix along the look, `across` and `up` in m are the mean of where each of `LEVELS` comes down
-    (infinite where it does not), `across_sigma` and `up_sigma` what is left of chance to the side and in height.
-    `jumps` is the share that comes down beyond a gap of unseen ground, `fails` that which comes down nowhere;
-    `clearance` is how many sigmas off the nearest line of sight is that does either. `unseen` is how much ground is out
-    of sight up to each of `places`, m, `gap` the longest unseen ground that counts for nothing, and `off` how far the
-    ground probed at the fix lies from it, infinite where it is unknown.
+    `ahead` of the fix along the line of sight, `across` and `up` in m are the mean ground point of each of `LEVELS`
+    lines (infinite if there is none), `across_sigma` and `up_sigma` the remaining standard deviations. `jumps` is the
+    share that hits the ground beyond a gap of hidden ground, `fails` the share that hits no ground; `clearance` is the
+    smallest number of sigmas at which either happens. `unseen` is the length of hidden ground up to each of `places`,
+    m, `gap` the longest hidden ground that is ignored, and `off` the distance between the ground probed at the fix and
+    the fix, infinite if unknown.
     """
 
     ahead: Levels
@@ -63,12 +63,12 @@ class Profile(NamedTuple):
     off: Scalar
 
     def jumped(self, ahead: Float[Array, "..."]) -> Bool[Array, "..."]:
-        """Whether points so far ahead of the fix, m, lie beyond a gap of unseen ground."""
+        """Whether points `ahead` m ahead of the fix lie beyond a gap of hidden ground."""
         between = jnp.interp(ahead, self.places, self.unseen) - self.unseen[NODES]
         return jnp.abs(between) > self.gap
 
     def circular_error(self, probability: float) -> Scalar:
-        """Radius in m on the level plane within which the fix falls with a probability; infinite if too many fail."""
+        """Radius in m in the horizontal plane that contains the fix with a probability; infinite if too many fail."""
 
         def within(radius: Scalar) -> Scalar:
             half = jnp.sqrt(jnp.maximum(radius**2 - self.ahead**2, 0.0))
@@ -78,7 +78,7 @@ class Profile(NamedTuple):
         return self._radius(within, probability, jnp.abs(self.ahead) + jnp.abs(self.across) + 9.0 * self.across_sigma)
 
     def linear_error(self, probability: float) -> Scalar:
-        """Height in m above and below the fix within which it falls with a probability."""
+        """Height in m above and below the nominal fix that contains the fix with a probability."""
 
         def within(radius: Scalar) -> Scalar:
             chance = _chance_between(-radius, radius, self.up, self.up_sigma)
@@ -101,10 +101,10 @@ class Profile(NamedTuple):
 def profile_of(
     terrain: AbstractTerrain, aim: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
 ) -> Profile:
-    """The profile of a look over a terrain, whose derivatives by its errors are known; without derivatives itself.
+    """Terrain profile of an observation, from its derivatives by the errors (`sweep`); itself without derivatives.
 
-    An error of the line of sight, or of the terrain's height, lifts the one over the other by as many sigmas all the
-    way; across the look the ground rises as the plane of a `normal` (its last component 1) does.
+    An error of the line of sight or of the terrain height lifts one relative to the other by the same number of sigmas
+    along the whole profile. Across the line of sight the ground is a plane with a `normal` whose last component is 1.
     """
     terrain, aim, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, aim, sweep, cov_error, normal))
     level = jnp.sqrt(aim.direction_enu[0] ** 2 + aim.direction_enu[1] ** 2)
@@ -152,7 +152,7 @@ def profile_of(
 
 
 def _ground(terrain: AbstractTerrain, aim: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
-    """The ground along a line of sight at places ahead of its fix; and how far it there lies off the fix, m."""
+    """Ground along a line of sight at distances ahead of its fix, and its distance from the fix there, m."""
     direction = aim.R_ecef_from_enu @ aim.direction_enu
     at = lambda ahead: aim.p_ecef + direction * (ahead / level)  # noqa: E731
     above, known = jax.vmap(lambda ahead: terrain.ground_above(at(ahead)))(places)
@@ -161,12 +161,12 @@ def _ground(terrain: AbstractTerrain, aim: NominalFix, level: Scalar, places: Pl
 
 
 def _by_spacing(spacing: Scalar) -> Places:
-    """Places before and behind a fix for ground of a known spacing, m: close about it, looser away from it."""
+    """Sample points before and behind a fix for ground of a given spacing, m: dense near the fix, then sparser."""
     return _both_ways(NEAREST * spacing * (GROWTH ** jnp.arange(1, NODES + 1) - 1.0) / (GROWTH - 1.0))
 
 
 def _by_errors(sigma: Scalar, distance: Scalar) -> tuple[Places, Scalar]:
-    """The same by how far errors move a fix along the look, out to the camera; and the gap that counts, m."""
+    """Sample points for a given error along the line of sight, out to the camera, and the length of a gap, m."""
     sigma = jnp.maximum(sigma, LEAST)
     reach = jnp.maximum(distance, FARTHEST * sigma)
     return _both_ways(sigma * jnp.sinh(jnp.arange(1, NODES + 1) / NODES * jnp.arcsinh(reach / sigma))), FINEST * sigma
@@ -181,11 +181,11 @@ def _sigma(moved: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]) -
 
 
 def _first_met(ground: Ground, excess: Places, levels: Levels) -> tuple[Levels, Levels, Bool[Array, " levels"], Places]:
-    """(place ahead, ground above the ray there, whether it comes down) of rays lifted by sigmas; unseen ground up to
-    each place, m.
+    """(distance ahead, ground above the ray there, whether it hits the ground) of rays lifted by `levels` sigmas, and
+    the hidden ground up to each sample point, m.
 
-    `excess` is the ground's height above the ray in sigmas: a ray that is lifted by z meets the ground where that first
-    reaches z, so that its running maximum is all that is seen.
+    `excess` is the height of the ground above the ray in sigmas: a ray lifted by z hits the ground where `excess` first
+    reaches z, so only its running maximum is visible.
     """
     excess = jnp.where(ground.known, excess, -jnp.inf)
     highest = jax.lax.cummax(excess)
@@ -204,7 +204,7 @@ def _first_met(ground: Ground, excess: Places, levels: Levels) -> tuple[Levels, 
 def _given_lift(
     moved: Float[Array, " axes"], lift: Float[Array, " axes"], cov_error: Float[Array, "axes axes"]
 ) -> tuple[Scalar, Scalar]:
-    """(how far a quantity goes with one sigma of lift, what is left of its standard deviation)."""
+    """(change of a quantity per sigma of lift, its remaining standard deviation)."""
     together = moved @ cov_error @ lift
     return together, jnp.sqrt(jnp.maximum(moved @ cov_error @ moved - together**2, 0.0))
 

@@ -1,4 +1,4 @@
-"""The middle way between one derivative and many samples: sigma points, and the second-order moments."""
+"""Second-order error propagation: sigma points and exact Hessians."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_e
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-SPREAD = 3.0**0.5  # sigmas at which a sigma point lies: right to the fourth moment of a Gaussian along its axis
+SPREAD = 3.0**0.5  # sigmas: distance of a sigma point, exact to the fourth moment of a Gaussian along its axis
 
 
 @portable
 class Moments(NamedTuple):
-    """Mean (m) and covariance (m2) of a fix's errors in east, north, up; `failed` sigma points had no fix."""
+    """Mean (m) and covariance (m2) of the fix error in east, north, up; `failed` counts sigma points without a fix."""
 
     mean_enu: Vector3
     cov_enu: Matrix3
@@ -36,7 +36,7 @@ class Moments(NamedTuple):
     failed: Int[Array, ""]
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m about the nominal fix on the level plane."""
+        """Radius in m about the nominal fix in the horizontal plane."""
         return jax.jit(circular_error)(self.cov_enu[:2, :2], probability, self.mean_enu[:2])
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
@@ -44,7 +44,7 @@ class Moments(NamedTuple):
         return jax.jit(linear_error)(self.cov_enu[2, 2], probability, self.mean_enu[2])
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m about the nominal fix in space."""
+        """3D radius in m about the nominal fix."""
         return jax.jit(spherical_error)(self.cov_enu, probability, self.mean_enu)
 
 
@@ -60,11 +60,11 @@ def sigma_points(
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
 ) -> Moments:
-    """Mean and covariance of the fix from 2 n + 1 sigma points (Julier and Uhlmann 1997), at 3^(1/2) sigmas.
+    """Mean and covariance of the fix error from 2 n + 1 sigma points (Julier and Uhlmann 1997), at 3^(1/2) sigmas.
 
-    Along each axis that is Gauss-Hermite quadrature with three nodes, and so the unscented transform with its central
-    weight 1 - n/3: right to the third order in the errors, and blind to what lies between its points. If one has no
-    fix, its share is unknown: the moments are NaN, and `failed` counts them. Raises as `propagate`.
+    Along each axis this is Gauss-Hermite quadrature with three nodes, i.e. the unscented transform with central weight
+    1 - n/3: correct to third order in the errors, without information between its points. If a point has no fix, its
+    contribution is unknown: the moments are NaN, and `failed` counts such points. Raises as `propagate`.
     """
     look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     return sigma_moments(look, look.nominal_fix(search), checked_model(errors, look), search)
@@ -72,7 +72,7 @@ def sigma_points(
 
 @eqx.filter_jit
 def sigma_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
-    """`sigma_points` of checked input, about what it aims at."""
+    """`sigma_points` of validated input, about the nominal fix."""
     model = model.at(look, aim)
     factor = SPREAD * model.factor().T
     points = jnp.concatenate([jnp.zeros((1, model.size)), factor, -factor])
@@ -100,7 +100,7 @@ def second_order(
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
 ) -> Moments:
-    """Mean and covariance of the fix to second order in its errors, by exact Hessians on the facet under the fix.
+    """Mean and covariance of the fix error to second order, by exact Hessians on the facet under the fix.
 
     mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Raises as `propagate`.
     """
@@ -110,7 +110,7 @@ def second_order(
 
 @eqx.filter_jit
 def second_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Moments:
-    """`second_order` of checked input, about what it aims at."""
+    """`second_order` of validated input, about the nominal fix."""
     model = model.at(look, aim)
     factor, zero = model.factor(), jnp.zeros(model.size)
     miss = lambda z: model.linear_offset(look, aim, factor @ z)  # noqa: E731

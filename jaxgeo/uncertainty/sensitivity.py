@@ -1,4 +1,4 @@
-"""Sobol indices of a miss: which share of its variance each source causes, alone and with others, however it bends."""
+"""Sobol sensitivity indices of the fix error: variance share of each source, alone and with interactions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
@@ -30,7 +30,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
 CHUNK = 16_384  # rows at a time
-FEW = 0.1  # the share of rows left out above which the indices are of another error than the look's
+FEW = 0.1  # share of excluded rows above which the indices no longer describe the observation's error
 COMPONENTS = ("east", "north", "up", "horizontal")
 SUMS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
 SOBOL = Sobol()
@@ -40,7 +40,7 @@ Misses = Float[Array, "rows 3"]
 
 
 class Estimate(NamedTuple):
-    """Indices (groups, components) of first order and total, half widths of their intervals, variances (components,).
+    """First-order and total indices (groups, components), half-widths of their intervals, variances (components,).
 
     NaN for a component that does not vary.
     """
@@ -53,7 +53,7 @@ class Estimate(NamedTuple):
 
 
 class SobolIndex(NamedTuple):
-    """Shares of one group in the variance of one component: alone, and with all that it does together with others."""
+    """Variance share of one group in one component: first order (alone) and total (including interactions)."""
 
     first: float
     first_low: float
@@ -64,10 +64,10 @@ class SobolIndex(NamedTuple):
 
 
 class SobolIndices(Record):
-    """Sobol indices of a miss by groups of errors, for east, north, up and the horizontal plane.
+    """Sobol indices of the fix error by groups of errors, for east, north, up and the horizontal plane.
 
-    `estimate` is from the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is
-    that of the intervals, `variance` in m2 in the order of the components.
+    `estimate` uses the rows with a fix in every evaluation; `left_out` is the share of the others. `confidence` is that
+    of the intervals, `variance` in m2 in the order of the components.
     """
 
     groups: tuple[str, ...]
@@ -78,12 +78,12 @@ class SobolIndices(Record):
 
     @property
     def variance(self) -> dict[str, float]:
-        """Variance of each component in m2; of the horizontal plane the sum of east and north."""
+        """Variance of each component in m2; for the horizontal plane the sum of east and north."""
         return dict(zip(COMPONENTS, self.estimate.variance.tolist(), strict=True))
 
     @property
     def warning(self) -> str | None:
-        """A sentence if so many rows have no fix that the indices are of another error than the look's."""
+        """Warning if too many rows have no fix for the indices to describe the observation's error; else None."""
         if self.left_out <= FEW:
             return None
         return (
@@ -92,7 +92,7 @@ class SobolIndices(Record):
         )
 
     def of(self, group: str, component: str = "horizontal") -> SobolIndex:
-        """The indices of a group. Raises `ValueError` for a name that is none."""
+        """Indices of a group. Raises `ValueError` for an unknown name."""
         for name, names, kind in ((group, self.groups, "group"), (component, COMPONENTS, "component")):
             if name not in names:
                 raise ValueError(f"{kind} must be one of {', '.join(names)}; got {name!r}.")
@@ -120,7 +120,7 @@ class SobolIndices(Record):
 
 
 class Plan(NamedTuple):
-    """What is pushed through the map from standard normal numbers to misses."""
+    """Inputs of the map from standard normal numbers to fix offsets."""
 
     look: ModelInputs
     aim: NominalFix
@@ -147,14 +147,14 @@ def sobol_indices(
     resamples: int = 500,
     chunk: int = CHUNK,
 ) -> SobolIndices:
-    """Which share of the variance of a fix each source causes, alone (first order) and with others (total).
+    """Share of the variance of a fix due to each source, alone (first order) and with interactions (total).
 
-    Every source is a group; `by_axis` makes one of every axis of those whose axes are independent. From `count` rows of
-    two independent error vectors, A and B, and of A with one group from B: (groups + 2) evaluations a row, `chunk` rows
-    at a time. First order by Saltelli et al. (2010), total by Jansen (1999); on the level plane sums over east and
-    north (Lamboni et al. 2011; Gamboa et al. 2014). Intervals are by bootstrap, `resamples` times, over rows, or over
-    the scrambles of Sobol points, of which at least 16 are needed. A row with an evaluation without a fix is left out,
-    and counted. Raises as `sample`.
+    Every source is a group; with `by_axis` so is every axis of sources with independent axes. Uses `count` rows of two
+    independent error vectors, A and B, and of A with one group from B: (groups + 2) evaluations per row, `chunk` rows
+    at a time. First order by Saltelli et al. (2010), total by Jansen (1999); for the horizontal plane the sums over
+    east and north (Lamboni et al. 2011; Gamboa et al. 2014). Intervals by bootstrap with `resamples` resamples of rows,
+    or of the scrambles of Sobol points, at least 16. A row with an evaluation without a fix is excluded and counted.
+    Raises as `sample`.
     """
     look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, look)
@@ -174,7 +174,7 @@ def sobol_indices(
 
 
 def groups_of(model: ErrorModel, by_axis: bool) -> tuple[tuple[str, ...], np.ndarray]:
-    """(names of the groups, which axes of the error vector belong to each (groups, axes))."""
+    """(group names, mask (groups, axes) of the error vector's axes in each)."""
     names, members = [], []
     for name, (source, place) in zip(source_names(model), model.parts(), strict=True):
         axes = np.arange(model.size)[place]
@@ -198,10 +198,10 @@ def sobol_estimate(
 ) -> Estimate:
     """Sobol indices from values (rows, outputs) at A and B, and (groups, rows, outputs) at A with a group from B.
 
-    `sums` (components, outputs) says which outputs' variances add to each component (one for each output), `units`
-    (rows,) numbers what is independent and drawn again by the bootstrap (every row).
-    First order, mean of f(B) (f(AB) - f(A)): Saltelli et al. 2010, "Variance based sensitivity analysis of model
-    output". Total, half the mean of (f(A) - f(AB))^2: Jansen 1999, "Analysis of variance designs for model output".
+    `sums` (components, outputs) selects the outputs whose variances add up to each component (default: one each),
+    `units` (rows,) numbers the independent units that the bootstrap resamples (default: every row). First order, mean
+    of f(B) (f(AB) - f(A)): Saltelli et al. 2010, "Variance based sensitivity analysis of model output". Total, half the
+    mean of (f(A) - f(AB))^2: Jansen 1999, "Analysis of variance designs for model output".
     """
     rows, outputs = base.shape
     sums = np.eye(outputs) if sums is None else sums
@@ -227,7 +227,7 @@ def sobol_estimate(
 
 
 def _resampled(table: np.ndarray, units: np.ndarray | None, resamples: int, seed: Any) -> Iterator[np.ndarray]:
-    """Means of a table's columns over units that are drawn again, with replacement."""
+    """Column means of a table over units resampled with replacement."""
     rng = np.random.default_rng(seed)
     sums, rows = table, np.ones(len(table))
     if units is not None:
@@ -240,20 +240,20 @@ def _resampled(table: np.ndarray, units: np.ndarray | None, resamples: int, seed
 
 
 def _half_width(confidence: float, units: int) -> float:
-    """Half the width of Student's interval, in the standard deviation of a bootstrap over so many units."""
+    """Half-width of Student's interval for `units` units, in bootstrap standard deviations."""
     student = float(scipy.special.stdtrit(units - 1, 0.5 * (1.0 + confidence)))
     return student * math.sqrt(units / (units - 1)) if units > 1 else math.nan
 
 
 def _units(count: int, draws: AbstractDraws) -> np.ndarray:
-    """What is independent among the rows: the scrambles of Sobol points, or every row."""
+    """Number of the independent unit of each row: its scramble for Sobol points, otherwise the row itself."""
     numbers = np.arange(count)
     return numbers % draws.scrambles if isinstance(draws, Sobol) else numbers
 
 
 @eqx.filter_jit
 def planned(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Plan:
-    """The model at a look, with a factor that keeps its sources, and independent axes, apart."""
+    """The model at an observation, with a factor that keeps sources and independent axes separate."""
     model = model.at(look, aim)
     return Plan(look, aim, model, model.factor())
 
@@ -262,10 +262,10 @@ def planned(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Plan:
 def misses_of(
     plan: Plan, normals: Normals, search: AbstractSearch
 ) -> tuple[Float[Array, "rows 3"], Bool[Array, " rows"]]:
-    """(misses in m for standard normal errors, whether there is a fix)."""
+    """(fix offsets in m for standard normal errors, whether there is a fix)."""
 
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
-        return jnp.sum(plan.factor * normal[None, :], axis=1)  # a product of matrices would round by its batch
+        return jnp.sum(plan.factor * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
 
     some = lambda normals, _: (fix_offsets(plan.model, plan.look, plan.aim, search, (error_of,), normals), ())  # noqa: E731
     (miss, status), _ = in_parts(some, normals)
@@ -274,7 +274,7 @@ def misses_of(
 
 @eqx.filter_jit
 def _drawn(draws: AbstractDraws, key: Any, first: Array, rows: int, axes: int) -> tuple[Normals, Normals]:
-    """A and B for so many rows from `first` on."""
+    """A and B for `rows` rows from `first` on."""
     both = jax.vmap(lambda number: draws.standard_normal(key, number, 2 * axes))(first + jnp.arange(rows))
     return both[:, :axes], both[:, axes:]
 
@@ -287,9 +287,9 @@ def evaluated(
     count: int,
     size: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(misses (groups + 2, rows, 3), whether there is a fix) for A, B, and A with each group from B.
+    """(fix offsets (groups + 2, rows, 3), whether there is a fix) for A, B, and A with each group from B.
 
-    `push` gives both for standard normal errors, `size` rows at a time.
+    `push` computes both from standard normal errors, `size` rows at a time.
     """
     axes = members.shape[1]
     from_other = np.concatenate([np.zeros((1, axes), bool), np.ones((1, axes), bool), members])

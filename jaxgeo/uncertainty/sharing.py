@@ -1,4 +1,4 @@
-"""What two measurements share of one error: all of it, nothing, or less the longer the time between them."""
+"""Correlation of an error between two measurements: per measurement, image, flight, systematic, or by time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgeo._typing import Scalar, ScalarField, ScalarLike
 
 
 class Occasion(NamedTuple):
-    """When a pixel was measured: numbers of the measurement, its shot and its flight, and the time in s."""
+    """Indices of a measured pixel, its shot and its flight, and the time in s."""
 
     measurement: ScalarLike
     shot: ScalarLike
@@ -22,36 +22,36 @@ class Occasion(NamedTuple):
 
 
 class AbstractSharing(Record):
-    """How an error of one occasion is correlated with that of another."""
+    """Correlation of an error between two measurements."""
 
     @abstractmethod
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
-        """Correlation of the same axis of the error, between -1 and 1."""
+        """Correlation of the same error axis at two measurements, between -1 and 1."""
 
 
 class PerMeasurement(AbstractSharing):
-    """Drawn anew for every measured pixel."""
+    """Independent for every measured pixel."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.measurement, there.measurement)
 
 
 class PerImage(AbstractSharing):
-    """One for all pixels of a shot, another for the next shot."""
+    """Common to all pixels of a shot, independent between shots."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.flight, there.flight) * _same(here.shot, there.shot)
 
 
 class PerFlight(AbstractSharing):
-    """One for a whole flight: calibrations."""
+    """Common to a whole flight, e.g. calibrations."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         return _same(here.flight, there.flight)
 
 
 class Systematic(AbstractSharing):
-    """One for all flights: the geoid, an elevation model's bias."""
+    """Common to all flights, e.g. the geoid or a DEM bias."""
 
     def correlation(self, here: Occasion, there: Occasion) -> Scalar:
         del here, there
@@ -59,11 +59,11 @@ class Systematic(AbstractSharing):
 
 
 class TimeCorrelated(AbstractSharing):
-    """The less alike the longer between two shots of a flight: A [alpha + (1 - alpha) (1 + beta) / (beta + e^(dt/T))].
+    """Correlation that decays with the time between two shots: A [alpha + (1 - alpha) (1 + beta) / (beta + e^(dt/T))].
 
-    The four-parameter function of the Community Sensor Model (NGA.STND.0017): `duration` T in s, `alpha` the part that
-    lasts, `beta` how flat it begins, `strength` A what different shots have in common at most. With alpha = beta = 0
-    and A = 1 it is exp(-dt/T), a first-order Gauss-Markov process.
+    The four-parameter function of the Community Sensor Model (NGA.STND.0017): `duration` T in s, `alpha` the asymptotic
+    part, `beta` the flatness at dt = 0, `strength` A the largest correlation between different shots. With alpha = beta
+    = 0 and A = 1 it is exp(-dt/T), a first-order Gauss-Markov process.
 
     >>> from jaxgeo.uncertainty import TimeCorrelated
     >>> from jaxgeo.uncertainty.sharing import Occasion
@@ -85,7 +85,7 @@ class TimeCorrelated(AbstractSharing):
         return _same(here.flight, there.flight) * jnp.where(same_shot, 1.0, between)
 
     def check(self) -> None:
-        """Raise `ValueError` for a duration that is not positive, or alpha or A outside 0 to 1, or a beta below 0."""
+        """Raise `ValueError` unless the duration is positive, alpha and A are in [0, 1], and beta is in [0, 10]."""
         check_range(self.duration, "duration of TimeCorrelated", "s (positive)", 1e-12, 1e12)
         check_range(self.alpha, "alpha of TimeCorrelated", "(a share)", 0.0, 1.0)
         check_range(self.strength, "strength of TimeCorrelated", "(a correlation)", 0.0, 1.0)

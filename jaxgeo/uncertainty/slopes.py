@@ -1,4 +1,4 @@
-"""Which slope the ground is taken to have where a fix errs: of the facet under it, of its footprint, or none."""
+"""Terrain plane used in linear propagation: facet under the fix, fit over the footprint, or level."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ Swept = Float[Array, "3 axes"]
 Raised = Float[Array, " axes"]
 Covariance = Float[Array, "axes axes"]
 
-RINGS, SPOKES = 6, 16  # of the places at which the ground of a footprint is asked, each standing for the same chance
+RINGS, SPOKES = 6, 16  # of the sample points of a footprint, each of equal probability
 ROUNDS = 2  # the second ellipse lies on the plane found with the first
-NARROWEST = 0.02  # of a footprint's length, and m: a narrower one says nothing of the slope across it
-STEEPEST = 0.02  # sine of the angle between ray and plane: a plane that all but faces away is taken as no steeper
+NARROWEST = 0.02  # of a footprint's length, and m: smallest width from which the cross slope is estimated
+STEEPEST = 0.02  # sine of the angle between ray and plane: lower limit, for planes nearly parallel to the ray
 
 
 class Surface(NamedTuple):
-    """A plane for the ground about a fix, in east, north, up there.
+    """Terrain plane near a fix, in east, north, up at the fix.
 
-    Its `normal` has 1 as its last component; it lies `above` the fix by so many m, and the ground keeps off it by
-    `roughness` m rms; `known` is the share of the places asked at which there is known ground.
+    The last component of `normal` is 1; the plane lies `above` m above the fix; `roughness` is the rms deviation of the
+    ground from it in m; `known` is the share of sample points with known ground.
     """
 
     normal: Vector3
@@ -39,21 +39,21 @@ class Surface(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """How errors move a line of sight at the fix, and the terrain there: m in east, north, up, and m of height."""
+    """Derivatives by the errors: the line of sight at the fix (m in east, north, up) and the terrain height (m)."""
 
     ray: Swept
     height: Raised
     cov_error: Covariance
 
     def on(self, surface: Surface, direction_enu: Vector3) -> Swept:
-        """How they move the point where the line of sight meets a plane."""
+        """Derivatives of the intersection of the line of sight with a plane."""
         against = along_plane(surface.normal, direction_enu)
         along = direction_enu / against
         return self.ray - along[:, None] * (surface.normal @ self.ray - self.height)[None, :]
 
 
 class AbstractSlope(Record):
-    """A choice of the plane on which a line of sight that errs is taken to come down."""
+    """Choice of the terrain plane for linear propagation."""
 
     @abstractmethod
     def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
@@ -61,7 +61,7 @@ class AbstractSlope(Record):
 
 
 class Facet(AbstractSlope):
-    """The surface under the fix itself: the derivative, right for errors smaller than a cell of the terrain."""
+    """Tangent plane of the terrain at the fix: valid for errors smaller than a terrain cell."""
 
     def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del terrain, aim, spread
@@ -69,7 +69,7 @@ class Facet(AbstractSlope):
 
 
 class Level(AbstractSlope):
-    """Level ground at the height of the fix: what a study with a constant height gets."""
+    """Horizontal plane at the height of the fix, as in studies with a constant height."""
 
     def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del terrain, aim, facet, spread
@@ -77,11 +77,10 @@ class Level(AbstractSlope):
 
 
 class Footprint(AbstractSlope):
-    """The plane that fits the ground best over the error ellipse.
+    """Plane fitted to the ground over the error ellipse.
 
-    A regression of the terrain's height at places that stand for equal shares of the ellipse's chance. Where the plane
-    lies above or below the fix, the mean of its errors is off by that; what the ground keeps off the plane counts as
-    one more error of height (statistical linearisation).
+    A regression of terrain heights at points of equal probability within the ellipse. The offset of the plane from the
+    fix is a bias; the residuals of the ground add a height error (statistical linearisation).
     """
 
     def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
@@ -94,12 +93,12 @@ class Footprint(AbstractSlope):
 
 
 def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
-    """Product of a plane's normal and the ray's direction, kept away from zero: the ray comes down on it."""
+    """Product of a plane normal and the ray direction, bounded away from zero: the ray descends onto the plane."""
     return jnp.minimum(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
 
 
 def fitted_plane(terrain: AbstractTerrain, aim: NominalFix, cov: Float[Array, "2 2"]) -> Surface:
-    """The plane through a terrain over an ellipse (m2, east and north) about a fix; without derivatives."""
+    """Plane fitted to a terrain over an error ellipse (m2, east and north) about a fix; no derivatives."""
     terrain, aim, cov = jax.lax.stop_gradient((terrain, aim, cov))
     root = _wide_root(cov)
     places = _even_places()
@@ -122,7 +121,7 @@ def _plane(normal: Vector3) -> Surface:
 
 
 def _even_places() -> Points:
-    """Places of a standard normal plane that stand for equal shares of its chance."""
+    """Points of equal probability of the standard normal distribution in 2D."""
     share = (jnp.arange(RINGS) + 0.5) / RINGS
     radius = jnp.sqrt(-2.0 * jnp.log1p(-share))
     turn = 2.0 * jnp.pi * (jnp.arange(SPOKES)[None, :] + 0.5 * (jnp.arange(RINGS) % 2)[:, None]) / SPOKES
@@ -130,7 +129,7 @@ def _even_places() -> Points:
 
 
 def _wide_root(cov: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
-    """A root of a covariance in the plane, widened where it is too narrow to tell a slope."""
+    """Root of a 2D covariance, widened where it is too narrow to estimate a slope."""
     values, vectors = jnp.linalg.eigh(jnp.where(jnp.all(jnp.isfinite(cov)), cov, jnp.eye(2)))
     sigma = jnp.sqrt(jnp.maximum(values, 0.0))
     return vectors * jnp.maximum(sigma, NARROWEST * jnp.maximum(sigma[1], 1.0))[None, :]

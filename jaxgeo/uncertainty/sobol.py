@@ -1,6 +1,6 @@
-"""Sobol points by their number, and their nested uniform (Owen) scrambling, in 32-bit integers.
+"""Sobol points by index, with nested uniform (Owen) scrambling, in 32-bit integers.
 
-Integers are mirrored here: bit 0 carries the weight 1/2, bit 31 the weight 2^-32, as the scrambling wants them.
+Integers are bit-reversed here, as the scrambling requires: bit 0 has weight 1/2, bit 31 weight 2^-32.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Words = UInt32[Array, " size"]
 
 
 def direction_numbers(size: int) -> np.ndarray:
-    """Mirrored direction numbers of the first `size` dimensions, (size, 32), uint32.
+    """Bit-reversed direction numbers of the first `size` dimensions, (size, 32), uint32.
 
     From the primitive polynomials and initial values of Joe and Kuo 2008, "Constructing Sobol sequences with better
     two-dimensional projections", SIAM J. Sci. Comput. 30. Raises `ValueError` beyond the table's dimensions.
@@ -36,14 +36,14 @@ def direction_numbers(size: int) -> np.ndarray:
 
 @functools.cache
 def _lines() -> tuple[tuple[int, ...], ...]:
-    """A primitive polynomial's coefficients as the bits of a number, then its initial values, for every dimension."""
+    """For every dimension the coefficients of a primitive polynomial as bits of a number, then its initial values."""
     rows = _TABLE.read_text(encoding="ascii").splitlines()
     return tuple(tuple(map(int, row.split())) for row in rows if row and not row.startswith("#"))
 
 
 @functools.cache
 def _mirrored_directions(line: tuple[int, ...]) -> tuple[int, ...]:
-    """One dimension's 32 direction numbers, by the recurrence of Bratley and Fox 1988, ACM TOMS 14, algorithm 659."""
+    """The 32 direction numbers of one dimension, by the recurrence of Bratley and Fox 1988, ACM TOMS 14, alg. 659."""
     polynomial, *values = line
     degree = polynomial.bit_length() - 1
     if degree == 0:
@@ -54,12 +54,12 @@ def _mirrored_directions(line: tuple[int, ...]) -> tuple[int, ...]:
             if polynomial >> (degree - k) & 1:
                 value ^= values[-k] << k
         values.append(value)
-    # The k-th value's k bits are binary digits after the point, its lowest bit the last of them.
+    # The k bits of value k are binary digits after the point, the lowest bit last.
     return tuple(int(f"{value:0{k + 1}b}"[::-1], 2) for k, value in enumerate(values))
 
 
 def sobol_point(index: UInt32[Array, ""], directions: UInt32[Array, "size 32"]) -> Words:
-    """Point number `index` of the Sobol sequence, mirrored, in the order of the integers (not of their Gray code)."""
+    """Point number `index` of the Sobol sequence, bit-reversed, in integer order (not Gray code order)."""
     point = jnp.zeros(directions.shape[0], jnp.uint32)
     for k in range(BITS):
         point = point ^ (directions[:, k] * (index >> k & 1))
@@ -67,11 +67,11 @@ def sobol_point(index: UInt32[Array, ""], directions: UInt32[Array, "size 32"]) 
 
 
 def scrambled(point: Words, shift: Words, factor: Words) -> Words:
-    """A mirrored point with every digit flipped or not, by a hash of the digits before it: nested uniform scrambling.
+    """A bit-reversed point with each digit flipped by a hash of the preceding digits: nested uniform scrambling.
 
-    Each dimension has its own random 32 bits in `shift` and in `factor`. A hash of this kind was found by Laine and
-    Karras 2011, "Stratified sampling for stochastic transparency"; Burley 2020, "Practical hash-based Owen scrambling",
-    made it one for Sobol points; this one's constants are by Vegdahl 2021, "Building a better LK hash".
+    Each dimension has its own random 32 bits in `shift` and in `factor`. Hash of this kind: Laine and Karras 2011,
+    "Stratified sampling for stochastic transparency"; for Sobol points: Burley 2020, "Practical hash-based Owen
+    scrambling"; constants: Vegdahl 2021, "Building a better LK hash".
     """
     point = point ^ point * jnp.uint32(0x3D20ADEA)
     point = (point + shift) * (factor | jnp.uint32(1))
@@ -80,14 +80,14 @@ def scrambled(point: Words, shift: Words, factor: Words) -> Words:
 
 
 def mirrored(words: Words) -> Words:
-    """The 32 bits of each word in opposite order."""
+    """The 32 bits of each word in reverse order."""
     for step, mask in [(1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)]:
         words = (words >> step) & jnp.uint32(mask) | (words & jnp.uint32(mask)) << step
     return words >> 16 | words << 16
 
 
 def mixed(words: Words) -> Words:
-    """A hash of each word in which every bit hangs on every other: the finaliser of MurmurHash3, Appleby 2011."""
+    """Hash of each word in which every bit depends on every other: the finaliser of MurmurHash3, Appleby 2011."""
     words = (words ^ words >> 16) * jnp.uint32(0x85EBCA6B)
     words = (words ^ words >> 13) * jnp.uint32(0xC2B2AE35)
     return words ^ words >> 16

@@ -1,4 +1,4 @@
-"""The papers' ways about the Earth, kept for comparison; the exact ones are in `jaxgeo.earth`."""
+"""Approximate Earth formulas from the literature, for comparison; the exact ones are in `jaxgeo.earth`."""
 
 from jaxgeo.earth.classical.gauss_krueger import GaussKruegerSeries, meridian_arc
 from jaxgeo.earth.classical.inflated import range_to_inflated_ellipsoid, range_to_scaled_ellipsoid

@@ -1,4 +1,4 @@
-"""Latitude and height by fixed-point iteration: Li et al. (2023), Eqs 7-9, and Li et al. (2020), Eqs 8-9."""
+"""Fixed-point iteration of latitude and height: Li et al. (2023), Eqs 7-9, and Li et al. (2020), Eqs 8-9."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from jaxgeo.earth.geodetic import Geodetic
 
 
 def to_geodetic_simultaneous(ellipsoid: Ellipsoid, p_ecef: Vector3, *, iterations: int = 4) -> Geodetic:
-    """Geodetic position by Eqs 7-9 of Li et al. (2023), every line with values of the round before, as printed.
+    """Geodetic position by Eqs 7-9 of Li et al. (2023), each line with values of the previous iteration, as printed.
 
     "A target location method for aerial images through fast iteration of elevation based on DEM". The latitude's
-    fraction is printed upside down in Eqs 7 and 8, tan(lat) = Z (N + h) / (p ((1 - e2) N + h)) is right; Eq 9 prints
-    arctan(X / Y) for arctan(Y / X). The paper claims 1e-5 arcsec and 1 mm after four rounds. With these indices, where
-    corrections arrive a round late, four leave 8e-3 arcsec and 0.5 m (0 to 15.4 km, all latitudes), and it takes
-    eight; `to_geodetic_successive` keeps the claim. Undefined at a pole, as the height divides by cos(lat);
+    fraction is printed upside down in Eqs 7 and 8 (correct: tan(lat) = Z (N + h) / (p ((1 - e2) N + h))); Eq 9 prints
+    arctan(X / Y) for arctan(Y / X). The paper claims 1e-5 arcsec and 1 mm after four iterations. With these indices
+    corrections arrive one iteration late: four leave 8e-3 arcsec and 0.5 m (0 to 15.4 km, all latitudes), and the claim
+    takes eight; `to_geodetic_successive` meets it. Undefined at a pole, as the height divides by cos(lat);
     `Ellipsoid.to_geodetic` is exact everywhere.
     """
     p_ecef = as_float64(p_ecef, "p_ecef")
@@ -30,12 +30,12 @@ def to_geodetic_simultaneous(ellipsoid: Ellipsoid, p_ecef: Vector3, *, iteration
 
 
 def to_geodetic_successive(ellipsoid: Ellipsoid, p_ecef: Vector3, *, iterations: int = 4) -> Geodetic:
-    """Geodetic position by the same equations, every line with the newest values: Eqs 8-9 of Li et al. (2020).
+    """Geodetic position by the same equations, each line with the newest values: Eqs 8-9 of Li et al. (2020).
 
     "Effect and compensation of overlap influenced by flight parameter of oblique aerial camera"; Eq 8 prints the
-    exponent of N as 1/2, -1/2 is right. Four rounds leave 8e-10 arcsec and 0.024 mm (0 to 15.4 km, up to 89.99 degrees
-    of latitude), well inside the 1e-5 arcsec and 1 mm that Li et al. (2023) claim; three leave 1.3e-7 arcsec and
-    3.3 mm. Undefined at a pole.
+    exponent of N as 1/2 (correct: -1/2). Four iterations leave 8e-10 arcsec and 0.024 mm (0 to 15.4 km, up to 89.99
+    degrees of latitude), well within the 1e-5 arcsec and 1 mm claimed by Li et al. (2023); three leave 1.3e-7 arcsec
+    and 3.3 mm. Undefined at a pole.
     """
     p_ecef = as_float64(p_ecef, "p_ecef")
     p, z = safe_norm(p_ecef[:2]), p_ecef[2]

@@ -1,4 +1,4 @@
-"""Accuracy metrics: circles and spheres of a probability, ellipses, what the literature and standards use instead."""
+"""Accuracy metrics: CE, LE and SE at a probability, error ellipses, classical approximations and standards."""
 
 from jaxgeo.uncertainty.metrics.classical import CLASSICAL, Classical, Comparison, compare_classical
 from jaxgeo.uncertainty.metrics.ellipse import ErrorEllipse, drms, error_ellipse, rms_3d, two_drms

@@ -1,4 +1,4 @@
-"""The chance that a normal vector ends in a ball about the origin, with derivatives that hold for every covariance."""
+"""Probability that a normal vector lies in a ball about the origin, with derivatives valid for every covariance."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from jaxgeo._numerics import safe_sqrt
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers, Scalar
 
-FARTHEST = 8.0  # standard deviations: beyond them lies 1e-15 of a normal variable
+FARTHEST = 8.0  # standard deviations; the probability beyond is 1e-15
 MID_NODES = 48
 OUTER_NODES = 64
 FAR = 20.0
 
 
 class Frame(Record):
-    """Axes in which the normal vector is taken apart; inner, middle and outer, as far as there are so many.
+    """Integration axes of the normal vector: inner, middle and outer, as many as there are dimensions.
 
-    Along `axes[0]` it is integrated in closed form, along the others by quadrature over the standard normal `u` that
-    moves it by `sigma[k]` along `axes[k]` and drags it by `drag[k]` along `axes[0]`.
+    Along `axes[0]` the integral has a closed form; along the others it is a quadrature over a standard normal `u` that
+    displaces the vector by `sigma[k]` along `axes[k]` and by `drag[k]` along `axes[0]`.
     """
 
     axes: Float[Array, "d d"]
@@ -34,10 +34,10 @@ class Frame(Record):
 
 
 def frame_of(cov: Float[Array, "d d"], mean: Float[Array, " d"]) -> Frame:
-    """The frame in which the integrand is smooth: the principal axes, or one that looks along a far mean.
+    """Frame in which the integrand is smooth: the principal axes, or, for a distant mean, one aligned with the mean.
 
-    Seen from far outside, the sphere is nearly a plane across the mean's direction n: there the part of the vector that
-    moves with its component along n is the inner one. Constant under differentiation, which `chance` allows for.
+    Seen from far outside, the sphere is nearly a plane normal to the mean direction n; the inner axis is then the part
+    of the vector that varies with its component along n. Constant under differentiation, which `spread` accounts for.
     """
     cov, mean = jax.lax.stop_gradient((cov, mean))
     principal = _principal(cov)
@@ -53,7 +53,7 @@ def _principal(cov: Float[Array, "d d"]) -> Frame:
 
 
 def eigen(cov: Float[Array, "d d"]) -> tuple[Float[Array, " d"], Float[Array, "d d"]]:
-    """Eigenvalues, the largest first, and eigenvectors as rows; in the plane in closed form, which compiles quicker."""
+    """Eigenvalues in descending order, and eigenvectors as rows; closed form in 2D, which compiles faster."""
     if len(cov) == 1:
         return cov[0], jnp.ones_like(cov)
     if len(cov) != 2:
@@ -80,20 +80,20 @@ def _looking_along(n: Float[Array, " d"], cov: Float[Array, "d d"]) -> Frame:
 
 
 def in_ball(frame: Frame, place: Numbers) -> Scalar:
-    """The chance that the vector ends within a radius of the origin; `place` is that radius, then the mean."""
+    """Probability that the vector lies within a radius of the origin; `place` is that radius, then the mean."""
     radius, mean = place[0], frame.axes @ place[1:]
     return (_in_interval, _in_disc, _in_sphere)[len(mean) - 1](radius, mean, frame)
 
 
 def _in_interval(radius: Numbers, mean: Numbers, frame: Frame) -> Numbers:
-    """Between -radius and radius, as a difference of two small numbers where both ends lie far out."""
+    """Probability between -radius and radius; a difference of two small numbers if both ends lie in the same tail."""
     scale = frame.sigma[0] * np.sqrt(2.0)
     side = jnp.where(mean[0] < 0.0, -1.0, 1.0)
     return 0.5 * (erfc((side * mean[0] - radius) / scale) - erfc((side * mean[0] + radius) / scale))
 
 
 def _in_disc(radius: Scalar, mean: Numbers, frame: Frame) -> Scalar:
-    """The trapezoid rule over an angle, which makes the integrand periodic whether the disc or the tail ends it."""
+    """Trapezoidal rule over an angle, in which the integrand is periodic whether the disc or the tail limits it."""
     angle = np.pi * (np.arange(MID_NODES) + 0.5) / MID_NODES
     u, chord, weight = _chords(radius, mean[1], frame.sigma[1], angle)
     inner = (mean[0] + frame.drag[1] * u)[None]
@@ -101,7 +101,7 @@ def _in_disc(radius: Scalar, mean: Numbers, frame: Frame) -> Scalar:
 
 
 def _in_sphere(radius: Scalar, mean: Numbers, frame: Frame) -> Scalar:
-    """Disc by disc, by Gauss and Legendre."""
+    """Gauss-Legendre quadrature over discs."""
     nodes, weights = np.polynomial.legendre.leggauss(OUTER_NODES)
     u, chord, weight = _chords(radius, mean[2], frame.sigma[2], 0.5 * np.pi * (nodes + 1.0))
 
@@ -114,10 +114,10 @@ def _in_sphere(radius: Scalar, mean: Numbers, frame: Frame) -> Scalar:
 def _chords(
     radius: Scalar, mean: Scalar, sigma: Scalar, angle: np.ndarray
 ) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, " n"]]:
-    """Places u in standard deviations, half the chord that the ball has there, and the normal density times du.
+    """Nodes u in standard deviations, half-chord of the ball at each, and normal density times du.
 
-    u runs as a cosine from one end of what lies in the ball to the other; the square root with which the chord ends
-    becomes a sine. Written by what is left to the ends, so that nothing cancels for a thin covariance.
+    u is the cosine of an angle over the range inside the ball; the square root at the end of the chord becomes a sine.
+    Expressed by the distance to the ends, to avoid cancellation for a thin covariance.
     """
     low, to_low = _end(radius + mean, sigma)
     high, to_high = _end(radius - mean, sigma)
@@ -129,7 +129,7 @@ def _chords(
 
 
 def _end(room: Scalar, sigma: Scalar) -> tuple[Scalar, Scalar]:
-    """How many sigmas fit into `room`, at most `FARTHEST`, and the room that is left."""
+    """Number of sigmas in `room`, at most `FARTHEST`, and the remaining room."""
     all_fits = room > FARTHEST * sigma
     fits = room / jnp.where(all_fits | (sigma == 0.0), 1.0, sigma)
     fits = jnp.where(all_fits, FARTHEST, jnp.maximum(jnp.where(sigma == 0.0, -FARTHEST, fits), -FARTHEST))
@@ -138,10 +138,10 @@ def _end(room: Scalar, sigma: Scalar) -> tuple[Scalar, Scalar]:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def spread(kernel: Callable[[Frame, Numbers], Numbers], frame: Frame, cov: Numbers, place: Numbers) -> Numbers:
-    """`kernel`, an expectation over the normal vector, with its derivatives by covariance, of every order.
+    """`kernel`, an expectation over the normal vector, with derivatives of every order with respect to the covariance.
 
-    Chance obeys the heat equation: its derivative by the covariance is half its second derivative by the mean. That is
-    smooth where eigenvectors are not defined and where standard deviations have no derivative.
+    The expectation satisfies the heat equation: its derivative by the covariance is half its second derivative by the
+    mean. That is smooth where eigenvectors are undefined and standard deviations are not differentiable.
     """
     return kernel(frame, place)
 
@@ -156,12 +156,12 @@ def _(kernel, primals, tangents):
 
 
 def slopes_of(kernel: Callable[[Frame, Numbers], Numbers]) -> Callable[[Frame, Numbers], Numbers]:
-    """First derivatives by radius and mean, along a last axis."""
+    """First derivatives with respect to radius and mean, along a last axis."""
     return jax.jacfwd(kernel, argnums=1)
 
 
 def bends_of(kernel: Callable[[Frame, Numbers], Numbers]) -> Callable[[Frame, Numbers], Numbers]:
-    """Second derivatives by the mean, along two last axes."""
+    """Second derivatives with respect to the mean, along two last axes."""
 
     def by_mean(frame: Frame, radius: Numbers, mean: Numbers) -> Numbers:
         return kernel(frame, jnp.concatenate([radius, mean]))

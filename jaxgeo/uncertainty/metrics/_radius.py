@@ -1,4 +1,4 @@
-"""The radius that holds a normal vector with a probability: `_ball` inverted."""
+"""Radius of the ball that contains a normal vector with a probability: inverse of `_ball`."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from jaxgeo._typing import Flag, Numbers, Scalar
 from jaxgeo.uncertainty.metrics._ball import Frame, bends_of, eigen, frame_of, in_ball, slopes_of, spread
 
 MOST_STEPS = 100
-HIGHEST = 1.0 - 1e-10  # probability, beyond which what is left to 1 is no longer told by a sum of float64
+HIGHEST = 1.0 - 1e-10  # probability; float64 sums do not resolve the remainder to 1 beyond it
 CLOSE = 1e-13  # of the radius
-ROUNDING = 1e-12  # of the largest entry: what a covariance may lack to be symmetric or positive
+ROUNDING = 1e-12  # of the largest entry: tolerance for symmetry and positive semi-definiteness
 
 
 def radius_of(cov: Numbers, probability: Scalar, mean: Numbers) -> Scalar:
-    """The radius about the origin that holds N(mean, cov) with the probability; |mean| for a covariance of zero.
+    """Radius about the origin that contains N(mean, cov) with the probability; |mean| for a zero covariance.
 
-    NaN where the covariance is none or the probability lies outside (0, `HIGHEST`].
+    NaN if the covariance is invalid or the probability lies outside (0, `HIGHEST`].
     """
     size, is_point, shape, place = _unit(cov, mean)
     inside = (probability > 0.0) & (probability <= HIGHEST)
@@ -29,7 +29,7 @@ def radius_of(cov: Numbers, probability: Scalar, mean: Numbers) -> Scalar:
 
 
 def chance_within(cov: Numbers, radius: Scalar, mean: Numbers) -> Scalar:
-    """The chance that N(mean, cov) falls within the radius about the origin, which belongs to the ball."""
+    """Probability that N(mean, cov) lies within a radius (inclusive) of the origin."""
     size, is_point, shape, place = _unit(cov, mean)
     frame = frame_of(shape, place)
     inside = spread(in_ball, frame, shape, jnp.concatenate([jnp.maximum(radius, 0.0)[None] / size, place]))
@@ -38,14 +38,14 @@ def chance_within(cov: Numbers, radius: Scalar, mean: Numbers) -> Scalar:
 
 
 def is_covariance(cov: Numbers) -> Flag:
-    """Whether a matrix is symmetric and positive semidefinite, to within rounding; not with NaN or infinities."""
+    """Whether a matrix is finite, symmetric and positive semi-definite, to within rounding."""
     close = ROUNDING * jnp.max(jnp.abs(cov))
     lowest = eigen(jnp.where(jnp.isfinite(cov), cov, 0.0))[0][-1]
     return jnp.all(jnp.isfinite(cov)) & jnp.all(jnp.abs(cov - cov.T) <= close) & (lowest >= -close)
 
 
 def _unit(cov: Numbers, mean: Numbers) -> tuple[Scalar, Flag, Numbers, Numbers]:
-    """A length by which covariance and mean are divided (trace 1), whether it is zero, and what they become."""
+    """Scale length for covariance and mean (trace 1), whether it is zero, scaled covariance, scaled mean."""
     size = safe_sqrt(jax.lax.stop_gradient(jnp.trace(cov)))
     is_point = size == 0.0
     usable = is_covariance(jax.lax.stop_gradient(cov)) & ~is_point
@@ -100,9 +100,9 @@ def _log_odds(p: Scalar) -> Scalar:
 
 
 def _bounds(mean: Numbers, probability: Scalar) -> tuple[Scalar, Scalar]:
-    """A radius that holds too little and one that holds too much, of a covariance of trace 1.
+    """Lower and upper bound of the radius, for a covariance of trace 1.
 
-    No strip across the longest axis holds more than its width times the peak of the density there. About the mean, the
+    A strip across the longest axis contains at most its width times the peak density there. About the mean: the
     chi-square bound of Laurent and Massart (2000), "Adaptive estimation of a quadratic functional by model selection".
     """
     d, tail = len(mean), -jnp.log1p(-probability)
@@ -111,7 +111,7 @@ def _bounds(mean: Numbers, probability: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _guess(cov: Numbers, mean: Numbers, probability: Scalar) -> Scalar:
-    """From Wilson and Hilferty's cube root of a chi-square with the mean and the variance of the squared distance."""
+    """Wilson-Hilferty cube root of a chi-square with the mean and variance of the squared distance."""
     first = 1.0 + jnp.sum(mean**2)
     second = 2.0 * jnp.sum(cov**2) + 4.0 * mean @ cov @ mean
     share = second / (9.0 * first**2)

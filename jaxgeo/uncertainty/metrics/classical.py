@@ -1,4 +1,4 @@
-"""What is used for a circular error in the literature, beside the exact figure."""
+"""Classical approximations of the circular error, compared with the exact value."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxgeo.uncertainty.metrics.exact import circular_error, circular_probabilit
 
 
 class Classical(Record):
-    """A formula for the circle of a `probability`, from a covariance (..., 2, 2) in m²; `source` says whose."""
+    """A formula for the circular error at a `probability`, from a covariance (..., 2, 2) in m²; `source` cites it."""
 
     formula: Callable[[Any], Numbers] = eqx.field(static=True)
     probability: float = eqx.field(static=True)
@@ -25,7 +25,7 @@ class Classical(Record):
 
 
 class Comparison(Record):
-    """A formula's radius and the exact one in m, its relative error, and the probability that it really holds."""
+    """Radius by a formula and exact radius in m, relative error, and actual probability of the formula's circle."""
 
     radius: Numbers
     exact: Numbers
@@ -36,7 +36,7 @@ class Comparison(Record):
 def linear_cep(cov: Any) -> Numbers:
     """0.562 times the larger and 0.615 times the smaller standard deviation.
 
-    To 0.5 % for ratios of the axes from 0.3 to 1; a flat error gets 17 % too little.
+    Accurate to 0.5 % for axis ratios from 0.3 to 1; 17 % too small for a degenerate (one-dimensional) error.
     """
     ellipse = error_ellipse(cov)
     return 0.562 * ellipse.major + 0.615 * ellipse.minor
@@ -49,12 +49,12 @@ def mean_axis_cep(cov: Any) -> Numbers:
 
 
 def rayleigh_cep(cov: Any) -> Numbers:
-    """sqrt(ln 2) times the root mean square: right for a round error, too large for every other."""
+    """sqrt(ln 2) times the root mean square: exact for a circular error, too large for every other."""
     return jnp.sqrt(jnp.log(2.0)) * drms(cov)
 
 
 def grubbs_patnaik_cep(cov: Any) -> Numbers:
-    """The median of a chi-square that has the mean and the variance of the squared distance, by Wilson and Hilferty."""
+    """Median of a chi-square variable with the mean and variance of the squared distance, by Wilson and Hilferty."""
     cov = covariance(cov, 2)
     mean = jnp.trace(cov, axis1=-2, axis2=-1)
     variance = 2.0 * jnp.sum(cov**2, axis=(-2, -1))
@@ -63,15 +63,15 @@ def grubbs_patnaik_cep(cov: Any) -> Numbers:
 
 
 def rms_over_1_2(cov: Any) -> Numbers:
-    """The root mean square divided by 1.2, printed as CEP.
+    """The root mean square divided by 1.2, published as CEP.
 
-    Within 0.1 % of the circle that holds half of a round error; of a flat error it holds 60 %.
+    Within 0.1 % of the 50 % circle of a circular error; contains 60 % of a one-dimensional error.
     """
     return drms(cov) / 1.2
 
 
 def rms_axis_ce90(cov: Any) -> Numbers:
-    """2.146 times the root mean square along one axis, which holds 90 % of a round error and less of any other."""
+    """2.146 times the root mean square along one axis; contains 90 % of a circular error and less of any other."""
     return 2.146 * drms(cov) / jnp.sqrt(2.0)
 
 
@@ -97,7 +97,7 @@ CLASSICAL: Mapping[str, Classical] = MappingProxyType(
 
 
 def compare_classical(cov: Any) -> dict[str, Comparison]:
-    """Every row of `CLASSICAL` for a covariance (..., 2, 2) in m², beside the exact circle of the same probability."""
+    """Every row of `CLASSICAL` for a covariance (..., 2, 2) in m², with the exact circle of the same probability."""
     cov = covariance(cov, 2)
     return {name: _compare(row, cov) for name, row in CLASSICAL.items()}
 

@@ -1,4 +1,4 @@
-"""The error ellipse of a plane covariance, and root mean squares."""
+"""Error ellipse of a 2D covariance, and root mean square errors."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class ErrorEllipse(Record):
 
 
 def _shown(numbers: Any) -> str:
-    """A number, or numbers in lists, with six digits."""
+    """A number, or nested lists of numbers, to six digits."""
     return f"[{' '.join(map(_shown, numbers))}]" if isinstance(numbers, list) else f"{numbers:.6g}"
 
 
 def error_ellipse(cov: Any, probability: Any = None) -> ErrorEllipse:
-    """Ellipse of one standard deviation of a covariance (..., 2, 2) in m², east before north.
+    """One-sigma ellipse of a covariance (..., 2, 2) in m², east before north.
 
-    With a `probability`, the ellipse about the mean that holds that much: sqrt(-2 ln(1 - p)) times as large. The
-    azimuth of a round error is arbitrary, and it has no derivative there. Raises as `circular_error` does.
+    With a `probability`, the ellipse about the mean that contains it: sqrt(-2 ln(1 - p)) times as large. The azimuth of
+    a circular error is arbitrary and has no derivative. Raises as `circular_error` does.
     """
     cov = covariance(cov, 2)
     scale = 1.0 if probability is None else jnp.sqrt(-2.0 * jnp.log1p(-check_probability(probability)))
@@ -50,17 +50,17 @@ def error_ellipse(cov: Any, probability: Any = None) -> ErrorEllipse:
 
 
 def drms(cov: Any, bias: Any = None) -> Numbers:
-    """Root of the mean squared horizontal distance in m: of `cov` (..., 2, 2) in m², and of `bias` (..., 2) in m."""
+    """Root mean square horizontal distance (DRMS) in m, from `cov` (..., 2, 2) in m² and `bias` (..., 2) in m."""
     return _rms(covariance(cov, 2), bias)
 
 
 def two_drms(cov: Any, bias: Any = None) -> Numbers:
-    """Twice the `drms`: a circle that holds 95.4 % of a flat and 98.2 % of a round error, and no fixed share."""
+    """Twice the `drms`: contains 95.4 % of a one-dimensional and 98.2 % of a circular error, not a fixed share."""
     return 2.0 * drms(cov, bias)
 
 
 def rms_3d(cov: Any, bias: Any = None) -> Numbers:
-    """Root of the mean squared distance in space in m: of `cov` (..., 3, 3) in m², and of `bias` (..., 3) in m."""
+    """Root mean square 3D distance in m, from `cov` (..., 3, 3) in m² and `bias` (..., 3) in m."""
     return _rms(covariance(cov, 3), bias)
 
 

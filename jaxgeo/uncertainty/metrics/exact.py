@@ -1,4 +1,4 @@
-"""Circular, linear and spherical error, and the probabilities that they invert: exact, for any normal error."""
+"""Exact circular, linear and spherical errors of normal errors, and the corresponding probabilities."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxgeo.uncertainty.metrics._radius import HIGHEST, ROUNDING, chance_within,
 
 
 def _for_crowds(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callable[..., Numbers]:
-    """A function of a covariance, a number and a bias, for leading axes that broadcast; compiled once per shape."""
+    """Broadcasting version of a function of a covariance, a number and a bias; compiled once per shape."""
 
     def crowd(cov: Numbers, number: Numbers, bias: Numbers) -> Numbers:
         d = bias.shape[-1]
@@ -35,17 +35,16 @@ _chances = _for_crowds(chance_within)
 
 
 def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
-    """Radius in m of the circle about the nominal point that holds the true one with a probability: CE50, CE90, ...
+    """Radius in m of the circle about the nominal point that contains the true point with a probability (CE90, ...).
 
-    `cov` (..., 2, 2) in m² along any two axes at right angles; `bias` (..., 2) in m along the same, zero by default:
-    the error is N(bias, cov), and the circle lies about zero error, not about its mean. Leading axes broadcast. Not an
-    approximation: the integral is inverted, to about 1e-12 of the radius, from round to flat errors and near or far
-    biases; near one, where little is left of the probability, to 1e-10 at 1 - 1e-6, 1e-8 at 1 - 1e-8 and 1e-6 at
-    1 - 1e-10, the highest that is taken. Derivatives of every order by all three hold for equal axes, for a flat
-    covariance and for no bias; at a covariance of zero the radius is |bias|, and its derivative by the covariance,
-    which is infinite, is given as zero.
-    Raises `ValueError` for a probability that is not above 0 and at most 1 - 1e-10, a covariance that is none,
-    infinities and NaN; traced, the radius is NaN then.
+    `cov` (..., 2, 2) in m² along any two orthogonal axes; `bias` (..., 2) in m along the same axes, zero by default:
+    the error is N(bias, cov), and the circle is centred at zero error, not at the mean. Leading axes broadcast. Not an
+    approximation: the integral is inverted to about 1e-12 of the radius, for circular to one-dimensional errors and
+    small or large biases; to 1e-10 at p = 1 - 1e-6, 1e-8 at 1 - 1e-8 and 1e-6 at 1 - 1e-10, the largest p allowed.
+    Derivatives of every order with respect to all three are valid, also for equal axes, a singular covariance and no
+    bias. For a zero covariance the radius is |bias|, and its derivative with respect to the covariance, which is
+    infinite, is set to zero. Raises `ValueError` for a probability outside (0, 1 - 1e-10], an invalid covariance,
+    infinities and NaN; if these are traced, the radius is NaN.
 
     >>> print(f"{jaxgeo.circular_error(np.eye(2), 0.9):.4f}")
     2.1460
@@ -57,10 +56,10 @@ def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
 
 
 def spherical_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
-    """Radius in m of the sphere about the nominal point that holds the true one; see `circular_error`.
+    """Radius in m of the sphere about the nominal point that contains the true point; see `circular_error`.
 
-    `cov` (..., 3, 3) in m², `bias` (..., 3) in m. To about 1e-10 of the radius for biases up to ten times the largest
-    standard deviation.
+    `cov` (..., 3, 3) in m², `bias` (..., 3) in m. Accurate to about 1e-10 of the radius for biases up to ten times the
+    largest standard deviation.
 
     >>> print(f"{jaxgeo.spherical_error(np.eye(3), 0.9):.4f}")
     2.5003
@@ -69,7 +68,7 @@ def spherical_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:
 
 
 def linear_error(variance: Any, probability: Any, bias: Any = None) -> Numbers:
-    """Half length in m of the interval about the nominal value that holds the true one: LE50, LE90, ...
+    """Half-length in m of the interval about the nominal value that contains the true value: LE50, LE90, ...
 
     `variance` (...) in m², `bias` (...) in m; otherwise as `circular_error`.
 
@@ -80,20 +79,20 @@ def linear_error(variance: Any, probability: Any, bias: Any = None) -> Numbers:
 
 
 def circular_probability(cov: Any, radius: Any, bias: Any = None) -> Numbers:
-    """Chance that the error N(bias, cov) stays within a radius in m of zero; arguments as for `circular_error`.
+    """Probability that the error N(bias, cov) is within a radius in m of zero; arguments as for `circular_error`.
 
-    Zero for a negative radius. A covariance of zero gives zero or one.
+    Zero for a negative radius. A zero covariance gives zero or one.
     """
     return _chance(cov, radius, bias, 2)
 
 
 def spherical_probability(cov: Any, radius: Any, bias: Any = None) -> Numbers:
-    """Chance that an error in space stays within a radius in m of zero; arguments as for `spherical_error`."""
+    """Probability that a 3D error is within a radius in m of zero; arguments as for `spherical_error`."""
     return _chance(cov, radius, bias, 3)
 
 
 def linear_probability(variance: Any, radius: Any, bias: Any = None) -> Numbers:
-    """Chance that an error along a line stays within a distance in m of zero; arguments as for `linear_error`."""
+    """Probability that a 1D error is within a distance in m of zero; arguments as for `linear_error`."""
     return _chance(*_as_line(variance, radius, bias), 1)
 
 
@@ -124,7 +123,7 @@ def _chance(cov: Any, radius: Any, bias: Any, d: int) -> Numbers:
 
 
 def check_probability(probability: Any) -> Numbers:
-    """A probability as float64; `ValueError` unless it lies in (0, 1), both ends excluded, where it is known."""
+    """A probability as float64; raises `ValueError` if it is concrete and outside the open interval (0, 1)."""
     probability = as_float64(as_array(probability, "probability"), "probability")
     known = concrete(probability)
     if known is not None and not np.all((known > 0.0) & (known < 1.0)):
@@ -134,7 +133,7 @@ def check_probability(probability: Any) -> Numbers:
 
 
 def covariance(cov: Any, d: int) -> Numbers:
-    """A covariance (..., d, d) in m² as float64; `ValueError` unless it can be one, where it is known."""
+    """A covariance (..., d, d) in m² as float64; raises `ValueError` if it is concrete and invalid."""
     name = "cov" if d > 1 else "variance"
     cov = as_float64(as_array(cov, name), name)
     if jnp.ndim(cov) < 2 or cov.shape[-2:] != (d, d):

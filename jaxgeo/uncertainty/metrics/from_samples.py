@@ -1,4 +1,4 @@
-"""Accuracy of a sample of errors, in which what failed counts as infinitely far."""
+"""Accuracy statistics of error samples; failed samples count as infinitely far."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgeo.uncertainty.metrics.exact import check_probability
 
 
 def radial_errors(errors: Any, failed: Any = None) -> Numbers:
-    """Lengths in m of errors (n, d) in m; +inf where `failed` (n,) is true, or where one is not finite."""
+    """Norms in m of errors (n, d) in m; +inf where `failed` (n,) is true or an error is not finite."""
     errors = as_float64(as_array(errors, "errors"), "errors")
     bad = ~jnp.all(jnp.isfinite(errors), axis=-1)
     if failed is not None:
@@ -22,20 +22,20 @@ def radial_errors(errors: Any, failed: Any = None) -> Numbers:
 
 
 def sample_quantile(distances: Any, probability: float) -> Numbers:
-    """The k-th smallest of n distances in m, with k = p n rounded up: the least that holds the share p of the sample.
+    """The k-th smallest of n distances in m, k = ceil(p n): the smallest that contains the share p of the sample.
 
-    NaN counts as a failure, infinitely far, so the quantile is +inf where more than 1 - p failed. Raises `ValueError`
-    for an empty sample and a probability outside (0, 1).
+    NaN counts as failed, infinitely far, so the quantile is +inf if more than 1 - p failed. Raises `ValueError` for an
+    empty sample and a probability outside (0, 1).
     """
     distances = _as_distances(distances)
     share = float(check_probability(probability))
     n = distances.shape[0]
-    rank = math.ceil(round(share * n, 9))  # 0.07 * 100 is a little more than 7
+    rank = math.ceil(round(share * n, 9))  # 0.07 * 100 rounds to slightly more than 7
     return jnp.sort(distances)[max(rank, 1) - 1]
 
 
 def sample_rms(distances: Any) -> Numbers:
-    """Root mean square of n distances in m; +inf if any failed, since no mean is left then."""
+    """Root mean square of n distances in m; +inf if any failed."""
     distances = _as_distances(distances)
     return jnp.sqrt(jnp.mean(distances**2))
 
@@ -46,12 +46,12 @@ def sample_mean(distances: Any) -> Numbers:
 
 
 def failed_share(distances: Any) -> Numbers:
-    """Which part of n distances is not finite: what failed."""
+    """Share of n distances that are not finite, i.e. failed."""
     return jnp.mean(jnp.where(jnp.isinf(_as_distances(distances)), 1.0, 0.0))
 
 
 def share_within(distances: Any, radius: Any) -> Numbers:
-    """Which part of n distances in m lies within a radius in m; what failed counts as outside."""
+    """Share of n distances in m that are within a radius in m; failed ones count as outside."""
     return jnp.mean(jnp.where(_as_distances(distances) <= radius, 1.0, 0.0))
 
 

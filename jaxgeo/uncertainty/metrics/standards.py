@@ -1,4 +1,4 @@
-"""What standards make of root mean square errors, and how accuracy is sent with a video."""
+"""Accuracy measures of standards (NSSDA, ASPRS) from RMSE, and the MISB encoding of CE90 and LE90."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MISB_STEPS = 65535
 
 
 def nssda_horizontal(rmse_x: Any, rmse_y: Any) -> Numbers:
-    """Accuracy_r in m at 95 %, of two root mean square errors in m: 1.2239 times their sum, 1.7308 RMSE_r if equal.
+    """Accuracy_r in m at 95 %, from two RMSE in m: 1.2239 times their sum, 1.7308 RMSE_r if equal.
 
-    Raises `ValueError` where their ratio is below 0.6, for which the standard has no figure; traced, NaN. FGDC (1998),
+    Raises `ValueError` if their ratio is below 0.6, which the standard does not cover; NaN if traced. FGDC (1998),
     "Geospatial Positioning Accuracy Standards, Part 3: National Standard for Spatial Data Accuracy".
     """
     x, y = _rmse(rmse_x, "rmse_x"), _rmse(rmse_y, "rmse_y")
@@ -35,33 +35,33 @@ def nssda_horizontal(rmse_x: Any, rmse_y: Any) -> Numbers:
 
 
 def nssda_vertical(rmse_z: Any) -> Numbers:
-    """Accuracy_z in m at 95 %: 1.9600 RMSE_z; the standard as for `nssda_horizontal`."""
+    """Accuracy_z in m at 95 %: 1.9600 RMSE_z; standard as for `nssda_horizontal`."""
     return 1.9600 * _rmse(rmse_z, "rmse_z")
 
 
 def asprs_horizontal(rmse_x: Any, rmse_y: Any, rmse_survey: Any = 0.0) -> Numbers:
-    """RMSE_H in m: of both axes, and of the survey that gave the checkpoints.
+    """RMSE_H in m, from both axes and the survey of the checkpoints.
 
     ASPRS (2023), "Positional Accuracy Standards for Digital Geospatial Data", edition 2: RMSE_H1 = sqrt(RMSE_x² +
-    RMSE_y²) against the checkpoints, RMSE_H2 of these, and the root of the sum of both squares.
+    RMSE_y²) against the checkpoints, RMSE_H2 of the checkpoints, combined as the root of the sum of squares.
     """
     return _root_of_squares(_rmse(rmse_x, "rmse_x"), _rmse(rmse_y, "rmse_y"), _rmse(rmse_survey, "rmse_survey"))
 
 
 def asprs_vertical(rmse_z: Any, rmse_survey: Any = 0.0) -> Numbers:
-    """RMSE_V in m, with that of the survey that gave the checkpoints; the standard as for `asprs_horizontal`."""
+    """RMSE_V in m, including the survey of the checkpoints; standard as for `asprs_horizontal`."""
     return _root_of_squares(_rmse(rmse_z, "rmse_z"), _rmse(rmse_survey, "rmse_survey"))
 
 
 def asprs_3d(rmse_h: Any, rmse_v: Any) -> Numbers:
-    """RMSE_3D in m, of a horizontal and a vertical one; the standard as for `asprs_horizontal`."""
+    """RMSE_3D in m from a horizontal and a vertical RMSE; standard as for `asprs_horizontal`."""
     return _root_of_squares(_rmse(rmse_h, "rmse_h"), _rmse(rmse_v, "rmse_v"))
 
 
 def asprs_class(rmse: float, unit: float = 0.01) -> float:
-    """The accuracy class in m of an RMSE in m: the least multiple of `unit` (1 cm) that is no less.
+    """Accuracy class in m of an RMSE in m: the smallest multiple of `unit` (1 cm) that is not below it.
 
-    In the standard as for `asprs_horizontal` a class is any number that the RMSE does not exceed; it has no fixed bins.
+    In the standard (see `asprs_horizontal`) a class is any number that the RMSE does not exceed; it has no fixed bins.
     """
     check_range(rmse, "rmse", "m", 0.0, 1e12)
     if not (math.isfinite(unit) and unit > 0.0):
@@ -70,10 +70,10 @@ def asprs_class(rmse: float, unit: float = 0.01) -> float:
 
 
 def categorise(value: float, bins: Sequence[tuple[str, float]]) -> str | None:
-    """Name of the first of `bins` whose upper limit `value` does not exceed, None beyond the last.
+    """Name of the first of `bins` whose upper limit `value` does not exceed; None above the last.
 
-    `bins` are (name, limit), the limits in the unit of `value` and rising. Raises `ValueError` for a NaN and for limits
-    that do not rise.
+    `bins` are (name, limit), limits in the unit of `value` and increasing. Raises `ValueError` for NaN and for limits
+    that do not increase.
     """
     limits = [limit for _, limit in bins]
     if any(not a < b for a, b in itertools.pairwise(limits)):
@@ -84,10 +84,9 @@ def categorise(value: float, bins: Sequence[tuple[str, float]]) -> str | None:
 
 
 def encode_misb_error(error: float) -> bytes:
-    """CE90 or LE90 in m as two bytes, the most significant first: items 45 and 46 of MISB ST 0601.
+    """CE90 or LE90 in m as two big-endian bytes: items 45 and 46 of MISB ST 0601, "UAS Datalink Local Set".
 
-    0 to 4095 m in 65535 steps of 6.25 cm, to the nearest. Raises `ValueError` beyond 4095 m, rather than to send less.
-    MISB ST 0601, "UAS Datalink Local Set".
+    0 to 4095 m in 65535 steps of 6.25 cm, rounded to nearest. Raises `ValueError` above 4095 m instead of clipping.
     """
     check_range(error, "error", "m", 0.0, MISB_FARTHEST)
     return round(float(error) / MISB_FARTHEST * MISB_STEPS).to_bytes(2, "big")

@@ -1,4 +1,4 @@
-"""Error sources: one small class each, that says how it moves a look and what its covariance is."""
+"""Error sources: one class each, with its covariance and the perturbation of an observation."""
 
 from jaxgeo.uncertainty.sources.air import Refraction
 from jaxgeo.uncertainty.sources.base import AbstractSource

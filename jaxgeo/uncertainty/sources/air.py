@@ -1,4 +1,4 @@
-"""Errors of the air through which a line of sight is bent."""
+"""Atmospheric error source: temperature and pressure used for refraction."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, 
 
 
 class Refraction(AbstractSource):
-    """Errors of the air's temperature, K at every height, and of the pressure at sea level, Pa."""
+    """Errors of the air temperature, K at every height, and of the sea-level pressure, Pa."""
 
     sigma: Sigma
     correlation: Correlation = None

@@ -1,4 +1,4 @@
-"""What an error source is: how far each of its axes goes, how they hang together, and what they move."""
+"""Base class of error sources: standard deviations, correlation, and the perturbation of an observation."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ else:
     Sigma: TypeAlias = Num[ArrayLike, " axes"]
     Correlation: TypeAlias = Num[ArrayLike, "axes axes"] | None
 
-NEGATIVE = 1e-9  # of the largest eigenvalue: a covariance computed in floating point is no more negative than this
+NEGATIVE = 1e-9  # of the largest eigenvalue: rounding tolerance for negative eigenvalues
 
 
 class AbstractSource(Record):
-    """One cause of error: a vector e ~ N(0, D R D), D of its `sigma`, R its `correlation`, that moves a look.
+    """One error source: a vector e ~ N(0, D R D), D of `sigma`, R the `correlation`, that perturbs an observation.
 
-    `sigma` are standard deviations in rad, m, px, s, K or Pa, one for each of `names`; without a `correlation` the axes
-    are independent. `sharing` says what of it two measurements have in common.
+    `sigma` holds standard deviations in rad, m, px, s, K or Pa, one for each of `names`; without a `correlation` the
+    axes are independent. `sharing` is the correlation of the error between two measurements.
     """
 
     sigma: eqx.AbstractVar[Sigma]
@@ -44,22 +44,22 @@ class AbstractSource(Record):
 
     @property
     def label(self) -> str:
-        """What budgets call it."""
+        """Name in error budgets."""
         words = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in type(self).__name__)
         return words.strip()
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The names of the axes of its error vector."""
+        """Names of the axes of the error vector."""
         return self.names
 
     @property
     def sigma_axes(self) -> tuple[str, ...]:
-        """What each of its standard deviations is of."""
+        """Names of the entries of `sigma`."""
         return self.axes
 
     def at(self: SourceT, look: ModelInputs, aim: NominalFix) -> SourceT:
-        """The source as it is at a look; only what varies over the ground makes use of it."""
+        """The source evaluated at an observation; only sources that vary over the ground change."""
         del look, aim
         return self
 
@@ -70,20 +70,20 @@ class AbstractSource(Record):
         return sigma[:, None] * unit * sigma[None, :]
 
     def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
-        """Covariance between the error vector here (rows) and that of the same source at another look (columns)."""
+        """Covariance between this error vector (rows) and that of the same source at another observation (columns)."""
         del there
         return self.sharing.correlation(*when) * self.covariance()
 
     @abstractmethod
     def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        """The look with an error in it."""
+        """The observation perturbed by an error."""
 
     def check(self, look: ModelInputs) -> None:
-        """Raise `ValueError` where the source can have no part in a look, `TypeError` where it makes no sense."""
+        """Raise `ValueError` if the source cannot act on an observation, `TypeError` if it does not apply to it."""
         del look
 
     def check_numbers(self) -> None:
-        """Raise `ValueError` for a sigma that is negative or not finite, or a correlation that is none."""
+        """Raise `ValueError` for a sigma that is negative or not finite, or an invalid correlation."""
         check_sigma(self.sigma, self.sigma_axes, self.label)
         if self.correlation is not None:
             check_correlation(self.correlation, len(self.axes), self.label)
@@ -92,9 +92,9 @@ class AbstractSource(Record):
 
     @classmethod
     def from_covariance(cls: type[SourceT], covariance: ArrayLike, **options: Any) -> SourceT:
-        """From a covariance matrix (axes, axes), in the squared units of `sigma`.
+        """Source from a covariance matrix (axes, axes), in the squared units of `sigma`.
 
-        Raises `ValueError` for one that is not symmetric and positive semi-definite.
+        Raises `ValueError` if it is not symmetric and positive semi-definite.
         """
         given: Any = as_float64(as_array(covariance, "covariance"), "covariance")
         check_covariance(given, f"covariance of {cls.__name__}")
@@ -105,7 +105,7 @@ class AbstractSource(Record):
 
 
 def sigmas(*values: ArrayLike, degrees: bool = False) -> Array:
-    """Standard deviations as one vector, from degrees if they are."""
+    """Standard deviations as one vector, converted from degrees if `degrees` is set."""
     require_x64()
     parts: Any = as_float64(list(values), "sigma")
     stacked = jnp.stack([jnp.asarray(part) for part in parts])
@@ -126,7 +126,7 @@ def check_sigma(sigma: Any, axes: tuple[str, ...], label: str) -> None:
 
 
 def check_covariance(covariance: Any, name: str) -> None:
-    """Raise `ValueError` unless a matrix that is known is symmetric and positive semi-definite."""
+    """Raise `ValueError` unless a concrete matrix is symmetric and positive semi-definite."""
     if np.ndim(covariance) != 2 or np.shape(covariance)[0] != np.shape(covariance)[1]:
         raise ValueError(f"{name} must be a square matrix; got shape {np.shape(covariance)}.")
     check_finite(covariance, name, "squared units")
@@ -149,7 +149,7 @@ def check_covariance(covariance: Any, name: str) -> None:
 
 
 def check_correlation(correlation: Any, count: int, label: str) -> None:
-    """Raise `ValueError` unless a matrix that is known is a correlation of so many axes."""
+    """Raise `ValueError` unless a concrete matrix is a correlation matrix of `count` axes."""
     if np.shape(correlation) != (count, count):
         raise ValueError(f"{label}: correlation must have the shape ({count}, {count}); got {np.shape(correlation)}.")
     check_covariance(correlation, f"{label}: correlation")

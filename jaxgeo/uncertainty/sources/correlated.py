@@ -1,4 +1,4 @@
-"""Several sources whose errors hang together, as one block."""
+"""Correlated error sources combined into one block."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Error, 
 
 
 class Correlated(AbstractSource):
-    """Sources as one block, with a correlation over all their axes in order, and one sharing.
+    """Sources as one block, with a correlation matrix over all their axes in order, and one sharing.
 
-    Position and attitude of one Kalman filter are such a block. Make it with `Correlated.of`.
+    Example: position and attitude from one Kalman filter. Construct with `Correlated.of`.
     """
 
     parts: tuple[AbstractSource, ...]
@@ -25,7 +25,7 @@ class Correlated(AbstractSource):
 
     @classmethod
     def of(cls, *parts: AbstractSource, correlation: Correlation, sharing: AbstractSharing) -> Correlated:
-        """From sources, whose standard deviations are kept, and the correlation (axes, axes) of all of them.
+        """From sources, whose standard deviations are kept, and the correlation (axes, axes) of all their axes.
 
         Raises `ValueError` for a `TerrainField`.
         """

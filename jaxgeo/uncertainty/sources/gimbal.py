@@ -1,4 +1,4 @@
-"""Errors of the gimbal: what its encoders read, and how its axes are mounted."""
+"""Gimbal error sources: axis readings and axis mounting."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AxesT = TypeVar("AxesT", bound="_OfGimbalAxes")
 
 
 class _OfGimbalAxes(AbstractSource):
-    """A source with one axis for each of a gimbal's."""
+    """Base class of sources with one error axis per gimbal axis."""
 
     sigma: eqx.AbstractVar[Sigma]
     correlation: eqx.AbstractVar[Correlation]
@@ -27,14 +27,14 @@ class _OfGimbalAxes(AbstractSource):
 
     @classmethod
     def from_degrees(cls: type[AxesT], *, sharing: AbstractSharing | None = None, **axes: ArrayLike) -> AxesT:
-        """From standard deviations in deg, named as the gimbal's axes are: `outer=0.02, inner=0.02`."""
+        """From standard deviations in deg, by gimbal axis name: `outer=0.02, inner=0.02`."""
         shared = {} if sharing is None else {"sharing": sharing}
         values = sigmas(*axes.values(), degrees=True)
         return cls(values, gimbal_axes=tuple(axes), **shared)  # pyright: ignore[reportCallIssue]
 
     @classmethod
     def of(cls: type[AxesT], gimbal: Gimbal, sigma: ArrayLike, **options: Any) -> AxesT:
-        """The same standard deviation in rad on every axis of a gimbal, or one for each."""
+        """From one standard deviation in rad for all axes of a gimbal, or one for each."""
         values = jnp.broadcast_to(jnp.asarray(sigma, float), (len(gimbal.names),))
         return cls(values, gimbal_axes=gimbal.names, **options)  # pyright: ignore[reportCallIssue]
 
@@ -52,7 +52,7 @@ class _OfGimbalAxes(AbstractSource):
 
 
 class GimbalAngles(_OfGimbalAxes):
-    """Errors of the gimbal's readings, rad, in the order of its axes."""
+    """Errors of the gimbal readings, rad, in the order of its axes."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -66,7 +66,7 @@ class GimbalAngles(_OfGimbalAxes):
 
 
 class GimbalMounting(_OfGimbalAxes):
-    """Errors of the gimbal's axes as they are mounted, rad of axis angle; they add to the angles (Li et al. 2023)."""
+    """Mounting errors of the gimbal axes, rad of axis angle; they add to the angles (Li et al. 2023)."""
 
     sigma: Sigma
     correlation: Correlation = None

@@ -1,4 +1,4 @@
-"""Errors of the ground: a bias of its heights, the geoid, and heights that err alike within some distance."""
+"""Terrain error sources: height bias, geoid undulation, and spatially correlated heights."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sharing import AbstractSharing, Occasion, Systematic
 from jaxgeo.uncertainty.sources.base import AbstractSource, Correlation, Covariance, Error, Sigma, sigmas
 
-NODES_A_RANGE = 4  # nodes in the shortest of a field's correlation lengths
+NODES_A_RANGE = 4  # nodes per shortest correlation length
 
 
 class TerrainHeight(AbstractSource):
-    """Error of the terrain's height, m: the same everywhere (a bias, or all that matters of a field at one place)."""
+    """Terrain height error, m, the same everywhere: a bias, or a random field evaluated at one location."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -39,9 +39,9 @@ class TerrainHeight(AbstractSource):
 
 
 class Geoid(AbstractSource):
-    """Error of the geoid's undulation, m, by which heights above the sea were made heights above the ellipsoid.
+    """Error of the geoid undulation, m, with which heights above sea level were converted to ellipsoidal heights.
 
-    It raises the terrain; with `platform` the sensor too, if its height was made from one above the sea as well.
+    It raises the terrain; with `platform`, also the sensor, if its height was converted in the same way.
     """
 
     sigma: Sigma
@@ -65,13 +65,13 @@ class Geoid(AbstractSource):
 
 
 class TerrainField(AbstractSource):
-    """Errors of the terrain's height that are alike over some distance, m: a Gaussian random field over the ground.
+    """Spatially correlated terrain height errors, m: a Gaussian random field.
 
     Its covariance is a sum of Gaussian, s^2 exp(-(d/a)^2), and spherical, s^2 (1 - 1.5 d/a + 0.5 (d/a)^3), variograms,
-    of standard deviation s in m and length a in m each (`sigma` has the Gaussian ones first). At one look it is drawn
-    at nodes along the approach of the line of sight, the middle one at the fix, and is linear between them; so it is
-    right at the hit and on the ground that the ray passes over before and would behind. Two looks share what their
-    nodes' distances leave them.
+    each with standard deviation s in m and length a in m (`sigma` lists the Gaussian ones first). For one observation
+    it is drawn at nodes along the line of sight, the middle one at the fix, and interpolated linearly between them. It
+    is thus valid at the fix and on the ground that the ray passes before it or would reach behind it. The correlation
+    between two observations follows from the distances of their nodes.
     """
 
     sigma: Sigma
@@ -90,10 +90,10 @@ class TerrainField(AbstractSource):
     def of_variograms(
         cls, *, gaussian: Any = (), spherical: Any = (), nodes: int = 33, sharing: AbstractSharing | None = None
     ) -> TerrainField:
-        """From lists of (standard deviation in m, length in m); `nodes`, an odd number, are a quarter of the shortest
-        length apart.
+        """From lists of (standard deviation in m, length in m), with an odd number of `nodes`.
 
-        Raises `ValueError` for no variogram at all, a length that is not positive, or an even number of nodes.
+        The node spacing is a quarter of the shortest length. Raises `ValueError` if there are no variograms, a length
+        is not positive, or the number of nodes is even.
         """
         pairs = [*gaussian, *spherical]
         if not pairs or any(len(pair) != 2 for pair in pairs):
@@ -111,7 +111,7 @@ class TerrainField(AbstractSource):
             sharing=Systematic() if sharing is None else sharing,
             gaussian_lengths=of_gaussian.reshape(-1),
             spherical_lengths=of_spherical.reshape(-1),
-            place=jnp.full((nodes, 3), jnp.nan),  # until it is placed at a look
+            place=jnp.full((nodes, 3), jnp.nan),  # set by `at`
             rowcol=jnp.zeros(2),
             step=jnp.zeros(2),
             nodes=nodes,
@@ -160,7 +160,7 @@ class TerrainField(AbstractSource):
         return eqx.tree_at(lambda look: look.terrain, look, look.terrain.with_field(field))
 
     def variance_at(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Covariance in m2 of the heights' errors so many m apart."""
+        """Covariance in m2 of the height errors at two points `distance` m apart."""
         sigma, split = jnp.asarray(self.sigma), self.gaussian_lengths.shape[0]
         total = jnp.zeros_like(distance)
         for number in range(split):

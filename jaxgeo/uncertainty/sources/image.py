@@ -1,4 +1,4 @@
-"""Errors in the image: the measured pixel, and the camera's interior orientation."""
+"""Image error sources: measured pixel, interior orientation, lens distortion."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PixelMeasurement(AbstractSource):
 
 
 class InteriorOrientation(AbstractSource):
-    """Errors of the focal length and the principal point (column, row), px; both focal lengths by the same share."""
+    """Errors of the focal length (one scale factor for both axes) and the principal point (column, row), px."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -66,7 +66,7 @@ class InteriorOrientation(AbstractSource):
 
 
 class Distortion(AbstractSource):
-    """Errors of named coefficients of the lens distortion, without a unit."""
+    """Errors of named lens distortion coefficients, dimensionless."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -76,7 +76,7 @@ class Distortion(AbstractSource):
 
     @classmethod
     def from_coefficients(cls, *, sharing: AbstractSharing | None = None, **coefficients: ArrayLike) -> Distortion:
-        """From the standard deviation of each coefficient, by its name: `k1=1e-4, k2=1e-4`."""
+        """From the standard deviation of each named coefficient: `k1=1e-4, k2=1e-4`."""
         shared = {} if sharing is None else {"sharing": sharing}
         return cls(sigmas(*coefficients.values()), coefficients=tuple(coefficients), **shared)
 
@@ -102,7 +102,10 @@ class Distortion(AbstractSource):
 
 
 def optics_of(camera: AbstractCamera) -> FrameCamera:
-    """The lens and detector of a camera: itself, or its line or frame. Raises `ValueError` if it has none."""
+    """Frame camera that holds the lens and detector of a camera: itself, or its `optics` or `frame`.
+
+    Raises `ValueError` if it has none.
+    """
     for part in (camera, getattr(camera, "optics", None), getattr(camera, "frame", None)):
         if isinstance(part, FrameCamera):
             return part

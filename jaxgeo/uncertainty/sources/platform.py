@@ -1,4 +1,4 @@
-"""Errors of the platform: attitude, position, time, and how gimbal and camera sit on it."""
+"""Platform error sources: attitude, position, velocity, time, boresight, camera mounting, lever arm."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Attitude(AbstractSource):
 
 
 class Position(AbstractSource):
-    """Errors of the measured position, m: along north, east, down there, or along the axes of ECEF (`frame`)."""
+    """Errors of the measured position, m: along local north, east, down, or along the ECEF axes (`frame`)."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -71,7 +71,7 @@ class Position(AbstractSource):
 
 
 class Velocity(AbstractSource):
-    """Errors of the measured velocity, m/s north, east, down, by which the position is carried on for `latency` s."""
+    """Errors of the measured velocity, m/s north, east, down; the position is extrapolated over `latency` s."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -90,10 +90,10 @@ class Velocity(AbstractSource):
 
 
 class TimeTag(AbstractSource):
-    """Error of an image's time against the navigation's clock, s.
+    """Error of the image time relative to the navigation clock, s.
 
-    On a trajectory it moves along it. A single shot needs to be told how it moves: `velocity_ned` in m/s over the
-    ground, and, if they matter, `body_rates` about forward, right and down and `gimbal_rates`, rad/s.
+    On a trajectory it shifts the time. For a single shot give its motion: `velocity_ned` in m/s over the ground and, if
+    relevant, `body_rates` about forward, right and down and `gimbal_rates`, rad/s.
     """
 
     sigma: Sigma
@@ -147,8 +147,9 @@ class TimeTag(AbstractSource):
 
 
 class Boresight(AbstractSource):
-    """Errors of the calibration between navigation and gimbal base, rad: `R_body_from_base` is turned by
-    Rz(heading) Ry(pitch) Rx(roll) in body axes. Li et al. (2023) call it the INS calibration."""
+    """Misalignment between navigation system and gimbal base, rad: rotates `R_body_from_base` by
+    Rz(heading) Ry(pitch) Rx(roll) in body axes. Li et al. (2023) call it the INS calibration.
+    """
 
     sigma: Sigma
     correlation: Correlation = None
@@ -175,7 +176,7 @@ class Boresight(AbstractSource):
 
 
 class CameraMounting(AbstractSource):
-    """Errors of how the camera sits in the head, rad: a small rotation about the head's axes forward, right, down."""
+    """Misalignment of the camera in the gimbal head, rad: a small rotation about the head axes forward, right, down."""
 
     sigma: Sigma
     correlation: Correlation = None
@@ -194,7 +195,7 @@ class CameraMounting(AbstractSource):
 
 
 class LeverArm(AbstractSource):
-    """Errors of the lever arm from the IMU to the gimbal's centre, m in body axes forward, right, down."""
+    """Errors of the lever arm from the IMU to the gimbal centre, m in body axes forward, right, down."""
 
     sigma: Sigma
     correlation: Correlation = None
