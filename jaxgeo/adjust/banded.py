@@ -183,7 +183,7 @@ def band_of(image: np.ndarray, point: np.ndarray, n: int) -> Band:
     place = np.empty(n, int)
     place[order] = np.arange(n)
     one, other = place[shared.row], place[shared.col]
-    least, size = 1, max(1, int(np.max(np.abs(one - other))))  # slabs of the full bandwidth make connected images adjacent
+    least, size = 1, max(1, int(np.max(np.abs(one - other))))  # bandwidth: always a valid slab size
     for tried in range(least, size):
         if int(np.max(np.abs(one // tried - other // tried))) <= 1:
             size = tried

@@ -43,7 +43,7 @@ class Peaks(NamedTuple):
 def ellipses(
     covariance: Float[np.ndarray, "n 2 2"], probability: float
 ) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2"]]:
-    """(W, half extents in cells): a shift d is searched where |W d| <= 1, which holds it with `probability`.
+    """(W, half extents in cells): shifts d with |W d| <= 1 are searched; they contain the true one with `probability`.
 
     d' covariance^-1 d <= -2 ln(1 - probability), semi-axes one cell longer.
     """

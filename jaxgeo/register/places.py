@@ -43,7 +43,8 @@ class BlockPlaces(NamedTuple):
 def places_of_blocks(
     registration: Registration, *, time: ArrayLike | None = None, atmosphere: Atmosphere | None = None
 ) -> BlockPlaces:
-    """Where the blocks of the last pass lie, by the updated shot if there is one, else by the navigation's.
+    """Ground positions of the blocks of the last pass, from the updated shot if there is one, else from the
+    navigation's.
 
     `time` (of a trajectory) and `atmosphere` are as for `register_image`. Raises `ValueError` for a registration
     without a pass.
