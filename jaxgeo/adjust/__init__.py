@@ -1,4 +1,4 @@
-"""Many images together: intersection of rays, bundle adjustment, boresight, and what they say of the sensor."""
+"""Multi-image adjustment: forward intersection, bundle adjustment, boresight and sensor calibration."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.adjust.adjustment import Adjustment, Parameter

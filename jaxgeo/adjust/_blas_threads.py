@@ -1,4 +1,4 @@
-"""LAPACK on one thread while blocks are solved."""
+"""Limit LAPACK to one thread during block solves."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from threading import Lock
 
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 import threadpoolctl
 
 _lock, _before = Lock(), ExitStack()
-_inside: list[int] = []  # the calls that are inside; the last to come out puts back what was before
+_inside: list[int] = []  # active calls; the last to exit restores the previous limits
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """BLAS libraries, JAX's own excepted, use one thread inside; as many as before when the last has come out.
+    """Limit BLAS libraries, except JAX's own, to one thread; the last active context restores the previous number.
 
-    A slab has some hundred unknowns. OpenBLAS, SciPy's and so JAX's LAPACK, divides even these among all processors,
-    and its threads wait spinning for more: whole adjustments take up to 1.7 times as long so, and on a busy machine
-    each factor a fifth of a second. The products, where the work is, are JAX's and stay on all processors.
+    A slab has some hundred unknowns. OpenBLAS (SciPy's, and so JAX's LAPACK) divides even these among all processors,
+    and its threads busy-wait: whole adjustments take up to 1.7 times as long, and on a loaded machine each
+    factorisation takes a fifth of a second. Matrix products, the main work, are JAX's and keep all processors.
     """
-    _ = scipy.linalg.cython_lapack  # loaded by now, so that it is found
+    _ = scipy.linalg.cython_lapack  # load it first, so that its BLAS is found
     with _lock:
         if not _inside:
             _before.enter_context(threadpoolctl.threadpool_limits(limits=1, user_api="blas"))

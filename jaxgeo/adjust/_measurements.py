@@ -1,4 +1,4 @@
-"""The door of intersections: shots, pixels and sensors of several images are checked and put side by side."""
+"""Validation of intersection inputs: shots, pixels and sensors of several images as batches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jaxgeo.uncertainty.sources import TerrainField, TerrainHeight
 
 
 class Measured(Record):
-    """Measurements of one point, in float64; all but errors and air have a leading axis of rays."""
+    """Measurements of one point, in float64; all but errors and atmosphere have a leading axis of rays."""
 
     sensors: Sensor
     shots: Shot
@@ -38,7 +38,7 @@ class Measured(Record):
 def checked_measurements(
     sensor: Any, shots: Any, uvs: Any, sigma: Any, errors: Any, use: Any, atmosphere: Any, shot_of: Any, flight_of: Any
 ) -> Measured:
-    """The arguments of `forward_intersection`, with its errors."""
+    """Validated arguments of `forward_intersection`, with its errors."""
     require_x64()
     air = checked_air(atmosphere)
     pixels = jnp.asarray(as_float64(as_array(uvs, "uvs"), "uvs"))
@@ -98,7 +98,7 @@ def _shots(shots: Any, rays: int) -> Shot:
 
 
 def _sensors(sensor: Any, rays: int) -> Sensor:
-    """A sensor with a leading axis on every number; one for all rays is repeated."""
+    """A sensor with a leading axis on every number; a single sensor is repeated for all rays."""
     if isinstance(sensor, list | tuple):
         if len(sensor) != rays:
             raise ValueError(f"sensor must be one for all, or one for each of the {rays} rays; got {len(sensor)}.")
@@ -165,7 +165,7 @@ def _sigma(sigma: Any, use: Any, rays: int) -> Float[Array, "rays 2"] | None:
 
 
 def _without_terrain(errors: Any) -> Any:
-    """The sources but those of the terrain, on which no intersection depends."""
+    """Error sources without those of the terrain, which do not affect intersections."""
     sources = errors.sources if isinstance(errors, ErrorModel) else errors
     if not isinstance(sources, list | tuple):
         return errors

@@ -1,4 +1,4 @@
-"""The point that images see, by least squares of its residuals, and what its errors come to."""
+"""Least-squares point from image residuals, and its error propagation."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.adjust.rays import Image, Residuals, Stacked, design_of, inverse_of
 from jaxgeo.earth import Atmosphere
 
-# Of Gauss and Newton: each leaves of the error about the share that residuals are of the focal length, which for a
-# gross error may be a fifth.
+# # Gauss-Newton steps. Each reduces the error by about the ratio of residual to focal length, which for a gross error
+# may be a fifth.
 STEPS = 16
 LONGEST_STEP = 0.5  # of the shortest slant range
 
@@ -22,7 +22,7 @@ Root = Float[Array, "..."]  # of the weights: (2 rays,), or (2 rays, 2 rays) whe
 
 
 class Seen(NamedTuple):
-    """What the solution hangs on: images (leading axis), root of the weights, and air."""
+    """Inputs of the solution: images (leading axis), root of the weights, and atmosphere."""
 
     images: Image
     root: Root
@@ -30,7 +30,7 @@ class Seen(NamedTuple):
 
 
 def ranges_of(images: Image, p_ecef: Vector3) -> Float[Array, " rays"]:
-    """From each perspective centre to a point, m."""
+    """Distances from each perspective centre to a point, m."""
     return jax.vmap(lambda centre: safe_norm(p_ecef - centre))(images.sight.centre)
 
 
@@ -53,7 +53,7 @@ def solved(seen: Seen, start: Vector3) -> tuple[Vector3, Scalar]:
 
 
 def _whitened(root: Root, stacked: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Residuals (rays, 2), or their derivatives (rays, 2, 3), one after the other and in units of sigmas."""
+    """Residuals (rays, 2), or their derivatives (rays, 2, 3), stacked and in units of sigmas."""
     flat = stacked.reshape(root.shape[0], *stacked.shape[2:])
     if root.ndim == 2:
         return root @ flat
@@ -61,20 +61,20 @@ def _whitened(root: Root, stacked: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 def _slope(p_ecef: Vector3, seen: Seen) -> Vector3:
-    """What is zero at the solution: the whitened residuals along their derivatives."""
+    """Gradient of the least-squares cost, zero at the solution: whitened residuals times their derivatives."""
     design, residuals = (_whitened(seen.root, part) for part in design_of(seen.images, p_ecef, seen.air))
     return design.T @ residuals
 
 
 @jax.custom_jvp
 def _least(p_ecef: Vector3, seen: Seen) -> Vector3:
-    """`p_ecef` itself, where the slope is zero, with the derivatives that keep it so."""
+    """`p_ecef` at a zero of the gradient, with derivatives by the implicit function theorem."""
     return p_ecef
 
 
 @_least.defjvp
 def _(primals, tangents):
-    """dp = -(d slope / dp)^-1 d slope, at a point that moves along when this is differentiated again."""
+    """dp = -(d slope / dp)^-1 d slope, at a point that itself moves under further differentiation."""
     p_ecef, seen = primals
     p_ecef = _least(p_ecef, seen)
     _, change = jax.jvp(lambda seen: _slope(p_ecef, seen), (seen,), (tangents[1],))
@@ -85,9 +85,9 @@ def _(primals, tangents):
 def spread_of(
     seen: Seen, errors: tuple[Root, Stacked] | None, p_ecef: Vector3, residuals: Residuals
 ) -> tuple[Matrix3, Scalar]:
-    """(covariance of the point in ECEF, m2; chi-square of the residuals), under the errors that were given.
+    """(covariance of the point in ECEF, m2; chi-square of the residuals), under the given errors.
 
-    The chi-square is the least that any point could have, to first order.
+    The chi-square is the minimum over all points, to first order.
     """
     derivatives, _ = design_of(seen.images, p_ecef, seen.air)
     design = _whitened(seen.root, derivatives)

@@ -1,4 +1,4 @@
-"""What an adjustment found: orientations, points and calibrations, with their covariances."""
+"""Adjustment results: orientations, points and calibrations, with their covariances."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ UNITS = {"focal": "px", "principal": "px", "boresight": "rad", "lever arm": "m",
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a camera, a mount or a strip: its value and standard deviation (of unit weight), the prior's
-    (infinite for none), and the unit of all three ("1" for none).
+    """A parameter of a camera, a mount or a strip: its value and standard deviation (of unit weight), that of the prior
+    (infinite for none), and their common unit ("1" for none).
 
-    The boresight is the turn from where it started, as a rotation vector about the axes of the body (of the head, for a
-    gimbal that reports in local level); `Adjustment.mounts` have the whole.
+    The boresight is the rotation from its start value, as a rotation vector about the axes of the body (of the head,
+    for a gimbal that reports in local level); `Adjustment.mounts` have the full rotation.
     """
 
     whose: str
@@ -60,11 +60,11 @@ class Parameter:
 @portable
 @dataclass(frozen=True)
 class Adjustment:
-    """What an adjustment found.
+    """Result of an adjustment.
 
     `images`, `points` (with covariances), `cameras` and `mounts` are the adjusted ones, in the block's frame. All
-    covariances are of unit weight: of observations that are as good as their standard deviations say; times
-    `sigma0` squared they are as good as the residuals say.
+    covariances are of unit weight: they assume that the given standard deviations of the observations are correct.
+    Multiply by `sigma0` squared to scale them by the residuals.
     """
 
     block: Block
@@ -74,16 +74,16 @@ class Adjustment:
     loss: AbstractLoss
     datum: Datum | None = field(default=None, repr=False)
     screened: tuple[Screened, ...] = ()
-    """What was set aside before the first iteration; `block` is without it."""
+    """Measurements set aside before the first iteration; `block` does not contain them."""
 
     @property
     def log(self) -> tuple[Iteration, ...]:
-        """The iterations, from the start on."""
+        """The iterations, including the start."""
         return self.solution.log
 
     @property
     def converged(self) -> bool:
-        """Whether the iterations came to an end; `adjust` raises `NotConverged` where they do not."""
+        """Whether the iterations converged; `adjust` raises `NotConverged` if they do not."""
         return self.solution.converged
 
     @property
@@ -93,12 +93,12 @@ class Adjustment:
 
     @cached_property
     def redundancy(self) -> int:
-        """Observations, priors among them, less unknowns, and the datum's constraints."""
+        """Number of observations, priors and datum constraints, less the number of unknowns."""
         return self.observations - self.unknown_count + (0 if self.datum is None else self.datum.images.shape[0])
 
     @cached_property
     def observations(self) -> int:
-        """Numbers that are observed, or known beforehand with a standard deviation."""
+        """Number of observed values, including priors with a standard deviation."""
         problem, order = self.prepared.problem, self.prepared.order
         known = np.asarray(problem.known_point)[order.row_of_point]
         count = 2 * len(self.block.observations) + int(np.sum(np.any(known != 0.0, axis=2)))
@@ -113,16 +113,16 @@ class Adjustment:
 
     @cached_property
     def unknown_count(self) -> int:
-        """Unknowns."""
+        """Number of unknowns."""
         problem = self.prepared.problem
         images, shared = free_columns(problem)
         return int(np.sum(images) + np.sum(shared) + np.sum(problem.free_point))
 
     @cached_property
     def sigma0(self) -> float:
-        """Standard deviation of unit weight: 1 where residuals are as large as the observations' sigmas say.
+        """Standard deviation of unit weight: 1 where residuals match the given sigmas.
 
-        With a robust loss, of the weights that it leaves. NaN without redundancy.
+        With a robust loss, from the reweighted residuals. NaN without redundancy.
         """
         weighted = self._weighted_squares
         return float(np.sqrt(weighted / self.redundancy)) if self.redundancy > 0 else float("nan")
@@ -147,12 +147,12 @@ class Adjustment:
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """Of each image point (k,), whether its adjusted point lies in front of the camera and in its lens's field."""
+        """Flags (k,) of image points whose adjusted point lies in front of the camera and in the field of its lens."""
         return np.asarray(in_view(self.prepared.problem, self.solution.values))[self.prepared.order.place]
 
     @cached_property
     def navigation_residuals(self) -> np.ndarray | None:
-        """Residuals of the navigation (n, 6) over their standard deviations: position, attitude."""
+        """Residuals of the navigation (n, 6) in standard deviations: position, attitude."""
         if self.prepared.problem.observed is None:
             return None
         return np.asarray(navigation_residuals(self.prepared.problem, self.solution.values))
@@ -187,12 +187,12 @@ class Adjustment:
 
     @cached_property
     def strips(self) -> dict[str, np.ndarray]:
-        """Shift (m) and drift (m/s), east, north and up of the frame, of the navigation's positions in each strip."""
+        """Shift (m) and drift (m/s), east, north and up of the frame, of the navigation positions per strip."""
         return dict(zip(self.prepared.names.strip, np.asarray(self.solution.values.strip), strict=True))
 
     @cached_property
     def points(self) -> GroundPoints:
-        """The adjusted points that were measured, with covariances of unit weight."""
+        """The adjusted points with image measurements, with covariances of unit weight."""
         rows = self.prepared.order.row_of_point
         covariance = np.asarray(covariance_of_points(self.prepared.problem, self.posterior))[rows]
         free = np.asarray(self.prepared.problem.free_point)[rows] > 0.0
@@ -204,21 +204,21 @@ class Adjustment:
 
     @cached_property
     def places(self) -> dict[str, np.ndarray]:
-        """The adjusted places of the points by name, m."""
+        """Adjusted positions of the points by name, m."""
         rows = self.prepared.order.row_of_point
         return dict(zip(self.prepared.names.point.tolist(), np.asarray(self.solution.values.points)[rows], strict=True))
 
     @cached_property
     def posterior(self) -> Posterior:
-        """The inverse of the reduced normal equations, from which all covariances come."""
+        """Factor and inverse of the reduced normal equations, the source of all covariances."""
         return posterior_of(self.prepared.problem, self.solution.equations, self.datum, self.solution.values)
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance (N, N) of all orientations, image by image, and then of what images share (`columns`).
+        """Covariance (N, N) of all orientations, image by image, followed by the shared parameters (`columns`).
 
-        With thousands of images it is made for this alone, and large (N is 6 an image at least): what single images,
-        points and parameters have is had without it.
+        N is at least 6 per image, so that for thousands of images this matrix is large. The covariances of single
+        images, points and parameters do not need it.
         """
         return np.asarray(covariance_of_reduced(self.prepared.problem, self.posterior))
 
@@ -229,7 +229,7 @@ class Adjustment:
 
     @cached_property
     def covariance_of_shared(self) -> np.ndarray:
-        """Covariance (s, s) of what images share: the last of the `columns`."""
+        """Covariance (s, s) of the shared parameters: the last of the `columns`."""
         return np.asarray(covariance_of_shared(self.prepared.problem, self.posterior))
 
     @cached_property
@@ -240,7 +240,7 @@ class Adjustment:
 
     @cached_property
     def columns(self) -> list[tuple[str, str]]:
-        """(whose, what) of each row and column of `covariance`."""
+        """(owner, parameter) of each row and column of `covariance`."""
         problem, names = self.prepared.problem, self.prepared.names
         own = [f"centre {axis}" for axis in "xyz"] + [f"turn {axis}" for axis in "xyz"]
         own += list(names.lens) if problem.own_lens else []
@@ -248,7 +248,8 @@ class Adjustment:
 
     @cached_property
     def covariance_of_images(self) -> np.ndarray:
-        """Covariance (n, 6, 6) of each orientation: centre in m (frame axes), turn in rad about the camera's axes."""
+        """Covariance (n, 6, 6) of each orientation: centre in m (frame axes), rotation in rad about the camera's
+        axes."""
         return self._of_images[:, :POSE, :POSE]
 
     @cached_property
@@ -265,12 +266,12 @@ class Adjustment:
         return np.sqrt(np.maximum(np.concatenate([centres, angles], axis=1), 0.0))
 
     def summary(self) -> str:
-        """What was found, in words and numbers for the screen."""
+        """Text summary of the results."""
         return summary(self)
 
     @cached_property
     def parameters(self) -> list[Parameter]:
-        """Everything that is unknown of cameras, mounts and strips, with standard deviations of unit weight."""
+        """All unknown parameters of cameras, mounts and strips, with standard deviations of unit weight."""
         problem, values = self.prepared.problem, self.solution.values
         known = {
             "camera": (values.lens, problem.lens),
@@ -292,13 +293,13 @@ class Adjustment:
 
     @cached_property
     def _of_mounts(self) -> np.ndarray:
-        """Turn of the boresight from where it started (rotation vector, rad) and lever arm, m."""
+        """Boresight rotation from its start value (rotation vector, rad) and lever arm, m."""
         values = self.solution.values
         return np.concatenate([np.asarray(jax.vmap(rotation_vector_from_R)(values.boresight)), values.lever], axis=1)
 
     @property
     def _parameter_columns(self) -> list[tuple[int, str, str, str, int, int]]:
-        """(place in `covariance`, whose, what, kind, row, column) of each parameter."""
+        """(index in `covariance`, owner, parameter, kind, row, column) of each parameter."""
         problem, names = self.prepared.problem, self.prepared.names
         found = []
         if problem.own_lens:
@@ -331,7 +332,7 @@ class Adjustment:
         return covariance / np.outer(sigma, sigma)
 
     def differences(self, points: GroundPoints) -> np.ndarray:
-        """Adjusted less given places (m, 3) of points to check with, m. Raises `ValueError` for one not measured."""
+        """Adjusted less given positions (m, 3) of check points, m. Raises `ValueError` for one without measurements."""
         places = self.places
         missing = [name for name in points.name.tolist() if name not in places]
         if missing:
@@ -339,5 +340,5 @@ class Adjustment:
         return np.array([places[name] for name in points.name.tolist()]) - points.place
 
     def weak_directions(self, most: int = 3) -> list[Direction]:
-        """The combinations of unknowns that are held least, the weakest first, in words."""
+        """The least constrained combinations of unknowns, the weakest first, as text."""
         return weakest_directions(self.prepared, self.solution, most)

@@ -1,4 +1,4 @@
-"""A block as arrays, and the columns of what is unknown of it."""
+"""Array representation of a block, and the columns of its unknowns."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from jaxgeo.sensor import FrameCamera
 
 
 class Known(Record):
-    """What is known of some unknowns beforehand: 1 / sigma (zero where nothing), and 1 where they are free, else 0."""
+    """Priors of some unknowns: 1 / sigma (zero for none), and 1 for free unknowns, else 0."""
 
     information: Float[Array, "some size"]
     free: Float[Array, "some size"]
 
 
 class Problem(Record):
-    """A block in the order of its layout, and what is unknown of it.
+    """A block in the order of its layout, with its unknowns.
 
-    `active` are the columns of the lenses that are unknown; with `own_lens` each image has a camera, and so a lens, of
-    its own, which is eliminated and solved for with the image. `mounts` and `strips` say whether any of these is
-    unknown. Control points are `place` (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
+    `active` are the unknown columns of the lenses. With `own_lens` each image has its own camera and lens, which is
+    eliminated and solved for with the image. `mounts` and `strips` state whether any of these is unknown. Control
+    points are `place` (rows, 3) with `known_point` (rows, 3, 3), W with W' W the inverse covariance.
     """
 
     layout: Layout
@@ -51,27 +51,27 @@ class Problem(Record):
 
     @property
     def n(self) -> int:
-        """Images."""
+        """Number of images."""
         return self.layout.camera.shape[0]
 
     @property
     def of_image(self) -> int:
-        """Columns of an image in the reduced system."""
+        """Columns per image in the reduced system."""
         return POSE + (len(self.active) if self.own_lens else 0)
 
     @property
     def of_lenses(self) -> int:
-        """Columns of lenses that images share."""
+        """Columns of lenses shared between images."""
         return 0 if self.own_lens else self.lens.free.shape[0] * len(self.active)
 
     @property
     def shared(self) -> int:
-        """Columns of what images share: lenses, mounts, strips."""
+        """Columns of all shared parameters: lenses, mounts, strips."""
         return self.of_lenses + self.mounts * self.mount.free.size + self.strips * self.strip.free.size
 
 
 def step_of(problem: Problem, images: Any, shared: Any, points: Any) -> Step:
-    """The step that solutions (n, c), (s,) and (3, rows) mean."""
+    """`Step` from solution vectors (n, c), (s,) and (3, rows)."""
     active, first = len(problem.active), problem.of_lenses
     lens = jnp.zeros(problem.lens.free.shape)
     if problem.own_lens and active:
@@ -88,7 +88,7 @@ def step_of(problem: Problem, images: Any, shared: Any, points: Any) -> Step:
 
 
 def free_columns(problem: Problem) -> tuple[Array, Array]:
-    """1 for each column of the images (n, c) and of what they share (s,) that is free, else 0."""
+    """1 for each free column of the images (n, c) and of the shared parameters (s,), else 0."""
     images = problem.free_pose
     if problem.own_lens:
         images = jnp.concatenate([images, problem.lens.free[problem.layout.camera]], axis=1)

@@ -1,7 +1,7 @@
-"""Block tridiagonal systems with a border: images in slabs, coupled with the next slab's only, and what all share.
+"""Bordered block-tridiagonal systems: slabs of images coupled with the next slab, and shared parameters as border.
 
-A block of one slab is a dense system; one of many is factored in a time that grows with its length, not its cube, and
-of its inverse what lies on and beside the diagonal is found without the rest (Takahashi, Fagan and Chin 1973).
+With one slab the system is dense. With many, the factorisation time grows with their number, not with its cube, and the
+diagonal and subdiagonal blocks of the inverse are computed without the rest (Takahashi, Fagan and Chin 1973).
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from jaxtyping import Array, Float, Int
 
 from jaxgeo._record import Record
 
-LEAST_SLABS = 4  # below it the gain is not worth the way round
+LEAST_SLABS = 4  # with fewer the gain does not repay the overhead
 
 
 class Band(Record):
-    """Where each image stands, slab by slab: `place` (n,) is slab * `size` + the place within. Images that share a
-    point are in the same slab or in neighbouring ones."""
+    """Slab position of each image: `place` (n,) is slab * `size` + the index within. Images that share a point are
+    in the same slab or in adjacent ones."""
 
     place: Int[Array, " n"]
     slabs: int = eqx.field(static=True)
     size: int = eqx.field(static=True)
 
     def to_slabs(self, of_images: Float[Array, "n c *k"]) -> Float[Array, "slabs m *k"]:
-        """What images have, in their slabs; zero in places that no image has."""
+        """Image values arranged in slabs; zero in unused positions."""
         shape = (self.slabs, self.size * of_images.shape[1], *of_images.shape[2:])
         if self.slabs == 1:
             return of_images.reshape(shape)
@@ -44,8 +44,10 @@ class Band(Record):
 
 
 class Tridiagonal(Record):
-    """A symmetric matrix: the slabs' own blocks `diagonal` (slabs, m, m), `below` (slabs - 1, m, m) those of each slab
-    (columns) with the next (rows), `border` (slabs, m, s) with what all share, and that by itself, `corner` (s, s)."""
+    """A symmetric matrix: diagonal blocks `diagonal` (slabs, m, m), subdiagonal blocks `below` (slabs - 1, m, m) of
+    each slab (columns) with the next (rows), `border` (slabs, m, s) with the shared parameters, `corner` (s, s) of
+    these.
+    """
 
     diagonal: Float[Array, "slabs m m"]
     below: Float[Array, "less m m"]
@@ -54,11 +56,11 @@ class Tridiagonal(Record):
 
     @property
     def own(self) -> tuple[Float[Array, "slabs m"], Float[Array, " s"]]:
-        """The diagonal, number by number."""
+        """Entries of the diagonal."""
         return jnp.diagonal(self.diagonal, axis1=1, axis2=2), jnp.diagonal(self.corner)
 
     def scaled(self, slabs: Float[Array, "slabs m"], shared: Float[Array, " s"]) -> Tridiagonal:
-        """Rows and columns times these."""
+        """Rows and columns multiplied by the given factors."""
         return Tridiagonal(
             self.diagonal * slabs[:, :, None] * slabs[:, None, :],
             self.below * slabs[1:, :, None] * slabs[:-1, None, :],
@@ -68,8 +70,8 @@ class Tridiagonal(Record):
 
 
 class Factor(Record):
-    """Lower triangular factor of a symmetric positive definite matrix, its diagonal scaled to ones: `own` blocks,
-    `below` those of each slab with the next, `border` (slabs, m, s) transposed that of what all share, and `corner`."""
+    """Cholesky factor of a symmetric positive definite matrix, scaled to a unit diagonal: diagonal blocks `own`,
+    subdiagonal blocks `below`, `border` (slabs, m, s) transposed for the shared parameters, and `corner`."""
 
     own: Float[Array, "slabs m m"]
     below: Float[Array, "less m m"]
@@ -81,7 +83,7 @@ class Factor(Record):
     def solved(
         self, slabs: Float[Array, "slabs m k"], shared: Float[Array, "s k"]
     ) -> tuple[Float[Array, "slabs m k"], Float[Array, "s k"]]:
-        """The inverse of the matrix times k columns."""
+        """Inverse of the matrix times k columns."""
         right, last = slabs * self.scale[:, :, None], shared * self.scale_shared[:, None]
         forward = self._forward(right)
         last = _lower(self.corner, last - jnp.einsum("ams,amk->sk", self.border, forward))
@@ -117,7 +119,7 @@ class Factor(Record):
 
 
 def factored(matrix: Tridiagonal) -> Factor:
-    """Cholesky's factor; NaN where the matrix is not positive definite."""
+    """Cholesky factor; NaN where the matrix is not positive definite."""
     scale, scale_shared = (1.0 / jnp.sqrt(x) for x in matrix.own)
     A = matrix.scaled(scale, scale_shared)
     first = jnp.linalg.cholesky(A.diagonal[0], symmetrize_input=False)
@@ -139,7 +141,7 @@ def factored(matrix: Tridiagonal) -> Factor:
 
 
 def selected_inverse(factor: Factor) -> Tridiagonal:
-    """The inverse where the matrix has its blocks; of one slab it is the whole."""
+    """Blocks of the inverse at the matrix's own block pattern; with one slab, the whole inverse."""
     eye = jnp.eye(factor.own.shape[1])
     corner = _lower(factor.corner, jnp.eye(factor.corner.shape[0]))
     corner = corner.T @ corner
@@ -159,7 +161,7 @@ def selected_inverse(factor: Factor) -> Tridiagonal:
 
         _, (others, below) = jax.lax.scan(one, last, (factor.own[:-1], factor.below), reverse=True)
         diagonal = jnp.concatenate([others, last[None]])
-    along = factor._backward(factor.border)  # the slabs' own inverse times the border
+    along = factor._backward(factor.border)  # inverse of the slab part times the border
     spread = along @ corner
     diagonal = diagonal + spread @ jnp.swapaxes(along, 1, 2)
     below = below + spread[1:] @ jnp.swapaxes(along[:-1], 1, 2)
@@ -167,12 +169,12 @@ def selected_inverse(factor: Factor) -> Tridiagonal:
 
 
 def band_of(image: np.ndarray, point: np.ndarray, n: int) -> Band:
-    """An order of the images in which those that share points are close, in slabs as small as may be.
+    """A bandwidth-reducing order of the images, in the smallest slabs that keep connected images adjacent.
 
-    From the numbers of image and point of all measurements, by the reverse of Cuthill and McKee's (1969) order. One
-    slab of all, in their own order, where the images are so tied together that it would not be worth while.
+    From the image and point numbers of all measurements, by the reverse Cuthill-McKee (1969) order. One slab in the
+    original order if the images are too strongly connected for a gain.
     """
-    import scipy  # loads its parts when they are asked for
+    import scipy  # submodules load lazily
 
     ones = np.ones(len(image), np.int32)
     seen = scipy.sparse.csr_array((ones, (image, point)), shape=(n, int(point.max()) + 1))
@@ -181,7 +183,7 @@ def band_of(image: np.ndarray, point: np.ndarray, n: int) -> Band:
     place = np.empty(n, int)
     place[order] = np.arange(n)
     one, other = place[shared.row], place[shared.col]
-    least, size = 1, max(1, int(np.max(np.abs(one - other))))  # of the widest, that are neighbours or alike in any case
+    least, size = 1, max(1, int(np.max(np.abs(one - other))))  # bandwidth: always a valid slab size
     for tried in range(least, size):
         if int(np.max(np.abs(one // tried - other // tried))) <= 1:
             size = tried
@@ -193,7 +195,7 @@ def band_of(image: np.ndarray, point: np.ndarray, n: int) -> Band:
 
 
 def one_slab(n: int) -> Band:
-    """All images in one slab, in their own order."""
+    """All images in one slab, in their original order."""
     return Band(jnp.arange(n, dtype=jnp.int32), 1, n)
 
 

@@ -1,4 +1,4 @@
-"""A block: images of some cameras, what is measured in them, and what is known of them and of the ground beforehand."""
+"""Block of images: cameras, image measurements, control and navigation."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from jaxgeo.sensor import FrameCamera, Sensor, Shot
 
 @dataclass(frozen=True)
 class Images:
-    """n images: their names, the names of their cameras, and about where they are in the block's frame.
+    """n images: names, camera names and approximate exterior orientations in the block's frame.
 
     `centre` (n, 3) are perspective centres in m, `R_frame_from_camera` (n, 3, 3) orientations of the camera (right,
-    down, forward). Raises `ValueError` for names that are there twice and numbers that are no place or no rotation.
+    down, forward). Raises `ValueError` for duplicate names, positions that are not finite and invalid rotations.
     """
 
     name: Names
@@ -59,13 +59,13 @@ class Images:
 
 @dataclass(frozen=True)
 class Block:
-    """What is adjusted together.
+    """Inputs of an adjustment.
 
     `cameras` by name, all with the same kind of lens; `images`; `observations`, the measured image points; `control`,
-    ground points known beforehand; `navigation`, observed positions and attitudes of the images; `points`, places from
-    which to start for points that have them (others start where their rays meet). All places are in `frame`, in m.
-    Raises `ValueError` naming the culprit: an image or a camera that there is not, a point that is seen once and not
-    known beforehand, no point at all.
+    ground points known beforehand; `navigation`, observed positions and attitudes of the images; `points`, start
+    positions of some points (others start where their rays intersect). All positions are in `frame`, in m. Raises
+    `ValueError` with the name of an unknown image or camera or of a point with a single measurement and no control, and
+    for a block without points.
     """
 
     frame: LocalFrame | Cartesian
@@ -99,12 +99,12 @@ class Block:
         camera: str = "camera",
         strip: Any = None,
     ) -> Block:
-        """A block of n images of one sensor, by their shots (a `Shot` whose fields have a leading axis).
+        """A block of n images of one sensor, from their shots (a `Shot` whose fields have a leading axis).
 
-        The shots are taken as observations of the navigation with `sigma_position` (east, north, up, m) and
-        `sigma_attitude` (heading, pitch, roll, rad; numbers, (3,), (n, 3) or covariances (n, 3, 3), infinite where
-        nothing is known), and as where to start. `strip` names the strip of each image for shift and drift. Without a
-        `frame` it is that at the middle of the images. Raises as `Block` and `Images`.
+        The shots are both navigation observations with `sigma_position` (east, north, up, m) and `sigma_attitude`
+        (heading, pitch, roll, rad; numbers, (3,), (n, 3) or covariances (n, 3, 3), infinite if unknown), and start
+        values. `strip` names the strip of each image for shift and drift. The default `frame` is that at the centre of
+        the images. Raises as `Block` and `Images`.
         """
         name = as_names(image, "image")
         check_is(sensor.camera, FrameCamera, "sensor.camera", "Blocks are of frame cameras.")
@@ -117,10 +117,10 @@ class Block:
         return cls(frame, {camera: sensor.camera}, images, observations, control, navigation)
 
     def with_block(self, other: Block) -> Block:
-        """Both blocks as one: more cameras, flights, observations over the same ground, in this block's frame.
+        """Merge two blocks: more cameras, flights or observations over the same ground, in this block's frame.
 
-        Raises `ValueError` for frames that differ, for cameras, mounts and control points of one name that are not the
-        same, and as `Block`.
+        Raises `ValueError` for different frames, for cameras, mounts and control points of one name with different
+        values, and as `Block`.
         """
         if not _same(self.frame, other.frame):
             raise ValueError("blocks are joined in one frame; make the other with frame=block.frame.")
@@ -144,11 +144,11 @@ class Block:
         )
 
     def of(self, rows: np.ndarray) -> Block:
-        """The block with some of its measurements only, by flag or index. Raises as `Block`."""
+        """The block with a subset of its measurements, by flag or index. Raises as `Block`."""
         return replace(self, observations=self.observations.of(rows))
 
     def kept(self, rows: np.ndarray) -> np.ndarray:
-        """Flags of those among some measurements (flags) whose points are still seen twice, or are control."""
+        """Flags of those among the given measurements whose points still have two rays or are control."""
         seen = self.observations
         _, point = np.unique(seen.point, return_inverse=True)
         often = np.bincount(point, weights=rows, minlength=point.max() + 1)[point] >= 2
@@ -156,8 +156,8 @@ class Block:
         return rows & (often | control)
 
     def parts(self) -> list[np.ndarray]:
-        """The names of the images of each part of the block that no point joins to the others, the largest first."""
-        import scipy  # loads its parts when they are asked for
+        """Image names of each part of the block, where parts share no points, the largest first."""
+        import scipy  # submodules load lazily
 
         images, image = np.unique(self.observations.image, return_inverse=True)
         points, point = np.unique(self.observations.point, return_inverse=True)
@@ -213,7 +213,7 @@ class Block:
 
 
 def frame_at(position: Geodetic) -> LocalFrame:
-    """East-north-up at the middle of a batch of positions, on the ellipsoid."""
+    """East-north-up frame at the centre of a batch of positions, on the ellipsoid."""
 
     ecef = np.asarray(
         jax.vmap(WGS84.to_ecef)(jax.tree.map(lambda x: np.atleast_1d(np.asarray(x, np.float64)), position))
@@ -223,7 +223,7 @@ def frame_at(position: Geodetic) -> LocalFrame:
 
 
 def _with_points(a: GroundPoints | None, b: GroundPoints | None, what: str) -> GroundPoints | None:
-    """Both as one. Raises `ValueError` for a point that is in both, but not at the same place."""
+    """Both sets of points merged. Raises `ValueError` for a point that is in both with different positions."""
     if a is None or b is None:
         return b if a is None else a
     both = [name for name in b.name.tolist() if name in set(a.name.tolist())]

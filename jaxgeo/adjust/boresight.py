@@ -1,4 +1,4 @@
-"""Boresight and lever arm in two steps: from adjusted orientations and what the navigation said."""
+"""Two-step boresight and lever arm calibration from adjusted orientations and navigation."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Mount
 
 STEPS = 8
-HELD = 1e-10  # of the correlations: below it some of what is asked for cannot be told from the rest
+HELD = 1e-10  # smallest accepted eigenvalue of the correlations: below it the requested parameters are not separable
 
 
 class TwoStep(NamedTuple):
-    """A mount found from orientations: `turn` (3) the rotation vector of the boresight in rad, `lever` (3) in m and
-    body axes, `covariance` (6, 6) of both, of unit weight (zero where held), the navigation's `sigma0`, the `mount`."""
+    """A mount from orientations: `turn` (3), the boresight rotation vector in rad; `lever` (3) in m, body axes;
+    `covariance` (6, 6) of both, of unit weight (zero where fixed); the navigation's `sigma0`; and the `mount`."""
 
     mount: Mount
     turn: np.ndarray
@@ -47,13 +47,13 @@ def two_step_boresight(
     lever: bool = False,
     navigation: Navigation | None = None,
 ) -> TwoStep:
-    """Boresight, and with `lever` the lever arm, of a mount that was held in an adjustment of which this is step two.
+    """Boresight, and with `lever` the lever arm, of a mount that was fixed in an adjustment: the second step.
 
-    The adjusted orientations are compared with the navigation's, which must have been kept from pulling them: of an
-    adjustment on control, with navigation that was `loosened`; `navigation` is then what it was before (Xue et al.
-    2019, after their Eq 5; rotations are taken as such, not as angles to first order). Weights are the navigation's
-    and, with all correlations, those of the adjusted orientations. Raises `ValueError` without navigation, for fewer
-    than two images, and for navigation or a flight that does not tell what is asked for.
+    Compares the adjusted orientations with the navigation, which must not have influenced them: use an adjustment on
+    control with `loosened` navigation, and pass the original one as `navigation` (Xue et al. 2019, after their Eq 5;
+    here with full rotations instead of first-order angles). Weights are those of the navigation and, with all
+    correlations, of the adjusted orientations. Raises `ValueError` without navigation, for fewer than two images, and
+    for navigation or a flight that does not determine the requested parameters.
     """
     ready, block = adjustment.prepared, adjustment.block
     navigation = block.navigation if navigation is None else navigation
@@ -99,11 +99,11 @@ def two_step_boresight(
 def _two_step(
     problem: Problem, matrix: Tridiagonal, observed: Observed, values: Values, mount: Int[Array, ""], with_lever: bool
 ) -> tuple[Array, Array, Array, Array]:
-    """(turn, lever, covariance, sigma0) by generalised least squares over all images at once.
+    """(turn, lever, covariance, sigma0) by generalised least squares over all images.
 
-    The adjusted orientations' covariance is the inverse of the reduced normal equations. With B the derivatives of the
-    navigation's residuals by the orientations, and M that matrix, (1 + B M^-1 B')^-1 = 1 - B (M + B'B)^-1 B', which
-    needs no covariance and keeps M's form.
+    The covariance of the adjusted orientations is the inverse of the reduced normal matrix M. With B the derivatives of
+    the navigation residuals by the orientations, (1 + B M^-1 B')^-1 = 1 - B (M + B'B)^-1 B', which needs no covariance
+    matrix and preserves the block structure of M.
     """
     size, band, lever = 6 if with_lever else 3, problem.layout.band, values.lever[mount]
     mine = problem.mount_of == mount
@@ -129,7 +129,7 @@ def _two_step(
         B = jnp.pad(B, ((0, 0), (0, 0), (0, problem.of_image - POSE))) * free[:, None, :]
         own = on_diagonal(band, jnp.einsum("nka,nkb->nab", B, B))[: band.slabs].reshape(matrix.diagonal.shape)
         factor = factored(eqx.tree_at(lambda m: m.diagonal, matrix, matrix.diagonal + own))
-        columns = jnp.concatenate([J, off[:, :, None]], axis=2)  # of x and of what is left
+        columns = jnp.concatenate([J, off[:, :, None]], axis=2)  # of x and of the misclosure
         right = jnp.einsum("nka,nkj->nja", B, columns)
         none = jnp.zeros((size + 1, problem.shared))
         left = jax.vmap(lambda r, s: solved(problem, factor, r, s)[0])(jnp.moveaxis(right, 1, 0), none)

@@ -1,4 +1,4 @@
-"""Bundle adjustment: a block's most likely orientations, points and calibrations; free networks; what is not held."""
+"""Bundle adjustment of a block, with free-network datum and checks for rank defects."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from jaxgeo.adjust.tie_start import start_by_ties, taken_back
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.weak_datum import share_left
 
-SINGULAR = 1e-12  # eigenvalues of the normal equations, scaled to ones on the diagonal: below it nothing holds them
-NEAREST = 50  # steps that bring a free network to where it started
+SINGULAR = 1e-12  # eigenvalues of the normal equations scaled to a unit diagonal; smaller ones count as unconstrained
+NEAREST = 50  # iterations that align a free network with its start
 
 
 POOR_STARTS = (
@@ -42,8 +42,8 @@ POOR_STARTS = (
 
 @portable
 class NotConverged(RuntimeError):
-    """The iterations did not come to an end: `log` tells how they went, `diagnosis` what stands out where they ended,
-    `screened` what had been set aside before."""
+    """The iterations did not converge: `log` lists them, `diagnosis` the outliers at the last one, `screened` the
+    measurements set aside before."""
 
     def __init__(self, solution: Solution, diagnosis: Diagnosis, screened: Screen) -> None:
         self.log, self.diagnosis, self.screened = solution.log, diagnosis, screened.aside
@@ -59,7 +59,7 @@ class NotConverged(RuntimeError):
 
 @portable
 class BehindCamera(ValueError):
-    """Points that lie behind a camera that saw them, or beyond the field of its lens: `rows` of the observations."""
+    """Points behind a camera that measured them, or outside the field of its lens: `rows` of the observations."""
 
     def __init__(self, block: Block, rows: np.ndarray) -> None:
         self.rows = rows
@@ -73,8 +73,10 @@ class BehindCamera(ValueError):
 
 @dataclass(frozen=True)
 class InnerConstraints:
-    """A free network: what nothing holds of the whole (position, orientation, scale) is taken such that the points
-    stay, in the mean square, where they started; their covariances are the least that any datum gives."""
+    """Free network datum: unconstrained motions of the whole (position, orientation, scale) are fixed so that the
+    points keep their start positions in the least-squares sense; the point covariances have minimum trace over all
+    datums.
+    """
 
 
 def adjust(
@@ -88,20 +90,20 @@ def adjust(
     told: Callable[[Iteration], Any] | None = None,
     screen: float | None = SIGMAS,
 ) -> Adjustment:
-    """The orientations, points and calibrations under which a block's observations are most likely.
+    """Bundle adjustment: maximum-likelihood orientations, points and calibrations of a block.
 
-    Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019,
-    Eqs 1 and 3-5), image points and control with a `loss` if that is given. `terrain` ties points to a model of the
-    ground (`HeightObservations`). `told` hears of every iteration.
+    Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019, Eqs
+    1 and 3-5). A `loss` applies to image points and control. `terrain` adds observations of the points' heights on a
+    terrain model (`HeightObservations`). `told` is called with every iteration.
 
     Before the first iteration, image points and control that disagree with all others by more than `screen` standard
-    deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` name them. What agrees once the
-    others are adjusted is taken back. None screens nothing.
+    deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` lists them. Those that agree with the
+    adjusted block are restored. None disables screening.
 
-    Raises `DeficientBlock`, in words, where something is not held: without control and navigation, unless `datum` asks
-    for a free network; and for any other combination of unknowns. Raises `NotConverged`, with the log and a diagnosis,
-    where the iterations come to no end, `BehindCamera` where points end up where no camera can have seen them,
-    `ControlElsewhere` where all control lies elsewhere, and `ValueError` as `Unknowns` and `Block`.
+    Raises `DeficientBlock`, with a description, for unconstrained unknowns: a missing datum (without control and
+    navigation, unless `datum` requests a free network) or any other combination. Raises `NotConverged`, with the log
+    and a diagnosis; `BehindCamera` for adjusted points that their cameras cannot see; `ControlElsewhere` if all control
+    is displaced; and `ValueError` as `Unknowns` and `Block`.
     """
     unknowns, loss = Unknowns() if unknowns is None else unknowns, LeastSquares() if loss is None else loss
     screened, start = screened_of(block, unknowns, screen), None
@@ -139,8 +141,7 @@ def adjusted(
     datum: InnerConstraints | None,
     screened: Screen,
 ) -> Adjustment:
-    """What iterations on a block came to, if it is determined and its points lie where they were seen. Raises as
-    `adjust`."""
+    """`Adjustment` from the solution of a block, if it is determined and its points are visible. Raises as `adjust`."""
     if solution.converged:
         _check_parallax(block, ready, solution)
     rows = np.asarray(_unheld(ready.problem, solution.values))
@@ -152,7 +153,7 @@ def adjusted(
             f"with datum=InnerConstraints().{_in_parts(block)}",
             [Direction(word, 0.0, {}) for word in words],
         )
-    if not solution.converged:  # for which what nothing holds would be the reason
+    if not solution.converged:  # before convergence, rank defects could be the cause
         raise NotConverged(solution, diagnosed(block, unknowns, ready, solution, screened), screened)
     held = None
     if len(rows):
@@ -178,7 +179,7 @@ def adjusted(
 
 
 def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
-    """Refuse points that nothing holds along their rays, whatever holds the cameras."""
+    """Refuse points that are unconstrained along their rays, independently of the cameras."""
     least = _least_of_points(ready, solution)
     lost = np.flatnonzero(~(least >= SINGULAR))
     if len(lost) == 0:
@@ -194,7 +195,7 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
 
 
 def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
-    """Least eigenvalue of each point's normal matrix (m,), image points and other observations with weights of one."""
+    """Smallest eigenvalue of each point's normal matrix (m,), all observations with unit weight."""
     own, problem = ready.order.row_of_point, ready.problem
     free = np.asarray(problem.free_point)[own]
     weighted, alike = (np.asarray(x)[own] * free[:, None, :] for x in _observed_points(problem, solution.values))
@@ -206,7 +207,7 @@ def _least_of_points(ready: Prepared, solution: Solution) -> np.ndarray:
 
 
 def _in_parts(block: Block) -> str:
-    """A sentence where a block falls apart; else nothing."""
+    """A sentence if the block is disconnected, else empty."""
     parts = block.parts()
     if len(parts) == 1:
         return ""
@@ -221,7 +222,7 @@ def _unheld(problem: Any, values: Any) -> Any:
 
 @eqx.filter_jit
 def _observed_points(problem: Any, values: Any) -> list[Any]:
-    """Derivatives of control and terrain by each point (rows, 4, 3), with their weights and with weights of one."""
+    """Derivatives of control and terrain by each point (rows, 4, 3), with their weights and with unit weights."""
     observed = observing(problem, values)
     each = (observed, observed.alike(jnp.ones(())))
     return [jnp.concatenate([x.control, x.terrain[:, None]], axis=1) for x in each]
@@ -234,9 +235,9 @@ def _datum(problem: Any, values: Any, rows: Any) -> Datum:
 
 
 def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.ndarray) -> Solution:
-    """A free network moved as a whole so that its points lie, in the mean square, where they started.
+    """A free network transformed so that its points fit their start positions in the least-squares sense.
 
-    It is moved by what nothing holds, `rows` (d, 7) of `MOTIONS`, and by nothing else.
+    Only the unconstrained motions, `rows` (d, 7) of `MOTIONS`, are applied.
     """
     values, problem = solution.values, ready.problem
     own = ready.order.row_of_point
@@ -250,13 +251,14 @@ def _at_start(ready: Prepared, solution: Solution, loss: AbstractLoss, rows: np.
 
 
 def nearest(source: np.ndarray, target: np.ndarray, rows: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """(scale, rotation, shift) that bring points (m, 3) nearest to others by combinations (d, 7) of `MOTIONS` only."""
-    import scipy  # loads its parts when they are asked for
+    """(scale, rotation, shift) of points (m, 3) that best fit `target`, restricted to combinations (d, 7) of
+    `MOTIONS`."""
+    import scipy  # submodules load lazily
 
-    middle = np.median(source, axis=0)  # as `motions` has them
+    middle = np.median(source, axis=0)  # as in `motions`
     offsets, goal = source - middle, target - middle
     size = np.sqrt(np.median(np.sum(offsets**2, axis=1)))
-    generators = np.zeros((len(rows), 4, 4))  # of the group of similarities, of which those that nothing holds are one
+    generators = np.zeros((len(rows), 4, 4))  # of the similarity group; the unconstrained motions form a subgroup
     for generator, row in zip(generators, rows / np.abs(rows).max(axis=1, keepdims=True), strict=True):
         x, y, z = row[3:6] / size
         generator[:3, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) + np.eye(3) * row[6] / size

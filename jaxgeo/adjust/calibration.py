@@ -1,4 +1,4 @@
-"""What an adjustment found of a sensor, and how well: for later fixes from single images."""
+"""Sensor calibration from an adjustment, as sensor and error source for single-image fixes."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ LEVERS = {"lever arm x": "forward", "lever arm y": "right", "lever arm z": "down
 
 
 class Calibration(NamedTuple):
-    """A sensor as it was found, and the source of what is still wrong with it, for an `ErrorModel`; None where nothing
-    of it was unknown."""
+    """A calibrated sensor and the source of its remaining errors for an `ErrorModel`; the source is None if no
+    sensor parameter was unknown."""
 
     sensor: Sensor
     source: Correlated | None
@@ -45,11 +45,11 @@ def calibration(
 ) -> Calibration:
     """The adjusted camera and mount on the gimbal of `sensor`, and their errors with all correlations as one source.
 
-    `camera` and `mount` name which; they may be left out where there is one. Covariances are those of the adjustment,
-    times `sigma0` squared if `scaled`. `sharing` says where the errors are the same, by default in a flight.
-    Raises `ValueError` for names that there are not, for a gimbal that reports against something else than that of the
-    block, where the aspect of the pixels was unknown, of which error models know nothing, and for `scaled` without
-    redundancy, as `sigma0` then is unknown.
+    `camera` and `mount` are names; they may be omitted where there is only one. Covariances are those of the
+    adjustment, times `sigma0` squared if `scaled`. `sharing` is the correlation of the errors between images, by
+    default per flight. Raises `ValueError` for unknown names, for a gimbal whose angle reference differs from that of
+    the block, for an unknown pixel aspect (error models do not support it), and for `scaled` without redundancy, where
+    `sigma0` is undefined.
     """
     camera = _one(camera, list(adjustment.cameras), "camera")
     found = Sensor(adjustment.cameras[camera]) if sensor is None else sensor
@@ -79,7 +79,7 @@ def calibration(
 
 
 def _sources(sigma: dict[str, float], level: bool) -> tuple[list[AbstractSource], list[str]]:
-    """Sources of what was unknown, and the names of the parameters in the order of their axes."""
+    """Sources of the unknown parameters, and the parameter names in the order of their axes."""
     parts: list[AbstractSource] = []
     order: list[str] = []
     turns = LEVEL_TURNS if level else TURNS

@@ -1,5 +1,4 @@
-"""The observations of a block: image points by the collinearity of the sensor model, positions and attitudes of the
-navigation, and their derivatives, one at a time."""
+"""Collinearity and navigation observation equations of one image, with derivatives."""
 
 from __future__ import annotations
 
@@ -18,9 +17,9 @@ from jaxgeo.sensor import FrameCamera
 
 
 def pixel_of(camera: FrameCamera, p_camera: Vector3) -> Pixel:
-    """Pixel of a point in the camera frame by the formulas of the camera alone, in its field or not.
+    """Pixel of a point in the camera frame, without the checks of `camera.project`.
 
-    `camera.project` is this and its checks, of which an adjustment makes use when it is done.
+    The adjustment applies those checks to its result.
     """
     return camera.principal_px + camera.focal_px * camera.distortion.distort(p_camera[:2] / p_camera[2])
 
@@ -28,14 +27,14 @@ def pixel_of(camera: FrameCamera, p_camera: Vector3) -> Pixel:
 def pixel_linear(
     camera: FrameCamera, lens: Any, active: tuple[int, ...], ideal: Pixel
 ) -> tuple[Pixel, list[Pixel], list[Pixel]]:
-    """Pixel of a direction's tangents in the camera frame, and its derivatives by each of these and by each of the
-    lens's active columns, by autodiff."""
+    """Pixel of a direction's tangents in the camera frame, with its derivatives by the tangents and by the active
+    lens columns, by autodiff."""
 
     def pixel(ideal: Pixel, change: Any) -> Pixel:
         changed = with_interior(camera, _changed(lens, active, change))
         return changed.principal_px + changed.focal_px * changed.distortion.distort(ideal)
 
-    # Forward: backward, what takes parameters apart would be put together again, entry by entry.
+    # # Forward mode: reverse mode would reassemble the parameter vectors entry by entry.
     none = jnp.zeros(len(active))
     by_ideal = [jax.jvp(lambda x: pixel(x, none), (ideal,), (axis,))[1] for axis in jnp.eye(2)]
     by_lens = [jax.jvp(lambda x: pixel(ideal, x), (none,), (axis,))[1] for axis in jnp.eye(len(active))]
@@ -43,15 +42,15 @@ def pixel_linear(
 
 
 def _changed(lens: Any, active: tuple[int, ...], change: Any) -> Any:
-    """The lens with its active columns changed; entry by entry, as scattering into many short vectors takes longer."""
+    """The lens with its active columns changed; entry by entry, since scattering into many short vectors is slower."""
     parts = [entry + change[active.index(i)] if i in active else entry for i, entry in enumerate(lens)]
     return jnp.stack(parts)
 
 
 class Observed(Record):
-    """What the navigation says of an image, or of all (leading axis), and its mount; see `Navigation`.
+    """Navigation of an image, or of all (leading axis), and its mount; see `Navigation`.
 
-    `centred_time` is s after the middle of the strip's; `level` whether the gimbal reports in local level.
+    `centred_time` is s after the strip's mean time; `level` states whether the gimbal reports in local level.
     """
 
     position: Any
@@ -70,13 +69,14 @@ class Observed(Record):
 def navigation_residual(
     seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
 ) -> Float[Array, "6"]:
-    """Position (m) and attitude (rad) that an orientation implies, less those observed, each weighted.
+    """Weighted residuals of position (m) and attitude (rad), predicted from an orientation less observed.
 
-    Positions by the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
-    Eq 5, where the lever arm's sign is that of the IMU seen from the camera); attitudes as the rotation vector between
-    the reference's observed and implied orientation, in its own axes (Eq 3, free of the singularity of its angles).
+    Positions use the rigorous lever arm and the strip's shift and drift (Xue et al. 2019, Eq 4 and the G g and R r of
+    Eq 5, where the lever arm's sign is that of the IMU seen from the camera). Attitudes are the rotation vector between
+    the observed and predicted orientation of the reference, in its own axes (Eq 3, without the singularity of its
+    angles).
     """
-    # The boresight turns the base against the body, or, where there is no base but local level, camera against head.
+    # # The boresight rotates base against body, or, for local level without a base, camera against head.
     before = jnp.where(seen.level, jnp.eye(3), matmul3(boresight, seen.R_body_from_base))
     R_head_from_camera = jnp.where(seen.level, matmul3(boresight, seen.R_head_from_camera), seen.R_head_from_camera)
     R_frame_from_head = matmul3(R, R_head_from_camera.T)
@@ -92,7 +92,7 @@ def navigation_residual(
 def navigation_linear(
     seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 18"]]:
-    """The same and its derivatives by pose (6), mount (6) and strip (6)."""
+    """The same residuals and their derivatives by pose (6), mount (6) and strip (6)."""
 
     def residual(step: Float[Array, "18"]) -> Float[Array, "6"]:
         pose, mount, of_strip = step[:6], step[6:12], step[12:]

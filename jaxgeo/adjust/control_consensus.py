@@ -1,4 +1,4 @@
-"""Control against what images see: a similarity of seven parameters, or less, on which most control points agree."""
+"""Robust alignment of a block with its control: a consensus similarity of up to seven parameters."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from itertools import combinations
 
 import numpy as np
 
-TURN, SCALE = 0.5, 1.5  # rad and factor, beyond which no start of a block is off
-TRIED = 300  # triples
-WIDTH = 3.0  # of the cost of a disagreement, in standard deviations
-PARAMETER = 1.5  # what each parameter of a motion must save of the cost
-WORTH = 1e-3  # width of a triangle over its length, below which a triple tells no motion
+TURN, SCALE = 0.5, 1.5  # rad and factor: largest rotation and scale change of a block's start
+TRIED = 300  # triples sampled
+WIDTH = 3.0  # of the cost function of a disagreement, in standard deviations
+PARAMETER = 1.5  # cost reduction required per motion parameter
+WORTH = 1e-3  # width of a triangle over its length, below which a triple is degenerate
 
 
 @dataclass(frozen=True)
 class Motion:
-    """scale R x + shift about a middle: where the block lies by its start, to where control has it."""
+    """scale R x + shift about a centre: from start positions of the block to control positions."""
 
     scale: float
     R: np.ndarray
@@ -29,10 +29,11 @@ class Motion:
 
 
 def consensus(model: np.ndarray, given: np.ndarray, covariance: np.ndarray) -> tuple[Motion, np.ndarray]:
-    """(motion, disagreements (m,) in standard deviations) of places (m, 3) of the start and those given, m at least 1.
+    """(motion, disagreements (m,) in standard deviations) between start positions (m, 3) and given ones, m at least 1.
 
-    `covariance` (m, 3, 3) in m2 is that of the differences; infinite along an axis, on the diagonal, that is not known.
-    Of the motions tried, none, shifts by single points and similarities by triples, that on which most agree.
+    `covariance` (m, 3, 3) in m2 is that of the differences, infinite on the diagonal for unknown coordinates.
+    Candidates are the identity, shifts by single points and similarities by triples; the one with the lowest robust
+    cost is taken.
     """
     root = _whitening(covariance)
     whole = np.flatnonzero(np.all(np.isfinite(np.diagonal(covariance, axis1=1, axis2=2)), axis=1))
@@ -44,7 +45,7 @@ def consensus(model: np.ndarray, given: np.ndarray, covariance: np.ndarray) -> t
     if len(triples) > TRIED:
         triples = [triples[i] for i in np.random.default_rng(0).choice(len(triples), TRIED, replace=False)]
     weight = 1.0 / np.trace(np.where(np.isfinite(covariance), covariance, 0.0), axis1=1, axis2=2)
-    if len(whole) > 3:  # three alone fit any similarity nearly
+    if len(whole) > 3:  # three points fit almost any similarity
         tried += [m for t in triples if (m := _similarity(model, given, weight, np.array(t))) is not None]
     costs = [_cost(motion, _off(motion, model, given, root)) for motion in tried]
     best, cost = tried[int(np.argmin(costs))], min(costs)
@@ -57,7 +58,7 @@ def consensus(model: np.ndarray, given: np.ndarray, covariance: np.ndarray) -> t
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:
-    """W (m, 3, 3) with W' W the inverse of the covariance, zero along what is not known."""
+    """W (m, 3, 3) with W' W the inverse covariance, zero for unknown coordinates."""
     known = np.isfinite(np.diagonal(covariance, axis1=1, axis2=2))
     both = known[:, :, None] & known[:, None, :]
     safe = np.where(both, covariance, np.eye(3))
@@ -73,8 +74,8 @@ def _cost(motion: Motion, off: np.ndarray) -> float:
 
 
 def _similarity(model: np.ndarray, given: np.ndarray, weight: np.ndarray, rows: np.ndarray) -> Motion | None:
-    """The similarity of least squares of some points (Umeyama 1991); None where it is none that a start is off by, or
-    they stand in a line."""
+    """Least-squares similarity of some points (Umeyama 1991); None if it is implausible for a start, or the points
+    are collinear."""
     w = weight[rows] / weight[rows].sum()
     middle, goal = w @ model[rows], w @ given[rows]
     a, b = model[rows] - middle, given[rows] - goal

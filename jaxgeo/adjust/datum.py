@@ -1,4 +1,4 @@
-"""The datum of a block: how it may be shifted, turned and scaled as a whole, and what holds it."""
+"""Datum of a block: motions of the whole (shift, rotation, scale) and their constraints."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from jaxgeo.adjust.observing import Observing, observing
 from jaxgeo.adjust.values import POSE, Values
 
 MOTIONS = ("shift east", "shift north", "shift up", "turn about east", "turn about north", "turn about up", "scale")
-HELD = 1e-4  # m, of a motion of 1 m: what an observation must notice of it to hold it, whatever its standard deviation
+HELD = 1e-4  # m per 1 m of motion: smallest effect on an observation that counts as constraint, whatever its sigma
 
 
 class Whole(Record):
-    """The motions of a block by what they change, and which of them observations other than image points hold.
+    """The motions of the whole block, and which of them are constrained by observations other than image points.
 
-    `images` (7, n, c) and `points` (7, 3, rows) are changes by `MOTIONS`, about `middle` (3,) with the length `size`;
-    `combos` (7, 7) independent combinations of them: those of which `held` is 1 some observation holds, those of which
-    `free` is 1 nothing does; the others, all zero, move what is fixed.
+    `images` (7, n, c) and `points` (7, 3, rows) are changes by `MOTIONS`, about `middle` (3,) with the length `size`.
+    `combos` (7, 7) are independent combinations of them: `held` is 1 for those that an observation constrains, `free`
+    is 1 for unconstrained ones; the others, all zero, would change fixed parameters.
     """
 
     images: Float[Array, "7 n c"]
@@ -35,9 +35,9 @@ class Whole(Record):
 
 
 def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Float[Array, "7 3 rows"]]:
-    """Changes of the images and of the points (rows) by `MOTIONS` about the middle of the points; zero where fixed.
+    """Changes of images and points (rows) by `MOTIONS` about the median point; zero where fixed.
 
-    Lengths in m, turns and scale such that points at their median distance from the middle move by 1 m.
+    Lengths in m; rotations and scale such that points at the median distance from the centre move by 1 m.
     """
     poses, points, _, _ = _motions(problem, values)
     images = jnp.zeros((7, problem.n, problem.of_image)).at[:, :, :POSE].set(poses)
@@ -46,9 +46,9 @@ def motions(problem: Problem, values: Values) -> tuple[Float[Array, "7 n c"], Fl
 
 
 def _motions(problem: Problem, values: Values) -> tuple[Array, Array, Array, Scalar]:
-    """(poses (7, n, 6), points (7, 3, rows), middle, size), of what is fixed too."""
+    """(poses (7, n, 6), points (7, 3, rows), centre, size), including fixed parameters."""
     places = jnp.where(_measured(problem)[:, None], values.points, jnp.nan)
-    middle = jnp.nanmedian(places, axis=0)  # of points that lie nearly at infinity it does not hang on
+    middle = jnp.nanmedian(places, axis=0)  # robust to points nearly at infinity
     size = jnp.sqrt(jnp.nanmedian(jnp.sum((places - middle[None]) ** 2, axis=1)))
     offsets = jnp.where(_measured(problem)[:, None], values.points - middle[None], 0.0)
     centres, n = values.centre - middle[None], problem.n
@@ -67,16 +67,16 @@ def _motions(problem: Problem, values: Values) -> tuple[Array, Array, Array, Sca
 
 
 def _measured(problem: Problem) -> Array:
-    """Of each row of points, whether it is one: others fill groups up."""
+    """Flags of point rows that hold a point; the others are padding."""
     there = (problem.layout.information[:, 0] > 0.0).astype(jnp.float64)
     return jnp.zeros(problem.free_point.shape[0]).at[problem.layout.row].max(there) > 0.0
 
 
 def whole_of(problem: Problem, values: Values, observed: Observing | None = None) -> Whole:
-    """Which motions of the whole are held, by the form of observations, whatever their weights.
+    """Motions of the whole that are constrained, from the form of the observations, independent of their weights.
 
-    Image points hold none of them: pixels do not change when cameras and points move together. So a motion is held
-    where a coordinate of control, of the navigation or of the terrain notices it, or something fixed is moved by it.
+    Image points constrain none of them: pixels do not change when cameras and points move together. A motion is
+    constrained if it changes an observed coordinate of control, navigation or terrain, or a fixed parameter.
     """
     observed = observing(problem, values) if observed is None else observed
     poses, points, middle, size = _motions(problem, values)
@@ -95,17 +95,17 @@ def whole_of(problem: Problem, values: Values, observed: Observing | None = None
 
 
 def _noticed(combos: Float[Array, "7 7"], allowed: Float[Array, "7"], rows: Float[Array, "7 k"]) -> tuple[Array, Array]:
-    """(orthogonal combinations of those allowed, those that rows notice least first; 1 where a row notices one)."""
+    """(orthogonal combinations of the allowed ones, the least observed first; 1 where a row is affected)."""
     along = combos @ rows
     gram = along @ along.T
     most = 1.0 + jnp.trace(gram)
-    gram = gram * allowed[:, None] * allowed[None, :] + jnp.diag((1.0 - allowed) * most)  # others come last
+    gram = gram * allowed[:, None] * allowed[None, :] + jnp.diag((1.0 - allowed) * most)  # disallowed ones come last
     _, vectors = jnp.linalg.eigh(0.5 * (gram + gram.T))
     combos = vectors.T @ combos
     return combos, (jnp.max(jnp.abs(combos @ rows), axis=1, initial=0.0) > HELD).astype(jnp.float64)
 
 
 def unheld(problem: Problem, values: Values) -> Float[Array, "7 7"]:
-    """Rows: combinations of `MOTIONS` that nothing holds; zero for those that are held."""
+    """Rows: unconstrained combinations of `MOTIONS`; zero for constrained ones."""
     whole = whole_of(problem, values)
     return whole.combos * whole.free[:, None]

@@ -1,4 +1,4 @@
-"""Diagnosis of an adjustment that has not converged: residuals, moves of images and control, by name."""
+"""Diagnosis of an adjustment that did not converge: residuals, image moves and control, by name."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT, Screen, Screened
 from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.unknowns import Unknowns
 
-MOST = 5  # of each kind that are named
-FAR, TURNED = 10.0, 0.1  # m and rad, by which an image has moved far
-SUSPECT = 10.0  # standard deviations, by which what was measured disagrees with the consensus at the start
-OFF = 5.0  # standard deviations, by which a residual is worth a word
+MOST = 5  # entries listed per kind
+FAR, TURNED = 10.0, 0.1  # m and rad: image moves reported as large
+SUSPECT = 10.0  # standard deviations: disagreement with the consensus at the start
+OFF = 5.0  # standard deviations: smallest residual reported
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """A residual where the iterations ended: of an `image point` or a `control point` (image is empty then), its row of
+    """A residual at the last iteration: of an `image point` or a `control point` (then `image` is empty), its row of
     the observations or of the control, and its length in standard deviations of the measurement."""
 
     kind: str
@@ -39,7 +39,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Move:
-    """How far an image has moved from its start: m, and rad."""
+    """Displacement of an image from its start: m, and rad."""
 
     image: str
     distance: float
@@ -51,11 +51,11 @@ class Move:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What stands out where iterations came to no end, each list the worst first.
+    """Outliers at the last iteration of an adjustment that did not converge, each list the worst first.
 
-    `largest` residuals of image points and control together, images that `moved` most, `control` that disagrees; of
-    what was adjusted, `suspects` that disagreed with the consensus of all others before the first iteration already,
-    and the `doubtful` images, most of whose rays missed the others then.
+    `largest`: largest residuals of image points and control; `moved`: images with the largest displacements; `control`:
+    control that disagrees; `suspects`: adjusted measurements that already disagreed with the consensus of all others
+    before the first iteration; `doubtful`: images most of whose rays missed the others then.
     """
 
     largest: tuple[Misfit, ...]
@@ -82,7 +82,7 @@ class Diagnosis:
 
     @property
     def advice(self) -> str:
-        """What to do next, in words."""
+        """Recommended next step, as text."""
         advice = []
         if self.suspects or self.control or self.largest:
             first = (*self.suspects, *self.control, *self.largest)[0]
@@ -100,7 +100,7 @@ class Diagnosis:
 
 
 def diagnosed(block: Block, unknowns: Unknowns, ready: Prepared, solution: Solution, screened: Screen) -> Diagnosis:
-    """The diagnosis of iterations that have come to no end; `ready` and `block` as they were adjusted."""
+    """Diagnosis of iterations that did not converge; `ready` and `block` as they were adjusted."""
     values, seen = solution.values, block.observations
     residual = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
     sizes = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
@@ -118,10 +118,10 @@ def diagnosed(block: Block, unknowns: Unknowns, ready: Prepared, solution: Solut
 
 
 def _before(block: Block, unknowns: Unknowns, screened: Screen) -> tuple[tuple[Screened, ...], tuple[str, ...]]:
-    """What disagrees at the start with less than it takes to be set aside, or was not screened."""
+    """Measurements that disagree at the start but were below the screening limit or not screened."""
     try:
         found = screen(block, unknowns, SUSPECT)
-    except ValueError:  # it was screened before, or this is what its screening would have raised
+    except ValueError:  # screened before, or the screening itself would raise this
         return (), screened.doubtful
     return found.aside, found.doubtful or screened.doubtful
 

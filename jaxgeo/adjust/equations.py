@@ -1,4 +1,4 @@
-"""Normal equations of a block, in blocks: of images, of points, of what both share; never a dense Jacobian."""
+"""Sparse normal equations of a block: image, point and shared-parameter parts, without a dense Jacobian."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from jaxgeo.rotations import rotation_vector_from_R
 
 
 class Equations(Record):
-    """Normal equations at some values, in units of the weights, before anything is eliminated.
+    """Normal equations at given values, in units of the weights, before elimination.
 
-    Of the images (n, c, c), of what they share, and of the points (3, 3, rows), with the gradients; `coupling`
-    (c, 3, obs) between image and point of each measurement, `shared_coupling` (lenses, 3, rows) between a point and the
-    lenses that images share. `control_root` is the root of the weight that the loss leaves to each control point.
+    Blocks of the images (n, c, c), of the shared parameters, and of the points (3, 3, rows), with the gradients;
+    `coupling` (c, 3, obs) between image and point of each measurement, `shared_coupling` (lenses, 3, rows) between
+    points and shared lenses. `control_root` is the square root of the loss weight of each control point.
     """
 
     cost: Scalar
@@ -45,7 +45,7 @@ class Equations(Record):
 
 
 def cost_of(problem: Problem, values: Values, loss: AbstractLoss) -> Scalar:
-    """Half the sum of the loss over image points and control and of the squared weighted residuals of all else."""
+    """Half the sum of the loss over image points and control and of all other squared weighted residuals."""
     squared = jnp.sum(image_residuals(problem, values) ** 2, axis=0)
     off = known_points(problem, values)
     total = 0.5 * (jnp.sum(loss.rho(squared)) + jnp.sum(loss.rho(jnp.sum(off * off, axis=1))))
@@ -65,10 +65,9 @@ def navigation_residuals(problem: Problem, values: Values) -> Float[Array, "n 6"
 
 
 def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equations:
-    """The normal equations at some values. With a robust loss each image point and control point has the weight that it
-    leaves it.
+    """Normal equations at given values; a robust loss reweights each image point and control point.
 
-    In three programs: one of all of it makes many things again where they are used, and takes twice as long.
+    Split into three programs: as one, XLA recomputes intermediate results, and it takes twice as long.
     """
     seen = _image_points(problem, values, loss)
     return _normal(problem, values, loss, seen, _by_image(problem, seen))
@@ -148,7 +147,7 @@ def of_images(problem: Problem, values: Values) -> tuple[Any, ...]:
 
 
 def _of_points(problem: Problem, terms: list[Float[Array, " obs"]]) -> Float[Array, "k rows"]:
-    """Sums of k numbers over the measurements of each point."""
+    """Sums of k terms over the measurements of each point."""
     found = []
     for group in problem.layout.groups:
         part = slice(group.first, group.first + group.rays * group.rows)
@@ -166,7 +165,7 @@ def _of_lenses(problem: Problem, camera: Any, lens: Any, x: Any) -> Array:
 
 
 def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array]) -> dict[str, Any]:
-    """Sums over the measurements of each image, what the navigation and priors add, and their cost."""
+    """Sums over the measurements of each image, the contributions of navigation and priors, and their cost."""
     layout, n, c, active = problem.layout, problem.n, problem.of_image, len(problem.active)
     first, second = (jnp.einsum("nla,nlb->nab", rows, rows) for rows in by_image)
     sums = first + second
@@ -213,7 +212,7 @@ def _of_images_and_shared(problem: Problem, values: Values, by_image: list[Array
 
 
 def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Array, "n 6 s"]:
-    """Derivatives of the navigation by what images share, in the columns of the reduced system."""
+    """Derivatives of the navigation by the shared parameters, in the columns of the reduced system."""
     n = problem.n
     parts = [jnp.zeros((n, 6, problem.of_lenses))]
     both = ((problem.mounts, problem.mount, problem.mount_of, POSE, MOUNT),)
@@ -227,7 +226,7 @@ def navigation_columns(problem: Problem, by: Float[Array, "n 6 18"]) -> Float[Ar
 
 
 def _priors(problem: Problem, off_lens: Any, off_mount: Any, off_strip: Any) -> tuple[Array, Array]:
-    """Diagonal and gradient that priors add to what images share."""
+    """Diagonal and gradient that priors add to the shared parameters."""
     parts = []
     if problem.of_lenses:
         parts.append((problem.lens, off_lens))
@@ -247,7 +246,7 @@ def known_points(problem: Problem, values: Values) -> Float[Array, "rows 3"]:
 
 
 def _known_others(problem: Problem, values: Values) -> list[tuple[Array, Known]]:
-    """Lenses, mounts and strips less what was known of them beforehand."""
+    """Lenses, mounts and strips less their prior values."""
     columns = jnp.array(problem.active, int)
     lens = values.lens[:, columns] - problem.start.lens[:, columns]
     mount = jnp.concatenate([jax.vmap(rotation_vector_from_R)(values.boresight), values.lever - problem.start.lever], 1)

@@ -1,4 +1,4 @@
-"""The frame in which a block is adjusted: Cartesian, in m, so that curvature and convergence have no part in it."""
+"""Local Cartesian frames of an adjustment, in m, free of Earth curvature and map projection."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu
 
 
 class LocalFrame(Record):
-    """East-north-up at `origin`, turned and shifted from ECEF and nothing else: exact at any distance."""
+    """East-north-up at `origin`: a rotation and translation of ECEF, exact at any distance."""
 
     origin: Geodetic
 
@@ -24,12 +24,12 @@ class LocalFrame(Record):
         return R_ecef_from_enu(self.origin)
 
     def from_ecef(self, p_ecef: Any) -> jax.Array:
-        """Places (..., 3) in ECEF m as places in the frame, m."""
+        """Positions (..., 3) in ECEF, m, converted to the frame, m."""
         p_ecef = as_float64(p_ecef, "p_ecef")
         return (p_ecef - jnp.broadcast_to(self._origin_ecef, p_ecef.shape)) @ self.R_ecef_from_local
 
     def to_ecef(self, p: Any) -> jax.Array:
-        """Places (..., 3) in the frame as places in ECEF, m."""
+        """Positions (..., 3) in the frame converted to ECEF, m."""
         p = as_float64(p, "p")
         return p @ self.R_ecef_from_local.T + jnp.broadcast_to(self._origin_ecef, p.shape)
 
@@ -38,7 +38,7 @@ class LocalFrame(Record):
         return WGS84.to_ecef(as_float64(self.origin, "frame.origin"))
 
     def from_geodetic(self, position: Geodetic) -> jax.Array:
-        """A position, or a batch of them (n,), as places (n, 3) in the frame, m."""
+        """A position, or a batch (n,), as coordinates (n, 3) in the frame, m."""
         lat, lon, height = jnp.broadcast_arrays(
             *(jnp.asarray(x) for x in (position.lat, position.lon, position.height))
         )
@@ -46,7 +46,7 @@ class LocalFrame(Record):
         return self.from_ecef(jax.vmap(WGS84.to_ecef)(flat)).reshape(*lat.shape, 3)
 
     def to_geodetic(self, p: Any) -> Geodetic:
-        """Places (n, 3) or (3,) in the frame as positions."""
+        """Coordinates (n, 3) or (3,) in the frame as positions."""
         p = as_float64(p, "p")
         found = jax.vmap(WGS84.to_geodetic)(self.to_ecef(p).reshape(-1, 3))
         return jax.tree.map(lambda x: x.reshape(p.shape[:-1]), found)
@@ -57,4 +57,4 @@ class LocalFrame(Record):
 
 
 class Cartesian(Record):
-    """A frame that stands nowhere on the Earth, such as a model's or a map's taken as Cartesian; m, z up."""
+    """A frame without georeference, such as that of a model or of a map treated as Cartesian; m, z up."""

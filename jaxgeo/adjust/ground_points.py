@@ -1,4 +1,4 @@
-"""Ground points that are known beforehand: control, and points to check with."""
+"""Ground points with known coordinates: control and check points."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from jaxgeo.earth import Geodetic
 
 @dataclass(frozen=True)
 class GroundPoints:
-    """Points by name, their places (m, 3) in the block's frame in m, and standard deviations `sigma` (m, 3) in m.
+    """Points by name, their positions (m, 3) in the block's frame in m, and standard deviations `sigma` (m, 3) in m.
 
-    A sigma of zero holds a coordinate as it is, an infinite one says that it is not known: a height point has
-    `[inf, inf, 0.02]`. `covariance` (m, 3, 3), if given, says more than `sigma` and takes its place. Raises
-    `ValueError` for coordinates that are not finite, sigmas that are negative, and names that are there twice.
+    A sigma of zero fixes a coordinate, an infinite one marks it as unknown: a height point has `[inf, inf, 0.02]`.
+    `covariance` (m, 3, 3), if given, replaces `sigma`. Raises `ValueError` for coordinates that are not finite,
+    negative sigmas and duplicate names.
     """
 
     name: Names
@@ -58,7 +58,7 @@ class GroundPoints:
         return len(self.name)
 
     def of(self, names: Any) -> GroundPoints:
-        """Some of the points, by name. Raises `ValueError` for one that there is not."""
+        """A subset of the points, by name. Raises `ValueError` for an unknown name."""
         index = {name: i for i, name in enumerate(self.name.tolist())}
         wanted = as_names(list(names), "names").tolist()
         missing = [name for name in wanted if name not in index]
@@ -69,16 +69,17 @@ class GroundPoints:
         return GroundPoints(self.name[rows], self.place[rows], self.sigma[rows], covariance)
 
     def without(self, names: Any) -> GroundPoints:
-        """The others."""
+        """All points except those named."""
         out = set(as_names(list(names), "names").tolist())
-        self.of(sorted(out))  # refuses what there is not
+        self.of(sorted(out))  # raises for unknown names
         return self.of([name for name in self.name.tolist() if name not in out])
 
     @classmethod
     def from_geodetic(cls, frame: LocalFrame, name: Any, position: Geodetic, sigma_enu: Any = 0.0) -> GroundPoints:
         """From a batch of positions (m,) and standard deviations east, north, up in m (a number, (3,) or (m, 3)).
 
-        Their directions are those of the block's origin, which over 10 km turn by less than 2 mrad.
+        The standard deviations are applied along the axes at the block's origin, which over 10 km rotate by less than 2
+        mrad.
         """
         return cls(name, np.asarray(frame.from_geodetic(position)), sigma_enu)
 

@@ -1,4 +1,4 @@
-"""Tests of single image points and control points: that one of them is wrong, and all others are right."""
+"""Outlier tests of single image points and control points, each assuming that all others are correct."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.equations import known_points
@@ -16,14 +16,15 @@ from jaxgeo.adjust.measurements import image_residuals
 from jaxgeo.adjust.posterior import covariance_of_points, leverages
 from jaxgeo.adjust.problem import Prepared
 
-UNCHECKED = 1e-6  # redundancy below which nothing checks a measurement
+UNCHECKED = 1e-6  # redundancy below which a measurement counts as unchecked
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Of each of k measurements: `length` of its residual over its covariance (Mahalanobis, in standard deviations),
-    how many directions of it are checked, `statistic`, the length of as improbable a residual of two directions, and
-    the error that it would be of (k, axes), in its own unit. What is not checked has a statistic of zero."""
+    """Test results of k measurements: `length` of the residual over its covariance (Mahalanobis distance), number of
+    checked `directions`, `statistic` (the equally improbable length with two directions), and the estimated `error`
+    (k, axes) in its own unit. Unchecked measurements have a statistic of zero.
+    """
 
     length: np.ndarray
     directions: np.ndarray
@@ -31,21 +32,21 @@ class Hypotheses:
     error: np.ndarray
 
     def alone(self, rows: list[int]) -> Hypotheses:
-        """The same, with a statistic of zero for all measurements but some."""
+        """A copy with a statistic of zero for all measurements except `rows`."""
         statistic = np.zeros_like(self.statistic)
         statistic[rows] = self.statistic[rows]
         return replace(self, statistic=statistic)
 
 
 def limit(alpha: float) -> float:
-    """What a statistic exceeds by chance with probability `alpha`: 3.72 for 0.001."""
+    """Critical value of the statistic, exceeded by chance with probability `alpha`: 3.72 for 0.001."""
     return float(np.sqrt(scipy.special.chdtri(2.0, alpha)))
 
 
 def of_image_points(adjustment: Adjustment, full: Prepared | None = None, kept: np.ndarray | None = None) -> Hypotheses:
-    """Of the image points of an adjustment, or of those (k,) of the block `full` of which some are `kept`.
+    """Tests of the image points of an adjustment, or of those (k,) of the block `full`, of which some are `kept`.
 
-    What was not kept is tested against its prediction, in which it has no part. Errors are in standard deviations.
+    Measurements that were not kept are tested against their prediction without them. Errors are in standard deviations.
     """
     ready = adjustment.prepared if full is None else full
     values, loss = adjustment.solution.values, adjustment.loss
@@ -57,7 +58,7 @@ def of_image_points(adjustment: Adjustment, full: Prepared | None = None, kept: 
 def of_control(
     adjustment: Adjustment, control: GroundPoints, full: Prepared | None = None, kept: Kept | None = None
 ) -> Hypotheses:
-    """The same of control points (m,); errors in m along the frame's axes. Coordinates of sigma zero are not tested."""
+    """Tests of control points (m,); errors in m along the frame's axes. Coordinates with sigma zero are not tested."""
     ready = adjustment.prepared if full is None else full
     row_of = dict(zip(ready.names.point.tolist(), ready.order.row_of_point.tolist(), strict=True))
     there = np.isin(control.name, adjustment.prepared.names.point)
@@ -79,7 +80,7 @@ def of_control(
 
 
 def _hypotheses(h: np.ndarray, v: np.ndarray, kept: np.ndarray, known: np.ndarray | None = None) -> Hypotheses:
-    """From leverages (k, d, d) and whitened residuals (k, d), adjusted less measured."""
+    """Test results from leverages (k, d, d) and whitened residuals (k, d), adjusted less measured."""
     d = v.shape[1]
     known = np.ones(v.shape, bool) if known is None else known
     left = np.where(kept[:, None, None], np.eye(d) - h, np.eye(d) + h)
@@ -96,8 +97,8 @@ def _hypotheses(h: np.ndarray, v: np.ndarray, kept: np.ndarray, known: np.ndarra
 
 
 def _as_of_two(length: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The length of a residual of two directions that is as improbable as this one of one, two or three."""
-    scaled = scipy.special.erfcx(length / np.sqrt(2.0))  # the tail over exp(-length2 / 2), also where that is zero
+    """Length with two directions that is as improbable as the given one with one, two or three."""
+    scaled = scipy.special.erfcx(length / np.sqrt(2.0))  # tail over exp(-length2 / 2), which does not underflow
     three = scaled + np.sqrt(2.0 / np.pi) * length
     tail = np.select([directions == 1, directions == 3], [scaled, three], 1.0)
     return np.where(directions > 0, np.sqrt(np.maximum(length**2 - 2.0 * np.log(tail), 0.0)), 0.0)

@@ -1,4 +1,4 @@
-"""Where to start points from: the place nearest to all their rays."""
+"""Initial values of object points by ray intersection."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from jaxgeo.adjust.block import Block
 from jaxgeo.sensor import FrameCamera
 
-SIZES = (64, 1024, 65536)  # of the parts in which rays are computed
-NEVER_MEETING = 1e-10  # smallest eigenvalue of the mean of I - d d': rays within some 1e-5 rad of each other
+SIZES = (64, 1024, 65536)  # batch sizes of the ray computation
+NEVER_MEETING = 1e-10  # smallest eigenvalue of the mean of I - d d': rays parallel to about 1e-5 rad
 
 
 def started(
     block: Block, place: np.ndarray, row: np.ndarray, image: np.ndarray, used: np.ndarray | None = None
 ) -> np.ndarray:
-    """Places (rows, 3), coordinates that are NaN put where the rays of their measurements meet; rows of no point too.
+    """Start positions (rows, 3); NaN coordinates are replaced by the intersection of the rays, also in padding rows.
 
-    `row` and `image` are those of the measurements, `used` flags of those that count. Raises `ValueError` for a point
-    whose rays never meet.
+    `row` and `image` are those of the measurements, `used` flags of those to use. Raises `ValueError` for a point whose
+    rays do not intersect.
     """
     unknown = np.any(np.isnan(place), axis=1)
     if not np.any(unknown[row]):
@@ -49,7 +49,7 @@ def started(
 
 
 def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of some measurements.
+    """(perspective centres (k, 3), unit directions (k, 3) in the block's frame) of the chosen measurements.
 
     Raises `ValueError` naming image and point where the lens has no ray for a pixel.
     """
@@ -70,8 +70,8 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
 
 
 def camera_rays(camera: FrameCamera, uv: np.ndarray) -> np.ndarray:
-    """Unit directions (k, 3) in the camera frame of pixels (k, 2); NaN where the lens has none."""
-    size = next((size for size in SIZES if len(uv) <= size), SIZES[-1])  # few sizes, or each would be compiled
+    """Unit directions (k, 3) in the camera frame of pixels (k, 2); NaN where the lens has no ray."""
+    size = next((size for size in SIZES if len(uv) <= size), SIZES[-1])  # few sizes, so that few programs are compiled
     filled = np.concatenate([uv, np.repeat(uv[:1], -len(uv) % size, axis=0)])
     parts = np.split(filled, len(filled) // size)
     return np.concatenate([np.asarray(_rays(camera, jnp.asarray(part, jnp.float64))) for part in parts])[: len(uv)]

@@ -1,4 +1,4 @@
-"""Forward intersection: the point that is seen in two or more images."""
+"""Forward intersection of a point from two or more images."""
 
 from __future__ import annotations
 
@@ -44,24 +44,24 @@ from jaxgeo.sensor.sensor import made_safe
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 
-CLOSE_ENOUGH = 1e-6  # m, and of the standard deviation: the longest last step
-WEAK = 0.1  # of the shortest slant range: a point less sure than this may as well lie anywhere along its rays
-NEARLY_PARALLEL = 0.02  # rad: rays that meet behind the camera within this angle are said to be weak, not wrong
+CLOSE_ENOUGH = 1e-6  # m, and relative to the standard deviation: longest last step
+WEAK = 0.1  # of the shortest slant range: standard deviation above which the depth is undetermined
+NEARLY_PARALLEL = 0.02  # rad: rays that intersect behind the camera within this angle count as weak, not as wrong
 
 
-# Under `jit` what is no covariance, that of no point, gives NaN in place of an exception.
+# # Under `jit` an invalid covariance, such as that of a failed point, gives NaN instead of an exception.
 _circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
 
 
 class Intersection(Record):
-    """A point seen in several images, how sure it is, and whether it can be trusted.
+    """A point intersected from several images, with its covariance and status.
 
-    `position` and `p_ecef` (m) are the same point; `cov_enu` (3, 3) its covariance in m2 along east, north, up there,
-    by the errors given, not scaled by how well the rays meet. `residuals` (rays, 2) are the pixels of the point less
-    those measured, px; `chi_square` is what they come to against the errors given, with `degrees_of_freedom`; `angle`
-    in rad the largest between any two rays; `slant_ranges` (rays,) in m from each perspective centre; `used` (rays,)
-    whether a ray has a part in it. `status` is an int8 `Status`. What is not `ok`, and rays that are not used, have
-    NaN; the angle stays where there are rays. Under `vmap` all have a leading axis of points.
+    `position` and `p_ecef` (m) are the same point; `cov_enu` (3, 3) is its covariance in m2 along east, north, up
+    there, from the given errors, not scaled by the residuals. `residuals` (rays, 2) are the projected less the measured
+    pixels, px; `chi_square` is their squared sum under the given errors, with `degrees_of_freedom`; `angle` in rad is
+    the largest between any two rays; `slant_ranges` (rays,) in m from each perspective centre; `used` (rays,) flags the
+    rays used. `status` is an int8 `Status`. Failed points and unused rays have NaN; the angle remains where there are
+    rays. Under `vmap` all have a leading axis of points.
     """
 
     position: Geodetic
@@ -81,17 +81,17 @@ class Intersection(Record):
 
     @property
     def rays(self) -> Int[Array, "..."]:
-        """How many rays are used."""
+        """Number of rays used."""
         return jnp.sum(self.used, axis=-1)
 
     @property
     def degrees_of_freedom(self) -> Int[Array, "..."]:
-        """By how much there are more measurements than coordinates: 2 rays - 3."""
+        """Redundancy: 2 rays - 3."""
         return jnp.maximum(2 * self.rays - 3, 0)
 
     @property
     def sigma0(self) -> Numbers:
-        """How many times larger the residuals are than the errors given would have them: 1 if those are right."""
+        """Ratio of the residuals to their expected size: 1 if the given errors are correct."""
         return jnp.sqrt(jnp.asarray(self.chi_square) / jnp.maximum(self.degrees_of_freedom, 1))
 
     @property
@@ -108,24 +108,24 @@ class Intersection(Record):
 
     @property
     def ce90(self) -> Numbers:
-        """Radius in m about the point, on the level plane, that holds the true one with 90 %."""
+        """CE90: radius in m of the horizontal circle about the point that contains the true one with 90 %."""
         return self.circular_error(0.9)
 
     @property
     def le90(self) -> Numbers:
-        """Height in m above and below the point that holds the true one with 90 %."""
+        """LE90: height in m above and below the point that contains the true one with 90 %."""
         return self.linear_error(0.9)
 
     def circular_error(self, probability: ArrayLike) -> Numbers:
-        """Radius in m about the point, on the level plane, that holds the true one with a probability."""
+        """Radius in m of the horizontal circle about the point that contains the true one with a probability."""
         return _circular_error(jnp.asarray(self.cov_enu)[..., :2, :2], probability)
 
     def linear_error(self, probability: ArrayLike) -> Numbers:
-        """Height in m above and below the point that holds the true one with a probability."""
+        """Height in m above and below the point that contains the true one with a probability."""
         return _linear_error(jnp.asarray(self.cov_enu)[..., 2, 2], probability)
 
     def spherical_error(self, probability: ArrayLike) -> Numbers:
-        """Radius in m about the point that holds the true one in space with a probability."""
+        """Radius in m of the sphere about the point that contains the true one with a probability."""
         return _spherical_error(jnp.asarray(self.cov_enu), probability)
 
 
@@ -141,37 +141,37 @@ def forward_intersection(
     shot_of: Any = None,
     flight_of: Any = None,
 ) -> Intersection:
-    """The point that pixels of several shots see, where their rays come together best, and how sure it is.
+    """Intersect the rays of pixels in several shots in one point, with its covariance.
 
     `shots` is a `Shot` with a leading axis (rays,), or a list of shots; `uvs` (rays, 2) the measured (column, row) in
-    px; `sensor` one for all, or a list, or a batch with a leading axis (rays,) on every number. `use` (rays,) says
-    which rays count (all if left out), so that points in different numbers of images can be padded to one shape, with
-    anything, and go through one `jax.vmap`. With an `atmosphere` the lines of sight are bent as in `jaxgeo.project`.
+    px; `sensor` one for all, or a list, or a batch with a leading axis (rays,) on every number. `use` (rays,) flags the
+    rays to use (default all), so that points with different numbers of rays can be padded to one shape, with arbitrary
+    values, and go through one `jax.vmap`. With an `atmosphere` the lines of sight are refracted as in `jaxgeo.project`.
 
-    What errs, and so how rays are weighed, is said by one of these, or both:
+    One or both of these define the error model, and so the weights:
 
     * `sigma`: standard deviation of the measured pixels in px (a number, (rays,), or (rays, 2)), all independent. Least
-      squares with these weights, as if cameras and shots were without error.
+      squares with these weights, with error-free cameras and shots.
     * `errors`: an `ErrorModel`, or a tuple of sources. Generalised least squares with the covariance of all residuals,
-      in which what sources share from image to image is correlated (a boresight `PerFlight`, an attitude `PerImage`):
-      no linear unbiased estimate is better. It should have a `PixelMeasurement`. Errors of the terrain have no part.
-    * both: weighed by `sigma` alone, as most programs do; with the covariance that has under `errors`.
+      in which errors shared between images are correlated (a boresight `PerFlight`, an attitude `PerImage`): the best
+      linear unbiased estimate. Include a `PixelMeasurement`. Terrain errors are ignored.
+    * both: weights from `sigma` alone, as in most programs; the covariance of that estimate under `errors`.
 
-    `shot_of` and `flight_of` (rays,) number the shot and the flight of each ray (all different; all one), as for
-    `jaxgeo.uncertainty.joint_covariance`: two cameras that are exposed as one have the same shot. Cameras that are
-    calibrated each for itself need flights of their own. Times are those of the shots.
+    `shot_of` and `flight_of` (rays,) number the shot and the flight of each ray (default: all different; all one), as
+    for `jaxgeo.uncertainty.joint_covariance`: two simultaneously exposed cameras have the same shot. Independently
+    calibrated cameras need different flights. Times are those of the shots.
 
-    The equations are the collinearity equations, residuals in pixels, minimised by Gauss and Newton from the point
-    nearest to all rays. Xue, Zhang, Wang, Yu and Cao (2019), Eq 2, write them linear in the coordinates, l1 X + l2 Y +
-    l3 Z - lx = 0, whose residuals are those in pixels times the depth, so that far images count for more than near
-    ones; and lx is not the pixel, as is said there, but l1 Xs + l2 Ys + l3 Zs with the perspective centre. Correlations
-    are taken at the point that equal weights give. Position, covariance and all else are differentiable, to second
-    order, forward and reverse, by the implicit function theorem, in shots, sensor, pixels, air and sigmas.
+    The equations are the collinearity equations with residuals in pixels, solved by Gauss-Newton from the point nearest
+    to all rays. Xue, Zhang, Wang, Yu and Cao (2019), Eq 2, write them linear in the coordinates, l1 X + l2 Y + l3 Z -
+    lx = 0. Their residuals are pixels times depth, so that far images get more weight than near ones; and lx is l1 Xs +
+    l2 Ys + l3 Zs with the perspective centre, not the pixel as stated there. Correlations are evaluated at the
+    equal-weight solution. Position, covariance and all else are differentiable, to second order, forward and reverse,
+    by the implicit function theorem, in shots, sensor, pixels, air and sigmas.
 
-    The status says `too_few_rays` for fewer than two that are used; `weak_intersection` where the point's standard
-    deviation is over a tenth of the shortest slant range; `behind_camera`, `outside_distortion_field`, `invalid_input`
-    (NaN in a ray that is used), `not_converged`. A ray is never left out by itself. One that scans as it moves needs
-    shots at its pixels' own times.
+    The status is `too_few_rays` for fewer than two used rays; `weak_intersection` for a standard deviation above a
+    tenth of the shortest slant range; `behind_camera`, `outside_distortion_field`, `invalid_input` (NaN in a used ray),
+    `not_converged`. No ray is rejected automatically. A scanning camera in motion needs shots at the times of its
+    pixels.
 
     Raises `RuntimeError` with 64-bit floats off; `TypeError` for float32 and arguments of the wrong kind; `ValueError`
     for shapes that do not fit, fewer than two rays, a latitude beyond a pole, a sigma that is not positive, neither
@@ -226,9 +226,10 @@ def _intersected(measured: Measured) -> Intersection:
 
 
 def _lines(measured: Measured) -> tuple[Image, Rays, tuple[Sensor, Shot, Residuals, Flags], StatusCode]:
-    """(images; directions in ECEF; sensors, shots, pixels and which are sound and used; what is wrong with any used).
+    """(images; directions in ECEF; sensors, shots, pixels and flags of valid used rays; first failure of the used
+    rays).
 
-    Rays that are not are stood in for by the first that is, so that all numbers and derivatives are finite.
+    Invalid rays are replaced by the first valid one, so that all numbers and derivatives are finite.
     """
     valid, sensors, shots, uvs = jax.vmap(made_safe)(measured.sensors, measured.shots, measured.uvs)
     sound = measured.use & valid
@@ -258,13 +259,13 @@ def _is_sigma(sigma: Residuals | None, sound: Flags) -> Flags:
 
 
 def _first(statuses: Any, used: Flags) -> StatusCode:
-    """The first status that is not `hit`, of the rays that are used."""
+    """The first status of the used rays that is not `hit`."""
     failed = used & (statuses != Status.hit)
     return jnp.where(jnp.any(failed), statuses[jnp.argmax(failed)], Status.hit.code)
 
 
 def _pixel_weights(sigma: Residuals | None, used: Flags) -> Root:
-    """Root of the weights by pixels: one over their standard deviations, or 1; zero for what is not used."""
+    """Root of the pixel weights: one over their standard deviations, or 1; zero for unused rays."""
     root = jnp.ones((used.shape[0], 2))
     if sigma is not None:
         is_number = _is_sigma(sigma, used)[:, None]
@@ -273,7 +274,7 @@ def _pixel_weights(sigma: Residuals | None, used: Flags) -> Root:
 
 
 def _errors_at(measured: Measured, rays: Any, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Root, Stacked]:
-    """(root of the inverse of the errors' covariance of the residuals of a point; that covariance, px2)."""
+    """(root of the inverse error covariance of a point's residuals; that covariance, px2)."""
     assert measured.errors is not None
     model = finite_or(measured.errors, 1.0)
     occasions = measured.occasions._replace(time=rays[1].time)

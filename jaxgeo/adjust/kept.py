@@ -1,4 +1,4 @@
-"""A block without some of its measurements and control points, in arrays of the same shapes."""
+"""Subsets of a block's measurements and control points in arrays of unchanged shape."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from jaxgeo.adjust.problem import Prepared
 
 @dataclass(frozen=True)
 class Kept:
-    """Flags of the measurements (k,) and of the control points (m,) of a block that are used."""
+    """Flags of the measurements (k,) and control points (m,) of a block that are used."""
 
     rows: np.ndarray
     control: np.ndarray
 
     @classmethod
     def all(cls, block: Block) -> Kept:
-        """Everything."""
+        """All measurements and control points."""
         return cls(np.ones(len(block.observations), bool), np.ones(len(control_of(block)), bool))
 
     def whole(self, block: Block) -> Kept:
-        """Less the measurements of points that are left with a single ray and are no control any more."""
+        """Without the measurements of points that have a single ray left and are not control."""
         names, point = block.observations.point_numbers
         often = np.bincount(point, weights=self.rows, minlength=len(names)) >= 2
         known = np.isin(names, control_of(block).name[self.control])
         return Kept(self.rows & (often | known)[point], self.control)
 
     def of_images(self, block: Block) -> np.ndarray:
-        """How many measurements are left in each image that has any in the block."""
+        """Number of measurements left in each image that has any in the block."""
         names, image = block.observations.image_numbers
         return np.bincount(image, weights=self.rows, minlength=len(names))
 
     def leaves_every_image(self, block: Block) -> bool:
-        """Whether something is left in each image."""
+        """Whether each image has measurements left."""
         return int(np.sum(self.of_images(block) > 0)) == len(block.images)
 
 
 def control_of(block: Block) -> GroundPoints:
-    """The control points of a block; none where it has none."""
+    """Control points of a block, possibly empty."""
     return GroundPoints(np.zeros(0, str), np.zeros((0, 3))) if block.control is None else block.control
 
 
 def block_of(block: Block, kept: Kept) -> Block:
-    """The block with what is kept only."""
+    """The block with the kept measurements and control only."""
     if np.all(kept.rows) and np.all(kept.control):
         return block
     control = None if block.control is None else block.control.of(block.control.name[kept.control].tolist())
@@ -57,16 +57,16 @@ def block_of(block: Block, kept: Kept) -> Block:
 
 
 def set_aside(block: Block, kept: Kept) -> tuple[np.ndarray, np.ndarray] | None:
-    """Flags of the measurements, and names of the control, that are left out; None for none."""
+    """Flags of the measurements and names of the control that are excluded; None if there are none."""
     if np.all(kept.rows) and np.all(kept.control):
         return None
     return ~kept.rows, control_of(block).name[~kept.control]
 
 
 def masked(block: Block, ready: Prepared, kept: Kept) -> Prepared:
-    """The arrays of `block_of(block, kept)` from those of the block: what is left out has no weight in them.
+    """The arrays of `block_of(block, kept)` from those of the block, with zero weight for everything excluded.
 
-    As the shapes stay, so do compiled programs, whatever is left out.
+    The shapes do not depend on the selection, so that compiled programs are reused.
     """
     if np.all(kept.rows) and np.all(kept.control):
         return ready

@@ -1,4 +1,4 @@
-"""The order in which a block is computed: points by the number of their rays, so that sums need no scattering."""
+"""Memory layout of a block: points grouped by their number of rays, so that sums need no scatter operations."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo.adjust.banded import Band, band_of, one_slab
 
-GROUP_COST = 6000  # places for measurements that a group of its own must save, for what it takes to compile
-MOST_UNLIKE = 3  # times the mean number of measurements of an image, up to which each has one row
-DENSE_COLUMNS = 1600  # of the reduced system, up to which it is one slab and chunks of points may have all of them
-DENSE_BYTES, DENSE_POINTS = 48_000_000, 64  # of a chunk's rows, and points that it has at least
-POINTS = (16, 32, 64, 128, 256)  # in a chunk, where it has columns of the images that see it only
-BATCH_BYTES = 8_000_000  # of the products of a batch of chunks
-# What it takes, in ns: to multiply and add, to gather a number, to add a number to its place, to begin with a chunk.
+GROUP_COST = 6000  # measurement slots that an extra group must save to repay its compilation
+MOST_UNLIKE = 3  # times the mean number of measurements per image, up to which each image has one row
+DENSE_COLUMNS = 1600  # of the reduced system, up to which it is one slab and chunks may be dense
+DENSE_BYTES, DENSE_POINTS = 48_000_000, 64  # bytes of a dense chunk's rows; its least number of points
+POINTS = (16, 32, 64, 128, 256)  # per sparse chunk, which has the columns of the images that see its points only
+BATCH_BYTES = 8_000_000  # of the matrix products of a batch of chunks
+# # Cost model in ns: multiply-add, gather per number, scatter-add per number, overhead per chunk.
 MULTIPLY, GATHER, SCATTER, BEGIN = 0.04, 1.5, 8.0, 3000.0
 
 
 class Group(Record):
-    """Points with about as many rays: `chunks` of `size` points, each with `rays` places for a measurement.
+    """Points with similar numbers of rays: `chunks` of `size` points, each with `rays` slots for measurements.
 
-    Measurement k of point row r stands at `first` + k `rows` + r. `slots` (chunks, q) are the images that a chunk's
-    points are seen in (the number of images where there are fewer; all, in order, where the group is `dense`),
-    `measured` (chunks, size, q) the measurement of a point there (the last of all, which has no weight, where there is
-    none). `batch` chunks are multiplied at a time.
+    Measurement k of point row r is at index `first` + k `rows` + r. `slots` (chunks, q) are the images that see a
+    chunk's points (padded with the number of images; all images in order if the group is `dense`), `measured` (chunks,
+    size, q) is the measurement of a point in that image (else the last measurement of all, which has no weight).
+    `batch` chunks are multiplied at a time.
     """
 
     rays: int = eqx.field(static=True)
@@ -49,11 +49,11 @@ class Group(Record):
 
 
 class Layout(Record):
-    """Index arrays of a block. The last measurement is one without weight, to fill up with.
+    """Index arrays of a block. The last measurement is padding with zero weight.
 
-    `image`, `row` of the point, `uv` and `information` (1 / sigma, zero for none) of each measurement; `of_image`
-    (rows, width) those of one image, that of number `owner` (rows,); `camera` (n,) of the images; `band` their order in
-    the reduced system.
+    `image`, point `row`, `uv` and `information` (1 / sigma, zero for padding) of each measurement; `of_image` (rows,
+    width) are the measurements of one image, with number `owner` (rows,); `camera` (n,) is that of each image; `band`
+    the order of the images in the reduced system.
     """
 
     image: Int[Array, " obs"]
@@ -67,7 +67,7 @@ class Layout(Record):
     groups: tuple[Group, ...]
 
     def to_rays(self, of_points: Float[Array, "k rows"]) -> Float[Array, "k obs"]:
-        """What points (rows) have, for each of their measurements; copied group by group, which no gathering equals."""
+        """Point values (rows) repeated for each measurement; group-wise copies, which are faster than a gather."""
         parts = []
         for group in self.groups:
             own = of_points[:, None, group.first_row : group.first_row + group.rows]
@@ -77,7 +77,7 @@ class Layout(Record):
 
 @dataclass(frozen=True)
 class Order:
-    """How to find things again: `row_of_point` by the point's number, `place` of each measurement in the layout."""
+    """Indices into the layout: `row_of_point` by point number, `place` of each measurement."""
 
     row_of_point: np.ndarray
     place: np.ndarray
@@ -87,7 +87,7 @@ class Order:
 def layout_of(
     image: np.ndarray, point: np.ndarray, uv: np.ndarray, sigma: np.ndarray, camera: np.ndarray, columns: int
 ) -> tuple[Layout, Order]:
-    """Index arrays of measurements by the numbers of images and points; `columns` are those of the reduced system."""
+    """Index arrays of measurements from image and point numbers; `columns` are those of the reduced system."""
     n, points, dense = len(camera), int(point.max()) + 1, columns <= DENSE_COLUMNS
     band = one_slab(n) if dense else band_of(image, point, n)
     order = np.lexsort((image, point))
@@ -146,7 +146,7 @@ def _indices(*arrays: np.ndarray) -> list[Any]:
 
 
 def _group_limits(counts: np.ndarray) -> list[int]:
-    """Most rays of a point in each group, so that places and `GROUP_COST` together are least."""
+    """Largest number of rays per point in each group, minimising slots plus `GROUP_COST`."""
     rays, points = np.unique(counts[counts > 0], return_counts=True)
     before = np.concatenate([[0], np.cumsum(points)])
     best, first = np.full(len(rays) + 1, np.inf), np.zeros(len(rays) + 1, int)
@@ -163,7 +163,7 @@ def _group_limits(counts: np.ndarray) -> list[int]:
 
 
 def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, int, bool]:
-    """(points in a chunk, chunks, of them in a batch, whether each has the columns of all images) of what takes least.
+    """(points per chunk, chunks, chunks per batch, whether chunks are dense) of the cheapest chunking.
 
     `seen` (points, rays) are the images, n for none; an image has c columns.
     """
@@ -189,14 +189,13 @@ def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, 
 
 
 def rounded(count: int) -> int:
-    """A count rounded up by a sixteenth at most: blocks that differ by a few measurements are of one shape then, and
-    what is compiled for one serves the others."""
+    """A count rounded up by at most a sixteenth, so that blocks of similar size share shapes and compiled programs."""
     step = 2 ** max(0, count.bit_length() - 5)
     return -(-count // step) * step
 
 
 def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(slots (chunks, q), ray of each point in each slot) of the images (chunks, size, rays) that see the points."""
+    """(slots (chunks, q), ray of each point in each slot) from the images (chunks, size, rays) that see the points."""
     chunks, size, rays = seen.shape
     own = [np.arange(n) if dense else np.unique(images[images < n]) for images in seen]
     q = max(len(images) for images in own)
@@ -211,8 +210,8 @@ def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarra
 
 
 def _by_image(image: np.ndarray, there: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, width): places of the measurements of each image, filled up with the last place of all, and (rows,) whose
-    they are. An image has one row, or several where some have many times the measurements of others."""
+    """(rows, width): indices of the measurements of each image, padded with the last index, and the image of each
+    row (rows,). Images have one row, or several if some have many times more measurements than others."""
     places = np.flatnonzero(there)
     places = places[np.argsort(image[places], kind="stable")]
     counts = np.bincount(image[places], minlength=n)

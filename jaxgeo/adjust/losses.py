@@ -1,4 +1,4 @@
-"""Losses: how much a residual counts, by its squared length s in units of its standard deviation."""
+"""Robust loss functions of squared standardised residuals."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from jaxgeo._typing import Numbers
 
 
 class AbstractLoss(Record):
-    """rho(s) with rho'(0) = 1, and its derivative, the weight that a residual keeps. The cost is half its sum."""
+    """rho(s) with rho'(0) = 1, and its derivative, the weight of a residual. The cost is half its sum."""
 
     @abc.abstractmethod
     def rho(self, squared: Numbers) -> Numbers:
-        """What a residual of squared length `squared` costs, twice."""
+        """Twice the cost of a residual of squared length `squared`."""
 
     @abc.abstractmethod
     def weight(self, squared: Numbers) -> Numbers:
@@ -23,7 +23,7 @@ class AbstractLoss(Record):
 
 
 class LeastSquares(AbstractLoss):
-    """All count in full: rho = s."""
+    """Plain least squares, weight 1: rho = s."""
 
     def rho(self, squared: Numbers) -> Numbers:
         return squared
@@ -33,7 +33,7 @@ class LeastSquares(AbstractLoss):
 
 
 class Huber(AbstractLoss):
-    """Full weight up to `width` standard deviations, then falling with the distance: rho = 2 w sqrt(s) - w2.
+    """Weight 1 up to `width` standard deviations, then inverse to the distance: rho = 2 w sqrt(s) - w2.
 
     Huber (1964).
     """
@@ -62,7 +62,7 @@ class Cauchy(AbstractLoss):
 
 
 class Tukey(AbstractLoss):
-    """Nothing beyond `width` standard deviations: weight (1 - s / w2)2 within. Beaton and Tukey (1974)."""
+    """Weight (1 - s / w2)2 within `width` standard deviations, zero beyond. Beaton and Tukey (1974)."""
 
     width: float = 6.0
 

@@ -1,4 +1,4 @@
-"""The image points of a block: residuals and derivatives of all of them together."""
+"""Image point residuals and derivatives of a block, vectorised over all measurements."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.adjust.layout import Layout
 from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.adjust.values import Values, with_interior
 
-LEAST_WEIGHT = 1e-10  # that a robust loss leaves a measurement: with none at all, a point of few rays has no place
+LEAST_WEIGHT = 1e-10  # lower bound of robust weights: with zero weights, points with few rays would be undetermined
 
 
 def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
@@ -33,7 +33,7 @@ def image_residuals(problem: Problem, values: Values) -> Float[Array, "2 obs"]:
 
 @eqx.filter_jit
 def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
-    """Whether the point of each measurement lies in front of the camera and in its lens's field."""
+    """Flags of measurements whose point lies in front of the camera and in the field of its lens."""
     cameras, lens, R, offset = _of_measurements(problem, values)
 
     def one(camera: Any, lens: Any, d: Any) -> Array:
@@ -44,10 +44,10 @@ def in_view(problem: Problem, values: Values) -> Bool[Array, " obs"]:
 
 
 def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[Array, ...]:
-    """Residual (2, obs) and derivatives (2, columns, obs) of image points, weighted, and rho; fixed columns zero.
+    """Weighted residuals (2, obs) and derivatives (2, columns, obs) of image points, and rho; fixed columns are zero.
 
-    By the point (3), the pose (6) and the lens's active columns. Of the camera by autodiff; how a point lies in it
-    follows at once, all measurements together, as a compiler would make again for each derivative what they share.
+    Derivatives by the point (3), the pose (6) and the active lens columns. The camera's are by autodiff; those of the
+    camera-frame point are closed formulas, since XLA would recompute shared terms for each derivative.
     """
     layout = problem.layout
     image, camera = layout.image, layout.camera[layout.image]
@@ -65,7 +65,7 @@ def image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple[
     x, y = (by * (weight / d[2]) for by in by_ideal)  # derivatives of both axes by d
     z = -(x * ideal[0] + y * ideal[1])
     by_point = [x * R[i, 0] + y * R[i, 1] + z * R[i, 2] for i in range(3)]
-    # A turn t of the camera turns what it sees the other way, d - t x d.
+    # # A camera rotation t rotates its view in the opposite sense, d - t x d.
     by_turn = [y * d[2] - z * d[1], z * d[0] - x * d[2], x * d[1] - y * d[0]]
     free_point, free_pose = layout.to_rays(problem.free_point.T), gathered(problem.free_pose, image)
     by_pose = [by * free[None] for by, free in zip((*(-by for by in by_point), *by_turn), free_pose, strict=True)]
@@ -80,8 +80,8 @@ def _pixel_linear(active: tuple[int, ...], camera: Any, lens: Any, ideal: Any) -
 
 
 def _of_measurements(problem: Problem, values: Values) -> Any:
-    """Camera and lens of each measurement, its R_frame_from_camera, and where its point is from the perspective centre
-    (3, obs) in m; the measurements are the last axis of all."""
+    """Camera and lens of each measurement, its R_frame_from_camera, and its point relative to the perspective centre
+    (3, obs) in m; measurements are the last axis."""
     layout = problem.layout
     image, camera = layout.image, layout.camera[layout.image]
     cameras = jax.tree.map(lambda x: gathered(x, camera), problem.cameras)
@@ -91,15 +91,14 @@ def _of_measurements(problem: Problem, values: Values) -> Any:
 
 
 def gathered(table: Float[Array, "some ..."], at: Int[Array, " obs"]) -> Float[Array, "... obs"]:
-    """Entries of a short table, with the crowd last: number by number, which is quicker than row by row."""
+    """Entries of a small table with the batch axis last; element-wise gathers are faster than row-wise ones."""
     columns = table.reshape(table.shape[0], -1).T
     found = [column.at[at].get(mode="promise_in_bounds") for column in columns]
     return jnp.stack(found).reshape(*table.shape[1:], at.shape[0]) if found else jnp.zeros((0, at.shape[0]))
 
 
 def _in_camera(layout: Layout, R: Float[Array, "3 3 obs"], offset: Float[Array, "3 obs"]) -> Float[Array, "3 obs"]:
-    """R' offset: a place in the camera frame; straight ahead where there is no measurement, as any number may be there
-    that a weight of zero would not take away."""
+    """R' offset, the point in the camera frame; straight ahead for padding, as zero weights would not remove NaN."""
     found = _sum(R[i] * offset[i][None] for i in range(3))
     there = layout.information[:, 0] > 0.0
     return jnp.where(there[None], found, jnp.array([0.0, 0.0, 1.0])[:, None])

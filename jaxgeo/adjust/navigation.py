@@ -1,4 +1,4 @@
-"""What the navigation says of each image: where the IMU was and how the body lay, and how well that is known."""
+"""Navigation observations of the images: IMU position and body attitude, with their covariances."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from jaxgeo.sensor.platform import Station
 
 @dataclass(frozen=True)
 class Navigation:
-    """Observed position and attitude of n images, as the adjustment takes them: all in the block's frame.
+    """Observed position and attitude of n images, in the block's frame.
 
-    `position` (n, 3) of the IMU in m; `R_frame_from_body`; `R_frame_from_reference`, what the gimbal's angles are
-    reported against: the body, or local level; `R_base_from_head` by the gimbal's readings. `information_position` and
-    `information_attitude` (n, 3, 3) are W with W' W the inverse of the covariance, in frame axes and m, and of the
-    rotation vector of the reference in its own axes and rad; zero where nothing is observed. `mount`, `strip` and
-    `time` (s) tell to which mount and strip each image belongs, and when it was taken.
+    `position` (n, 3) of the IMU in m; `R_frame_from_body`; `R_frame_from_reference`, the reference of the gimbal's
+    angles: body or local level; `R_base_from_head` from the gimbal angles. `information_position` and
+    `information_attitude` (n, 3, 3) are W with W' W the inverse covariance, in frame axes and m, and of the rotation
+    vector of the reference in its own axes and rad; zero where nothing is observed. `mount`, `strip` and `time` (s) are
+    those of each image.
     """
 
     position: np.ndarray
@@ -41,7 +41,7 @@ class Navigation:
     """By name: the mount, and whether its gimbal reports in local level."""
 
     def loosened(self, factor: float) -> Navigation:
-        """The same with standard deviations `factor` times as large: to start an adjustment, but not to pull it."""
+        """A copy with standard deviations `factor` times as large, for start values with negligible weight."""
         return replace(
             self,
             information_position=self.information_position / factor,
@@ -50,7 +50,7 @@ class Navigation:
 
 
 def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarray, np.ndarray]:
-    """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, by the navigation."""
+    """(perspective centres (n, 3) in the frame, R_frame_from_camera) of a batch of shots, from the navigation."""
     sights = jax.vmap(sensor.sight)(as_float64(shots, "shots"))
     R = np.asarray(frame.R_ecef_from_local).T
     return np.asarray(frame.from_ecef(sights.centre)), R @ np.asarray(sights.R_ecef_from_camera)
@@ -59,11 +59,11 @@ def sights_of(frame: LocalFrame, sensor: Sensor, shots: Shot) -> tuple[np.ndarra
 def navigation_of(
     frame: LocalFrame, sensor: Sensor, shots: Shot, sigma_position: Any, sigma_attitude: Any, mount: str, strip: Names
 ) -> Navigation:
-    """The navigation of n shots (fields with a leading axis), all through one mount.
+    """Navigation of n shots (fields with a leading axis), all with one mount.
 
-    `sigma_position` east, north, up in m: a number, (3,), (n, 3) or covariances (n, 3, 3); infinite: not observed.
-    `sigma_attitude` heading, pitch, roll in rad, the same way; for a gimbal that reports in local level about the axes
-    north, east and down. Raises `ValueError` for sigmas that are not positive.
+    `sigma_position` east, north, up in m: a number, (3,), (n, 3) or covariances (n, 3, 3); infinite if not observed.
+    `sigma_attitude` heading, pitch, roll in rad, likewise; about the axes north, east and down for a gimbal that
+    reports in local level. Raises `ValueError` for sigmas that are not positive.
     """
     check_is(shots, Shot, "shots", "One Shot, whose fields hold an entry for each image.")
     count = np.shape(shots.time)[0]
@@ -91,7 +91,7 @@ def navigation_of(
 
 
 def joined(parts: list[Navigation]) -> Navigation:
-    """The navigation of several lists of images as one."""
+    """Concatenated navigation of several lists of images."""
     arrays = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in Navigation.__dataclass_fields__
@@ -150,7 +150,7 @@ def _of_turns(sigma: Any, turns: np.ndarray, count: int) -> np.ndarray:
 
 
 def _turn_by_angles(shots: Shot) -> np.ndarray:
-    """Rotation vectors in body axes (columns) by small changes of heading, pitch and roll, (n, 3, 3)."""
+    """Derivatives of body-axis rotation vectors (columns) by heading, pitch and roll, (n, 3, 3)."""
     count = np.shape(shots.time)[0]
     pitch, roll = (np.broadcast_to(np.asarray(x, np.float64), (count,)) for x in (shots.pose.pitch, shots.pose.roll))
     zero, one = np.zeros(count), np.ones(count)

@@ -1,4 +1,4 @@
-"""Observations of a block other than image points, linearised: control, terrain and navigation."""
+"""Linearised observations other than image points: control, terrain and navigation."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from jaxgeo.adjust.values import POSE, Values
 
 
 class Observing(Record):
-    """Weighted derivatives by what is free: of control (rows, 3, 3) and terrain (rows, 3) by the point, of the
-    navigation by the pose (n, 6, 6) and by what images share (n, 6, s); and the weighted residuals of each."""
+    """Weighted derivatives by free unknowns: of control (rows, 3, 3) and terrain (rows, 3) by the point, of the
+    navigation by the pose (n, 6, 6) and the shared parameters (n, 6, s); and the weighted residuals of each."""
 
     control: Float[Array, "rows 3 3"]
     terrain: Float[Array, "rows 3"]
@@ -30,7 +30,7 @@ class Observing(Record):
     weights: tuple[Float[Array, "rows 3"], Float[Array, " rows"], Float[Array, "n 6"]]
 
     def alike(self, size: Scalar) -> Observing:
-        """The same with weights of 1 on lengths in m, and on turns those of a point at a distance of `size` m."""
+        """A copy with unit weights on lengths in m, and on rotations as displacements at a distance of `size` m."""
         control, terrain, navigation = (jnp.where(w > 0.0, 1.0 / jnp.where(w > 0.0, w, 1.0), 0.0) for w in self.weights)
         navigation = navigation * jnp.concatenate([jnp.ones(3), jnp.full(3, size)])[None]
         return Observing(
@@ -45,8 +45,8 @@ class Observing(Record):
         )
 
     def along(self, images: Any, shared: Any, points: Any) -> tuple[Array, Array, Array]:
-        """Weighted changes of control, terrain and navigation by those of images (n, c), shared (s,), points (3,
-        rows)."""
+        """Weighted changes of control, terrain and navigation for changes of images (n, c), shared parameters (s,)
+        and points (3, rows)."""
         by_pose = jnp.einsum("nka,na->nk", self.by_pose, images[:, :POSE])
         return (
             jnp.einsum("rki,ir->rk", self.control, points),
@@ -55,20 +55,20 @@ class Observing(Record):
         )
 
     def flat(self, images: Float[Array, "d n c"], points: Float[Array, "d 3 rows"]) -> Float[Array, "d k"]:
-        """The same of several changes, each as one row."""
+        """The same for several changes of images and points, each as one row."""
         shared = jnp.zeros(self.by_shared.shape[2])
         found = jax.vmap(lambda z, x: self.along(z, shared, x))(images, points)
         return jnp.concatenate([part.reshape(images.shape[0], -1) for part in found], axis=1)
 
     @property
     def residuals(self) -> Float[Array, " k"]:
-        """In the order of `flat`."""
+        """Weighted residuals in the order of `flat`."""
         return jnp.concatenate([x.ravel() for x in (self.of_control, self.of_terrain, self.of_navigation)])
 
     def normal(
         self, images: Float[Array, "d n c"], points: Float[Array, "d 3 rows"]
     ) -> tuple[Float[Array, "d n c"], Float[Array, "d s"], Float[Array, "d 3 rows"]]:
-        """The normal equations of these observations times several changes."""
+        """Normal matrix of these observations times several changes."""
 
         def one(z: Array, x: Array) -> Any:
             shared = jnp.zeros(self.by_shared.shape[2])
@@ -78,8 +78,8 @@ class Observing(Record):
 
 
 def observing(problem: Problem, values: Values, control_root: Float[Array, " rows"] | None = None) -> Observing:
-    """The observations other than image points at some values; `control_root` is the root of the weight that a robust
-    loss leaves to each control point."""
+    """Observations other than image points at given values; `control_root` is the square root of the loss weight of
+    each control point."""
     free, rows, n = problem.free_point, values.points.shape[0], problem.n
     root = jnp.ones(rows) if control_root is None else control_root
     control = problem.known_point * free[:, None, :] * root[:, None, None]

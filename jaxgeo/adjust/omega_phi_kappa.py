@@ -1,4 +1,4 @@
-"""Exterior orientations in the angles of photogrammetry, and what small turns do to these."""
+"""Omega, phi, kappa angles of exterior orientations, and their derivatives by small rotations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxgeo.sensor.platform import R_IMAGE_FROM_CAMERA
 def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
     """Angles (n, 3) in rad: R_frame_from_image = Rx(omega) Ry(phi) Rz(kappa), the image right, up, out of the scene.
 
-    Phi lies in [-pi/2, pi/2]; at its ends omega and kappa are one angle, and kappa is taken as zero.
+    Phi lies in [-pi/2, pi/2]; at its limits omega and kappa are not separable, and kappa is set to zero.
     """
     R = np.asarray(R_frame_from_camera) @ R_IMAGE_FROM_CAMERA.T
     cos_phi = np.hypot(R[:, 0, 0], R[:, 0, 1])
@@ -24,9 +24,9 @@ def omega_phi_kappa(R_frame_from_camera: Any) -> np.ndarray:
 
 
 def angle_derivatives(R_frame_from_camera: Any) -> np.ndarray:
-    """Derivatives (n, 3, 3) of these angles by a turn about the camera's axes; infinite where phi is 90 degrees.
+    """Derivatives (n, 3, 3) of these angles by a rotation about the camera's axes; infinite where phi is 90 degrees.
 
-    A turn about the image's axes is Rz' Ry' (1, 0, 0) d omega + Rz' (0, 1, 0) d phi + (0, 0, 1) d kappa.
+    A rotation about the image's axes is Rz' Ry' (1, 0, 0) d omega + Rz' (0, 1, 0) d phi + (0, 0, 1) d kappa.
     """
     _, phi, kappa = omega_phi_kappa(R_frame_from_camera).T
     zero, one = np.zeros_like(phi), np.ones_like(phi)

@@ -1,4 +1,4 @@
-"""Covariances after an adjustment, of unit weight: of images and what they share, of points, of measurements."""
+"""Unit-weight covariances after an adjustment: images, shared parameters, points and measurements."""
 
 from __future__ import annotations
 
@@ -33,17 +33,18 @@ from jaxgeo.adjust.weak_datum import Motions, Weak, apart, weakly_held, with_hol
 
 
 class Datum(Record):
-    """Inner constraints: the motions that nothing holds, of images (d, n, c) and points (d, 3, rows)."""
+    """Inner constraints: the unconstrained motions, of images (d, n, c) and points (d, 3, rows)."""
 
     images: Float[Array, "d n c"]
     points: Float[Array, "d 3 rows"]
 
 
 class Posterior(Record):
-    """The reduced normal equations factored, the inverse where they have blocks, and the points' factors.
+    """The factored reduced normal equations, their inverse at the block pattern, and the points' factors.
 
-    With a `datum` both are of minimal constraints; what is asked of them is turned into that of the inner ones. Where
-    the whole is `weak`ly held, they are of the block held at some images, and the motions of the whole come on top.
+    With a `datum`, factor and inverse are those of minimal constraints; results are transformed to inner constraints.
+    With a `weak`ly constrained datum, they are those of the block fixed at some images, and the motions of the whole
+    are added.
     """
 
     factor: Factor
@@ -59,7 +60,7 @@ def posterior_of(
 ) -> Posterior:
     """The inverse of the reduced normal equations; NaN where they are singular.
 
-    With the `values` of the equations, motions of a whole that is weakly held are taken apart.
+    With the `values` of the equations, weakly constrained motions of the whole are separated.
     """
     points, matrix = undamped(problem, equations)
     motions = None if values is None else weakly_held(problem, values, equations, matrix)
@@ -81,14 +82,15 @@ def _apart(
 
 @eqx.filter_jit
 def _inverse(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> tuple[Factor, Tridiagonal]:
-    if datum is not None:  # any weights on the motions make it regular, and change nothing else
+    if datum is not None:  # any weights on the motions make it regular and leave the results unchanged
         matrix = held(problem, matrix, datum)
     factor = factored(matrix)
     return factor, selected_inverse(factor)
 
 
 def held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
-    """The motions held by the images of the middle slab, each with about the weight of the system's parts."""
+    """The matrix with the motions constrained at the middle slab's images, each with about the weight of the
+    diagonal."""
     band, middle = problem.layout.band, problem.layout.band.slabs // 2
     motions = jax.vmap(band.to_slabs)(datum.images)[:, middle]
     scaled = motions * jnp.diagonal(matrix.diagonal[middle])[None, :]
@@ -98,9 +100,9 @@ def held(problem: Problem, matrix: Tridiagonal, datum: Datum) -> Tridiagonal:
 
 @eqx.filter_jit
 def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
-    """The least share of an unknown's weight that is left to it when the others are not known either.
+    """Smallest ratio of an unknown's marginal to its conditional weight.
 
-    Not positive where the system is singular. Of a weakly held whole, as if it were held at some images.
+    Not positive where the system is singular. With a weakly constrained datum, that of the block fixed at some images.
     """
     posterior = eqx.tree_at(lambda p: p.weak, posterior, None, is_leaf=lambda x: x is None)
     variances = jnp.diagonal(covariance_of_images(problem, posterior), axis1=1, axis2=2)
@@ -109,12 +111,12 @@ def least_share(problem: Problem, posterior: Posterior) -> Float[Array, ""]:
     free = jnp.concatenate([x.ravel() for x in free_columns(problem)])
     share = jnp.concatenate([(scale**2 / variance).ravel() for scale, variance in pairs])
     share = jnp.where(free > 0.0, share, 1.0)
-    return jnp.min(jnp.where(jnp.isfinite(share), share, 0.0))  # a minimum of many may pass over NaN
+    return jnp.min(jnp.where(jnp.isfinite(share), share, 0.0))  # the minimum of many may ignore NaN
 
 
 @eqx.filter_jit
 def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array, "n c c"]:
-    """Covariance of each image's own columns; zero for what is fixed."""
+    """Covariance of each image's own columns; zero for fixed ones."""
     covariance = _of_images(problem, posterior.inverse)
     if posterior.weak is not None:
         covariance = covariance + jnp.einsum("dni,dnj->nij", posterior.weak.images, posterior.weak.images)
@@ -127,7 +129,7 @@ def covariance_of_images(problem: Problem, posterior: Posterior) -> Float[Array,
 
 @eqx.filter_jit
 def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array, "s s"]:
-    """Covariance of what images share, the same in every datum; zero for what is fixed."""
+    """Covariance of the shared parameters, the same in every datum; zero for fixed ones."""
     _, free = free_columns(problem)
     covariance = posterior.inverse.corner * free[:, None] * free[None, :]
     return covariance if posterior.weak is None else covariance + posterior.weak.shared.T @ posterior.weak.shared
@@ -135,7 +137,7 @@ def covariance_of_shared(problem: Problem, posterior: Posterior) -> Float[Array,
 
 @eqx.filter_jit
 def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array, "N N"]:
-    """Covariance of images, in their order, and what they share; zero for what is fixed."""
+    """Covariance of images, in their order, and shared parameters; zero for fixed ones."""
     images, shared = free_columns(problem)
     free = jnp.concatenate([images.ravel(), shared])
     N, s, c = images.size, shared.size, problem.of_image
@@ -176,10 +178,10 @@ def covariance_of_points(problem: Problem, posterior: Posterior) -> Float[Array,
 
 @eqx.filter_jit
 def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: Posterior) -> Float[Array, "obs 2 2"]:
-    """Covariance of each adjusted image point in units of that measured, J Q J'; the same in every datum."""
+    """Leverage of each image point in measurement units, J Q J'; the same in every datum."""
     layout = problem.layout
     _, by_point, by_pose, by_lens, _ = image_points(problem, values, loss)
-    own = jnp.concatenate([by_pose, by_lens], axis=1)  # lenses are an image's own, or have columns of their camera
+    own = jnp.concatenate([by_pose, by_lens], axis=1)  # lens columns belong to the image or to its camera
     own, by_point = (jnp.moveaxis(x, -1, 0) for x in (own, by_point))  # (obs, 2, columns)
     factor = layout.to_rays(posterior.points.factor)
     half = jnp.moveaxis(times_inverse(factor, jnp.moveaxis(by_point, 0, -1)), -1, 0)  # J_p L'^-1
@@ -202,7 +204,7 @@ def leverages(problem: Problem, values: Values, loss: AbstractLoss, posterior: P
 
 
 def _along_measurements(problem: Problem, weak: Weak, own: Array, by_point: Array) -> Float[Array, "7 obs 2"]:
-    """How the motions of a weakly held whole, each of one standard deviation, change the image points."""
+    """Changes of the image points by the motions of a weakly constrained datum, each of one standard deviation."""
     layout, lenses = problem.layout, weak.shared[:, : problem.of_lenses]
     images = weak.images[:, layout.image]
     if problem.of_lenses:
@@ -215,7 +217,7 @@ def _along_measurements(problem: Problem, weak: Weak, own: Array, by_point: Arra
 def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool) -> tuple[Array, Array]:
     """(D Q D' (rows, 3, 3), D Q (rays * rows, 3, columns)) of a group's points, D their half couplings.
 
-    The second, of the columns of each ray's image and its lens, only if asked for; in the order of measurements.
+    The second only on request: for the columns of each ray's image and lens, in the order of measurements.
     """
     layout, c, a = problem.layout, problem.of_image, len(problem.active)
     last = layout.image.shape[0] - 1
@@ -256,7 +258,7 @@ def _by_chunks(problem: Problem, group: Group, posterior: Posterior, rays: bool)
 
 
 def _of_images(problem: Problem, Q: Tridiagonal) -> Float[Array, "n c c"]:
-    """Covariance of each image's own columns in the datum at hand; zero for what is fixed."""
+    """Covariance of each image's own columns in the current datum; zero for fixed ones."""
     band, c, each = problem.layout.band, problem.of_image, jnp.arange(problem.layout.band.size)
     blocks = Q.diagonal.reshape(band.slabs, band.size, c, band.size, c)
     blocks = jnp.moveaxis(blocks[:, each, :, each, :], 0, 1).reshape(-1, c, c)
@@ -265,7 +267,7 @@ def _of_images(problem: Problem, Q: Tridiagonal) -> Float[Array, "n c c"]:
 
 
 def _together(problem: Problem, Q: Tridiagonal, own: Array, border: Array) -> Float[Array, "k k"]:
-    """Covariance of some images' columns and those of the lenses that all share."""
+    """Joint covariance of some images' columns and of the shared lenses."""
     lenses = problem.of_lenses
     border = border[:, :lenses]
     return jnp.block([[own, border], [border.T, Q.corner[:lenses, :lenses]]]) if lenses else own
@@ -278,8 +280,8 @@ def _local(
     border: Float[Array, "n c s"],
     slots: Int[Array, " q"],
 ) -> Float[Array, "k k"]:
-    """Covariance of a chunk's images and of the lenses; zero for slots that hold none, and for images so far apart that
-    no point is seen by both. `blocks` are those of Q, `border` what it has of each image with what all share."""
+    """Covariance of a chunk's images and of the lenses; zero for unused slots and for image pairs without common
+    points. `blocks` are those of Q, `border` its part between images and shared parameters."""
     band, c, q = problem.layout.band, problem.of_image, slots.shape[0]
     lower = blocks.at[places(band, slots, c)].get(mode="fill", fill_value=0.0).reshape(q * c, q * c)
     slab = jnp.repeat(band.place[jnp.minimum(slots, problem.n - 1)] // band.size, c)
@@ -288,7 +290,7 @@ def _local(
 
 
 def _with_lens(problem: Problem, posterior: Posterior) -> Float[Array, "n k k"]:
-    """Covariance of each image's own columns, with those of its lens where that is shared, in the datum at hand."""
+    """Covariance of each image's own columns, with those of a shared lens, in the current datum."""
     own = _of_images(problem, posterior.inverse)
     if not problem.of_lenses:
         return own
@@ -303,17 +305,16 @@ def _with_lens(problem: Problem, posterior: Posterior) -> Float[Array, "n k k"]:
 
 
 def _transferred(transfer: _Transfer, covariance: Array, G: Array, H: Array) -> Array:
-    """Covariance (..., k, k) in the datum of the inner constraints, from parts (..., d, k) of the motions and of
-    G_s' Q."""
+    """Covariance (..., k, k) under inner constraints, from parts (..., d, k) of the motions and of G_s' Q."""
     moved = jnp.einsum("...di,de,...ej->...ij", G, transfer.inverse, H)
     return covariance - moved - jnp.swapaxes(moved, -1, -2) + jnp.einsum("...di,de,...ej->...ij", G, transfer.middle, G)
 
 
 class _Transfer(Record):
-    """What turns covariances of any minimal constraints into those of the inner ones (S-transformation, Baarda 1973).
+    """S-transformation from any minimal constraints to inner constraints (Baarda 1973).
 
-    With the motions G of all unknowns and G_s those of the points, which make the datum: `inverse` (G_s' G)^-1,
-    `of_images`, `of_shared` and `of_points` the parts of G_s' Q, `middle` inverse G_s' Q G_s inverse.
+    With the motions G of all unknowns and G_s of the points, which define the datum: `inverse` is (G_s' G)^-1,
+    `of_images`, `of_shared` and `of_points` are the parts of G_s' Q, `middle` is inverse G_s' Q G_s inverse.
     """
 
     inverse: Float[Array, "d d"]

@@ -1,4 +1,4 @@
-"""From a block and what is unknown of it to arrays in the order of a layout."""
+"""Conversion of a block and its unknowns to arrays in layout order."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OF_STRIP = ("shift east", "shift north", "shift up", "drift east", "drift north"
 
 
 class Names(NamedTuple):
-    """The names of everything, in the order of the arrays; `lens` those of the active columns."""
+    """Names in the order of the arrays; `lens` are those of the active columns."""
 
     image: np.ndarray
     point: np.ndarray
@@ -35,7 +35,7 @@ class Names(NamedTuple):
     strip: tuple[str, ...]
 
     def columns(self, problem: Problem) -> list[tuple[str, str]]:
-        """(whose, what) of each column that images share, in the order of the reduced system."""
+        """(owner, parameter) of each shared column, in the order of the reduced system."""
         found = [] if problem.own_lens else [(f"camera {name}", lens) for name in self.camera for lens in self.lens]
         found += [(f"mount {name}", part) for name in self.mount for part in OF_MOUNT] if problem.mounts else []
         found += [(f"strip {name}", part) for name in self.strip for part in OF_STRIP] if problem.strips else []
@@ -43,7 +43,7 @@ class Names(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """A problem, the names of its parts, and how to find points and measurements in it."""
+    """A problem, the names of its parts, and the indices of points and measurements."""
 
     problem: Problem
     names: Names
@@ -56,9 +56,9 @@ def prepared(
     terrain: HeightObservations | None = None,
     aside: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Prepared:
-    """The arrays of a block. Raises `ValueError` for unknowns that the block does not have.
+    """The arrays of a block. Raises `ValueError` for unknowns that are not in the block.
 
-    Points do not start from what is set `aside`: measurements by flag (k,), and names of control points.
+    Start positions ignore what is set `aside`: measurements by flag (k,), and names of control points.
     """
     cameras = tuple(dict.fromkeys(block.images.camera.tolist()))
     lens_sigma, active, lens_names = _lenses(block, cameras, unknowns)
@@ -143,7 +143,7 @@ def _lenses(
 
 
 def _check_one_way(camera: FrameCamera, coefficients: np.ndarray, interior: np.ndarray) -> None:
-    """Refuse a lens some of whose coefficients are the interior orientation, where both are free."""
+    """Refuse free lens coefficients that are equivalent to a free interior orientation."""
     lens, free = camera.distortion, bool(np.any(np.isinf(interior)))
     for name in lens.interior:
         if np.isinf(coefficients[lens.names.index(name)]) and free:
@@ -177,14 +177,14 @@ def _levers(block: Block, mounts: tuple[str, ...]) -> np.ndarray:
 
 
 def observed_of(block: Block, names: Names) -> Observed:
-    """The navigation of a block as arrays."""
+    """Navigation of a block as arrays."""
     observed, _, _ = _observed(block, names.mount, names.strip)
     assert observed is not None
     return observed
 
 
 def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) -> tuple[Observed | None, Any, Any]:
-    """The navigation as arrays, and the numbers of mount and strip of each image."""
+    """Navigation as arrays, and the mount and strip numbers of each image."""
     nav, none = block.navigation, np.zeros(len(block.images), int)
     if nav is None:
         return None, none, none
@@ -212,7 +212,7 @@ def _observed(block: Block, mounts: tuple[str, ...], strips: tuple[str, ...]) ->
 
 
 def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places to start from (NaN where none is given), information, and what is free, of the rows of the layout."""
+    """Start positions (NaN if not given), information, and flags of free coordinates, in the rows of the layout."""
     place, known = np.full((order.rows, 3), np.nan), np.zeros((order.rows, 3, 3))
     free = np.zeros((order.rows, 3))
     free[order.row_of_point] = 1.0
@@ -227,7 +227,7 @@ def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.nd
             place[rows] = given.place[seen]
             continue
         start = np.where(np.isnan(place[rows]), np.nan, place[rows])
-        place[rows] = np.where(np.isfinite(sigma), given.place[seen], start)  # what is not known starts by its rays
+        place[rows] = np.where(np.isfinite(sigma), given.place[seen], start)  # unknown coordinates: from their rays
         with np.errstate(divide="ignore"):
             weight = np.where(sigma > 0.0, 1.0 / sigma, 0.0)
         known[rows] = np.eye(3) * weight[:, None, :]
@@ -240,7 +240,8 @@ def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.nd
 def _on_terrain(
     block: Block, terrain: HeightObservations, points: np.ndarray, order: Order, start: Any
 ) -> TerrainHeights:
-    """Which rows are tied to the terrain. Raises `ValueError` off the Earth, and for points that are not above it."""
+    """Terrain observations by point row. Raises `ValueError` for a frame that is not on the Earth, a sigma that is
+    not positive, unknown names, and points over unknown ground."""
     if not isinstance(block.frame, LocalFrame):
         raise ValueError("terrain= takes a block in a LocalFrame: in a Cartesian frame a DEM lies nowhere.")
     if not np.isfinite(terrain.sigma) or terrain.sigma <= 0.0:
@@ -275,6 +276,6 @@ def _numbers(names: np.ndarray, known: tuple[str, ...]) -> np.ndarray:
 
 
 def _stacked(cameras: list[FrameCamera]) -> FrameCamera:
-    """Cameras as one record with a leading axis; an adjustment asks for no image sizes."""
+    """Cameras as one record with a leading axis; adjustments need no image sizes."""
     alike = [FrameCamera(c.focal_px, c.principal_px, c.distortion, 1, 1) for c in cameras]
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, jnp.float64) for leaf in leaves]), *alike)

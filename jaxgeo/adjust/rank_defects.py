@@ -1,4 +1,4 @@
-"""Directions in which a block is not held, or hardly, in words."""
+"""Rank-defect diagnosis: (nearly) unconstrained directions of a block, as text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jaxtyping import Array, Float
 
 from jaxgeo._record import portable
@@ -23,22 +23,22 @@ from jaxgeo.adjust.solve import Solution
 from jaxgeo.adjust.values import POSE
 from jaxgeo.adjust.weak_datum import Weak, share_left, with_holds
 
-SHARE = 0.05  # of the largest part: smaller parts of a direction are not named
-MOST = 5  # parts that are named
-COMMON = 0.95  # of a change that must be one motion of all to be called that
+SHARE = 0.05  # of the largest component: smaller components of a direction are not named
+MOST = 5  # components named
+COMMON = 0.95  # share of a change that one motion of the whole must explain to be named as such
 SHIFT = 1e-10  # of the diagonal
 AXES = ("east", "north", "height")
 
 
-Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # of points and of perspective centres
+Pair: TypeAlias = tuple[np.ndarray, np.ndarray]  # for points and for perspective centres
 
 
 @dataclass(frozen=True)
 class Direction:
-    """A combination of unknowns that can change together, and how little holds it.
+    """A combination of unknowns that is (nearly) unconstrained.
 
-    `words` say which; `strength` is the eigenvalue of the normal equations, scaled to ones on their diagonal: below
-    1e-12 nothing holds it. `parts` are its largest parts by name, in shares of the largest.
+    `words` describe it; `strength` is the eigenvalue of the normal equations scaled to a unit diagonal: below 1e-12 it
+    is unconstrained. `parts` are its largest components by name, relative to the largest.
     """
 
     words: str
@@ -51,7 +51,7 @@ class Direction:
 
 @portable
 class DeficientBlock(ValueError):
-    """The block does not hold some unknowns: `directions` say which."""
+    """Unconstrained unknowns in a block; `directions` describe them."""
 
     def __init__(self, message: str, directions: list[Direction]) -> None:
         super().__init__(message)
@@ -61,8 +61,8 @@ class DeficientBlock(ValueError):
 def scaled_at(
     problem: Problem, equations: Equations, datum: Datum | None, weak: Weak | None = None
 ) -> tuple[Tridiagonal, tuple[Float[Array, "slabs m"], Float[Array, " s"]]]:
-    """The reduced normal equations, not damped, scaled to ones on the diagonal, and the scales; of a `weak`ly held
-    whole, with its motions held at some images."""
+    """The undamped reduced normal equations scaled to a unit diagonal, and the scales; with a `weak`ly constrained
+    datum, with its motions constrained at some images."""
     matrix = undamped(problem, equations)[1]
     if weak is not None:
         matrix, datum = with_holds(problem, matrix, weak.motions, datum is not None), None
@@ -79,7 +79,7 @@ def _scaled(problem: Problem, matrix: Tridiagonal, datum: Datum | None) -> Any:
 
 @eqx.filter_jit
 def _shifted(matrix: Tridiagonal) -> Factor:
-    """Factor of a scaled system with a little more on its diagonal, by which a singular one is regular."""
+    """Factor of a scaled system with a small diagonal shift, which makes singular systems regular."""
     diagonal = matrix.diagonal + SHIFT * jnp.eye(matrix.diagonal.shape[1])[None]
     corner = matrix.corner + SHIFT * jnp.eye(matrix.corner.shape[0])
     return factored(Tridiagonal(diagonal, matrix.below, matrix.border, corner))
@@ -93,14 +93,14 @@ def _solved(factor: Factor, column: Float[Array, " N"]) -> Float[Array, " N"]:
 
 
 def _least(matrix: Tridiagonal, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """(eigenvalues (k,), eigenvectors (k, N) slab by slab) of the least eigenvalues of a scaled system."""
+    """(smallest eigenvalues (k,) of a scaled system, eigenvectors (k, N) slab by slab)."""
     slabs, m, s = matrix.border.shape
     few = min(most, slabs * m + s)
     if slabs == 1:
         own, border, corner = (np.asarray(x) for x in (matrix.diagonal[0], matrix.border[0], matrix.corner))
         whole = np.block([[own, border], [border.T, corner]]) if s else own
         found = scipy.linalg.eigh(whole, subset_by_index=[0, few - 1])
-    else:  # Lanczos's method on the inverse
+    else:  # Lanczos on the inverse
         factor, size = _shifted(matrix), slabs * m + s
         inverse = scipy.sparse.linalg.LinearOperator(
             (size, size), matvec=lambda x: np.asarray(_solved(factor, jnp.asarray(x.ravel()))), dtype=np.float64
@@ -113,7 +113,7 @@ def _least(matrix: Tridiagonal, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 @eqx.filter_jit
 def _points_along(problem: Problem, equations: Equations, images: Any, shared: Any) -> Any:
-    """How points follow a change of the reduced unknowns (3, rows), m."""
+    """Changes of the points for a change of the reduced unknowns (3, rows), m."""
     points = eliminated(problem, equations, 0.0)
     points = eqx.tree_at(lambda p: p.forward, points, jnp.zeros_like(points.forward))
     return back_substituted(problem, points, images, shared) * problem.free_point.T
@@ -122,9 +122,9 @@ def _points_along(problem: Problem, equations: Equations, images: Any, shared: A
 def weakest_directions(
     ready: Prepared, solution: Solution, most: int, datum: Datum | None = None, weak: Weak | None = None
 ) -> list[Direction]:
-    """The combinations of unknowns that the normal equations, and a `datum`, hold least, the weakest first.
+    """The combinations of unknowns least constrained by the normal equations and a `datum`, the weakest first.
 
-    Of a `weak`ly held whole, its motions by the share of their own weight that other unknowns leave them.
+    With a `weak`ly constrained datum, its motions are rated by their marginal relative to their own weight.
     """
     problem, equations = ready.problem, solution.equations
     matrix, (scale, scale_shared) = scaled_at(problem, equations, datum, weak)
@@ -149,7 +149,7 @@ def weakest_directions(
 def _described(
     ready: Prepared, solution: Solution, strength: float, change: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> Direction:
-    """A direction by its changes of images (n, c), of what they share (s,), as shares of the largest of the scaled
+    """A direction from its changes of images (n, c) and shared parameters (s,), relative to the largest scaled
     change, and of points (3, rows)."""
     problem, names, equations, own = ready.problem, ready.names, solution.equations, ready.order.row_of_point
     images, shared, points = change
@@ -157,7 +157,7 @@ def _described(
     of_points = np.sqrt(np.diagonal(np.asarray(equations.points), axis1=0, axis2=1))[own]
     places = np.asarray(solution.values.points)[own], np.asarray(solution.values.centre)
     points = points.T[own]
-    # Of what images share, in units of what is left of their own weights: few of them, they would be lost else.
+    # # Shared parameters in units of their marginal weights; being few, they would otherwise be too small.
     shared = shared * max(_length(points * of_points), 1e-300)
     sizes = _Sizes(points * of_points, images * weights, shared)
     parts = sizes.of_parameters(names.lens if problem.own_lens else (), names.columns(problem))
@@ -166,15 +166,15 @@ def _described(
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Parts of a direction over their own standard deviations with all else known: points (m, 3), images (n, columns),
-    and what they share (s,)."""
+    """Components of a direction over their conditional standard deviations: points (m, 3), images (n, columns), and
+    shared parameters (s,)."""
 
     points: np.ndarray
     images: np.ndarray
     shared: np.ndarray
 
     def of_parameters(self, own: tuple[str, ...], shared: list[tuple[str, str]]) -> dict[str, float]:
-        """By name; the same of several cameras, mounts or strips together."""
+        """By name; the same parameter of several cameras, mounts or strips is merged."""
         parts = {f"{name} of the cameras": _length(self.images[:, POSE + i]) for i, name in enumerate(own)}
         together: dict[tuple[str, str], list[tuple[str, float]]] = {}
         for (whose, what), size in zip(shared, self.shared, strict=True):
@@ -189,7 +189,7 @@ class _Sizes:
     def of_motions(
         self, changes: tuple[np.ndarray, np.ndarray], places: tuple[np.ndarray, np.ndarray]
     ) -> dict[str, float]:
-        """Of points and perspective centres: as a motion of the whole where it is one, else axis by axis."""
+        """Of points and perspective centres: as a motion of the whole where it fits, else axis by axis."""
         together = _motion(np.concatenate(changes), np.concatenate(places))
         sizes = {"points": _length(self.points), "centres": _length(self.images[:, :3])}
         turns = {"attitudes": _length(self.images[:, 3:POSE])}
@@ -210,7 +210,7 @@ class _Sizes:
 
 
 def _motion(change: np.ndarray, place: np.ndarray) -> str:
-    """A common motion that a change (k, 3) of places (k, 3) is, in words; empty where it is none."""
+    """Name of the common motion that a change (k, 3) of positions (k, 3) represents; empty if none."""
     offsets = place - place.mean(axis=0)
     size = np.sqrt(np.mean(np.sum(offsets**2, axis=1)))
     columns = [np.broadcast_to(axis, offsets.shape) for axis in np.eye(3)]
@@ -235,7 +235,7 @@ def _length(x: np.ndarray) -> float:
 
 
 def datum_words(rows: np.ndarray) -> list[str]:
-    """The motions that nothing holds, of their combinations (d, 7), in words."""
+    """Names of the unconstrained motions, from their combinations (d, 7)."""
     if len(rows) == len(MOTIONS):
         return ["position, orientation and scale of the whole block"]
     reduced = _echelon(rows)
@@ -248,7 +248,7 @@ def datum_words(rows: np.ndarray) -> list[str]:
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """The same combinations with as few motions in each as may be (reduced row echelon form)."""
+    """The same combinations with as few motions in each as possible (reduced row echelon form)."""
     rows = rows / np.abs(rows).max(axis=1, keepdims=True)
     for i in range(len(rows)):
         row, column = np.unravel_index(np.argmax(np.abs(rows[i:])), rows[i:].shape)

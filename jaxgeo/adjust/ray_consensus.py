@@ -1,4 +1,4 @@
-"""Rays of a block before its adjustment: robust intersections, robust resections, and rays that miss the others."""
+"""Robust intersections and resections before an adjustment, to detect rays that miss their points."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy as np
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.initial_points import camera_rays
 
-ROUNDS = 12  # of intersection and resection in turn
-SETTLED = 3.0  # median residual in sigmas, below which orientations are good enough to screen with
-PAIRS = 15  # of rays of a point that are tried
+ROUNDS = 12  # alternations of intersection and resection
+SETTLED = 3.0  # median residual in sigmas, below which orientations are accurate enough for screening
+PAIRS = 15  # ray pairs of a point tried
 CAUCHY = 3.0  # width of the weights, in sigmas times the spread of all residuals
-LARGEST = 9.0  # square of a residual in these widths, above which all cost the same
-SUSPECT = 10.0  # sigmas times the spread, above which a point's rays are tried pair by pair
-NEAR, FAR = 0.1, 10.0  # times the median range: where points may lie
+LARGEST = 9.0  # square of a residual in these widths, at which the cost is truncated
+SUSPECT = 10.0  # sigmas times the spread, above which ray pairs of a point are tried
+NEAR, FAR = 0.1, 10.0  # times the median range: limits of point distances
 
 
 @dataclass
 class Rays:
-    """Rays (k,) of a block in its frame, from orientations that `improve` changes; angles in rad.
+    """Rays (k,) of a block in its frame, from orientations that `improve` updates; angles in rad.
 
     `image` and `point` are numbers, `own` directions in the camera frame, `sigma` the standard deviation of a
-    direction; `used` flags of rays that the lens has. `place` (points, 3) are the robust intersections, `residual` (k,)
-    the angles between rays and places over their standard deviations, `spread` how many times larger they are in
-    general than these would have them.
+    direction; `used` flags rays that the lens defines. `place` (points, 3) are the robust intersections, `residual`
+    (k,) the angles between rays and intersections over their standard deviations, `spread` the typical ratio of the
+    residuals to their expected size.
     """
 
     image: np.ndarray
@@ -44,7 +44,7 @@ class Rays:
 
     @classmethod
     def of(cls, block: Block) -> Rays:
-        """By the orientations from which the block starts."""
+        """Rays with the start orientations of the block."""
         seen, images = block.observations, block.images
         by_name = np.argsort(images.name)
         image = by_name[np.searchsorted(images.name, seen.image, sorter=by_name)]
@@ -71,7 +71,7 @@ class Rays:
 
     @cached_property
     def checked(self) -> np.ndarray:
-        """How well the other rays of its point check a ray (k,): the share of redundancy, 1/4 for one of two."""
+        """Redundancy share (k,) by which the other rays of its point check a ray: 1/4 for one of two."""
         count = np.bincount(self.point, weights=self.used, minlength=len(self.names))[self.point]
         return np.maximum(1.0 - 1.5 / np.maximum(count, 1.0), 0.0)
 
@@ -81,7 +81,7 @@ class Rays:
         return np.einsum("kij,kj->ki", self.R[self.image], self.own)
 
     def improve(self, free: np.ndarray) -> None:
-        """Resect the images that are `free` (n,) on the intersections, and intersect again, until rays meet."""
+        """Alternate resection of the `free` (n,) images and intersection until the rays agree."""
         for _ in range(ROUNDS):
             if self.spread < SETTLED or not np.any(free):
                 return
@@ -95,7 +95,7 @@ class Rays:
                 return
 
     def off(self, place: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Angles (k,) between the rays of some rows and places (k, 3), over their standard deviations."""
+        """Angles (k,) between the given rays and positions (k, 3), over their standard deviations."""
         to = place - self.centre[self.image[rows]]
         direction = np.einsum("kij,kj->ki", self.R[self.image[rows]], self.own[rows])
         across = np.linalg.norm(np.cross(direction, to), axis=1)
@@ -104,7 +104,7 @@ class Rays:
     def covariance(self, point: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """Covariance (m, 3, 3) in m2 of the intersections of some points by the rays kept; infinite for parallel rays.
 
-        The rays as good as their residuals say they are.
+        Scaled by the residuals.
         """
         normal, _ = self._normal(kept & self.used, self.place, 1.0)
         scale, eye = np.trace(normal[point], axis1=1, axis2=2), np.eye(3)
@@ -114,7 +114,7 @@ class Rays:
         return np.where(parallel[:, None, None], np.inf * eye, found) if np.any(parallel) else found
 
     def _normal(self, rows: np.ndarray, place: np.ndarray | None, weight: np.ndarray | float) -> tuple:
-        """Normal equations (points, 3, 3) and right sides (points, 3) of the intersections."""
+        """Normal equations (points, 3, 3) and right-hand sides (points, 3) of the intersections."""
         d, c = self.direction, self.centre[self.image]
         ranges = 1.0 if place is None else np.maximum(np.linalg.norm(place[self.point] - c, axis=1), 1e-9)
         w = np.where(rows, weight / (self.sigma * ranges) ** 2, 0.0)
@@ -122,7 +122,7 @@ class Rays:
         return self._of_points.sums(across), self._of_points.sums(np.einsum("kij,kj->ki", across, c))
 
     def _meet(self) -> None:
-        """Robust intersections of all points: least squares, or the pair of rays that most others agree with."""
+        """Robust intersections of all points: least squares, or the ray pair with the most support."""
         place = _solved(*self._normal(self.used, None, 1.0))
         place = _solved(*self._normal(self.used, place, 1.0))
         everything = np.arange(len(self.point))
@@ -141,7 +141,7 @@ class Rays:
         self.spread = max(1.0, _spread(self.residual[self.used]))
 
     def _agreed(self, rows: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """The place that most of a point's rays agree on, by intersections of pairs."""
+        """The intersection of a ray pair that fits most of a point's rays."""
         width = CAUCHY * self.spread
         d, c = np.einsum("kij,kj->ki", self.R[self.image[rows]], self.own[rows]), self.centre[self.image[rows]]
         across = np.eye(3) - d[:, :, None] * d[:, None, :]
@@ -173,15 +173,15 @@ class Rays:
         return float(np.median(np.linalg.norm(self.place[self.point] - self.centre[self.image], axis=1)))
 
     def _resect(self, free: np.ndarray) -> None:
-        """One robust step of all images towards the intersections: shift in m, turn in rad about the frame's axes."""
+        """One robust resection step of all images: shift in m, rotation in rad about the frame's axes."""
         to = self.place[self.point] - self.centre[self.image]
         ranges = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
         ahead, d = to / ranges[:, None], self.direction
-        off = np.cross(d, ahead)  # the turn that takes a ray to its place, for small ones
+        off = np.cross(d, ahead)  # small rotation from a ray to its point
         usable = self.used & (np.sum(d * ahead, axis=1) > 0.5)
         weight = self.checked / (self.sigma * (1.0 + (self.residual / (CAUCHY * self.spread)) ** 2)) ** 2
         w = np.where(usable, weight, 0.0)
-        # A turn t moves the ray by t, a shift s of the centre moves its place against it by d x s / range.
+        # # A rotation t moves the ray by t; a shift s of the centre moves its point the opposite way, by d x s / range.
         across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
         crossed = _skew(ahead) / ranges[:, None, None]
         A = np.concatenate([crossed, across], axis=2)
@@ -199,7 +199,7 @@ class Rays:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over the rows of each of some numbers, all of which are there."""
+    """Grouped sums over rows by a number; every number occurs."""
 
     order: np.ndarray
     first: np.ndarray
@@ -218,17 +218,18 @@ class _Sums:
 
 
 def _spread(residual: np.ndarray) -> float:
-    """How many times as large as a direction's should be the residuals are: by their median, robust to blunders."""
+    """Ratio of the residuals to their expected size for a direction, from their median (robust to blunders)."""
     return float(np.median(residual) / 0.8) if len(residual) else 1.0
 
 
 def _truncated(off: np.ndarray) -> Any:
-    """Sum of squares along the last axis, none larger than `LARGEST`: how far off a ray is that is off says nothing."""
+    """Sum of squares along the last axis, each truncated at `LARGEST`: the size of an outlier carries no
+    information."""
     return np.sum(np.minimum(off**2, LARGEST), axis=-1)
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solutions of small systems; those that nothing holds are held a little."""
+    """Solutions of small systems; singular ones are regularised."""
     trace = np.maximum(np.trace(normal, axis1=1, axis2=2), 1e-300)
     held = normal + 1e-12 * trace[:, None, None] * np.eye(3)
     held = np.where((trace > 1e-299)[:, None, None], held, np.eye(3))
@@ -244,7 +245,7 @@ def _skew(v: np.ndarray) -> np.ndarray:
 
 
 def _turns(vector: np.ndarray) -> np.ndarray:
-    """Rotations (n, 3, 3) by rotation vectors, rad."""
-    import scipy  # loads its parts when they are asked for
+    """Rotations (n, 3, 3) from rotation vectors, rad."""
+    import scipy  # submodules load lazily
 
     return scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()

@@ -1,4 +1,4 @@
-"""Lines of sight of one point in several images: where they come together, and how errors move them."""
+"""Lines of sight of one point in several images: intersection, residuals and error propagation."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
-PARALLEL = 1e-14  # determinant of the normal equations, for a mean eigenvalue of 1: 1e-7 rad between two rays
-SINGULAR = 1e-30  # determinant at which a matrix has no inverse in floating point
-FLOOR = 1e-10  # of a residual's variance, as if it had so much of its own: keeps weights finite where all is shared
+PARALLEL = 1e-14  # determinant of the normal equations with a mean eigenvalue of 1: rays within 1e-7 rad
+SINGULAR = 1e-30  # determinant below which a matrix is singular in floating point
+FLOOR = 1e-10  # of a residual's variance, added as independent: keeps weights finite if all errors are shared
 
 Rays = Float[Array, "rays 3"]
 Flags = Bool[Array, " rays"]
@@ -32,7 +32,7 @@ Moves = Float[Array, "rays 2 axes"]
 
 
 class Image(NamedTuple):
-    """A camera, where it was and how it lay, the pixel measured in it, and whether that is used."""
+    """A camera, its exterior orientation, the pixel measured in it, and whether that is used."""
 
     camera: AbstractCamera
     sight: Sight
@@ -40,19 +40,19 @@ class Image(NamedTuple):
     used: Flag
 
     def residual(self, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Pixel, StatusCode]:
-        """(pixel of a point in ECEF m less the measured one, px; the camera's status, `hit` too where the pixel lies
-        beside the image), zero if it is not used.
+        """(pixel of a point in ECEF m less the measured one, px; the camera's status, `hit` also where the pixel lies
+        outside the image); the residual is zero if unused.
 
-        Zero, with derivatives of zero, also where the point has no image: the status says so.
+        Zero, with zero derivatives, also where the point has no image; the status is then the reason.
         """
         return self.residual_of(self.seeming(p_ecef, air))
 
     def seeming(self, p_ecef: Vector3, air: Atmosphere | None) -> Vector3:
-        """Where a point seems to be through the air, ECEF m."""
+        """Apparent position of a point through the atmosphere, ECEF m."""
         return p_ecef if air is None else apparent_point(self.sight.centre, p_ecef, air)
 
     def residual_of(self, seeming: Vector3) -> tuple[Pixel, StatusCode]:
-        """`residual` of a point that seems to be there."""
+        """`residual` of a point at its apparent position."""
         uv, status = self.camera.project(self.sight.to_camera(seeming))
         status = seen_beside(status, uv)
         return jnp.where(self.used & (status == Status.hit), uv - self.uv, 0.0), status
@@ -64,7 +64,7 @@ def residuals_of(images: Image, p_ecef: Vector3, air: Atmosphere | None) -> tupl
 
 
 def design_of(images: Image, p_ecef: Vector3, air: Atmosphere | None) -> tuple[Float[Array, "rays 2 3"], Residuals]:
-    """(derivatives of residuals in px by the point, but for those of the air's shift, a thousandth; residuals)."""
+    """(derivatives of residuals in px by the point, neglecting those of the refraction shift, 0.1 %; residuals)."""
 
     def of_image(image: Image) -> tuple[Float[Array, "2 3"], Pixel]:
         shift = image.seeming(p_ecef, air) - p_ecef
@@ -79,11 +79,10 @@ def design_of(images: Image, p_ecef: Vector3, air: Atmosphere | None) -> tuple[F
 
 
 def nearest_point(origins: Rays, directions: Rays, used: Flags) -> tuple[Vector3, Flag]:
-    """(the point with the least squared distances from rays, ECEF m; whether there is one).
+    """(the point with the smallest sum of squared distances from the rays, ECEF m; whether there is one).
 
-    `origins` (rays, 3) in ECEF m, `directions` (rays, 3) unit vectors, of which those that are `used` (rays,) count.
-    The normal equations of I - d d^T, in differences from one of the origins; exact for rays that meet. Parallel rays
-    give that origin.
+    `origins` (rays, 3) in ECEF m, `directions` (rays, 3) unit vectors; only those `used` (rays,) count. Normal
+    equations of I - d d^T, relative to one of the origins; exact for intersecting rays. Parallel rays give that origin.
     """
     reference = origins[jnp.argmax(used)]
 
@@ -97,13 +96,13 @@ def nearest_point(origins: Rays, directions: Rays, used: Flags) -> tuple[Vector3
 
 
 def largest_angle(directions: Rays, used: Flags) -> Scalar:
-    """The largest angle between any two of the rays that are used, rad."""
+    """The largest angle between any two of the used rays, rad."""
     angles = jax.vmap(lambda a: jax.vmap(lambda b: safe_angle(a, b))(directions))(directions)
     return jnp.max(jnp.where(used[:, None] & used[None, :], angles, 0.0))
 
 
 def inverse_of(matrix: Matrix3, singular: float = SINGULAR) -> tuple[Matrix3, Flag]:
-    """(inverse of a symmetric, positive definite matrix, zero if it is singular; whether it is not)."""
+    """(inverse of a symmetric, positive definite matrix, zero if it is singular; whether it is regular)."""
     scale = jnp.trace(matrix) / 3.0
     safe_scale = jnp.where(scale > 0.0, scale, 1.0)
     a, b, c = matrix / safe_scale
@@ -116,10 +115,10 @@ def inverse_of(matrix: Matrix3, singular: float = SINGULAR) -> tuple[Matrix3, Fl
 def moved_by_errors(
     model: ErrorModel, rays: tuple[Sensor, Shot, Residuals, Flags], p_ecef: Vector3, air: Atmosphere | None
 ) -> Moves:
-    """Derivatives, at no error, of the residuals of a point in images by the error vector of each.
+    """Derivatives, at zero error, of the residuals of a point by the error vector of each image.
 
-    `rays` are (sensors, shots, pixels, whether they are used), with a leading axis. The errors perturb
-    `ModelInputs`, as they do everywhere.
+    `rays` are (sensors, shots, pixels, used flags), with a leading axis. The errors perturb `ModelInputs`, as in all
+    error propagation.
     """
 
     def of_ray(sensor: Sensor, shot: Shot, uv: Pixel, used: Flag) -> Float[Array, "2 axes"]:
@@ -137,7 +136,7 @@ def moved_by_errors(
 
 
 def shared_covariance(model: ErrorModel, moves: Moves, occasions: Occasion) -> Stacked:
-    """Covariance in px2 of residuals that errors move, ray after ray, by what each source shares between the occasions.
+    """Covariance in px2 of the residuals, ray after ray, from the covariances of each source between the occasions.
 
     `occasions` have a leading axis of rays.
     """
@@ -155,9 +154,9 @@ def shared_covariance(model: ErrorModel, moves: Moves, occasions: Occasion) -> S
 
 
 def whitening(cov: Stacked) -> Stacked:
-    """B with B^T B the inverse of a covariance, which may be singular: then of one that is larger by `FLOOR`.
+    """B with B^T B the inverse of a covariance; a singular one is first increased by `FLOOR`.
 
-    What has no variance at all counts as having one of 1.
+    Entries with zero variance get variance 1.
     """
     variance = jnp.diagonal(cov)
     varies = variance > 0.0

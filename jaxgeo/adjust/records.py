@@ -1,4 +1,4 @@
-"""What is measured in a block of images, by name: image points, and ground points that are known beforehand."""
+"""Image point measurements of a block, by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-if TYPE_CHECKING:  # any list of names is taken, and an array of str made of it
+if TYPE_CHECKING:  # any sequence of names is accepted and converted to an array of str
     Names: TypeAlias = Any
 else:
     Names: TypeAlias = np.ndarray | Sequence[str]
@@ -17,12 +17,12 @@ else:
 
 @dataclass(frozen=True)
 class ImagePoints:
-    """Measured image points, one a row: which point, in which image, where, how well.
+    """Measured image points, one per row: point name, image name, pixel, standard deviation.
 
-    `image` and `point` are names (n,); `uv` (n, 2) are (column, row) in px with pixel centres at integers; `sigma`
-    (n, 2) their standard deviations in px. A single number or a number for each row is taken for both axes.
-    Raises `ValueError` for numbers that are not finite, sigmas that are not positive, and a point that is measured
-    twice in one image, naming image and point.
+    `image` and `point` are names (n,); `uv` (n, 2) are (column, row) in px with pixel centres at integers; `sigma` (n,
+    2) their standard deviations in px. A single number, or one per row, applies to both axes. Raises `ValueError` for
+    numbers that are not finite, sigmas that are not positive, and a point that is measured twice in one image, naming
+    image and point.
     """
 
     image: Names
@@ -51,26 +51,26 @@ class ImagePoints:
 
     @cached_property
     def image_numbers(self) -> tuple[np.ndarray, np.ndarray]:
-        """(names in order, the place (n,) of each row's image among them)."""
+        """(names in order, the index (n,) of each row's image among them)."""
         return np.unique(self.image, return_inverse=True)
 
     @cached_property
     def point_numbers(self) -> tuple[np.ndarray, np.ndarray]:
-        """(names in order, the place (n,) of each row's point among them)."""
+        """(names in order, the index (n,) of each row's point among them)."""
         return np.unique(self.point, return_inverse=True)
 
     def of(self, rows: Any) -> ImagePoints:
-        """Some of the measurements, by index or flag."""
+        """A subset of the measurements, by index or flag."""
         return ImagePoints(self.image[rows], self.point[rows], self.uv[rows], self.sigma[rows])
 
     def seen_often(self, least: int = 2, known: Sequence[str] = ()) -> ImagePoints:
-        """The measurements of points that are seen in `least` images or more, or are among those `known`."""
+        """The measurements of points that are in at least `least` images, or among those `known`."""
         names, point = self.point_numbers
         return self.of(((np.bincount(point) >= least) | np.isin(names, list(known)))[point])
 
     @classmethod
     def joined(cls, parts: Sequence[ImagePoints]) -> ImagePoints:
-        """Several lists as one."""
+        """Several sets of measurements concatenated."""
         fields = ("image", "point", "uv", "sigma")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in fields))
 

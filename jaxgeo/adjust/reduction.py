@@ -1,4 +1,4 @@
-"""The points eliminated from the normal equations (Schur complement), and found again from the rest."""
+"""Elimination of the points from the normal equations (Schur complement), and back substitution."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from jaxgeo.adjust.layout import Group
 
 
 class Eliminated(Record):
-    """Points factored: `factor` (6, rows) the lower triangles L of their normal matrices L L', `halves` (3, obs, c) of
-    images and (lenses, 3, rows) of lenses the couplings times L'^-1, `forward` (3, rows) the gradients L^-1 g."""
+    """Factored points: `factor` (6, rows) are the lower triangles L of their normal matrices L L', `halves` (3, obs,
+    c) of images and (lenses, 3, rows) of lenses the couplings times L'^-1, `forward` (3, rows) the gradients L^-1 g."""
 
     factor: Float[Array, "6 rows"]
     halves: Float[Array, "3 obs c"]
@@ -27,7 +27,7 @@ class Eliminated(Record):
 
 
 class Reduced(Record):
-    """The normal equations of images and what they share, the points eliminated, and the gradients of both."""
+    """Reduced normal equations of images and shared parameters, and their gradients."""
 
     matrix: Tridiagonal
     images: Float[Array, "n c"]
@@ -36,7 +36,7 @@ class Reduced(Record):
 
 @eqx.filter_jit
 def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminated:
-    """Factors of the points' normal matrices, larger by the share `damping` of `scales_of_points`."""
+    """Factors of the points' normal matrices, damped by `damping` times `scales_of_points`."""
     V = equations.points + damping * scales_of_points(problem, equations)
     factor = _cholesky_3(V)
     of_obs = problem.layout.to_rays(jnp.stack(factor))
@@ -49,8 +49,8 @@ def eliminated(problem: Problem, equations: Equations, damping: Any) -> Eliminat
 
 
 def scales_of_points(problem: Problem, equations: Equations) -> Float[Array, "3 3 rows"]:
-    """What the damping of points is measured by: the diagonals of their normal matrices; these themselves where control
-    or terrain holds a point along its rays too, perhaps by so little that no share of a diagonal would leave it."""
+    """Damping scales of the points: the diagonals of their normal matrices; the full matrices where control or
+    terrain constrains a point along its rays too, as damping by the diagonal could exceed such a weak constraint."""
     held = jnp.any(problem.known_point != 0.0, axis=(1, 2))
     if problem.terrain is not None:
         held = held | (problem.terrain.information > 0.0)
@@ -59,7 +59,7 @@ def scales_of_points(problem: Problem, equations: Equations) -> Float[Array, "3 
 
 @eqx.filter_jit
 def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damping: Any) -> Reduced:
-    """The reduced system; its diagonal, too, is larger by the share `damping`, and one where columns are fixed."""
+    """The reduced system, its diagonal also increased by the share `damping`, and one where columns are fixed."""
     band, c, s = problem.layout.band, problem.of_image, problem.shared
     images = equations.images * (1.0 + damping * jnp.eye(c))[None]
     shared = equations.shared * (1.0 + damping * jnp.eye(s))
@@ -77,7 +77,7 @@ def reduced(problem: Problem, equations: Equations, rows: tuple[Rows, ...], damp
 
 
 def on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "blocks size c size c"]:
-    """Blocks of the slabs, and then of each with the next, that hold what images have with themselves."""
+    """Diagonal, then subdiagonal slab blocks with the given image blocks (n, c, c) on the diagonal."""
     c, each = images.shape[1], jnp.arange(band.size)
     eye = jnp.broadcast_to(jnp.eye(c), (band.slabs * band.size, c, c))
     own = images if band.slabs == 1 else eye.at[band.place].set(images, unique_indices=True)
@@ -89,14 +89,14 @@ def on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "bloc
 def solved(
     problem: Problem, factor: Factor, images: Float[Array, "n c"], shared: Float[Array, " s"]
 ) -> tuple[Float[Array, "n c"], Float[Array, " s"]]:
-    """The reduced system's inverse times one column."""
+    """Inverse of the reduced system times one column."""
     band = problem.layout.band
     slabs, shared = factor.solved(band.to_slabs(images)[:, :, None], shared[:, None])
     return band.of_images(slabs[:, :, 0]), shared[:, 0]
 
 
 def back_substituted(problem: Problem, points: Eliminated, images: Any, shared: Any) -> Float[Array, "3 rows"]:
-    """Steps of the points from those (n, c) of the images and (s,) of what they share."""
+    """Steps of the points from those (n, c) of the images and (s,) of the shared parameters."""
     layout = problem.layout
     along = jnp.sum(points.halves * images[layout.image][None], axis=-1)  # (3, obs)
     found = []
@@ -110,7 +110,7 @@ def back_substituted(problem: Problem, points: Eliminated, images: Any, shared: 
 
 
 class Rows(NamedTuple):
-    """The couplings times L'^-1 of a group's points, chunk by chunk: with the images of its slots (chunks, 3, size, q,
+    """Couplings times L'^-1 of a group's points, chunk by chunk: with the images of its slots (chunks, 3, size, q,
     c), with lenses (chunks, 3, size, lenses), and the forward gradients (chunks, 3, size)."""
 
     images: Float[Array, "chunks 3 size q c"]
@@ -118,14 +118,14 @@ class Rows(NamedTuple):
     forward: Float[Array, "chunks 3 size"]
 
     def joined(self) -> Float[Array, "chunks rows columns"]:
-        """As one matrix for each chunk: its 3 size rows, columns of the images' slots and of the lenses."""
+        """One matrix per chunk: 3 size rows, columns of the images' slots and of the lenses."""
         chunks, three, size, q, c = self.images.shape
         both = (self.images.reshape(chunks, three, size, q * c), self.lenses)
         return jnp.concatenate(both, axis=-1).reshape(chunks, three * size, -1)
 
 
 def rows_of(problem: Problem, group: Group, points: Eliminated) -> Rows:
-    """The rows of a group's points, gathered from their measurements."""
+    """Rows of a group's points, gathered from their measurements."""
     shape = (3, group.chunks, group.size)
     images = points.halves.at[:, group.measured].get(mode="promise_in_bounds")
     own = slice(group.first_row, group.first_row + group.rows)
@@ -136,20 +136,20 @@ def rows_of(problem: Problem, group: Group, points: Eliminated) -> Rows:
 
 @eqx.filter_jit
 def gather(problem: Problem, points: Eliminated) -> tuple[Rows, ...]:
-    """The rows of all groups: a program of its own, as one with what comes before or after takes several times as long
-    (the compiler then makes again for each number gathered what it is gathered from, and where to)."""
+    """Rows of all groups, as a separate program: fused with its neighbours it takes several times as long, as XLA
+    then recomputes sources and indices for each gathered number."""
     return tuple(rows_of(problem, group, points) for group in problem.layout.groups)
 
 
 def undamped(problem: Problem, equations: Equations) -> tuple[Eliminated, Tridiagonal]:
-    """The points eliminated, and the matrix of the reduced normal equations, as they are."""
+    """The eliminated points and the matrix of the reduced normal equations, without damping."""
     none = jnp.zeros(())
     points = eliminated(problem, equations, none)
     return points, reduced(problem, equations, gather(problem, points), none).matrix
 
 
 def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:
-    """The reduced system less what the points of a group take from it."""
+    """The reduced system after subtracting the contributions of a group's points."""
     c, lenses, q = problem.of_image, problem.of_lenses, group.slots.shape[1]
 
     def one(state: Any, batch: Any) -> tuple[Any, None]:
@@ -181,10 +181,10 @@ def _less_points(problem: Problem, group: Group, rows: Rows, state: Any) -> Any:
 
 
 def places(band: Band, slots: Int[Array, "*batch q"], c: int) -> tuple[Array, ...]:
-    """Indices, each (..., q, c, q, c) when broadcast, of chunks' images with each other in the blocks of the slabs.
+    """Indices, each (..., q, c, q, c) when broadcast, of the image pairs of chunks in the slab blocks.
 
-    Beyond the last where a slot has no image, where two images are not in the same slab nor the first in the one after
-    the second's, and so have no place: no point is seen by images that are further apart.
+    Out of range for unused slots and for pairs outside the diagonal and subdiagonal blocks; such images share no
+    points.
     """
     n, column = band.place.shape[0], jnp.arange(c)
     slab, within = jnp.divmod(band.place[jnp.minimum(slots, n - 1)], band.size)
@@ -203,7 +203,8 @@ def _transposed_times(A: Float[Array, "batch rows a"], B: Float[Array, "batch ro
 
 
 def _cholesky_3(V: Float[Array, "3 3 rows"]) -> tuple[Array, ...]:
-    """Lower triangle (l00, l10, l20, l11, l21, l22) of many symmetric matrices at once; NaN where not positive."""
+    """Lower triangles (l00, l10, l20, l11, l21, l22) of a batch of symmetric matrices; NaN where not positive
+    definite."""
     l00 = jnp.sqrt(V[0, 0])
     l10, l20 = V[1, 0] / l00, V[2, 0] / l00
     l11 = jnp.sqrt(V[1, 1] - l10 * l10)
@@ -249,7 +250,7 @@ def along_points(
 def condensed(
     problem: Problem, points: Eliminated, half: Float[Array, "d 3 rows"]
 ) -> tuple[Float[Array, "d n c"], Float[Array, "d s"]]:
-    """Parts of the images and of what they share in sums of v' D over the points, v (3,) of each point D its halves."""
+    """Image and shared-parameter parts of the sums of v' D over the points, v (3,) of each point and D its halves."""
     n, c, lenses, d = problem.n, problem.of_image, problem.of_lenses, half.shape[0]
     images, corner = jnp.zeros((d, n, c)), jnp.zeros((d, lenses))
     for group in problem.layout.groups:

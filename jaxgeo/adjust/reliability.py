@@ -1,4 +1,4 @@
-"""How well observations check each other: redundancy numbers, standardised residuals, and blunders by name."""
+"""Reliability: redundancy numbers, standardised residuals and blunders."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
@@ -16,16 +16,16 @@ from jaxgeo.adjust.posterior import leverages
 from jaxgeo.adjust.screening import CONTROL_POINT, IMAGE_POINT
 
 POWER = 0.8
-ALIKE = 1e-3  # by which the statistics of one point's measurements must differ to tell which is wrong
+ALIKE = 1e-3  # smallest difference between the statistics of a point's measurements that identifies the wrong one
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Of each image point, along columns and rows (k, 2), in the order of the observations.
+    """Reliability of each image point, along columns and rows (k, 2), in the order of the observations.
 
-    `redundancy` is the share of an error that shows in its own residual (Baarda 1968; 0: nothing checks it, 1: all
-    shows), `standardised` the residual over its standard deviation with sigma0 = 1, NaN where nothing checks it, and
-    `detectable` the least error in px that the test at `alpha` finds with a probability of 0.8.
+    `redundancy` is the share of an error that shows in its own residual (Baarda 1968; 0: unchecked, 1: fully),
+    `standardised` the residual over its standard deviation with sigma0 = 1, NaN if unchecked, and `detectable` the
+    smallest error in px that the test at `alpha` detects with a probability of 0.8.
     """
 
     redundancy: np.ndarray
@@ -35,19 +35,20 @@ class Reliability:
 
     @property
     def critical(self) -> float:
-        """What a standardised residual exceeds in size with probability `alpha`."""
+        """Critical value of the absolute standardised residual, exceeded by chance with probability `alpha`."""
         return critical_value(self.alpha)
 
 
 @dataclass(frozen=True)
 class Blunder:
-    """A measurement that does not fit: an `image point` with its image, or a `control point` (image is empty then), its
-    row of the observations or of the control, standardised residual, and error, estimated with all the others held to
-    be right: (u, v) in px, or (x, y, z) in m of the block's frame; NaN where nothing is left to compare with.
+    """A rejected measurement: an `image point` with its image, or a `control point` (then `image` is empty), its row of
+    the observations or of the control, standardised residual, and estimated error, assuming all others correct: (u, v)
+    in px, or (x, y, z) in m of the block's frame; NaN where there is nothing to compare with.
 
-    `standardised` is the length of the residual over its covariance; of one or three directions, the length of as
-    improbable a one of two, so that all compare. `instead` are the images in which the point may as well be wrong: one
-    of two rays that do not meet is not to be told from the other; `or_control`: or else the point's control.
+    `standardised` is the length of the residual over its covariance; for one or three directions, the equally
+    improbable length with two, so that all are comparable. `instead` are the images in which the point may equally be
+    wrong: with two rays that do not intersect, the wrong one cannot be identified. `or_control`: the point's control
+    may be wrong instead.
     """
 
     image: str
@@ -89,19 +90,18 @@ def reliability(adjustment: Adjustment, alpha: float = 0.001) -> Reliability:
 
 
 def blunders(adjustment: Adjustment, alpha: float = 0.001) -> list[Blunder]:
-    """Image points and control points whose residuals, all axes together, are larger than chance lets be with
-    probability `alpha`; of each the one test.
+    """Image points and control points whose residuals, all axes together, fail the test at level `alpha`.
 
-    The largest first. A large error shows in its neighbours too: `without_blunders` takes one after the other. What
-    nothing checks is never among them, right or wrong: its `reliability` has a redundancy of 0; nor is control of a
-    sigma of zero, which is held to be right.
+    The largest first. A large error affects neighbouring residuals too: `without_blunders` removes one after the other.
+    Unchecked measurements (redundancy of 0 in `reliability`) are never listed, nor is control with a sigma of zero,
+    which is taken as correct.
     """
     control = control_of(adjustment.block)
     return named(adjustment.block, of_image_points(adjustment), of_control(adjustment, control), limit(alpha))
 
 
 def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -> list[Blunder]:
-    """The hypotheses on image points and control whose statistics exceed the `least`, the largest first."""
+    """Image points and control points whose statistics exceed `least`, the largest first."""
     seen, known = block.observations, control_of(block)
     statistic = np.concatenate([points.statistic, control.statistic])
     length = np.concatenate([points.length, control.length])
@@ -136,7 +136,7 @@ def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -
 
 
 def _rows_of(names: np.ndarray) -> dict[str, np.ndarray]:
-    """The places of each name."""
+    """The indices of each name."""
     unique, number = np.unique(names, return_inverse=True)
     order = np.argsort(number, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(number))[:-1])
@@ -144,12 +144,12 @@ def _rows_of(names: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def critical_value(alpha: float) -> float:
-    """What the size of a normal number exceeds with probability `alpha`: 3.29 for 0.001."""
+    """Critical value of the absolute value of a normal variable, exceeded with probability `alpha`: 3.29 for 0.001."""
     return float(-scipy.special.ndtri(0.5 * alpha))
 
 
 def _left(adjustment: Adjustment) -> np.ndarray:
-    """Covariance (k, 2, 2) of the weighted residuals: one less the leverage."""
+    """Covariance (k, 2, 2) of the weighted residuals: identity less the leverage."""
     ready, values = adjustment.prepared, adjustment.solution.values
     h = np.asarray(leverages(ready.problem, values, adjustment.loss, adjustment.posterior))
     return np.eye(2) - h[ready.order.place]

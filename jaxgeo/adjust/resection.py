@@ -1,4 +1,4 @@
-"""Where a camera stood, from ground points that it sees: orientations to start an adjustment from."""
+"""Space resection of images from ground control points, as start values of an adjustment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 
 from jaxgeo.adjust.block import Images
 from jaxgeo.adjust.ground_points import GroundPoints
@@ -15,24 +15,24 @@ from jaxgeo.adjust.initial_points import camera_rays
 from jaxgeo.adjust.records import ImagePoints
 from jaxgeo.sensor import FrameCamera
 
-FLAT = 0.1  # thickness of the points over their width, below which they are taken as a plane to start with
+FLAT = 0.1  # thickness of the points over their width, below which a plane is assumed for start values
 LEAST = 4
-MOST_OFF = 0.02  # of the image that the points cover: residuals that no orientation close to the right one leaves
-AGREED = 0.01  # of the same: residuals of points that agree on an orientation
-SUBSETS = 40  # of four points that are tried
-SMALL = 8  # points, of which all subsets are listed
-ENOUGH = 0.75  # of the points, of which no more need agree on four
+MOST_OFF = 0.02  # of the image area of the points: residuals above which no orientation fits
+AGREED = 0.01  # of the same: residuals of points that agree with an orientation
+SUBSETS = 40  # subsets of four points tried
+SMALL = 8  # points, up to which all subsets are listed
+ENOUGH = 0.75  # share of the points that suffices as agreement with a subset
 
 
 def resect_block(
     cameras: Mapping[str, FrameCamera], camera_of: Mapping[str, str], observations: ImagePoints, control: GroundPoints
 ) -> Images:
-    """The orientations of images by the control points that they see, each image by itself, as a start.
+    """Orientations of images from the control points in them, each image independently, as start values.
 
-    `camera_of` names the camera of each image. Directly linear, from a plane or from space, then least squares. Points
-    with an infinite sigma are left out. Where they do not fit together, the orientation on which most agree is taken,
-    and a `RuntimeWarning` names those that do not. Raises `ValueError` for a camera that there is not, and for an image
-    that sees fewer than four control points, in which they stand in one line, or whose camera has no ray for one.
+    `camera_of` names the camera of each image. A direct linear solution, planar or spatial, then least squares. Points
+    with an infinite sigma are ignored. If the points are inconsistent, the orientation with the most support is taken,
+    and a `RuntimeWarning` names the others. Raises `ValueError` for an unknown camera, and for an image with fewer than
+    four control points, with collinear ones, or whose camera has no ray for one.
     """
     known = np.all(np.isfinite(control.sigma), axis=1)
     where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
@@ -66,17 +66,17 @@ def resect_block(
 
 
 def resect_image(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(perspective centre, R_frame_from_camera) from pixels (k, 2) of places (k, 3), k at least 4.
+    """(perspective centre, R_frame_from_camera) from pixels (k, 2) of positions (k, 3), k at least 4.
 
-    Raises `ValueError` for places in one line, and where none of the starts leads anywhere.
+    Raises `ValueError` for collinear positions, and if no start converges.
     """
     centre, R, _ = _agreed(camera, uv, places)
     return centre, R
 
 
 def _agreed(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(centre, R, flags of the points that agree with it): by all points, or where they do not fit together, by those
-    that agree on the orientation of four of them."""
+    """(centre, R, flags of the agreeing points) from all points; if they are inconsistent, from those that agree
+    with the orientation of a four-point subset."""
     rays = camera_rays(camera, np.asarray(uv, np.float64))
     ideal = rays[:, :2] / rays[:, 2:]
     lost = ~np.all(np.isfinite(ideal), axis=1)
@@ -84,7 +84,7 @@ def _agreed(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np
         raise ValueError(
             f"the camera sees nothing at {np.asarray(uv)[np.argmax(lost)].tolist()} px, where its lens folds."
         )
-    if _in_one_line(places):  # or all but one that lies far away
+    if _in_one_line(places):  # or all but one distant point
         if (found := _consensus(ideal, places)) is not None:
             return found
         raise ValueError("the ground points lie in one line, from which no orientation follows.")
@@ -114,7 +114,7 @@ def _in_one_line(places: np.ndarray) -> bool:
 
 
 def _best(ideal: np.ndarray, places: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """(sum of squares, centre, R) of the best of all starts; infinite where none leads anywhere."""
+    """(sum of squares, centre, R) of the best of all starts; infinite if none converges."""
     middle = places.mean(axis=0)
     offsets = places - middle
     _, spread, axes = np.linalg.svd(offsets)
@@ -128,8 +128,8 @@ def _best(ideal: np.ndarray, places: np.ndarray) -> tuple[float, np.ndarray, np.
 
 
 def _consensus(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """(centre, R, flags) of the orientation by four points with which most others agree, by all of these then; None
-    where fewer than five, or than two in three, agree."""
+    """(centre, R, flags) from the points that agree with the best four-point orientation; None if fewer than five,
+    or less than two thirds, agree."""
     least = max(LEAST + 1, -(-2 * len(places) // 3))
     if len(places) <= least:
         return None
@@ -155,7 +155,7 @@ def _consensus(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _agreeing(ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Flags of points that an orientation puts where they are seen, to `AGREED` of the image that most cover."""
+    """Flags of points whose residuals are within `AGREED` of the image area that most points cover."""
     seen = (places - centre) @ R
     off = np.linalg.norm(seen[:, :2] / np.where(seen[:, 2:] > 0.0, seen[:, 2:], np.inf) - ideal, axis=1)
     size = 2.0 * np.median(np.abs(ideal - np.median(ideal, axis=0)).max(axis=1))
@@ -163,7 +163,7 @@ def _agreeing(ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.n
 
 
 def _vertical(ideal: np.ndarray, offsets: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(centre, R) looking straight at the points' plane, from the side to which its third axis (row) shows."""
+    """(centre, R) with a view perpendicular to the points' plane, from the side of its third axis (row)."""
     axes = np.diag([1.0, 1.0, np.linalg.det(axes)]) @ axes
     p, q = offsets @ axes[:2].T, ideal - ideal.mean(axis=0)
     along, across = np.sum(q[:, 0] * p[:, 0] - q[:, 1] * p[:, 1]), np.sum(q[:, 0] * p[:, 1] + q[:, 1] * p[:, 0])
@@ -175,7 +175,8 @@ def _vertical(ideal: np.ndarray, offsets: np.ndarray, axes: np.ndarray) -> tuple
 
 
 def _of_plane(ideal: np.ndarray, places: np.ndarray, axes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(centre, R) by the homography of the points' plane, and with its tilt the other way: far off, both look alike."""
+    """(centre, R) from the homography of the points' plane, and with the opposite tilt: both look alike from far
+    away."""
     size = np.abs(places[:, :2]).max()
     x, y = places[:, 0] / size, places[:, 1] / size
     one, zero = np.ones_like(x), np.zeros_like(x)
@@ -187,7 +188,7 @@ def _of_plane(ideal: np.ndarray, places: np.ndarray, axes: np.ndarray) -> list[t
     H = H / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
     R = _nearest_rotation(np.stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])], axis=1))
     centre = -R.T @ H[:, 2]
-    to_frame = axes.T @ np.diag([1.0, 1.0, np.linalg.det(axes)])  # of the plane's axes, right-handed
+    to_frame = axes.T @ np.diag([1.0, 1.0, np.linalg.det(axes)])  # from the plane's axes, right-handed
     sight = -centre / np.linalg.norm(centre)
     mirrored = np.diag([-1.0, -1.0, 1.0]) @ centre
     turn = _between(sight, -mirrored / np.linalg.norm(mirrored))
@@ -195,7 +196,7 @@ def _of_plane(ideal: np.ndarray, places: np.ndarray, axes: np.ndarray) -> list[t
 
 
 def _of_space(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(centre, R) by the direct linear transformation of at least six points."""
+    """(centre, R) from the direct linear transformation of at least six points."""
     size = np.abs(places).max()
     X = np.concatenate([places / size, np.ones((len(places), 1))], axis=1)
     zero = np.zeros_like(X)
@@ -210,7 +211,7 @@ def _of_space(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nda
 def _refined(
     ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """(sum of squares, centre, R) of least squares from a start; infinite where points lie behind the camera."""
+    """(sum of squares, centre, R) of least squares from a start; infinite if points lie behind the camera."""
     Rotation = scipy.spatial.transform.Rotation
     size = np.linalg.norm(centre)
 
@@ -231,7 +232,7 @@ def _nearest_rotation(M: np.ndarray) -> np.ndarray:
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The least rotation that turns one unit vector into another."""
+    """The smallest rotation that maps one unit vector to another."""
     axis = np.cross(a, b)
     length = np.linalg.norm(axis)
     if length < 1e-15:

@@ -1,4 +1,4 @@
-"""Measurements and control that cannot be right, found before an adjustment by consensus of rays and of control."""
+"""Screening of measurements and control for gross errors by ray and control consensus, before an adjustment."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from jaxgeo.adjust.ray_consensus import SETTLED, Rays
 from jaxgeo.adjust.unknowns import Free, Unknowns, spread
 
 IMAGE_POINT, CONTROL_POINT = "image point", "control point"
-SIGMAS = 50.0  # that a measurement must be off
-TIMES = 5.0  # as far off as nine in ten measurements of the block it must be, too
-POOR_TIMES = 20.0  # the same, where orientations are poor
-POOR = 10.0  # standard deviations, by which rays miss each other in general where orientations are poor
-CONTROL_TIMES = 20.0  # as far off as half of the control
-LEAST_CHECKED = 0.4  # share of redundancy of a ray of three: with less, a ray does not tell what its image is off by
-MOST = 0.5  # of an image's measurements, or of the control: where more disagree, it is not these that are wrong
-ELSEWHERE = 5.0  # sizes of the block, by which control as a whole cannot be off
+SIGMAS = 50.0  # standard deviations of disagreement required to set a measurement aside
+TIMES = 5.0  # also required: times the 90 % quantile of all residuals
+POOR_TIMES = 20.0  # the same for poor orientations
+POOR = 10.0  # standard deviations: typical miss distance of rays above which orientations are poor
+CONTROL_TIMES = 20.0  # times the median disagreement of the control
+LEAST_CHECKED = 0.4  # redundancy share of a ray of three: with less, a ray does not check its image
+MOST = 0.5  # of an image's measurements, or of the control: if more disagree, these are not the cause
+ELSEWHERE = 5.0  # block sizes: displacement above which all control counts as elsewhere
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A measurement that was set aside before the first iteration: its kind (`image point` or `control point`), image
-    (empty for control) and point, its row of the observations or of the control, by how many standard deviations it
-    disagrees, and why it was set aside, in words."""
+    """A measurement set aside before the first iteration: its kind (`image point` or `control point`), image (empty
+    for control) and point, its row of the observations or of the control, its disagreement in standard deviations,
+    and the reason as text.
+    """
 
     kind: str
     image: str
@@ -43,7 +44,7 @@ class Screened:
 
 
 class ControlElsewhere(ValueError):
-    """Control as a whole lies elsewhere than the images see it: `shift` (3,) in m of the block's frame."""
+    """All control is displaced relative to the images: `shift` (3,) in m of the block's frame."""
 
     def __init__(self, message: str, shift: np.ndarray) -> None:
         super().__init__(message)
@@ -52,9 +53,8 @@ class ControlElsewhere(ValueError):
 
 @dataclass(frozen=True)
 class Screen:
-    """What is kept of a block, and what was set aside; `doubtful` images, of whose measurements most disagree; whether
-    the orientations to start from were `poor`, so that rays missed each other by more than a few standard deviations in
-    general."""
+    """The measurements kept and set aside; `doubtful` are images with mostly disagreeing measurements; `poor` states
+    whether the start orientations left typical ray misses of more than a few standard deviations."""
 
     kept: Kept
     aside: tuple[Screened, ...] = ()
@@ -67,7 +67,7 @@ class Screen:
         return cls(Kept.all(block))
 
     def words(self, most: int = 3) -> str:
-        """What was set aside, in one line."""
+        """The measurements set aside, as one line of text."""
         shown = "; ".join(str(one) for one in self.aside[:most])
         more = f"; and {len(self.aside) - most} more" if len(self.aside) > most else ""
         return shown + more
@@ -76,11 +76,12 @@ class Screen:
 def screen(block: Block, unknowns: Unknowns | None = None, sigmas: float = SIGMAS) -> Screen:
     """Screen the image points and the control of a block before its adjustment.
 
-    Rays of a point should meet, and meet the control point; orientations are improved by robust resection first, where
-    rays miss each other in general, and the block is brought onto the control by a robust similarity. Set aside is what
-    is off by more than `sigmas` standard deviations, and by far more than the measurements in general, so that a poor
-    start condemns nothing. Raises `ControlElsewhere` where all control lies somewhere else, such as in another zone,
-    and `ValueError` where a camera has no ray for most of an image's pixels, and for `sigmas` that are not positive.
+    The rays of a point must intersect, and at the control point. Start orientations are first improved by robust
+    resection if rays generally miss, and a robust similarity aligns the block with the control. Measurements are set
+    aside if they disagree by more than `sigmas` standard deviations and by much more than the measurements in general,
+    so that poor start values do not cause rejections. Raises `ControlElsewhere` if all control is displaced, such as in
+    another zone, and `ValueError` if a camera has no ray for most of an image's pixels, and for `sigmas` that are not
+    positive.
     """
     if not sigmas > 0.0:
         raise ValueError(f"screen must be a number of standard deviations, or None for no screening; got {sigmas!r}.")
@@ -94,14 +95,14 @@ def screen(block: Block, unknowns: Unknowns | None = None, sigmas: float = SIGMA
 
 
 def screened_again(block: Block, sigmas: float) -> tuple[Screen, Motion | None]:
-    """The screening of a block whose ties are adjusted already, and the motion that brings it onto its control."""
+    """Screening of a block with adjusted ties, and the motion that aligns it with its control."""
     rays = Rays.of(block)
     screening = _Screening(block, rays, sigmas, adjusted=True)
     return screening.screen, screening._control[1]
 
 
 def screened_of(block: Block, unknowns: Unknowns, sigmas: float | None) -> Screen:
-    """The screening that an adjustment asks for; None for none."""
+    """Screening of an adjustment's input; none for `sigmas=None`."""
     return Screen.none(block) if sigmas is None else screen(block, unknowns, sigmas)
 
 
@@ -110,7 +111,7 @@ class _Screening:
     block: Block
     rays: Rays
     sigmas: float
-    adjusted: bool = False  # by ties, so that navigation has no part in how well control agrees
+    adjusted: bool = False  # by ties, so that navigation does not affect the control test
 
     @cached_property
     def screen(self) -> Screen:
@@ -121,7 +122,7 @@ class _Screening:
         kept = Kept(kept.rows & ~self._flags(single), kept.control)
         aside = tuple(sorted((*rows, *control, *single), key=lambda one: -one.sigmas))
         whole = kept.whole(self.block)
-        if not whole.leaves_every_image(self.block):  # what cannot be done without is kept, whatever it is
+        if not whole.leaves_every_image(self.block):  # keep measurements that the block needs
             return Screen(Kept.all(self.block), (), doubtful)
         return Screen(whole, aside, doubtful)
 
@@ -132,7 +133,7 @@ class _Screening:
 
     @cached_property
     def limit(self) -> float:
-        """Standard deviations, from which a measurement is set aside."""
+        """Standard deviations above which a measurement is set aside."""
         residual = self.rays.residual[self.rays.used]
         times = TIMES if self.rays.spread <= POOR else POOR_TIMES
         return max(self.sigmas, times * float(np.quantile(residual, 0.9)))
@@ -145,7 +146,7 @@ class _Screening:
         well = rays.used & (rays.checked > LEAST_CHECKED)
         count = np.bincount(rays.image, weights=well, minlength=len(images))
         doubtful = np.bincount(rays.image, weights=wrong & well, minlength=len(images)) > MOST * np.maximum(count, 1.0)
-        if rays.spread > SETTLED:  # of orientations as poor as that, one ray of an image that is checked says nothing
+        if rays.spread > SETTLED:  # with such poor orientations, a single checked ray per image proves nothing
             doubtful |= count < 3.0
         wrong &= ~(doubtful[rays.image] & rays.used)
         found = []
@@ -162,7 +163,7 @@ class _Screening:
 
     @cached_property
     def _control(self) -> tuple[list[Screened], Motion | None]:
-        """Control points that do not agree with the consensus of the others, and the motion of that."""
+        """Control points that disagree with the consensus of the others, and its motion."""
         rays, control = self.rays, control_of(self.block)
         good = rays.used & ~self._flags(self._image_points[0])
         count = np.bincount(rays.point, weights=good, minlength=len(rays.names))
@@ -182,7 +183,7 @@ class _Screening:
         wrong = off > limit
         if np.sum(wrong) <= MOST * len(rows):
             self._check_place(motion, at, control.name[rows])
-        elif self.block.navigation is None or motion.parameters:  # none of the two is to be believed
+        elif self.block.navigation is None or motion.parameters:  # neither is reliable
             return [], None
         found = []
         moved = motion(rays.place[at])
@@ -197,7 +198,7 @@ class _Screening:
         return found, motion
 
     def _single_rays(self, kept: Kept, motion: Motion | None) -> list[Screened]:
-        """Control points that one image sees, and not where they are."""
+        """Control points with a single ray that misses them."""
         rays, control = self.rays, control_of(self.block)
         count = np.bincount(rays.point, weights=kept.rows & rays.used, minlength=len(rays.names))
         index = {name: i for i, name in enumerate(control.name[kept.control].tolist())}
@@ -220,7 +221,7 @@ class _Screening:
         return found
 
     def _of_start(self, at: np.ndarray) -> np.ndarray:
-        """Covariance (m, 3, 3) of points by what the navigation leaves open, m2."""
+        """Covariance (m, 3, 3) of points from the navigation uncertainty, m2."""
         nav = self.block.navigation
         if nav is None or self.adjusted:
             return np.zeros((len(at), 3, 3))
@@ -229,7 +230,7 @@ class _Screening:
         return np.broadcast_to((position + attitude * ranges**2) * np.eye(3), (len(at), 3, 3))
 
     def _check_place(self, motion: Motion, at: np.ndarray, names: np.ndarray) -> None:
-        """Refuse control that lies elsewhere as a whole."""
+        """Refuse control that is displaced as a whole."""
         rays = self.rays
         size = np.linalg.norm(np.ptp(rays.centre, axis=0))
         size += np.median(np.linalg.norm(rays.place[rays.point] - rays.centre[rays.image], axis=1))
@@ -245,7 +246,7 @@ class _Screening:
 
 
 def _check_lens(block: Block, rays: Rays) -> None:
-    """Refuse images of most of whose pixels the camera has no ray: the lens, or the camera, is another one."""
+    """Refuse images with no camera ray for most of their pixels: wrong lens or wrong camera."""
     lost = np.bincount(rays.image, weights=~rays.used, minlength=len(block.images))
     share = lost / np.bincount(rays.image, minlength=len(block.images))
     if not np.any(share > MOST):
@@ -259,7 +260,7 @@ def _check_lens(block: Block, rays: Rays) -> None:
 
 
 def _covariance(control, rows: np.ndarray) -> np.ndarray:
-    """Covariances (m, 3, 3) of some control points, m2; infinite on the diagonal where a coordinate is not known."""
+    """Covariances (m, 3, 3) of some control points, m2; infinite on the diagonal for unknown coordinates."""
     if control.covariance is not None:
         return control.covariance[rows]
     sigma = control.sigma[rows]
@@ -267,13 +268,13 @@ def _covariance(control, rows: np.ndarray) -> np.ndarray:
 
 
 def _variance(information: np.ndarray) -> float:
-    """The median variance, along an axis, of what information (n, 3, 3) leaves; zero where there is none at all."""
+    """Median variance per axis from information (n, 3, 3); zero if there is none."""
     squared = np.einsum("nki,nki->ni", information, information)
     return float(1.0 / np.median(squared)) if np.median(squared) > 0.0 else 0.0
 
 
 def _metres(shift: np.ndarray) -> str:
-    """A shift in words."""
+    """A shift as text."""
     length = float(np.linalg.norm(shift))
     parts = ", ".join(f"{x:+.{0 if length > 100.0 else 1}f}" for x in shift)
     return f"{length:.{0 if length > 100.0 else 1}f} m ({parts})"

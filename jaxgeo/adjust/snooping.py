@@ -1,4 +1,4 @@
-"""Data snooping (Baarda 1968) from a robust start: blunders taken out one after the other, and good ones taken back."""
+"""Data snooping (Baarda 1968) from a robust start, with restoration of measurements that pass."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from jaxgeo.adjust.tie_start import start_by_ties
 from jaxgeo.adjust.unknowns import Unknowns
 from jaxgeo.adjust.values import Values
 
-CLEAR = 2.0  # times the limit, that a residual of the robust solution must be to be set aside at once
-NEARLY = 0.5  # of the worst: others that are as bad, elsewhere in the block, are taken out with it
+CLEAR = 2.0  # times the limit: residual of the robust solution above which a measurement is set aside
+NEARLY = 0.5  # of the worst: similarly bad measurements elsewhere in the block are removed with it
 
 
 def without_blunders(
@@ -44,16 +44,16 @@ def without_blunders(
     terrain: HeightObservations | None = None,
     solver: Solver | None = None,
 ) -> tuple[Adjustment, list[Blunder]]:
-    """(adjustment, blunders): image points and control points that do not fit are taken out, and the rest adjusted.
+    """(adjustment, blunders): remove image points and control points that do not fit, and adjust the rest.
 
-    The block is screened as by `adjust`, and adjusted with a redescending loss (Cauchy); what stands out then is set
-    aside. From there, by least squares, the worst measurement is taken out and the block adjusted again until no test
-    at `alpha` fails, and what was set aside but passes it is taken back. The adjustment is that of what is left.
+    The block is screened as by `adjust`, then adjusted with a redescending loss (Cauchy), and outliers are set aside.
+    From there, by least squares, the worst measurement is removed and the block adjusted again until no test at `alpha`
+    fails; removed measurements that pass are restored. The adjustment is that of the rest.
 
-    `alpha` is that of each test: of n good measurements some alpha n are named; alpha / n names any at all in a good
-    block with probability `alpha` at most. A point that is left with one ray goes altogether. After `most` a
-    `RuntimeWarning` says if more are left. `told` hears of each blunder; the other options are those of `adjust`.
-    Raises as `adjust`.
+    `alpha` applies to each test: of n good measurements about alpha n are rejected; with alpha / n, any at all in a
+    good block with probability `alpha` at most. A point that is left with one ray is removed completely. At most `most`
+    measurements are removed; a `RuntimeWarning` reports whether more are left. `told` is called with each blunder; the
+    other options are those of `adjust`. Raises as `adjust`.
     """
     snooping = _Snooping.of(block, Unknowns() if unknowns is None else unknowns, terrain, screen, told)
     snooping.loss = LeastSquares() if loss is None else loss
@@ -72,8 +72,8 @@ def without_blunders(
 
 @dataclass
 class _Snooping:
-    """What is kept of a block while blunders are taken out. `found` by (kind, row): the blunder, or None where it was
-    set aside and has not been tested yet; `back` what was taken back once, which is not done twice."""
+    """State of the snooping. `found` by (kind, row): the blunder, or None if set aside and not tested yet; `back`:
+    measurements already restored once, which happens only once."""
 
     block: Block
     unknowns: Unknowns
@@ -108,7 +108,7 @@ class _Snooping:
         return [blunder for blunder in self.found.values() if blunder is not None]
 
     def start_robustly(self) -> None:
-        """Least squares of what was kept, then Cauchy's loss from there; what stands out is set aside."""
+        """Least squares, then Cauchy's loss from there; outliers are set aside."""
         problem = masked(self.block, self.full, self.kept).problem
         first = solve(problem, LeastSquares(), self.solver, start=self.values).values
         finite = bool(np.all(np.isfinite(np.asarray(first.centre))) and np.all(np.isfinite(np.asarray(first.points))))
@@ -126,12 +126,12 @@ class _Snooping:
         clear = sorted((one for one in both if one[0] > CLEAR * self.limit), reverse=True)
         for _, kind, row in clear[: max(self.most - len(self.found), 0)]:
             less = self.less([(kind, row)])
-            if np.sum(self.kept.rows) - np.sum(less.rows) <= (kind == IMAGE_POINT):  # or its point would go
+            if np.sum(self.kept.rows) - np.sum(less.rows) <= (kind == IMAGE_POINT):  # or its point would be lost
                 self.kept = less
                 self.found[kind, row] = None
 
     def finished(self) -> Adjustment:
-        """The adjustment of what is left when there is nothing to take out or back any more."""
+        """The final adjustment, when nothing is left to remove or restore."""
         while True:
             adjustment = self.adjusted()
             if adjustment is None:
@@ -148,7 +148,8 @@ class _Snooping:
             self.take_out(worst)
 
     def adjusted(self) -> Adjustment | None:
-        """What is kept, adjusted; None where points went behind a camera, whose measurements are set aside then."""
+        """Adjustment of the kept measurements; None if points went behind a camera, whose measurements are then set
+        aside."""
         ready, block = masked(self.block, self.full, self.kept), block_of(self.block, self.kept)
         solution = solve(ready.problem, self.loss, self.solver, start=self.values)
         aside = tuple(one for one in self.screened.aside if (one.kind, one.row) in self.found)
@@ -168,26 +169,26 @@ class _Snooping:
         return found
 
     def less(self, out: list[tuple[str, int]]) -> Kept:
-        """What is kept without some."""
+        """The kept measurements without those in `out`."""
         rows, control = self.kept.rows.copy(), self.kept.control.copy()
         for kind, row in out:
             (rows if kind == IMAGE_POINT else control)[row] = False
         return Kept(rows, control).whole(self.block)
 
     def tests(self, adjustment: Adjustment) -> tuple[Hypotheses, Hypotheses]:
-        """Of all measurements of the block, kept or not."""
+        """Tests of all measurements of the block, kept or not."""
         points = of_image_points(adjustment, self.full, self.kept.rows)
         control = of_control(adjustment, control_of(self.block), self.full, self.kept)
         there = np.isin(self.block.observations.point, adjustment.prepared.names.point)
         return replace(points, statistic=np.where(there, points.statistic, 0.0)), control
 
     def suspects(self, adjustment: Adjustment, tests: tuple[Hypotheses, Hypotheses] | None = None) -> list[Blunder]:
-        """Measurements that are kept and fail their test, the worst first."""
+        """Kept measurements that fail their test, the worst first."""
         points, control = self.tests(adjustment) if tests is None else tests
         points = replace(points, statistic=np.where(self.kept.rows, points.statistic, 0.0))
         control = replace(control, statistic=np.where(self.kept.control, control.statistic, 0.0))
         found = named(self.block, points, control, self.limit)
-        # An image loses one measurement at most with any of them, as each point is in it once.
+        # # Each blunder costs an image at most one measurement, as each point occurs in it once.
         if np.min(self.kept.of_images(self.block)) > 1:
             return found
         return [blunder for blunder in found if self.can_go(blunder)]
@@ -197,7 +198,7 @@ class _Snooping:
         return self.less([(blunder.kind, blunder.row)]).leaves_every_image(self.block)
 
     def fitting(self, points: Hypotheses, control: Hypotheses) -> list[tuple[str, int]]:
-        """What was set aside, but passes its test."""
+        """Measurements set aside that pass their test."""
         fits = []
         for key in self.found:
             test = points if key[0] == IMAGE_POINT else control
@@ -206,7 +207,7 @@ class _Snooping:
         return fits
 
     def fitting_points(self, adjustment: Adjustment) -> list[tuple[str, int]]:
-        """Points that went altogether before the block was adjusted, but whose rays meet."""
+        """Points removed completely before the adjustment whose rays intersect."""
         seen = self.block.observations
         lost = {key for key, blunder in self.found.items() if key[0] == IMAGE_POINT and blunder is None} - self.back
         names = {str(seen.point[row]) for _, row in lost} - set(adjustment.prepared.names.point.tolist())
@@ -221,7 +222,7 @@ class _Snooping:
         for kind, row in keys:
             (rows if kind == IMAGE_POINT else control)[row] = True
             self.found.pop((kind, row), None)
-        # Those that went with their point come back with it, unless they are blunders themselves.
+        # # Measurements removed with their point are restored with it, unless they are blunders themselves.
         seen = self.block.observations
         again = np.isin(seen.point, seen.point[[row for kind, row in keys if kind == IMAGE_POINT]])
         again[[row for kind, row in self.found if kind == IMAGE_POINT]] = False
@@ -229,7 +230,7 @@ class _Snooping:
         self.kept = Kept(rows | again, control).whole(self.block)
 
     def describe(self, points: Hypotheses, control: Hypotheses) -> None:
-        """Make blunders of what was set aside before the block was adjusted, by their tests now."""
+        """Convert measurements set aside before the adjustment to blunders, with current test results."""
         waiting = [key for key, blunder in self.found.items() if blunder is None]
         if not waiting:
             return
@@ -239,13 +240,13 @@ class _Snooping:
         screened = {(one.kind, one.row): one.sigmas for one in self.screened.aside}
         seen = self.block.observations
         for key in waiting:
-            if key not in self.found:  # told as the other ray of a point
+            if key not in self.found:  # reported as the other ray of a point
                 continue
             kind, row = key
             point = str(seen.point[row] if kind == IMAGE_POINT else control_of(self.block).name[row])
             image = str(seen.image[row]) if kind == IMAGE_POINT else ""
             blunder = tested.get(key)
-            if blunder is None:  # nothing is left of its point
+            if blunder is None:  # its point has no measurements left
                 others = [(k, r) for k, r in waiting if k == IMAGE_POINT and r != row and seen.point[r] == point]
                 instead = tuple(str(seen.image[r]) for _, r in others)
                 size, none = screened.get(key, np.inf), (np.nan,) * (2 if kind == IMAGE_POINT else 3)
@@ -260,14 +261,14 @@ class _Snooping:
             self.record((blunder.kind, blunder.row), blunder)
 
     def record(self, key: tuple[str, int], blunder: Blunder) -> None:
-        self.found.pop(key, None)  # in the order in which they are found
+        self.found.pop(key, None)  # in the order of detection
         self.found[key] = blunder
         if self.told is not None:
             self.told(blunder)
 
 
 def _worst(found: list[Blunder]) -> list[Blunder]:
-    """The worst of all, and those of other images and points that are nearly as bad: they do not make each other."""
+    """The worst, and similarly bad ones in other images and of other points, which cannot be caused by it."""
     chosen: list[Blunder] = []
     for blunder in found:
         apart = all(blunder.point != other.point and blunder.image != other.image for other in chosen)

@@ -1,7 +1,7 @@
-"""Levenberg and Marquardt's method on the reduced normal equations, with a log of its iterations.
+"""Levenberg-Marquardt iteration on the reduced normal equations, with a log.
 
-A loop of its own: general solvers take the Jacobian as one operator, and so know nothing of points that see few images
-and can be eliminated one by one, which is what makes an adjustment of many points possible.
+Not a general solver: those take the Jacobian as one operator and cannot eliminate the points, each of which is in few
+images. This elimination makes adjustments with many points feasible.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ LEAST_DAMPING, MOST_DAMPING = 1e-16, 1e16
 
 @dataclass(frozen=True)
 class Iteration:
-    """One iteration: the cost after it, the decrease that its step promised and gave, the damping, and whether the step
-    was taken."""
+    """One iteration: the cost after it, the predicted and actual decrease, the damping, and whether the step was
+    accepted."""
 
     number: int
     cost: float
@@ -56,12 +56,12 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Solver:
-    """When to stop, and how careful to begin.
+    """Convergence limits and initial damping.
 
-    It stops where a step promises to lessen the cost by less than `relative` of it or than `absolute`: half the squared
-    length of the step in standard deviations, so that 1e-8 leaves nothing further off than 1.4e-4 of them. Left out,
-    `relative` is 0 for least squares, and 1e-8 with a robust loss, whose weights settle slowly. `damping` is the share
-    by which the diagonal is first enlarged; `most` iterations are made.
+    Iteration stops if the predicted decrease of the cost is below `relative` times the cost or below `absolute`: half
+    the squared length of the step in standard deviations, so that 1e-8 corresponds to 1.4e-4 standard deviations. The
+    default of `relative` is 0 for least squares, and 1e-8 for a robust loss, whose weights converge slowly. `damping`
+    is the initial relative increase of the diagonal; `most` is the maximum number of iterations.
     """
 
     relative: float | None = None
@@ -71,7 +71,7 @@ class Solver:
 
 
 class Solution(NamedTuple):
-    """Where the iterations came to: values and the normal equations there, the log, and whether it has converged."""
+    """Final values with their normal equations, the log, and whether the iterations converged."""
 
     values: Values
     equations: Equations
@@ -87,8 +87,7 @@ def solve(
     told: Callable[[Iteration], Any] | None = None,
     start: Values | None = None,
 ) -> Solution:
-    """The values of least cost near where the problem starts, or near another `start`; `told` hears of every
-    iteration."""
+    """Values of least cost near the problem's start, or near another `start`; `told` is called with every iteration."""
     loss, solver = LeastSquares() if loss is None else loss, Solver() if solver is None else solver
     relative = solver.relative
     if relative is None:
@@ -104,7 +103,7 @@ def solve(
         new_cost, promised = float(new_cost), float(promised)
         decrease = cost - new_cost
         least = max(relative * cost, solver.absolute)
-        # Where rounding is larger than what is left to gain, the decrease is a matter of chance.
+        # # The sign of the decrease is random once rounding exceeds the possible gain.
         accepted = promised > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and promised <= 1e-10 * cost))
         gain = decrease / promised if promised > 0.0 else 0.0
         log.append(Iteration(len(log), new_cost if accepted else cost, promised, decrease, damping, accepted))
@@ -125,7 +124,7 @@ def solve(
 def _trial(
     problem: Problem, values: Values, equations: Equations, loss: AbstractLoss, damping: Scalar, weak: bool
 ) -> tuple[Values, Scalar, Scalar]:
-    """(values after a damped step, their cost, the decrease that the step promises)."""
+    """(values after a damped step, their cost, the predicted decrease)."""
     points = eliminated(problem, equations, damping)
     system = reduced(problem, equations, gather(problem, points), damping)
     if weak:
@@ -153,7 +152,7 @@ def _stepped(
 def promised_by(
     problem: Problem, equations: Equations, images: Any, shared: Any, points: Any, damping: Scalar
 ) -> Scalar:
-    """Decrease of the quadratic model by a damped step: half of (damping * D step - gradient) . step."""
+    """Predicted decrease by a damped step in the quadratic model: half of (damping * D step - gradient) . step."""
     of_images, of_shared = (jnp.diagonal(x, axis1=-2, axis2=-1) for x in (equations.images, equations.shared))
     of_points = jnp.einsum("ijr,jr->ir", scales_of_points(problem, equations), points)
     pairs = (
@@ -174,8 +173,8 @@ def _stepped_apart(
     loss: AbstractLoss,
     damping: Scalar,
 ) -> tuple[Values, Scalar, Scalar]:
-    """A step where the whole is weakly held: y of all, with the whole held at some images, and motions t of the whole,
-    damped by the weight that each has itself, and made as finite motions, in which pixels do not change."""
+    """A step with a weakly constrained datum: y of all unknowns, with the block fixed at some images, and motions t
+    of the whole, damped by their own weights and applied as finite motions, which leave pixels unchanged."""
     points, system = ready
     factor = factored(with_holds(problem, system.matrix, motions, False))
     images, shared = solved(problem, factor, -system.images, -system.shared)

@@ -1,4 +1,4 @@
-"""What an adjustment found, in words and numbers for the screen."""
+"""Text summary of an adjustment."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MINUTES = 60.0  # of arc in a degree
 
 
 def summary(adjustment: Adjustment) -> str:
-    """Counts, sigma0, residuals, how sure orientations and points are, and every parameter with its sigma.
+    """Counts, sigma0, residuals, accuracy of orientations and points, and every parameter with its sigma.
 
     Standard deviations are of unit weight; angles of orientations in deg, of the boresight in minutes of arc.
     """
@@ -46,7 +46,7 @@ def _row(parameter: Parameter) -> str:
 
 
 def _decimals(sigma: float) -> int:
-    """Decimals that show a value to a hundredth of its standard deviation."""
+    """Decimals that resolve a hundredth of the standard deviation."""
     return int(np.clip(2 - np.floor(np.log10(sigma)), 0, 12)) if sigma > 0.0 else 6
 
 

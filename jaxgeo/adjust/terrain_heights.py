@@ -1,4 +1,4 @@
-"""Heights of a terrain model as observations of the points of a block."""
+"""Terrain model heights as observations of the points of a block."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from jaxgeo.terrain import Dem
 
 
 class TerrainHeights(Record):
-    """The points of a block lie on a terrain model, to a standard deviation of its height.
+    """Terrain height observations: points lie on a terrain model within a standard deviation of its height.
 
-    `information` (rows,) is 1 / sigma in 1/m, zero for points that are not tied to it. The residual is the height of
-    the point above the surface under it, so that the slope of the ground has its part.
+    `information` (rows,) is 1 / sigma in 1/m, zero for points without this observation. The residual is the height of
+    the point above the surface below it, and includes the effect of slope.
     """
 
     dem: Dem
@@ -26,17 +26,17 @@ class TerrainHeights(Record):
     information: Float[Array, " rows"]
 
     def above(self, place: Vector3) -> Scalar:
-        """Height in m of a place in the frame above the surface under it; NaN over unknown ground."""
+        """Height in m of a position in the frame above the surface below it; NaN over unknown ground."""
         position = WGS84.to_geodetic(self.frame.to_ecef(place))
         return position.height - self.dem.height_at(position)
 
     def residuals(self, points: Float[Array, "rows 3"]) -> Float[Array, " rows"]:
-        """Weighted heights above the surface; zero for points that are not tied to it."""
+        """Weighted heights above the surface; zero for points without this observation."""
         tied = self.information > 0.0
         return jnp.where(tied, jax.vmap(self.above)(points), 0.0) * self.information
 
     def linearised(self, points: Float[Array, "rows 3"]) -> tuple[Float[Array, " rows"], Float[Array, "rows 3"]]:
-        """The same, and its derivatives by the places."""
+        """The residuals and their derivatives by the positions."""
         tied = self.information > 0.0
         value, slope = jax.vmap(jax.value_and_grad(self.above))(points)
         weight = self.information
@@ -44,7 +44,7 @@ class TerrainHeights(Record):
 
 
 class HeightObservations(Record):
-    """That points lie on a terrain model to `sigma` m of its height: those of `names`, or all that are no control."""
+    """Terrain height observations with `sigma` m: of the points in `names`, or of all that are not control."""
 
     dem: Dem
     sigma: float

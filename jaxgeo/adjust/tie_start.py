@@ -1,4 +1,4 @@
-"""Orientations by ties alone, where starts are poor: control is screened against these, and the block starts there."""
+"""Start orientations from tie points only, for poor initial orientations and for the screening of control."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxgeo.adjust.values import Values, with_interior
 
 
 class TieStart(NamedTuple):
-    """A screening by better orientations, and where to start from; None where the block's own start is as good."""
+    """A screening with better orientations, and the start values; None if the block's own start is as good."""
 
     screen: Screen
     values: Values | None
@@ -34,9 +34,9 @@ def start_by_ties(
     losses: tuple[AbstractLoss, ...] = (LeastSquares(),),
     solver: Solver | None = None,
 ) -> TieStart:
-    """Adjust a block without its control, with losses one after the other, and screen it again from there.
+    """Adjust a block without its control, with the losses in sequence, and repeat the screening from there.
 
-    A block that nothing else holds is brought onto the control by the similarity on which most of it agrees.
+    A block without another datum is aligned with the control by a consensus similarity.
     """
     kept = Kept(screened.kept.rows, np.zeros(len(control_of(block)), bool)).whole(block)
     if not kept.leaves_every_image(block):
@@ -55,7 +55,7 @@ def start_by_ties(
 
 
 def screened_from(block: Block, full: Prepared, values: Values, sigmas: float) -> tuple[Screen, Motion | None]:
-    """The screening of a block from orientations and interiors that were adjusted, and the motion onto its control."""
+    """Screening of a block with adjusted orientations and interiors, and the motion that aligns it with its control."""
     centre, R = np.asarray(values.centre), np.asarray(values.R_frame_from_camera)
     images = Images(block.images.name, block.images.camera, centre, _nearest_rotations(R))
     lenses = zip(full.names.camera, values.lens, strict=True)
@@ -64,7 +64,7 @@ def screened_from(block: Block, full: Prepared, values: Values, sigmas: float) -
 
 
 def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, sigmas: float) -> Screen:
-    """The screening less what agrees with the others once these are adjusted: the start was poor there, not they."""
+    """The screening without measurements that agree once the others are adjusted."""
     again = screened_from(block, full, values, sigmas)[0].kept
     kept = Kept(screened.kept.rows | again.rows, screened.kept.control | again.control).whole(block)
     flags = {IMAGE_POINT: kept.rows, CONTROL_POINT: kept.control}
@@ -72,7 +72,7 @@ def taken_back(block: Block, full: Prepared, values: Values, screened: Screen, s
 
 
 def _moved(values: Values, motion: Motion) -> Values:
-    """The whole moved onto the control."""
+    """Values of the whole block moved onto the control."""
     centre, points = motion(np.asarray(values.centre)), motion(np.asarray(values.points))
     R = motion.R @ np.asarray(values.R_frame_from_camera)
     changed = (jnp.asarray(centre), jnp.asarray(R), jnp.asarray(points))
@@ -80,6 +80,6 @@ def _moved(values: Values, motion: Motion) -> Values:
 
 
 def _nearest_rotations(R: np.ndarray) -> np.ndarray:
-    """Products of many turns are rotations but for rounding."""
+    """Nearest rotations; products of many rotations accumulate rounding errors."""
     U, _, Vt = np.linalg.svd(R)
     return U @ Vt

@@ -1,4 +1,4 @@
-"""What is unknown in an adjustment, what is known beforehand, and how well."""
+"""Unknowns of an adjustment and their priors."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Free:
-    """Unknown, and nothing is known of it beforehand."""
+    """Unknown without a prior."""
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """Known: it keeps its value."""
+    """Known: the value is kept."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Unknown, but known beforehand to `sigma`: a standard deviation, or one for each of the numbers meant.
+    """Unknown with a prior `sigma`: one standard deviation, or one per component.
 
     Raises `ValueError` for one that is not positive and finite.
     """
@@ -43,17 +43,17 @@ Choices: TypeAlias = Choice | Mapping[str, Choice]  # one for all, or by name; t
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What an adjustment finds; everything but orientations and points is known unless said otherwise.
+    """Unknowns of an adjustment; all except orientations and points are fixed by default.
 
     Each is `Free()`, `Fixed()` or `Prior(sigma)`, or a mapping from the names of cameras, mounts or strips to these.
 
-    - `images`: exterior orientations; a mapping goes by the images' names, and those that it leaves out are free.
-      `Fixed()` for all is the intersection of rays alone. A prior is what the block's navigation is for.
+    - `images`: exterior orientations; a mapping by image names, with free orientations for names left out. `Fixed()`
+      for all gives a pure ray intersection. Use the block's navigation for priors.
     - `focal` (px), `aspect` (rows over columns, 1) and `principal` (px, column and row) of each camera, `distortion`:
       coefficients of its lens; a choice for all, or a mapping from their names.
     - `boresight` (rad, about the axes of the body, or of the head for a gimbal that reports in local level) and `lever`
       (m, IMU to gimbal, body axes) of each mount.
-    - `shift` (m) and `drift` (m/s) of the navigation's positions in each strip, east, north and up of the frame.
+    - `shift` (m) and `drift` (m/s) of the navigation positions in each strip, east, north and up of the frame.
     """
 
     images: Choices = field(default_factory=Free)
@@ -68,9 +68,9 @@ class Unknowns:
 
 
 def spread(choices: Choices, names: Sequence[str], size: int, what: str, others: Choice | None = None) -> np.ndarray:
-    """Standard deviations (names, size) of what is known beforehand: 0 where fixed, infinite where free.
+    """Prior standard deviations (names, size): 0 if fixed, infinite if free.
 
-    Raises `ValueError` for a name that there is not, and a prior of another size; `TypeError` for no choice at all.
+    Raises `ValueError` for an unknown name and a prior of another size; `TypeError` for an invalid choice.
     """
     if not isinstance(choices, Mapping):
         choices = dict.fromkeys(names, choices)

@@ -1,4 +1,4 @@
-"""What an adjustment finds: orientations, points, lenses, mounts, drifts; and how a step changes them."""
+"""Values of the unknowns of an adjustment, and their update by a step."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from jaxgeo._record import Record
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import FrameCamera
 
-POSE = 6  # of an image: shift of its perspective centre in m (frame axes), turn in rad (camera axes)
-MOUNT = 6  # of a mount: turn of the boresight in rad, lever arm in m (body axes)
-STRIP = 6  # of a strip: shift in m and drift in m/s of its positions (frame axes)
+POSE = 6  # per image: shift of its perspective centre in m (frame axes), rotation in rad (camera axes)
+MOUNT = 6  # per mount: boresight rotation in rad, lever arm in m (body axes)
+STRIP = 6  # per strip: shift in m and drift in m/s of its positions (frame axes)
 INTERIOR = ("focal", "aspect", "principal column", "principal row")  # px, 1, px, px
 
 
 class Values(Record):
-    """Everything that may be unknown.
+    """Values of all potential unknowns.
 
     `centre` (n, 3) m and `R_frame_from_camera` (n, 3, 3) of the images; `points` (rows, 3) m in the order of the
-    layout; `lens` (cameras, all) interior orientation and coefficients; `boresight` (mounts, 3, 3) the turn so far;
-    `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s.
+    layout; `lens` (cameras, all) interior orientation and coefficients; `boresight` (mounts, 3, 3) the accumulated
+    rotation; `lever` (mounts, 3) m; `strip` (strips, 6) m and m/s.
     """
 
     centre: Float[Array, "n 3"]
@@ -38,7 +38,7 @@ class Values(Record):
 
 
 class Step(Record):
-    """A change of all unknowns; of the lenses, the active columns only."""
+    """A change of all unknowns; for the lenses, only of the active columns."""
 
     pose: Float[Array, "n 6"]
     points: Float[Array, "rows 3"]
@@ -48,7 +48,7 @@ class Step(Record):
 
 
 def moved(values: Values, step: Step, active: tuple[int, ...]) -> Values:
-    """The values after a step; turns are multiplied on, each about its own axes."""
+    """The values after a step; rotations are composed, each about its own axes."""
     turn = jax.vmap(R_from_rotation_vector)
     lens = values.lens if not active else values.lens.at[:, jnp.array(active)].add(step.lens, unique_indices=True)
     return Values(
@@ -78,5 +78,5 @@ def with_interior(camera: FrameCamera, interior: Any) -> FrameCamera:
 
 
 def names_of_interior(camera: FrameCamera) -> tuple[str, ...]:
-    """What the entries of `interior_of` are called."""
+    """Names of the entries of `interior_of`."""
     return (*INTERIOR, *camera.distortion.names)

@@ -1,13 +1,13 @@
-"""Motions of the whole that are weakly held, taken apart from the rest of the normal equations.
+"""Weakly constrained datum: motions of the whole block separated from the other normal equations.
 
-Image points are as well explained wherever the whole block lies, so what holds it may weigh 1e12 times less than they
-do, and would be lost in the rounding of one sum. With the motions G, which image points do not notice, N G = K has the
-other observations' share alone, and is had without that loss. Held at some images by H with H' G = 1, the normal
-equations M = N + H H' are as well conditioned as those of a free network, and
+Image points fit equally well wherever the whole block lies. The observations that fix the datum may weigh 1e12 times
+less and would be lost in the rounding of a sum. With the motions G, which leave image points unchanged, N G = K depends
+on the other observations only and is computed without that loss. With the block fixed at some images by H with H' G =
+1, the normal equations M = N + H H' are as well conditioned as those of a free network, and
 
     N^-1 = M^-1 + (G - F) S^-1 (G - F)',    F = M^-1 K,    S = G' K - K' F,
 
-in which S is the weight that is left to the motions themselves.
+where S is the marginal weight of the motions.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from jaxgeo.adjust.reduction import Eliminated, along_points, backward_rows, con
 from jaxgeo.adjust.values import Values
 from jaxgeo.rotations import R_from_rotation_vector
 
-WEAK = 1e-5  # of the weight that image points have in a motion's parts: motions held less are taken apart
-SEEN = 1e-8  # of the weight of a motion that images of the middle slab must keep when others are taken from it
+WEAK = 1e-5  # relative to the weight of image points in a motion's components: weaker motions are separated
+SEEN = 1e-8  # share of a motion's weight at the middle slabs that must remain after orthogonalisation
 
 
 class Motions(Record):
-    """Motions G (7, n, c), (7, 3, rows) that are held, `combos` of `MOTIONS`, of unit weight at the images of the
+    """Constrained motions G (7, n, c), (7, 3, rows), `combos` of `MOTIONS`, scaled to unit weight at the images of the
     middle slabs, and `holds` H there (7, k, m).
 
-    `K` N G of images, of what they share, and of points; `weight` G' K, `of_parts` what it would be of each number of
-    the images by itself, `gradient` G' b. Those that are not held, or not to be told apart there, are zero, and 0 in
-    `kept`; those of the datum, 1 in `free`, are zero in all but `holds`.
+    `K` is N G of images, shared parameters and points; `weight` is G' K, `of_parts` that of the image components alone
+    without correlations, `gradient` is G' b. Motions that are unconstrained or not separable there are zero, with 0 in
+    `kept`; those of the datum, with 1 in `free`, are zero in all but `holds`.
     """
 
     images: Float[Array, "7 n c"]
@@ -57,12 +57,12 @@ class Motions(Record):
 
     @property
     def own(self) -> Float[Array, "7"]:
-        """The weight of each, 1 for those not kept."""
+        """The weight of each motion, 1 for those not kept."""
         return jnp.diagonal(self.weight) + (1.0 - self.kept)
 
 
 class Apart(Record):
-    """What the motions add to the inverse of M: G - F (7, n, c), (7, s), (7, 3, rows), F, and S."""
+    """Contribution of the motions to the inverse of M: G - F (7, n, c), (7, s), (7, 3, rows), F, and S."""
 
     images: Float[Array, "7 n c"]
     shared: Float[Array, "7 s"]
@@ -72,8 +72,8 @@ class Apart(Record):
 
 
 class Weak(Record):
-    """The motions of a weakly held whole: U of images, of what they share and of points, where N^-1 = M^-1 + U' U, and
-    the system that it comes from. NaN where S is singular."""
+    """Motions of a weakly constrained datum: U of images, shared parameters and points, where N^-1 = M^-1 + U' U,
+    and the system they come from. NaN where S is singular."""
 
     images: Float[Array, "7 n c"]
     shared: Float[Array, "7 s"]
@@ -94,7 +94,7 @@ class Weak(Record):
 
 
 def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions | None:
-    """The motions of the whole, by the normal equations and the reduced ones, if little holds one; else nothing."""
+    """The motions of the whole if any is weakly constrained in the (reduced) normal equations, else None."""
     nothing = problem.observed is None and problem.terrain is None and not bool(jnp.any(problem.known_point != 0.0))
     if nothing:
         return None
@@ -104,7 +104,7 @@ def weakly_held(problem: Problem, values: Values, equations: Equations, matrix: 
 
 @eqx.filter_jit
 def motions_apart(problem: Problem, values: Values, equations: Equations, matrix: Tridiagonal) -> Motions:
-    """The motions that are held, by the scale of the reduced normal equations."""
+    """The constrained motions, scaled by the reduced normal equations."""
     observed = observing(problem, values, equations.control_root)
     whole = whole_of(problem, values, observed)
     combos = whole.combos * (whole.held + whole.free)[:, None]
@@ -135,7 +135,7 @@ def motions_apart(problem: Problem, values: Values, equations: Equations, matrix
 
 
 def are_weak(motions: Motions) -> bool:
-    """Whether some motion is held by little."""
+    """Whether any motion is weakly constrained."""
     return bool(_any_weak(motions))
 
 
@@ -145,19 +145,19 @@ def _any_weak(motions: Motions) -> Array:
 
 
 def _slabs(band: Band) -> tuple[int, int]:
-    """(first, number) of the slabs whose images hold the motions in M."""
+    """(first, number) of the slabs at which M fixes the motions."""
     return band.slabs // 2 - (band.slabs > 1), min(band.slabs, 2)
 
 
 def _orthonormal(rows: Float[Array, "7 k"], weight: Float[Array, " k"]) -> tuple[Array, Array]:
-    """(coefficients (7, 7), lower triangular, of combinations of rows that are orthonormal with weights; 1 for those
-    that exist)."""
+    """(lower triangular coefficients (7, 7) of combinations of the rows that are orthonormal with weights; 1 for
+    those that exist)."""
 
     def one_more(i: Array, made: tuple[Array, Array]) -> tuple[Array, Array]:
         found, there = made
         own = jnp.eye(7)[i]
         before = jnp.sum(weight * rows[i] ** 2)
-        for _ in range(2):  # twice is enough
+        for _ in range(2):  # reorthogonalise once
             row = own @ rows
             own = own - (found @ rows @ (weight * row)) @ found
         row = own @ rows
@@ -170,7 +170,7 @@ def _orthonormal(rows: Float[Array, "7 k"], weight: Float[Array, " k"]) -> tuple
 
 
 def with_holds(problem: Problem, matrix: Tridiagonal, motions: Motions, datum: bool) -> Tridiagonal:
-    """M: the reduced normal equations with the motions held, those of the datum too if asked for."""
+    """M: the reduced normal equations with the motions fixed, those of the datum too if requested."""
     first, count = _slabs(problem.layout.band)
     H = motions.holds * (motions.kept + motions.free * datum)[:, None, None]
     own = jnp.einsum("dki,dkj->kij", H, H)
@@ -182,13 +182,13 @@ def with_holds(problem: Problem, matrix: Tridiagonal, motions: Motions, datum: b
 
 
 def at_holds(problem: Problem, images: Float[Array, "n c"]) -> Float[Array, "k m"]:
-    """The change of the images at which the motions are held."""
+    """The change of the images at which the motions are fixed."""
     first, count = _slabs(problem.layout.band)
     return problem.layout.band.to_slabs(images)[first : first + count]
 
 
 def apart(problem: Problem, points: Eliminated, factor: Factor, motions: Motions, damping: Any = 0.0) -> Apart:
-    """F and S, of M factored."""
+    """F and S from the factor of M."""
     K_images, K_shared, K_points = motions.K
     half = times_inverse(points.factor, K_points)
     from_images, from_shared = condensed(problem, points, half)
@@ -203,14 +203,14 @@ def apart(problem: Problem, points: Eliminated, factor: Factor, motions: Motions
 
 
 def share_left(weak: Weak) -> tuple[Array, Array]:
-    """(eigenvalues (7,) of S in units of the motions' own weights, the least first; eigenvectors in rows)."""
+    """(eigenvalues (7,) of S in units of the motions' own weights, in ascending order; eigenvectors in rows)."""
     scale = 1.0 / jnp.sqrt(weak.motions.own)
     strengths, vectors = jnp.linalg.eigh(weak.apart.S * scale[:, None] * scale[None, :])
     return strengths, vectors.T * scale[None, :]
 
 
 def moved_together(problem: Problem, values: Values, motions: Motions, size: Float[Array, "7"]) -> Values:
-    """The values after finite motions of the whole, in which no pixel changes; what is fixed stays."""
+    """The values after finite motions of the whole, which leave pixels unchanged; fixed parameters stay."""
     x = size @ motions.combos
     turn, scale = x[3:6] / motions.size, x[6] / motions.size
     generator = jnp.zeros((4, 4)).at[:3, 3].set(x[:3])
@@ -235,7 +235,7 @@ def _cross_matrix(v: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def _exponential(A: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """Of a matrix of moderate size: ten terms of the series of a 64th of it, squared six times."""
+    """Exponential of a matrix of moderate size: ten series terms of its 64th part, squared six times."""
     X = A / 64.0
     total = term = jnp.eye(4)
     for k in range(1, 11):

@@ -1,4 +1,4 @@
-"""The pose of an image from a map: rectification, matching with a reference, the update of the pose, and its errors."""
+"""Image registration to a reference map: rectification, block matching, orientation update, covariance."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.register.affine import AffineCheck

@@ -1,4 +1,4 @@
-"""The equations of an update about a look: residuals of ties, their weights, and what they tell of the unknowns."""
+"""Observation equations of the orientation update: tie residuals, weights and normal equations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Square = Float[Array, "unknowns unknowns"]
 
 
 class Problem(Record):
-    """The navigation's look with its errors, the ties with theirs, and what was known before."""
+    """Forward-model inputs and error model of the navigation, tie points and their errors, and the prior."""
 
     look: ModelInputs
     model: ErrorModel
@@ -54,9 +54,11 @@ class Problem(Record):
 
 
 class Equations(NamedTuple):
-    """Residuals of ties in px, their weights, and the normal equations in unknowns of one standard deviation each.
+    """Residuals of ties in px, their weights, and the normal equations; each unknown is scaled to unit standard
+    deviation.
 
-    `seen` says what keeps a tie from being imaged; `cells` are those of the terrain that the ties lie in.
+    `seen` is the status of the first tie without an image, else `hit`; `cells` are the terrain cells that contain the
+    ties.
     """
 
     residuals: Pixels
@@ -70,7 +72,7 @@ class Equations(NamedTuple):
 
 
 def on_surface(terrain: AbstractTerrain, p_ecef: Vector3, cell: Int[Array, "2"] | None = None) -> Vector3:
-    """The point of the terrain, or of the surface of one cell, below or above a point in ECEF m."""
+    """The point of the terrain, or of one cell's surface, on the vertical of a point in ECEF, m."""
     cell = _cell(terrain, p_ecef) if cell is None else cell
     normal, _ = WGS84.normal_and_height(p_ecef)
     return p_ecef - terrain.clearance(p_ecef, cell) * normal
@@ -79,7 +81,8 @@ def on_surface(terrain: AbstractTerrain, p_ecef: Vector3, cell: Int[Array, "2"] 
 def equations_about(
     problem: Problem, factor: Square, exposure: Exposure, place: Unknowns, settled: Flag, cells: Cells | None = None
 ) -> Equations:
-    """Residuals and normal equations about a look, with ties on the surfaces of these cells or of those they lie in."""
+    """Residuals and normal equations at a linearisation point, with ties on `cells` or on the cells that contain
+    them."""
     ties, count = problem.ties, problem.model.size
     unknowns = jnp.asarray(problem.prior.mean) + factor @ place
     about = dataclasses.replace(problem.look, exposure=exposure)
@@ -115,7 +118,7 @@ def equations_about(
 
 
 def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
-    """The terrain's cells that the ties lie in."""
+    """Terrain cells that contain the ties."""
     shift = jnp.asarray(problem.prior.mean)[-2:] + (factor @ place)[-2:]
     places, _ = _places(problem, shift)
     return jax.vmap(lambda p: _cell(problem.look.terrain, p))(places)
@@ -124,10 +127,10 @@ def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
 def _images(
     problem: Problem, look: ModelInputs, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
 ) -> tuple[Pixels, Any]:
-    """Pixels of the ties; and these, their statuses and places, from a look changed by three things one after another.
+    """Pixels of the ties, and the tuple (pixels, statuses, places), after three consecutive changes.
 
-    By errors, by the places along the surface (east, north), and by the points themselves (east, north, up), m: one
-    function, that is compiled once.
+    `change` stacks the error vector, shifts along the surface (east, north) and shifts of the points (east, north, up),
+    m. One function, so that it is compiled once.
     """
     error, along, enu = jnp.split(change, [problem.model.size, problem.model.size + 2])
     moved = problem.model.moved(look, error).exposure
@@ -151,8 +154,8 @@ def _images(
 
 
 def _places(problem: Problem, shift: Float[Array, "2"]) -> tuple[Float[Array, "ties 3"], Float[Array, "ties 3 3"]]:
-    """Where the ties truly are, by the map less its shift, in ECEF, m: at about their height, or on planes that they
-    have; and their frames, ENU."""
+    """(true positions of the ties, map position less map shift, in ECEF, m, on the terrain or on their own planes;
+    their ENU frames)."""
     ties = problem.ties
 
     def place(lat: Scalar, lon: Scalar, height: Scalar, *rise: Float[Array, "2"]) -> tuple[Vector3, Matrix3]:

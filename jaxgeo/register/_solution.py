@@ -1,4 +1,4 @@
-"""Least squares of an update: ties and prior together, the steps taken into the look."""
+"""Iterative least squares of the orientation update, with the prior as observations."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.field import AbstractField
 
 MOST_STEPS = 60
-HELD = 8  # steps, after which ties stay on the surface of their cells: where its slope jumps there may be no end to it
-CLOSE_ENOUGH = 1e-5  # standard deviations of the unknowns, the last step; rounding makes some 1e-6 of ties to 1 mm
-ROUNDING = 1e-9  # of the squares, by which a step may make them more
+HELD = 8  # steps; then ties keep their terrain cell, as slope discontinuities can prevent convergence
+CLOSE_ENOUGH = 1e-5  # standard deviations of the unknowns: longest last step; rounding of ties to 1 mm gives about 1e-6
+ROUNDING = 1e-9  # relative increase of the sum of squares that a step may cause
 FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-7
 
 
 class State(NamedTuple):
-    """The look so far, where it lies from the prior's mean in standard deviations, and the step to try next."""
+    """Current estimate, its offset from the prior mean in standard deviations, and the next trial step."""
 
     exposure: Any
     place: Unknowns
@@ -42,7 +42,8 @@ class State(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What an update finds, of ties padded; `foretold` is how many standard deviations of theirs the prior leaves."""
+    """Result of an update with padded ties; `foretold` is the prior uncertainty of the ties in their standard
+    deviations."""
 
     exposure: Exposure
     terrain: AbstractTerrain | None
@@ -64,7 +65,7 @@ class Solution(NamedTuple):
 
 @eqx.filter_jit
 def solved(problem: Problem) -> Solution:
-    """The update of checked input."""
+    """Orientation update from validated input."""
     factor = problem.prior.factor()
     start = problem.model.moved(problem.look, jnp.asarray(problem.prior.mean)[:-2]).exposure
     dynamic, static = eqx.partition(start, eqx.is_array)
@@ -109,7 +110,7 @@ def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State
     damped = normal + damping * jnp.diag(jnp.diagonal(normal))
     step = -jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(damped), True), equations.gradient)
     is_short = taken & (step @ normal @ step <= CLOSE_ENOUGH**2)
-    step = jnp.where(is_short, 0.0, step)  # the first with another loss begins where the last ended
+    step = jnp.where(is_short, 0.0, step)  # with a new loss, the first step starts from the last solution
     stuck = ~jnp.all(jnp.isfinite(step))
     done = is_short & state.settled | stuck
     return State(dynamic, place, equations, step, damping, state.settled | is_short, done, state.count + 1)

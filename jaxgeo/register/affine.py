@@ -1,4 +1,4 @@
-"""Choice by one affine transformation on which the candidates of most blocks agree."""
+"""Candidate selection by one affine transformation that fits most blocks."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from jaxgeo.register.choice import AbstractChoice, Chosen, distances_to, nearest
 ROUNDS = 20
 FITTED = 3
 CHUNK = 256
-FLATTEST = 0.05  # of the square of the longest side: triangles with less than this area twice say too little
+FLATTEST = 0.05  # of the squared longest side: triangles with less than half of this area are ill-conditioned
 
 
 class AffineCheck(AbstractChoice):
-    """Of the best peaks of each block those that make one affine transformation agree.
+    """Selects the best-supported affine transformation and, for each block, the candidate that fits it.
 
     After Cannata, Shah, Blask and Van Workum (2000), "Autonomous video registration using sensor model parameter
-    adjustments". They do not say how it is found: here `samples` of three blocks and one peak of each are drawn (half
-    of them of the best peaks alone), always the same by `seed`; each gives a transformation, on which blocks agree that
-    have a peak within `tolerance` cells. The `refitted` best ones are fitted to all that agree until these stay the
-    same. Fewer than four blocks never agree, since any three do.
+    adjustments". They do not describe the search. Here `samples` random triples of blocks with one peak each are drawn
+    (half of them from the best peaks only; reproducible by `seed`). Each triple defines a transformation; a block
+    agrees if it has a peak within `tolerance` cells. The `refitted` best transformations are refitted to all agreeing
+    blocks until the set is stable. Fewer than four blocks never agree, since any three fit exactly.
     """
 
     tolerance: float = 2.0
@@ -33,7 +33,7 @@ class AffineCheck(AbstractChoice):
     seed: int = 0
 
     def choose(self, matches: Matches, jacobian: Any = None, cov_error: Any = None) -> Chosen:
-        """See `AbstractChoice`; jacobian and covariance are not looked at."""
+        """See `AbstractChoice`; jacobian and covariance are not used."""
         has_any = np.flatnonzero(matches.is_candidate.any(axis=1))
         if len(has_any) <= FITTED:
             return none_chosen(matches, self.samples, FITTED)
@@ -52,7 +52,7 @@ class AffineCheck(AbstractChoice):
         return Chosen(peak, np.full(len(design), math.pi * limit), self.samples, FITTED)
 
     def _drawn(self, matches: Matches, blocks: Int[np.ndarray, " b"]) -> tuple[np.ndarray, np.ndarray]:
-        """(triples (samples, 3) of blocks, one peak of each), flat triangles left out."""
+        """(triples (samples, 3) of blocks, one peak of each) without ill-conditioned triangles."""
         rng = np.random.default_rng(self.seed)
         triples = blocks[np.argsort(rng.random((self.samples, len(blocks))), axis=1)[:, :FITTED]]
         counts = np.sum(matches.is_candidate, axis=1)[triples]
@@ -68,7 +68,8 @@ class AffineCheck(AbstractChoice):
     def _settled(
         self, matches: Matches, design: Float[np.ndarray, "n 3"], transform: Float[np.ndarray, "3 2"]
     ) -> tuple[int, float, Any]:
-        """(how many blocks agree, less their squared distances, their peaks) when those that agree stay the same."""
+        """(number of agreeing blocks, negative sum of squared distances, their peaks) once the agreeing set is
+        stable."""
         limit, before = self.tolerance**2, None
         chosen, squared = nearest_within(distances_to(matches, design @ transform), limit)
         for _ in range(ROUNDS):
@@ -82,7 +83,7 @@ class AffineCheck(AbstractChoice):
 
 
 def _design(matches: Matches) -> Float[np.ndarray, "n 3"]:
-    """1, row, col of each block, scaled to one another."""
+    """Rows (1, row, col) of each block, row and col normalised."""
     centre = np.asarray(matches.centre)
     away = centre - np.mean(centre, axis=0)
     return np.concatenate([np.ones((len(away), 1)), away / max(float(np.max(np.abs(away))), 1.0)], axis=1)

@@ -1,4 +1,4 @@
-"""Blocks of a rectified image, and what became of each when it was matched with the reference."""
+"""Blocks of a rectified image and their matching outcomes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = 300  # cells: Gu and Qiao (2017), section 2.2
 
 
 class BlockOutcome(enum.IntEnum):
-    """What became of one block. Records hold it as an int8 array; `BlockOutcome(code).message` is the sentence."""
+    """Matching outcome of one block. Records hold it as an int8 array; `BlockOutcome(code).message` is the sentence."""
 
     matched = 0
     outside_image = 1
@@ -40,13 +40,13 @@ _MESSAGES = {
 
 
 class Matches(Record):
-    """Where blocks of a rectified image may lie in the reference: up to `peaks` candidates each, the best first.
+    """Match candidates of image blocks in the reference: up to `peaks` per block, the best first.
 
-    Places are (row, col) in cells of the grid that both images share. `centre` (n, 2) is the mean place of a block's
-    known cells; `shift` (n, peaks, 2) is reference minus rectified: what the rectified image shows at p, the reference
-    shows at p + shift. `score` (n, peaks) is the normalised correlation in [-1, 1] at the nearest whole shift,
-    `covariance` (n, peaks, 2, 2) that of the shift in cells2. `outcome` (n,) is an int8 `BlockOutcome`, `searched` (n,)
-    how many whole shifts were compared. Where there is no such candidate all its numbers are NaN.
+    Positions are (row, col) in cells of the grid that both images share. `centre` (n, 2) is the mean position of a
+    block's known cells. `shift` (n, peaks, 2) is reference minus rectified: the content at p in the rectified image is
+    at p + shift in the reference. `score` (n, peaks) is the normalised correlation in [-1, 1] at the nearest whole
+    shift, `covariance` (n, peaks, 2, 2) that of the shift in cells2. `outcome` (n,) is an int8 `BlockOutcome`,
+    `searched` (n,) the number of whole shifts compared. Missing candidates have NaN.
     """
 
     centre: Float[Any, "n 2"]
@@ -58,11 +58,11 @@ class Matches(Record):
 
     @property
     def is_candidate(self) -> Bool[np.ndarray, "n peaks"]:
-        """Which entries are candidates."""
+        """Flags of the entries that hold a candidate."""
         return np.isfinite(np.asarray(self.score))
 
     def only(self, kept: Bool[np.ndarray, "n peaks"]) -> Matches:
-        """The same with the candidates that are not kept replaced by NaN; blocks keep their outcomes."""
+        """A copy in which candidates that are not `kept` are NaN; blocks keep their outcomes."""
         return Matches(
             self.centre,
             np.where(kept[..., None], self.shift, np.nan),
@@ -74,25 +74,25 @@ class Matches(Record):
 
 
 def count_outcomes(codes: Any) -> dict[BlockOutcome, int]:
-    """How often each outcome occurs in an array of codes; only those that do."""
+    """Count of each outcome in an array of codes; outcomes that do not occur are left out."""
     values, counts = np.unique(np.asarray(codes), return_counts=True)
     return {BlockOutcome(int(value)): int(count) for value, count in zip(values, counts, strict=True)}
 
 
 def block_shape(shape: tuple[int, ...], size: int) -> tuple[int, int]:
-    """(rows, cols) of a block: `size`, or the image where that is smaller. Raises `ValueError` under 8 cells."""
+    """(rows, cols) of a block: `size`, or the image size where that is smaller. Raises `ValueError` under 8 cells."""
     if size < 8:
         raise ValueError(f"size must be 8 cells or more; got {size}. Gu and Qiao (2017) take {SIZE}.")
     return min(size, shape[0]), min(size, shape[1])
 
 
 def blocks_of(known: Any, size: int = SIZE, step: int | None = None) -> Float[np.ndarray, "n 2"]:
-    """Middles (n, 2), (row, col), of square blocks that cover an image, of which half of the cells or more are known.
+    """Centres (n, 2), (row, col), of square blocks that cover an image and have at least half of their cells known.
 
-    `known` (rows, cols) is where there is an image; `size` and `step` (by default the size) are in cells. Blocks lie at
-    even distances of about `step`, the outermost at the edges; where the image is smaller than a block they are
-    clipped. The middle of a block of even size lies between two cells. Raises `ValueError` for another shape, a size
-    under 8 cells and a step under 1.
+    `known` (rows, cols) flags valid cells; `size` and `step` (by default `size`) are in cells. Blocks are evenly spaced
+    by about `step`, the outermost at the edges; they are clipped where the image is smaller than a block. The centre of
+    a block of even size lies between two cells. Raises `ValueError` for another shape, a size under 8 cells and a step
+    under 1.
     """
     known = np.asarray(known, bool)
     if known.ndim != 2:

@@ -1,4 +1,4 @@
-"""Cells of a grid on the ground, the heights below them, and where places lie in an image: many at once."""
+"""Ground cells of a rectified image: terrain heights and projection into the image, in batches."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
-DIRECTIONS = 64  # about the centre of a lens, in which its field is looked at
+DIRECTIONS = 64  # about the lens centre, in which the valid field is sampled
 Field = Float[Array, "*shape"]
 
 
 class View(Record):
-    """All that the image of a place on the ground depends on."""
+    """Inputs of the projection of a ground point into the image."""
 
     sensor: Sensor
     motion: Shot | Trajectory
@@ -40,8 +40,8 @@ class View(Record):
 
 
 class Cells(NamedTuple):
-    """Cells on the ground, arrays of one shape: their pixels (column, row), place (row, col) on the terrain's own grid,
-    the sine of the angle at which the line of sight rises there, and a `Status` that knows nothing of hidden ground."""
+    """Cells on the ground, arrays of one shape: pixels (column, row), (row, col) on the terrain's grid, sine of the
+    elevation angle of the line of sight, and a `Status` that does not consider occlusion."""
 
     u: Field
     v: Field
@@ -52,7 +52,7 @@ class Cells(NamedTuple):
 
 
 def height_on(terrain: AbstractTerrain, normal: Vector3) -> tuple[Scalar, Float[Array, "2"], Int8[Array, ""]]:
-    """(ellipsoidal height in m of the ground, its (row, col) on the terrain's grid, `hit` or why it is unknown)."""
+    """(ellipsoidal height of the ground in m, its (row, col) on the terrain's grid, `hit` or why it is unknown)."""
     if not isinstance(terrain, Dem):
         return level_of(terrain), jnp.zeros(2), Status.hit.code
     rowcol = terrain.grid.rowcol(normal)
@@ -61,15 +61,16 @@ def height_on(terrain: AbstractTerrain, normal: Vector3) -> tuple[Scalar, Float[
 
 
 def where_any(some: Flag, stage: Callable[..., Any], *given: Array) -> Any:
-    """What a stage makes of arrays, or zeros unless there are `some` for it: it is a program of its own, while XLA
-    would else merge it with those that follow, and work parts of it out again for every use."""
+    """Result of a stage on arrays, or zeros if `some` is false. The conditional keeps the stage a separate program;
+    XLA would otherwise fuse it with its consumers and recompute parts of it for every use."""
     shapes = jax.eval_shape(stage, *given)
     return jax.lax.cond(some, stage, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *given)
 
 
 @eqx.filter_jit
 def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, int]) -> Cells:
-    """The cells of a tile by the exact map of each: for sensors that move, and where polynomials do not hold."""
+    """Cells of a tile by exact projection of each: for moving sensors, and where the polynomials are not accurate
+    enough."""
 
     def one(rowcol: Float[Array, "2"]) -> tuple:
         normal = view.grid.normal(rowcol)
@@ -88,7 +89,7 @@ def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, in
 
 
 def may_be_hidden(cells: Cells, least_sine: Float32[Array, "rows cols"]) -> Bool[Array, "*shape"]:
-    """Which of the cells that are on the image are not proven to be in sight by `OpenSight`."""
+    """Flags of cells on the image that `OpenSight` does not prove visible."""
     rows, cols = least_sine.shape
     row, col = (jnp.floor(jnp.nan_to_num(x)).astype(jnp.int32) for x in (cells.terrain_row, cells.terrain_col))
     facet = jnp.clip(row, 0, rows - 1) * cols + jnp.clip(col, 0, cols - 1)
@@ -98,8 +99,8 @@ def may_be_hidden(cells: Cells, least_sine: Float32[Array, "rows cols"]) -> Bool
 
 @eqx.filter_jit
 def hidden(view: View, rowcol: Float[Array, "n 2"], tolerance: Scalar) -> Int8[Array, " n"]:
-    """Status of cells on known ground at (row, col) of the grid: `hit`, `hidden_by_terrain`, or why it is not known; by
-    the first hit of the line of sight."""
+    """Status of cells on known ground at (row, col) of the grid, by first-hit search along the line of sight: `hit`,
+    `hidden_by_terrain`, or why it is unknown."""
 
     def one(rowcol: Float[Array, "2"]) -> Array:
         normal = view.grid.normal(rowcol)
@@ -117,21 +118,21 @@ def hidden(view: View, rowcol: Float[Array, "n 2"], tolerance: Scalar) -> Int8[A
 
 
 def level_of(terrain: AbstractTerrain) -> Scalar:
-    """Height in m of a terrain that is no `Dem`."""
+    """Height in m of a terrain that is not a `Dem`."""
     return -terrain.clearance(jnp.array([WGS84.a, 0.0, 0.0]), jnp.zeros(2, jnp.int32))
 
 
 def heights_at(view: View, row: Array, col: Array) -> tuple[Array, Array]:
-    """(heights in m at places of the terrain's grid, `hit` or why they are unknown)."""
+    """(heights in m at (row, col) of the terrain's grid, `hit` or why they are unknown)."""
     if isinstance(view.terrain, Dem):
         return _surface(view.terrain, row, col)
     return jnp.full(row.shape, level_of(view.terrain)), jnp.full(row.shape, Status.hit.code)
 
 
 def _surface(terrain: Dem, row: Array, col: Array) -> tuple[Array, Array]:
-    """(heights in m at places (row, col) of the terrain's grid, of any one shape; `hit` or why they are unknown).
+    """(heights in m at (row, col) of the terrain's grid, of any one shape; `hit` or why they are unknown).
 
-    As `Dem.height_at` one by one, but from arrays of numbers, which for a crowd is several times as quick.
+    Same values as `Dem.height_at`, but on whole arrays, which is several times faster for a batch.
     """
     last = (jnp.asarray(terrain.extent) - 1).astype(jnp.float64)
     inside = (row >= -1e-9) & (row <= last[0] + 1e-9) & (col >= -1e-9) & (col <= last[1] + 1e-9)
@@ -161,7 +162,7 @@ def _surface(terrain: Dem, row: Array, col: Array) -> tuple[Array, Array]:
 
 
 def projected(camera: AbstractCamera, p_camera: list[Array]) -> tuple[Array, Array, Array]:
-    """(columns, rows, statuses) of places in the camera frame, of any one shape."""
+    """(columns, rows, statuses) of points in the camera frame, of any one shape."""
     if not isinstance(camera, FrameCamera):
         return _projected_one_by_one(camera, p_camera)
     if isinstance(camera.distortion, NoDistortion):
@@ -182,7 +183,8 @@ def _projected_one_by_one(camera: AbstractCamera, p_camera: list[Array]) -> tupl
 
 
 class _Unfolded(NoDistortion):
-    """The formula of a lens for places that are known to lie in its field: to look for folds takes most of the time."""
+    """Lens formula without the fold check, for points known to lie in the lens field; the check takes most of the
+    time."""
 
     lens: AbstractDistortion
 
@@ -191,8 +193,8 @@ class _Unfolded(NoDistortion):
 
 
 def _are_in_field(lens: AbstractDistortion, x: Array, y: Array, z: Array) -> Flag:
-    """Whether all places lie ahead and in the lens's field: there it holds none but unfolded directions about its
-    centre, so that a circle around them all tells."""
+    """Whether all points lie ahead and in the lens field. The field is free of folds around the centre, so a
+    bounding circle of all points is sufficient."""
     ahead = z > IMAGE_PLANE * jnp.maximum(jnp.abs(x), jnp.abs(y))  # False for NaN
     z = jnp.where(ahead, z, 1.0)
     radius = 1.01 * jnp.sqrt(jnp.max(jnp.where(ahead, (x * x + y * y) / (z * z), 0.0)))

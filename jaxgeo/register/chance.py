@@ -1,4 +1,4 @@
-"""Whether blocks that agree could do so by chance, and whether others agree on something else."""
+"""Significance of a block agreement: expected number of false alarms, and the second-best set."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from jaxgeo.register.choice import AbstractChoice, Chosen
 
 
 def false_alarms(matches: Matches, chosen: Chosen) -> float:
-    """How many sets as large as the chosen one are to be expected if all candidates lay anywhere: the smaller, the
-    surer.
+    """Expected number of sets as large as the chosen one if all candidates were random: smaller is more significant.
 
     A-contrario reasoning after Desolneux, Moisan and Morel (2000), "Meaningful alignments", and Moisan and Stival
-    (2004), "A probabilistic criterion to detect rigid point matches between two images": the number of hypotheses that
-    were compared, times the probability that so many blocks agree with one by chance. A block agrees by chance with
-    probability 1 - (1 - area / searched)^candidates, its candidates spread evenly over the part that was searched. The
-    blocks that a hypothesis was made of agree with it in any case and do not count: those with the least probability
-    are left out. One alarm in a million such images is a usual limit. At most `chosen.hypotheses`, which is also what
-    no agreement gives; and 1 at least where there is no candidate at all.
+    (2004), "A probabilistic criterion to detect rigid point matches between two images": the number of hypotheses
+    compared, times the probability that at least as many blocks agree with one by chance. A block agrees by chance with
+    probability 1 - (1 - area / searched)^candidates, its candidates spread evenly over the searched area. The blocks
+    that define a hypothesis agree with it in any case and are not counted: those with the least probability are left
+    out. One alarm in a million images is a usual limit. The result is at most `chosen.hypotheses`, which is also its
+    value without agreement, and at least 1 if there are no candidates.
     """
     candidates = np.sum(matches.is_candidate, axis=1)
     offered = candidates > 0
@@ -33,7 +32,7 @@ def false_alarms(matches: Matches, chosen: Chosen) -> float:
 
 
 def at_least(probability: Float[np.ndarray, " n"], count: int) -> float:
-    """Probability that `count` or more of independent events happen (the tail of the Poisson-binomial distribution)."""
+    """Probability that `count` or more of independent events occur (tail of the Poisson-binomial distribution)."""
     if count <= 0:
         return 1.0
     if count > len(probability):
@@ -55,16 +54,16 @@ def second_best(
     *,
     apart: float = 6.0,
 ) -> Chosen:
-    """The best set that shares no candidate with the chosen one, nor has any within `apart` cells of one.
+    """The best set that shares no candidate with the chosen one and has none within `apart` cells of one.
 
-    Blocks without a chosen candidate keep all that they have. Over a texture that repeats itself this set is about as
-    large as the chosen one: then neither is to be trusted.
+    Blocks without a chosen candidate keep all their candidates. Over repetitive texture this set is about as large as
+    the chosen one, and neither is reliable.
     """
     return choice.choose(matches.only(_elsewhere(matches, chosen, apart)), jacobian, cov_error)
 
 
 def _elsewhere(matches: Matches, chosen: Chosen, apart: float) -> Bool[np.ndarray, "n peaks"]:
-    """Which candidates lie apart from the chosen one of their block."""
+    """Flags of candidates farther than `apart` from the chosen one of their block."""
     taken = chosen.of(matches.shift)
     squared = np.sum((np.asarray(matches.shift) - taken[:, None, :]) ** 2, axis=-1)
     with np.errstate(invalid="ignore"):

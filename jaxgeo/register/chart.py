@@ -1,4 +1,4 @@
-"""The map from cells of a tile to pixels, by polynomials whose error is measured."""
+"""Polynomial map from the cells of a tile to pixels, with measured approximation error."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import surface_point
 
-# Nodes along a side of a tile, and their polynomials: over 5 km the Earth curves away from a cubic by 1e-8 m.
+# # Nodes along a side of a tile. Over 5 km the Earth's curvature deviates from a cubic by 1e-8 m.
 NODES = 4
-WELL_MAPPED = 1e-4  # pixels, and cells of the terrain, by which the polynomials may be off between their nodes
-APART = 1000.0  # m between two heights above one place: a straight line through them is exact
+WELL_MAPPED = 1e-4  # pixels, and cells of the terrain: largest error of the polynomials between their nodes
+APART = 1000.0  # m between two heights above one place; linear interpolation between them is exact
 
 
 class Chart(NamedTuple):
-    """The map of a tile: polynomials of row and column through `columns` (nodes, k) at the nodes, which are places in
-    the camera frame at some heights (m), and on the terrain's grid."""
+    """Polynomial map of a tile in row and column. `columns` (nodes, k) are the node values: positions in the camera
+    frame at several heights (m), and (row, col) on the terrain's grid."""
 
     columns: Float[Array, "nodes k"]
     last: Float[Array, "2"]
-    """(row, col) of the tile's last cell, counted from its first."""
+    """(row, col) of the tile's last cell, relative to its first."""
 
 
 class Charted(NamedTuple):
-    """A chart and what it is like."""
+    """A chart, its error, extent and sample cells."""
 
     chart: Chart
     error: Scalar
-    """The larger of pixels and of cells of the terrain by which it is off between the nodes."""
+    """Approximation error between the nodes: the larger of pixels and cells of the terrain."""
     on_terrain: Float[Array, "2 2"]
     """First and last (row, col) on the terrain's grid."""
     lattice: Cells
-    """Some cells spread over the tile, (n, 3): each, and those that are one row and one column on, at its height."""
+    """Sample cells of the tile, (n, 3): each with its neighbours one row and one column on, at its height."""
 
 
 @eqx.filter_jit
 def charted(view: View, corner: Float[Array, "2"], last: Float[Array, "2"]) -> Charted:
-    """The chart of a tile whose first cell is at `corner`, (row, col) of the grid, and its last so many further on.
+    """The chart of a tile with its first cell at `corner`, (row, col) of the grid, and its last at `corner + last`.
 
-    The place of a cell seen from the camera is a polynomial of its row and column, and linear in its height (with air,
-    of second degree): that is the exact map but for the error, which is measured.
+    The camera-frame position of a cell is a polynomial of its row and column, and linear in its height (quadratic with
+    an atmosphere). The approximation error against the exact map is measured.
     """
     assert isinstance(view.motion, Shot)
     sight = view.sensor.sight(view.motion)
@@ -70,8 +70,8 @@ def charted(view: View, corner: Float[Array, "2"], last: Float[Array, "2"]) -> C
 
 
 def charted_cells(view: View, chart: Chart, by_row: Array, by_col: Array, sound: Flag) -> Cells:
-    """The cells (rows, cols) of a part of a chart's tile; `by_row` and `by_col` as `basis` gives them for its rows and
-    columns. Meaningless unless the chart is `sound`: by this the work is cut up."""
+    """Cells (rows, cols) of a part of a chart's tile; `by_row` and `by_col` are the `basis` of its rows and columns.
+    Valid only if the chart is `sound`; that flag also splits the work into separate programs."""
     at_rows = jnp.einsum("ri,ijk->krj", by_row, chart.columns.reshape(NODES, NODES, -1))
     parts = [at_rows[:, :, j, None] * by_col[None, None, :, j] for j in range(NODES)]
     spread = tuple(parts[0] + parts[1] + parts[2] + parts[3])
@@ -81,12 +81,12 @@ def charted_cells(view: View, chart: Chart, by_row: Array, by_col: Array, sound:
 
 
 def basis(cells: Float[Array, " n"], last: Scalar) -> Float[Array, "n nodes"]:
-    """What the nodes count for at cells along one side of a tile."""
+    """Weights of the nodes at cells along one side of a tile."""
     return _basis(cells / jnp.maximum(last, 1.0))
 
 
 def _seen_cells(view: View, spread: Any, height: Array, status: Array) -> Cells:
-    """The cells whose places are spread by a chart, on ground at heights."""
+    """Cells from interpolated chart columns, at given ground heights."""
     p_camera, up = _seen(spread, _heights(view), height)
     u, v, seen = projected(view.sensor.camera, p_camera)
     row, col = spread[-2], spread[-1]
@@ -94,7 +94,8 @@ def _seen_cells(view: View, spread: Any, height: Array, status: Array) -> Cells:
 
 
 def _heights(view: View) -> Float[Array, " k"]:
-    """Heights in m at which the place of a node is computed: two, or three about the terrain's through air."""
+    """Heights in m at which node positions are computed: two, or three about the terrain's heights with an
+    atmosphere."""
     if view.air is None:
         return jnp.array([0.0, APART])
     if not isinstance(view.terrain, Dem):
@@ -105,8 +106,8 @@ def _heights(view: View) -> Float[Array, " k"]:
 
 
 def _columns(view: View, sight: Sight, rowcol: Float[Array, "n 2"]) -> Float[Array, "n k"]:
-    """For places (row, col): where each lies in the camera frame at every one of the heights, m; and the place on the
-    terrain's grid."""
+    """Node values at (row, col): camera-frame position at each of the heights, m, and (row, col) on the terrain's
+    grid."""
     heights = _heights(view)
 
     def one(place: Float[Array, "2"]) -> Float[Array, " k"]:
@@ -120,7 +121,7 @@ def _columns(view: View, sight: Sight, rowcol: Float[Array, "n 2"]) -> Float[Arr
 
 
 def _seen(columns: Any, heights: Float[Array, " k"], height: Array) -> tuple[list[Array], list[Array]]:
-    """(places in the camera frame at `height`, their change with height in m per m), components first."""
+    """(positions in the camera frame at `height`, their derivatives by height in m per m), components first."""
     low, span = heights[0], heights[-1] - heights[0]
     t = (height - low) / span
     if heights.shape[0] == 2:
@@ -135,15 +136,15 @@ def _seen(columns: Any, heights: Float[Array, " k"], height: Array) -> tuple[lis
 
 
 def _sine(p_camera: list[Array], up: list[Array]) -> Array:
-    """Sine of the angle at which lines of sight rise from places in the camera frame."""
+    """Sine of the elevation angle of the lines of sight from points in the camera frame."""
     sine = -sum(a * b for a, b in zip(up, p_camera, strict=True))
     squared = sum(a * a for a in p_camera) * sum(a * a for a in up)
     return sine / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
 
 
 def _error(view: View, columns: Array, exact: Array) -> Scalar:
-    """By how much a chart's columns (n, k) are off the exact ones, the larger of pixels and cells of the terrain, at
-    any height; infinite where one of the two ways knows no pixel and the other does."""
+    """Largest deviation of chart columns (n, k) from the exact ones, in pixels or terrain cells, at any height;
+    infinite where only one of the two has a pixel."""
     worst = jnp.max(jnp.abs((columns - exact)[:, -2:]))
     for first in range(0, columns.shape[1] - 2, 3):
         parts = [[x[:, first + i] for i in range(3)] for x in (columns, exact)]
@@ -156,13 +157,13 @@ def _error(view: View, columns: Array, exact: Array) -> Scalar:
 
 
 def _spread(columns: Float[Array, "nodes k"], places: Float[Array, "n 2"]) -> Float[Array, "n k"]:
-    """A chart's columns at places in the tile, each of 0 to 1."""
+    """Chart columns at relative positions in the tile, each 0 to 1."""
     weights = _basis(places[:, 0])[:, :, None] * _basis(places[:, 1])[:, None, :]
     return weights.reshape(len(places), -1) @ columns
 
 
 def _basis(t: Array) -> Array:
-    """Lagrange's polynomials of the nodes at places t in [0, 1], (n, nodes)."""
+    """Lagrange polynomials of the nodes at t in [0, 1], (n, nodes)."""
     places = [float(place) for place in _PLACES]
     columns = []
     for i, here in enumerate(places):
@@ -175,7 +176,7 @@ def _basis(t: Array) -> Array:
 
 
 def _squared(along: np.ndarray) -> np.ndarray:
-    """All places (n, 2) of which both coordinates are among those."""
+    """All pairs (n, 2) of the given coordinates."""
     return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
 
 

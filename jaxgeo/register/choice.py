@@ -1,4 +1,4 @@
-"""Choosing one candidate of each block, such that all agree: what every way of doing so takes and gives."""
+"""Interface of candidate selection: at most one candidate per block, all consistent."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from jaxgeo.register.blocks import Matches
 
 
 class Chosen(Record):
-    """Which candidate of each block was chosen, and what it takes to say how far that could be chance.
+    """The selected candidate of each block, and the data for a significance test.
 
-    `peak` (n,) is the index of the candidate, -1 for none. `area` (n,) in cells2 is that of the part of the reference
-    in which a candidate of the block would have been taken as agreeing. `hypotheses` were compared, each made to pass
-    through candidates of `fitted` blocks.
+    `peak` (n,) is the index of the candidate, -1 for none. `area` (n,) in cells2 is the acceptance area in the
+    reference, within which a candidate of the block would have agreed. `hypotheses` is the number of hypotheses
+    compared, each fitted to candidates of `fitted` blocks.
     """
 
     peak: Int[Any, " n"]
@@ -28,35 +28,35 @@ class Chosen(Record):
 
     @property
     def is_chosen(self) -> Bool[np.ndarray, " n"]:
-        """The blocks of which a candidate was chosen."""
+        """Flags of blocks with a chosen candidate."""
         return np.asarray(self.peak) >= 0
 
     @property
     def count(self) -> int:
-        """How many blocks agree."""
+        """Number of blocks that agree."""
         return int(np.count_nonzero(self.is_chosen))
 
     def of(self, values: Any) -> np.ndarray:
-        """(n, ...): the entries of the chosen candidates in an array (n, peaks, ...); NaN where none was."""
+        """(n, ...): the entries of the chosen candidates in an array (n, peaks, ...); NaN for blocks without one."""
         values, rows = np.asarray(values, float), np.arange(len(self.peak))
         chosen = self.is_chosen.reshape(-1, *(1,) * (values.ndim - 2))
         return np.where(chosen, values[rows, np.maximum(self.peak, 0)], np.nan)
 
 
 class AbstractChoice(Record):
-    """A way of choosing candidates that agree."""
+    """A method of selecting consistent candidates."""
 
     @abc.abstractmethod
     def choose(self, matches: Matches, jacobian: Any = None, cov_error: Any = None) -> Chosen:
-        """One candidate or none of each block.
+        """At most one candidate of each block.
 
-        `jacobian` (n, 2, axes) in cells is that of a block's shift by the errors of the navigation, at
-        `matches.centre`; `cov_error` (axes, axes) their covariance. Some ways need neither.
+        `jacobian` (n, 2, axes) in cells is the derivative of a block's shift by the navigation errors, at
+        `matches.centre`; `cov_error` (axes, axes) is the covariance of these errors. Some methods need neither.
         """
 
 
 def none_chosen(matches: Matches, hypotheses: int, fitted: int) -> Chosen:
-    """That no candidates agree."""
+    """The result if no candidates agree."""
     n = len(matches.outcome)
     return Chosen(np.full(n, -1), np.zeros(n), hypotheses, fitted)
 
@@ -64,9 +64,9 @@ def none_chosen(matches: Matches, hypotheses: int, fitted: int) -> Chosen:
 def nearest_within(
     squared: Float[np.ndarray, "*batch n peaks"], limit: float
 ) -> tuple[Int[np.ndarray, "*batch n"], Float[np.ndarray, "*batch n"]]:
-    """(candidate of each block that is nearest, -1 where none is within a limit; its squared distance, or the limit).
+    """(nearest candidate of each block, -1 if none is within `limit`; its squared distance, or the limit).
 
-    Squared distances are infinite where there is no candidate.
+    Squared distances of missing candidates are infinite.
     """
     if squared.shape[-1] == 0 or squared.size == 0:
         return np.full(squared.shape[:-1], -1), np.full(squared.shape[:-1], limit)
@@ -75,6 +75,6 @@ def nearest_within(
 
 
 def distances_to(matches: Matches, predicted: Float[np.ndarray, "*batch n 2"]) -> Float[np.ndarray, "*batch n peaks"]:
-    """Squared distances in cells2 of all candidates from predicted shifts; infinite where there is none."""
+    """Squared distances in cells2 of all candidates from predicted shifts; infinite for missing candidates."""
     squared = np.sum((np.asarray(matches.shift) - predicted[..., None, :]) ** 2, axis=-1)
     return np.where(matches.is_candidate, squared, np.inf)

@@ -1,4 +1,4 @@
-"""Choice by clusters: the candidates' shifts are grouped, and the group in which most blocks agree is taken."""
+"""Candidate selection by k-means clustering of the shifts."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ ROUNDS = 50
 
 
 class Clusters(AbstractChoice):
-    """K-means on the shifts of all candidates, as Gu and Qiao (2017), section 2.2 and Fig. 2, choose right ones.
+    """K-means on the shifts of all candidates, after Gu and Qiao (2017), section 2.2 and Fig. 2.
 
-    It takes the whole rectified image as displaced by one shift. They do not say how many clusters there are, nor how
-    the right one is told: here each number in `clusters` is tried, and the cluster is taken with the member near which,
-    within `tolerance` cells, most blocks have another. The mean of these, refined until it stays, is the shift. The
-    start is the same each time: the candidate nearest to the middle, then always the one farthest from all so far.
+    Assumes one common shift of the whole rectified image. The paper states neither the number of clusters nor how the
+    correct one is selected. Here each number in `clusters` is tried, and the cluster is taken that has the member with
+    the most other blocks within `tolerance` cells. The mean of these blocks, refined until stable, is the shift. The
+    start is deterministic: the candidate nearest to the mean, then repeatedly the one farthest from all starts so far.
     """
 
     tolerance: float = 3.0
     clusters: tuple[int, ...] = (2, 3, 4, 6, 8, 12)
 
     def choose(self, matches: Matches, jacobian: Any = None, cov_error: Any = None) -> Chosen:
-        """See `AbstractChoice`; jacobian and covariance are not looked at."""
+        """See `AbstractChoice`; jacobian and covariance are not used."""
         block, peak = np.nonzero(matches.is_candidate)
         if len(block) < 2:
             return none_chosen(matches, len(block), 1)
@@ -47,7 +47,7 @@ class Clusters(AbstractChoice):
         return Chosen(best[2], area, len(block), 1)
 
     def _settled(self, matches: Matches, shift: Float[np.ndarray, "2"]) -> tuple[np.ndarray, np.ndarray]:
-        """(candidates within the tolerance of a shift that is their own mean, their squared distances)."""
+        """(candidates within the tolerance of a shift that equals their mean, their squared distances)."""
         n, before = len(matches.outcome), np.zeros(0)
         rows = np.arange(n)
         chosen, squared = nearest_within(distances_to(matches, np.broadcast_to(shift, (n, 2))), self.tolerance**2)
@@ -61,7 +61,7 @@ class Clusters(AbstractChoice):
 
 
 def k_means(points: Float[np.ndarray, "m 2"], clusters: int) -> Int[np.ndarray, " m"]:
-    """Which cluster each point belongs to (Lloyd 1982), from a start that depends on the points alone."""
+    """Cluster number of each point (Lloyd 1982), with a deterministic start."""
     first = int(np.argmin(np.sum((points - np.median(points, axis=0)) ** 2, axis=1)))
     centres = [points[first]]
     for _ in range(clusters - 1):
@@ -79,7 +79,7 @@ def k_means(points: Float[np.ndarray, "m 2"], clusters: int) -> Int[np.ndarray, 
 
 
 def _densest(shifts: Float[np.ndarray, "m 2"], block: Int[np.ndarray, " m"], tolerance: float) -> np.ndarray:
-    """The shift near which most blocks have one."""
+    """The shift with the most blocks within the tolerance."""
     near = np.sum((shifts[:, None, :] - shifts[None, :, :]) ** 2, axis=2) <= tolerance**2
     counts = [len(np.unique(block[row])) for row in near]
     return shifts[int(np.argmax(counts))]

@@ -1,4 +1,4 @@
-"""What is compared in a pass of a registration: the image and the reference, brought into cells that both share."""
+"""Interface of image comparisons: image and reference resampled to one grid of cells."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 
 class AbstractComparison(abc.ABC):
-    """An image, as a look has it, and a reference in the same cells, (rows, cols), with what is known of either.
+    """Image and reference in the same cells, (rows, cols), with masks of valid cells.
 
-    `cell` is the side of a cell on the ground, m. Made from `place`, what a plan says of where to compare.
+    `cell` is the side of a cell on the ground, m. Constructed from `place`, the part of a plan that defines the cells.
     """
 
     grey: np.ndarray
@@ -30,25 +30,25 @@ class AbstractComparison(abc.ABC):
 
     @abc.abstractmethod
     def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
-        """Bring both together, with room for blocks of so many cells beside. Raises `Stopped` if there is nothing."""
+        """Resample both, with a margin of `block` cells. Raises `RegistrationFailed` if there is nothing to compare."""
 
     @abc.abstractmethod
     def shifts(self, places: np.ndarray, reach: float) -> Shifts:
-        """What the navigation's errors do to places (n, 2), (row, col): blocks that reach so many cells."""
+        """Effect of the navigation errors at (n, 2), (row, col), for blocks that extend `reach` cells to each side."""
 
     @abc.abstractmethod
     def ties(self, matches: Matches, chosen: Chosen, shifts: Shifts) -> TiePoints:
-        """Tie points of the chosen blocks that are seen: the pixel of a block's middle, and the ground of which the
-        reference shows the same."""
+        """Tie points of the chosen blocks whose centres are visible: the pixel of the block's centre, and the ground
+        position of the same content in the reference."""
 
 
 def tied(chosen: Chosen, shifts: Shifts) -> np.ndarray:
-    """Which blocks become ties: those that are chosen, and whose middle is seen."""
+    """Flags of blocks that become ties: chosen, with a visible centre."""
     return np.asarray(chosen.is_chosen) & np.asarray(shifts.seen)
 
 
 def on_ground(covariance: np.ndarray, cells_per_metre: np.ndarray) -> np.ndarray:
-    """Covariances (n, 2, 2) of shifts in cells2 as such of places to the east and north, m2."""
+    """Covariances (n, 2, 2) of shifts in cells2 converted to east and north, m2."""
     metres = np.linalg.inv(cells_per_metre)
     turned = metres @ covariance @ np.swapaxes(metres, 1, 2)
     return 0.5 * (turned + np.swapaxes(turned, 1, 2))

@@ -1,4 +1,4 @@
-"""Choice by the navigation's own errors: candidates that one error of the pose explains."""
+"""Candidate selection by consensus under the navigation's error model."""
 
 from __future__ import annotations
 
@@ -17,33 +17,34 @@ FITTED = 2
 
 
 class _Errors(NamedTuple):
-    """Errors of the navigation z ~ N(0, I), and what shifts say of them."""
+    """Linear model of the shifts by navigation errors z ~ N(0, I)."""
 
-    H: Float[np.ndarray, "n 2 z"]  # of the shift of a block by z
-    shift: Float[np.ndarray, "n peaks 2"]  # zero where there is no candidate
+    H: Float[np.ndarray, "n 2 z"]  # derivatives of the block shifts by z
+    shift: Float[np.ndarray, "n peaks 2"]  # zero for missing candidates
     cov: Float[np.ndarray, "n peaks 2 2"]
     is_candidate: np.ndarray
     weighed: Float[np.ndarray, "n peaks z z"]  # H' cov^-1 H
     right: Float[np.ndarray, "n peaks z"]  # H' cov^-1 shift
-    offer: Float[np.ndarray, " n"]  # logarithm of the searched cells for each candidate
+    offer: Float[np.ndarray, " n"]  # log of the searched cells per candidate
 
 
 class _Seen(NamedTuple):
-    """Candidates as hypotheses have them: squared distances in standard deviations, and areas for each unit of it."""
+    """Candidates under several hypotheses: squared distances in standard deviations, and acceptance area per unit of
+    it."""
 
     squared: Float[np.ndarray, "k n peaks"]
     area: Float[np.ndarray, "k n peaks"]
 
 
 class PoseConsensus(AbstractChoice):
-    """Candidates whose shifts are those of one error of the navigation, as likely as it says: s = G e + noise.
+    """Selects candidates whose shifts fit one error vector e of the navigation, under its prior: s = G e + noise.
 
-    Hypotheses are the errors that single candidates, and pairs of two blocks, suggest together with the prior (the
-    conditional Gaussian): all pairs up to `pairs`, else as many drawn by `seed`. A block agrees that has a candidate
-    within the gate: the ellipse that holds it with `probability`, by what the hypothesis leaves uncertain, the
-    covariance of the match and `tolerance` cells (standard deviation on both axes) for what is not modelled. They are
-    ranked by how much likelier their candidates are than anywhere in the searched part; the `refitted` best are fitted
-    to all blocks that agree until these stay the same. Most blocks win, then the least squared distances.
+    Hypotheses are the conditional Gaussians given single candidates, or pairs from two blocks: all pairs up to `pairs`,
+    else `pairs` random ones by `seed`. A block agrees if it has a candidate within the gate: the `probability` ellipse
+    of the hypothesis' remaining uncertainty, the match covariance and `tolerance` cells (standard deviation on both
+    axes) for unmodelled effects. Hypotheses are ranked by the likelihood ratio of their candidates against uniform
+    candidates in the searched area; the `refitted` best are refitted to all agreeing blocks until the set is stable.
+    The largest set wins, then the smallest sum of squared distances.
     """
 
     tolerance: float = 1.0
@@ -53,7 +54,7 @@ class PoseConsensus(AbstractChoice):
     seed: int = 0
 
     def choose(self, matches: Matches, jacobian: Any = None, cov_error: Any = None) -> Chosen:
-        """See `AbstractChoice`. Raises `ValueError` without jacobian and covariance, or where they do not fit."""
+        """See `AbstractChoice`. Raises `ValueError` without jacobian and covariance, or for shapes that do not fit."""
         errors = self._errors(matches, jacobian, cov_error)
         sets = self._hypotheses(errors)
         if not len(sets):
@@ -68,7 +69,7 @@ class PoseConsensus(AbstractChoice):
 
     @property
     def gate(self) -> float:
-        """Largest squared distance of what agrees: chi-square of two degrees of freedom."""
+        """Largest squared distance of an agreeing candidate: chi-square with two degrees of freedom."""
         return -2.0 * math.log1p(-self.probability)
 
     def _errors(self, matches: Matches, jacobian: Any, cov_error: Any) -> _Errors:
@@ -101,7 +102,7 @@ class PoseConsensus(AbstractChoice):
         """Pairs of (block, peak); a single candidate is paired with itself."""
         all_of_them = np.argwhere(errors.is_candidate)
         first, second = np.triu_indices(len(all_of_them), 1)
-        if len(first) > 100 * self.pairs:  # enough to draw from
+        if len(first) > 100 * self.pairs:  # enough to sample from
             rng = np.random.default_rng(self.seed)
             first, second = rng.integers(len(all_of_them), size=(2, 2 * self.pairs))
         apart = np.flatnonzero(all_of_them[first, 0] != all_of_them[second, 0])
@@ -111,9 +112,9 @@ class PoseConsensus(AbstractChoice):
         return np.concatenate([np.stack([all_of_them, all_of_them], axis=1), pairs])
 
     def _worth(self, errors: _Errors, sets: Int[np.ndarray, "k 2 2"]) -> Float[np.ndarray, " k"]:
-        """Logarithm of how much likelier the candidates within the gate are than anywhere, of several hypotheses."""
+        """Log-likelihood ratio of the candidates within the gate against uniform candidates, for several hypotheses."""
         block, peak = sets[..., 0], sets[..., 1]
-        counts = np.where(np.all(sets[:, 0] == sets[:, 1], axis=1), 0.5, 1.0)[:, None]  # once, what is there twice
+        counts = np.where(np.all(sets[:, 0] == sets[:, 1], axis=1), 0.5, 1.0)[:, None]  # each single once
         weighed = np.sum(errors.weighed[block, peak] * counts[..., None, None], axis=1)
         right = np.sum(errors.right[block, peak] * counts[..., None], axis=1)
         mean, cov = _posterior(weighed, right)
@@ -123,10 +124,11 @@ class PoseConsensus(AbstractChoice):
         return np.sum(np.max(gain, axis=2, initial=0.0), axis=1) - 0.5 * np.sum(mean**2, axis=1)
 
     def _settled(self, errors: _Errors, pair: Int[np.ndarray, "2 2"]) -> tuple[int, float, Any, Any]:
-        """(how many blocks agree, less what it costs, their peaks, areas of their gates) when the set stays the same.
+        """(number of agreeing blocks, negative cost, their peaks, gate areas) once the set is stable.
 
-        Every candidate is held against what the other blocks say with the prior: by a fit that it has a part in, one
-        alone would always be confirmed. After half of the rounds blocks can leave only, so that there is an end.
+        Each candidate is tested against the prediction from the other blocks and the prior; including its own influence
+        would always confirm a single candidate. In the second half of the rounds, blocks can only leave the set, so
+        that the iteration terminates.
         """
         n, peaks = errors.is_candidate.shape
         chosen, squared, mean, area = np.full(n, -1), np.zeros(n), np.zeros(0), np.zeros(n)
@@ -151,7 +153,7 @@ class PoseConsensus(AbstractChoice):
 def _posterior(
     weighed: Float[np.ndarray, "k z z"], right: Float[np.ndarray, "k z"]
 ) -> tuple[Float[np.ndarray, "k z"], Float[np.ndarray, "k z z"]]:
-    """Mean and covariance of the errors, from N(0, I) and what shifts say."""
+    """Mean and covariance of the errors given N(0, I) and shift observations."""
     cov = np.linalg.inv(np.eye(weighed.shape[-1]) + weighed)
     return np.einsum("kzy,ky->kz", cov, right), cov
 
@@ -159,10 +161,10 @@ def _posterior(
 def _seen(
     errors: _Errors, mean: Float[np.ndarray, "k z"], cov: Float[np.ndarray, "k z z"], is_member: Any = None
 ) -> _Seen:
-    """All candidates as some hypotheses predict them; members of the fit as they would be predicted without them.
+    """All candidates as predicted by several hypotheses; members of the fit as predicted without them.
 
-    For these (R - H P H')^-1 takes the place of (R + H P H')^-1 in the squared distance, R (R - H P H')^-1 R that of
-    R + H P H' as the covariance.
+    For members, (R - H P H')^-1 replaces (R + H P H')^-1 in the squared distance, and R (R - H P H')^-1 R replaces R +
+    H P H' as the covariance.
     """
     H, R = errors.H, errors.cov
     away = errors.shift[None] - np.einsum("naz,kz->kna", H, mean)[:, :, None, :]

@@ -1,4 +1,4 @@
-"""Normalised cross-correlation of images of which parts are unknown, for all whole shifts at once, by FFT."""
+"""Masked normalised cross-correlation at all whole shifts, by FFT."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jaxtyping import Array, Bool, Float
 
 from jaxgeo._typing import Scalar
 
-EVEN = 1e-4  # of the variance of the whole: what varies less where both are known has no texture
+EVEN = 1e-4  # of the variance of the whole: blocks or windows that vary less where both are known have no texture
 
 Block = Float[Array, "rows cols"]
 Known = Bool[Array, "rows cols"]
@@ -22,10 +22,10 @@ KnownWindow = Bool[Array, "more_rows more_cols"]
 class Surface(NamedTuple):
     """Correlation of a block with a window that is larger by the same number of cells on both sides of each axis.
 
-    Entry [i, j] belongs to the block lying with its first cell on cell (i, j) of the window. `score` is NaN where
-    there is none, `overlaps` says where enough cells are known in both. `chance` is the standard deviation of the score
-    of a block and a window that have nothing in common but how each varies; `area`, in cells, that over which such
-    scores are alike.
+    Entry [i, j] is for the block's first cell on cell (i, j) of the window. `score` is NaN where it is undefined,
+    `overlaps` flags shifts with enough cells known in both. `chance` is the standard deviation of the score of an
+    unrelated block and window with the same autocorrelations; `area`, in cells, is the area over which such scores are
+    correlated.
     """
 
     score: Float[Array, "shifts_down shifts_across"]
@@ -37,13 +37,14 @@ class Surface(NamedTuple):
 def correlation(
     block: Block, known: Known, window: Window, known_window: KnownWindow, least_overlap: Scalar
 ) -> Surface:
-    """Normalised correlation at every whole shift, over the cells that are known in both.
+    """Normalised correlation at every whole shift, over the cells known in both.
 
-    `least_overlap` is the share of the block's known cells that must be known in the window too. Six correlations by
-    FFT, as in Padfield (2012), "Masked object registration in the Fourier domain". Means are subtracted first; what
-    unknown cells hold has no influence. No score where the variance of either over the cells in common is under 1e-4
-    of that of the whole. `area` is the sum of the products of the two autocorrelations, `chance` the root of it over
-    the cells in common: Bartlett's (1935) formula for the correlation of two independent stationary series.
+    `least_overlap` is the share of the block's known cells that must be known in the window too. Uses six FFT
+    correlations, as in Padfield (2012), "Masked object registration in the Fourier domain". Means are subtracted first;
+    values of unknown cells have no influence. The score is undefined where the variance of either over the common cells
+    is under 1e-4 of that of the whole. `area` is the sum of the products of the two autocorrelations, `chance` the
+    square root of `area` over the number of common cells: Bartlett's (1935) formula for the correlation of two
+    independent stationary series.
     """
     shape = tuple(scipy.fft.next_fast_len(int(side), real=True) for side in window.shape)
     down, across = (large - small + 1 for large, small in zip(window.shape, block.shape, strict=True))
@@ -68,7 +69,7 @@ def correlation(
 
 
 def standardised(values: Window, known: KnownWindow) -> Window:
-    """`values` less their mean and over their standard deviation, zero where unknown or where all are one value."""
+    """`values` less their mean, divided by their standard deviation; zero where unknown or constant."""
     count = jnp.maximum(jnp.sum(known), 1)
     values = jnp.where(known, values, 0.0)
     values = jnp.where(known, values - jnp.sum(values) / count, 0.0)

@@ -1,4 +1,4 @@
-"""Illumination and contrast that vary slowly taken out of an image, before it is matched."""
+"""Local normalisation of brightness and contrast before matching."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-LEAST = 0.1  # of the standard deviation of the whole image: what varies less is not blown up to full contrast
+LEAST = 0.1  # of the standard deviation of the whole image: lower bound, so that flat areas are not amplified
 
 
 def remove_illumination(image: Any, known: Any, width: int = 25) -> Float[Array, "rows cols"]:
-    """Grey values less their mean about each cell, over their standard deviation there; zero where unknown.
+    """Grey values less their local mean, divided by the local standard deviation; zero where unknown.
 
-    `image` (rows, cols), `known` the same shape; mean and deviation over the known cells of a square of `width` cells.
-    The deviation has a tenth of that of the whole image added to it in squares, so that even areas stay even. Raises
-    `ValueError` for shapes that do not fit and a width that is not odd or under 3.
+    `image` (rows, cols), `known` the same shape; mean and deviation are over the known cells of a square of `width`
+    cells. A tenth of the whole image's deviation is added in quadrature, so that flat areas stay flat. Raises
+    `ValueError` for shapes that do not fit and a width that is even or under 3.
     """
     image, known = np.asarray(image, np.float64), np.asarray(known, bool)
     if image.ndim != 2 or image.shape != known.shape:
@@ -43,7 +43,7 @@ def _flattened(
 
 
 def _box(values: Float[Array, "rows cols"], width: int) -> Float[Array, "rows cols"]:
-    """Sums over squares about each cell; nothing beyond the edges."""
+    """Box sums about each cell, zero beyond the edges."""
     for window in ((width, 1), (1, width)):
         values = jax.lax.reduce_window(values, 0.0, jax.lax.add, window, (1, 1), "SAME")
     return values

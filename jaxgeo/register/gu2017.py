@@ -1,8 +1,8 @@
-"""The formulas of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", and their table.
+"""Formulas and Table 1 of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation".
 
-Its conditions F(a, P) = 0 are two rows of collinearity, that the ground point P (ECEF, m) is imaged at its pixel with
-the parameters a, and a third, that it lies at the height h of the ground. In print A and B have changed places in Eqs 5
-and 7; here J = dF/da and B = dF/dP.
+The conditions F(a, P) = 0 are two collinearity equations (the ground point P, ECEF in m, projects to its pixel with the
+parameters a) and a height condition (P lies at the ground height h). The paper swaps A and B in Eqs 5 and 7; here J =
+dF/da and B = dF/dP.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A case, its fix as the navigation gives it, and as the update does."""
+    """A case with its fixes by direct georeferencing and after the update."""
 
     case: Case
     direct: Propagation
@@ -71,8 +71,8 @@ def conditions(
 ) -> tuple[Conditions, ByParameters, ByGround]:
     """F (ties, 3) in px, px, m of points imaged at `ties`, with J and B: Eqs 1 and 2 and their derivatives.
 
-    The parameters are the axes of an error model, of which none is to be of the terrain; `height` in m above the
-    ellipsoid is that of the ground.
+    The parameters are the axes of an error model without terrain sources; `height` is the ground height in m above the
+    ellipsoid.
     """
 
     def of(error: Float[Array, " axes"], p: Vector3, uv: Float[Array, "2"]) -> Vector3:
@@ -89,7 +89,7 @@ def conditions(
 
 
 def ground_covariance(position: Geodetic, registration: Any, terrain: Any) -> Matrix3:
-    """Eq 6: covariance in ECEF, m2, of a tie's ground point by the standard deviations of registration and height."""
+    """Eq 6: ECEF covariance, m2, of a tie's ground point from the standard deviations of registration and height."""
     R = R_ecef_from_enu(position)
     sigma = jnp.stack([jnp.asarray(registration), jnp.asarray(registration), jnp.asarray(terrain)])
     return (R * sigma[None, :] ** 2) @ R.T
@@ -103,10 +103,10 @@ def parameter_step(F: Conditions, J: ByParameters, W: Float[Array, "ties rows ro
 
 
 def parameter_covariance(J: ByParameters, B: ByGround, ground: Float[Array, "ties 3 3"], prior: Square) -> Square:
-    """Eq 7, corrected and with what was known before: [sum J' (B Sigma_P B')^-1 J + prior^-1]^-1.
+    """Eq 7, corrected and with a prior: [sum J' (B Sigma_P B')^-1 J + prior^-1]^-1.
 
-    Its rows are the two of collinearity, `J[:, :2]` and `B[:, :2]`: the height of a tie then errs as `ground` says.
-    With the third row, in which h is exact, no error of the terrain would be left.
+    Uses the two collinearity rows, `J[:, :2]` and `B[:, :2]`: the tie's height error is then part of `ground`. With the
+    third row, where h is exact, the terrain error would vanish.
     """
     inner = jnp.einsum("tij,tjk,tlk->til", B, ground, B)
     scale = jnp.sqrt(jnp.diagonal(prior))
@@ -125,18 +125,18 @@ def error_table(
     field_of_view_deg: float = 10.0,
     ties: tuple[int, int] = (5, 4),
 ) -> tuple[Row, ...]:
-    """Table 1: how sure the middle of an oblique image is, by the navigation and after the update, case by case.
+    """Table 1: accuracy of the centre of an oblique image, by the navigation and after the update, case by case.
 
-    The aircraft is `height` m above the ellipsoid, the ground `ground` m and level; the position has three independent
-    errors, the camera three independent small rotations; (columns, rows) of ties are spread over a square image, their
-    pixels exact, matched with the `registration` and on heights that err with `terrain` each, as the target's own does.
-    The paper tells neither a field of view nor a focal length.
+    The aircraft is `height` m above the ellipsoid, the ground `ground` m and level. The position has three independent
+    errors, the camera three independent small rotations. (columns, rows) ties are spread over a square image; their
+    pixels are exact, their ground positions have `registration` and `terrain` errors each, and the target has its own
+    `terrain` error. The paper states neither a field of view nor a focal length.
     """
     sensor, shot = _camera(off_nadir_deg, height, field_of_view_deg)
     terrain = ConstantHeight(ground)
     columns, rows = ((jnp.arange(count) + 0.5) / count * PIXELS - 0.5 for count in ties)
     uv = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(columns, rows)], axis=1)
-    size = -(-uv.shape[0] // LOCATED) * LOCATED  # few sizes, few programs
+    size = -(-uv.shape[0] // LOCATED) * LOCATED  # few sizes, so that few programs are compiled
     lat, lon, up = (x[: uv.shape[0]] for x in _places(sensor, shot, jnp.resize(uv, (size, 2)), terrain))
     place = Geodetic(lat=lat, lon=lon, height=up)
     points = TiePoints(uv, place, jnp.zeros((uv.shape[0], 2, 2)))
@@ -150,7 +150,7 @@ def _places(sensor: Sensor, shot: Shot, uv: Float[Array, "ties 2"], terrain: Con
 
 
 PIXELS = 2000
-LOCATED = 32  # pixels at once
+LOCATED = 32  # pixels per batch
 MIDDLE = (0.5 * (PIXELS - 1), 0.5 * (PIXELS - 1))
 
 

@@ -1,4 +1,4 @@
-"""The image and the reference of a registration, in cells of any size."""
+"""Image and reference of a registration, resampled to cells of any size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxgeo.terrain.grid import AbstractGrid, surface_point
 
 @portable
 class RegistrationFailed(Exception):
-    """A registration that cannot go on."""
+    """Registration cannot continue; `outcome` is the reason."""
 
     def __init__(self, outcome: Outcome) -> None:
         super().__init__(outcome.message)
@@ -28,7 +28,7 @@ class RegistrationFailed(Exception):
 
 
 class Level(NamedTuple):
-    """The reference in cells so many times as large: grey values, brightness made even, and where it is known."""
+    """The reference resampled by a factor: grey values, locally normalised grey values, and the mask of known cells."""
 
     grey: np.ndarray
     known: np.ndarray
@@ -36,8 +36,8 @@ class Level(NamedTuple):
 
 
 class Images:
-    """The image, grey (1, rows, cols), and the reference in cells of any size, which lies where it shows the ground to
-    be less a `shift` of the map to the east and north, m."""
+    """The image, grey (1, rows, cols), and the reference in cells of any size, corrected for a map `shift` to the
+    east and north, m."""
 
     def __init__(self, grey: np.ndarray, known: Any, reference: Orthoimage, flatten: int | None) -> None:
         self.grey, self.known, self.flatten = grey, known, flatten
@@ -47,18 +47,18 @@ class Images:
         self._levels: dict[int, Level] = {}
 
     def less(self, shift: np.ndarray) -> Images:
-        """The same, of a map that is off by another shift."""
-        moved = copy.copy(self)  # what was made coarser is shared
+        """The same images with another map shift."""
+        moved = copy.copy(self)  # resampled levels are shared
         moved.shift = np.asarray(shift, np.float64)
         return moved
 
     @property
     def reference(self) -> Orthoimage:
-        """The whole reference, where the ground truly is."""
+        """The whole reference at its corrected position."""
         return self._placed(self._reference)
 
     def _placed(self, given: Any) -> Any:
-        """An orthoimage or a level with its grid less the shift."""
+        """An orthoimage or level with its grid corrected for the shift."""
         if not np.any(self.shift):
             return given
         middle = 0.5 * (np.array(np.shape(given.known)) - 1.0)
@@ -67,7 +67,7 @@ class Images:
         return given._replace(grid=grid) if isinstance(given, Level) else Orthoimage(given.values, given.known, grid)
 
     def coarse(self, factor: int) -> Orthoimage:
-        """The whole reference, grey and made coarser by a factor."""
+        """The whole reference, grey, reduced by a factor."""
         return self._placed(self._coarser(factor))
 
     def _coarser(self, factor: int) -> Orthoimage:
@@ -77,7 +77,7 @@ class Images:
         return self._coarse[factor]
 
     def level(self, factor: int) -> Level:
-        """The whole reference, made coarser by a factor, brightness and contrast made even."""
+        """The whole reference, reduced by a factor and locally normalised."""
         if factor not in self._levels:
             coarse = self._coarser(factor)
             known = np.asarray(coarse.known)
@@ -85,7 +85,7 @@ class Images:
         return self._placed(self._levels[factor])
 
     def shrunk(self, factor: int) -> tuple[np.ndarray, np.ndarray]:
-        """(the image in pixels so many times as large, which of these are known wholly)."""
+        """(the image reduced by a factor, mask of pixels that are fully known)."""
         known = np.all(np.isfinite(self.grey), axis=0)
         known = known if self.known is None else known & np.asarray(self.known, bool)
         rows, cols = (side // factor for side in known.shape)
@@ -95,7 +95,7 @@ class Images:
         return values.reshape(squares).mean(axis=(1, 3)), whole
 
     def even(self, grey: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Grey values with brightness and contrast made even, if that is wanted."""
+        """Grey values, locally normalised if requested."""
         if self.flatten is None:
             return np.asarray(grey, np.float64)
         return np.asarray(remove_illumination(grey, known, self.flatten))
@@ -103,7 +103,7 @@ class Images:
 
 @eqx.filter_jit
 def _cells_of(grid: AbstractGrid, rowcol: Float[Array, "2"], enu: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Rows and columns of a step on the ground, east and north in m, at a place of a grid."""
+    """Step in rows and columns of a grid for a step on the ground, east and north in m."""
     p_ecef = surface_point(grid.normal(rowcol))
     moved = p_ecef + R_ecef_from_enu(WGS84.to_geodetic(p_ecef))[:, :2] @ enu
     return grid.rowcol(WGS84.normal_and_height(moved)[0]) - rowcol

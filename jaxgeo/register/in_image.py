@@ -1,4 +1,4 @@
-"""Comparison in the image: the reference is rendered as the camera would see it."""
+"""Comparison in image space: the reference rendered into the camera."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from jaxgeo.status import Status
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-FLATTEST = 0.02  # of the larger scale on the ground, the smaller: beyond, a place on the map is not told by the image
+FLATTEST = 0.02  # smaller over larger ground scale: below it, the image does not determine the map position
 
 
 class ImagePlace(NamedTuple):
-    """Cells of `factor` pixels, the reference being `coarser` times as coarse as it is; `aside` (rows, cols) of these
-    cells are looked at beside the image."""
+    """Cells of `factor` pixels and the reference reduced by `coarser`; `aside` (rows, cols) cells are added as a
+    margin around the image."""
 
     factor: int
     coarser: int
@@ -39,13 +39,13 @@ class ImagePlace(NamedTuple):
 
 
 class InImage(AbstractComparison):
-    """For oblique images: an error of the attitude shifts and turns an image as a whole, whatever the relief, while on
-    the map it would stretch it, and each slope by another amount. Only an error of the position shifts near ground
-    otherwise than far ground.
+    """Comparison for oblique images. In image space an attitude error shifts and rotates the image as a whole, whatever
+    the relief; on the map it would stretch it, by a different amount on each slope. Only a position error shifts near
+    and far ground differently.
 
-    What the terrain hides is not rendered, so that it has no part. The tie of a block is the ground that the reference
-    shows where the block's middle was found: by the look that it was rendered with it is imaged just there, be it
-    before or behind an edge.
+    Terrain occlusions are not rendered and so have no influence. The tie of a block is the reference ground at the
+    matched position of the block's centre: the rendering orientation images it exactly there, in front of or behind an
+    occluding edge.
     """
 
     def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
@@ -92,13 +92,13 @@ class InImage(AbstractComparison):
 
 
 def pixels_of(places: np.ndarray, factor: int) -> np.ndarray:
-    """Pixels (n, 2), (column, row), of places (row, col) in cells of so many pixels."""
+    """Pixels (n, 2), (column, row), of (row, col) in cells of `factor` pixels."""
     return (np.asarray(places, np.float64)[:, ::-1] + 0.5) * factor - 0.5
 
 
 def shifts_in_image(look: ModelInputs, model: ErrorModel, uv: np.ndarray, factor: int) -> Shifts:
-    """Shifts of what is seen at pixels (n, 2), in cells of `factor` pixels, on the facets that they see; pixels may lie
-    beside the image."""
+    """Shifts of the ground seen at pixels (n, 2), in cells of `factor` pixels, on the terrain facets hit; pixels may
+    lie outside the image."""
     ground = met(look, uv)
     rows = np.concatenate([uv, ground.p_ecef, ground.height[:, None], ground.cell], axis=1)
     found = Shifts(*in_chunks(lambda part: _shifts(look, model, part), rows))
@@ -108,7 +108,7 @@ def shifts_in_image(look: ModelInputs, model: ErrorModel, uv: np.ndarray, factor
 
 @eqx.filter_jit
 def _shifts(look: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
-    """Of pixels, the points in ECEF m that they see, their heights and cells of the terrain."""
+    """Shifts for rows of a pixel, the ECEF point in m that it sees, its height and its terrain cell."""
 
     def one(row: Float[Array, "8"]) -> tuple[Array, ...]:
         pixel, p_ecef, height, cell = row[:2], row[2:5], row[5], row[6:].astype(jnp.int32)

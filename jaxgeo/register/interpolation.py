@@ -1,4 +1,4 @@
-"""How a value between pixels is made: the nearest, bilinear, cubic."""
+"""Interpolation kernels (nearest, bilinear, cubic convolution) and image sampling."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo._typing import Numbers
 
-LEAST = 1e-9  # weight below which a pixel has no part in a value
+LEAST = 1e-9  # weight below which a pixel is ignored
 ROWS_AT_ONCE = 512
-WORDS = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}  # by their bits
+WORDS = {8: jnp.uint8, 16: jnp.uint16, 32: jnp.uint32, 64: jnp.uint64}  # unsigned types by size in bits
 
 
 class AbstractInterpolation(Record):
-    """Weights of the pixels about a place, along rows and columns alike."""
+    """Separable kernel: weights of neighbouring pixels, the same along rows and columns."""
 
     taps: ClassVar[tuple[int, ...]]
-    """Pixels that take part, counted from `first`."""
+    """Offsets of the contributing pixels from `first`."""
 
     @abstractmethod
     def first(self, place: Numbers) -> Numbers:
@@ -36,11 +36,11 @@ class AbstractInterpolation(Record):
 
     @abstractmethod
     def weights(self, fraction: Numbers) -> tuple[Numbers, ...]:
-        """One weight for each tap, their sum 1, by the place less `first`."""
+        """One weight per tap, with sum 1; `fraction` is the position less `first`."""
 
 
 class Nearest(AbstractInterpolation):
-    """The value of the nearest pixel: for classes, and values that may not be mixed."""
+    """Value of the nearest pixel: for class labels and other values that must not be mixed."""
 
     taps: ClassVar = (0,)
 
@@ -52,7 +52,7 @@ class Nearest(AbstractInterpolation):
 
 
 class Bilinear(AbstractInterpolation):
-    """Linear between the four pixels about a place."""
+    """Linear between the four neighbouring pixels."""
 
     taps: ClassVar = (0, 1)
 
@@ -64,8 +64,8 @@ class Bilinear(AbstractInterpolation):
 
 
 class Cubic(AbstractInterpolation):
-    """Cubic convolution of sixteen pixels. Keys (1981), "Cubic convolution interpolation for digital image processing",
-    with a = -1/2: exact for polynomials of second degree."""
+    """Cubic convolution over sixteen pixels: Keys (1981), "Cubic convolution interpolation for digital image
+    processing", with a = -1/2; exact for quadratic polynomials."""
 
     taps: ClassVar = (-1, 0, 1, 2)
 
@@ -78,16 +78,16 @@ class Cubic(AbstractInterpolation):
 
 
 def precision_of(values: Num[Array, "..."]) -> Any:
-    """In which sums of values are made: single for those of up to 16 bits, which it holds far better than they are
-    rounded to, and for those that are single themselves."""
+    """Dtype of sums: float32 for float32 values and integers of up to 16 bits, where it is far more accurate than
+    their rounding; else float64."""
     return jnp.float64 if values.dtype.itemsize > 2 and values.dtype != jnp.float32 else jnp.float32
 
 
 class Pixels(Record):
-    """The pixels of an image (bands, rows, cols), laid out so that those about a place are quick to take.
+    """The pixels of an image (bands, rows, cols) in a layout for fast gathering.
 
-    Two to four bands of bytes can share a word: eight bits for each, or sixteen where they are means, with their 256th
-    parts. Other bands lie one by one. `known` is None where all pixels are.
+    Two to four 8-bit bands can share a word, with eight bits each, or sixteen for means in units of 1/256. Other bands
+    are stored separately. `known` is None if all pixels are known.
     """
 
     words: tuple[Num[Array, " pixels"], ...]
@@ -95,11 +95,11 @@ class Pixels(Record):
     bands: int = eqx.field(static=True)
     shape: tuple[int, int] = eqx.field(static=True)
     bits: int = eqx.field(static=True)
-    """Of a band in a word; 0 where bands lie one by one."""
+    """Bits per band in a word; 0 if bands are stored separately."""
 
     @classmethod
     def of(cls, values: Num[ArrayLike, "bands rows cols"], known: Bool[ArrayLike, "rows cols"] | None) -> Pixels:
-        """Band by band, as they are."""
+        """Unpacked layout, one array per band."""
         bands, rows, cols = np.shape(values)
         check_countable(rows * cols, f"{rows} x {cols} pixels in one image", "Cut it into parts, or make it coarser.")
         words = tuple(jnp.asarray(band).reshape(-1) for band in values)  # pyright: ignore[reportGeneralTypeIssues]
@@ -107,17 +107,17 @@ class Pixels(Record):
 
     @property
     def are_few_bytes(self) -> bool:
-        """Whether they fit in a word together."""
+        """Whether the bands fit into one word."""
         return not self.bits and self.words[0].dtype == jnp.uint8 and 2 <= self.bands <= 4
 
     def packed(self) -> Pixels:
-        """The same, together in words if they fit."""
+        """The same pixels packed into words, if they fit."""
         if not self.are_few_bytes:
             return self
         return Pixels((_packed(self.words, 8),), self.known, self.bands, self.shape, 8)
 
     def taken(self, place: Int[Array, "..."], precision: Any) -> list[Float[Array, "..."]]:
-        """Values of the pixels that lie at places in the flat arrays, band by band."""
+        """Pixel values at indices into the flat arrays, band by band."""
         words = [word.at[place].get(mode="promise_in_bounds") for word in self.words]
         if not self.bits:
             return [word.astype(precision) for word in words]
@@ -125,11 +125,11 @@ class Pixels(Record):
         return [part.astype(jnp.int32).astype(precision) * scale for part in self._unpacked(words[0])]
 
     def precision(self) -> Any:
-        """In which sums of them are made."""
+        """Dtype of sums over these pixels."""
         return jnp.float32 if self.bits else precision_of(self.words[0])
 
     def halved(self) -> Pixels:
-        """Means of four pixels; known where all four are. A last row or column left over is dropped."""
+        """Means of 2 x 2 pixels; known where all four are. An odd last row or column is dropped."""
         rows, cols = (n // 2 * 2 for n in self.shape)
 
         def four(flat: Array) -> list[Array]:
@@ -157,12 +157,12 @@ class Pixels(Record):
 
 
 def halved_pixels(values: np.ndarray, known: np.ndarray | None) -> Pixels:
-    """`Pixels.of(values, known).halved()`, part by part: an image is not copied whole only to be made smaller."""
+    """`Pixels.of(values, known).halved()` in parts, without a full copy of the image."""
     rows = values.shape[1] // 2 * 2
     count = min(ROWS_AT_ONCE, rows)
     parts = []
     for first in range(0, rows, count):
-        overlap = max(first + count - rows, 0)  # all parts have one size, so that one program serves
+        overlap = max(first + count - rows, 0)  # all parts have one size, so that one compiled program serves all
         part = np.s_[first - overlap : first - overlap + count]
         found = _halved(Pixels.of(values[:, part], None if known is None else known[part]))
         skipped = overlap // 2 * (values.shape[2] // 2)
@@ -180,7 +180,7 @@ def _total(parts: Sequence[Array]) -> Array:
 
 
 def _packed(bands: Sequence[Array], bits: int) -> Array:
-    """Whole numbers of a few bits, side by side in one word."""
+    """Integers of `bits` bits packed into one word."""
     need = bits * len(bands)
     dtype = next(dtype for size, dtype in WORDS.items() if size >= need)
     return functools.reduce(operator.or_, [band.astype(dtype) << (bits * k) for k, band in enumerate(bands)])
@@ -189,9 +189,9 @@ def _packed(bands: Sequence[Array], bits: int) -> Array:
 def sampled(
     pixels: Pixels, uv: tuple[Numbers, Numbers], how: AbstractInterpolation
 ) -> tuple[list[Float[Array, "..."]], Bool[Array, "..."]]:
-    """(values at places (column, row) of any shape, band by band; whether all pixels that have part in them are known).
+    """(values at (column, row) positions of any shape, band by band; whether all contributing pixels are known).
 
-    Pixels beyond the edge are those at the edge; what lies outside is for the caller to say.
+    Beyond the edge, the edge pixels repeat; the caller masks positions outside the image.
     """
     rows, cols = pixels.shape
     u, v = uv

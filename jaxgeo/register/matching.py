@@ -1,4 +1,4 @@
-"""Matching a rectified image with a reference: blocks, the search that the navigation's errors allow, candidates."""
+"""Block matching of a rectified image with a reference, within the search area of the navigation errors."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from jaxgeo.register.blocks import SIZE, BlockOutcome, Matches, block_shape, cut
 from jaxgeo.register.peaks import Peaks, best_peaks, ellipses, half_widths
 from jaxgeo.register.refinement import TAPS, refine_all
 
-BATCH = 8  # blocks, or candidates, that go through a program at once
-CELLS = 2_000_000  # of all windows of a batch: some twenty arrays of this size are held at once
+BATCH = 8  # blocks, or candidates, per call
+CELLS = 2_000_000  # of all windows of a batch; about twenty arrays of this size are live at once
 EVEN = 0.01  # of the standard deviation of the whole image: a block that varies less has no texture
 
 Image = Float[np.ndarray, "rows cols"]
@@ -40,21 +40,22 @@ def match_blocks(
     largest_sigma: float = 1.0,
     floor: float = 0.03,
 ) -> Matches:
-    """Where blocks of a rectified image may lie in a reference on the same grid.
+    """Match candidates of image blocks in a reference on the same grid.
 
-    `rectified` and `reference` are grey values (rows, cols), of the same cells, `known` and `known_reference` where
-    there are any: what lies elsewhere has no influence. Pad the rectified image with unknown cells where the reference
-    reaches further. `centres` (n, 2) are middles of blocks of `size` cells (`blocks_of`), `covariance` (n, 2, 2) in
-    cells2 (rows, cols) that of their shifts by the navigation's errors, of mean zero. Searched are the whole shifts
-    that such errors make with `probability`, and a cell more; `least_overlap` is the share of a block's known cells
-    that must be known in the reference. `peaks` local maxima of the normalised correlation, `separation` cells apart or
-    more, become candidates where they score `least_score` or more, and `above_chance` times the best score that chance
-    gives in so large a search (below 1 more are kept, of which a choice finds those that agree). Each is then refined
-    by least squares (see `refine`), and is none if that leaves it uncertain by more than `largest_sigma` cells in some
-    direction; `floor` cells are added to its standard deviation, in squares, for what so simple a model leaves out.
+    `rectified` and `reference` are grey values (rows, cols) in the same cells, `known` and `known_reference` their
+    masks: other values have no influence. Pad the rectified image with unknown cells where the reference extends
+    further. `centres` (n, 2) are the centres of blocks of `size` cells (`blocks_of`), `covariance` (n, 2, 2) in cells2
+    (rows, cols) is that of their zero-mean shifts by the navigation errors. The search covers whole shifts within the
+    `probability` ellipse of these errors, plus one cell; `least_overlap` is the share of a block's known cells that
+    must be known in the reference. Up to `peaks` local maxima of the normalised correlation, at least `separation`
+    cells apart, become candidates if they score at least `least_score` and at least `above_chance` times the best score
+    expected by chance in a search of that size (values below 1 keep more candidates for the selection). Each is refined
+    by least squares (see `refine`) and rejected if its standard deviation exceeds `largest_sigma` cells in any
+    direction; `floor` cells are added to it in quadrature for model errors.
 
-    Raises `RuntimeError` with 64-bit floats off; `ValueError` for shapes that do not fit, images without a number where
-    they are known, centres off the image, covariances that are none, searches too far, and options out of range.
+    Raises `RuntimeError` with 64-bit floats off; `ValueError` for shapes that do not fit, images that are not finite
+    where they are known, centres outside the image, invalid covariances, searches that are too large, and options out
+    of range.
     """
     require_x64()
     rectified, known = _checked_image(rectified, known, "rectified", "known")
@@ -83,7 +84,7 @@ def match_blocks(
 def _looked_at(
     image: Image, known: Known, corners: Corners, shape: tuple[int, int]
 ) -> tuple[np.ndarray, Float[np.ndarray, "n 2"]]:
-    """(outcome, mean place of the known cells) of each block before it is searched."""
+    """(outcome, mean position of the known cells) of each block before the search."""
     outcome = np.full(len(corners), BlockOutcome.matched, np.int8)
     centre = corners + (np.array(shape) - 1) / 2
     whole = np.std(image[known]) if known.any() else 0.0
@@ -106,7 +107,7 @@ def _searched(
     covariance: Float[np.ndarray, "n 2 2"],
     options: tuple[float, int, float, float],
 ) -> Peaks:
-    """Peaks of all blocks, in batches of one size; no scores where a block was not searched."""
+    """Peaks of all blocks, in batches of one size; scores are NaN for blocks that are not searched."""
     probability, peaks, least_overlap, separation = options
     found = _no_peaks(len(corners), peaks)
     chosen = np.flatnonzero(outcome == BlockOutcome.matched)
@@ -136,7 +137,7 @@ def _no_peaks(n: int, peaks: int) -> Peaks:
 def _judged(
     found: Peaks, outcome: np.ndarray, least_score: float, above_chance: float
 ) -> tuple[np.ndarray, Bool[np.ndarray, "n peaks"]]:
-    """(outcome, which peaks are to be refined) after the search."""
+    """(outcome, flags of the peaks to refine) after the search."""
     level = np.maximum(above_chance * found.level, least_score)[:, None]
     with np.errstate(invalid="ignore"):
         is_peak = np.asarray(found.score >= level)
@@ -161,7 +162,7 @@ def _refined(
     is_peak: Bool[np.ndarray, "n peaks"],
     sigmas: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(shifts, covariances) of all candidates by least squares; NaN where there is none."""
+    """(shifts, covariances) of all candidates by least squares; NaN for missing candidates."""
     (n, peaks), (largest_sigma, floor) = is_peak.shape, sigmas
     shift, cov = np.full((n, peaks, 2), np.nan), np.full((n, peaks, 2, 2), np.nan)
     wide = (shape[0] + 2 * TAPS, shape[1] + 2 * TAPS)
@@ -180,7 +181,7 @@ def _refined(
 
 
 def _best_first(matches: Matches) -> Matches:
-    """Candidates that are left in the order of their scores, with no gaps; of two that became one, the better."""
+    """Remaining candidates in order of their scores, without gaps; of two that converged to one, the better."""
     shift, is_candidate = np.asarray(matches.shift), matches.is_candidate
     for first in range(shift.shape[1]):
         near = np.nansum((shift - shift[:, first : first + 1]) ** 2, axis=-1) < 1.0
@@ -195,13 +196,13 @@ def _best_first(matches: Matches) -> Matches:
 
 
 def _batches(indices: Int[np.ndarray, " m"], size: int) -> list[np.ndarray]:
-    """Indices in groups of exactly `size`, the last filled up with its own last one."""
+    """Indices in groups of exactly `size`; the last group is padded with its last index."""
     groups = [indices[k : k + size] for k in range(0, len(indices), size)]
     return [np.pad(group, (0, size - len(group)), mode="edge") for group in groups]
 
 
 def _cuts(image: Image, known: Known, corners: Corners, shape: tuple[int, int]) -> list[Any]:
-    """Parts (n, rows, cols) of an image and of where it is known."""
+    """Windows (n, rows, cols) of an image and of its mask."""
     return [jnp.asarray(np.stack([cut(array, corner, shape) for corner in corners])) for array in (image, known)]
 
 

@@ -1,4 +1,4 @@
-"""Comparison on the map: the image is rectified onto cells of the reference."""
+"""Comparison in map space: the image rectified onto cells of the reference."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-TILE = 256  # cells on a side: one size, so that no other window compiles anything
+TILE = 256  # cells on a side; one size, so that other windows need no compilation
 
 
 class MapPlace(NamedTuple):
-    """Cells of `factor` cells of the reference, and the `window` (first row, first col, last row + 1, last col + 1) of
-    them in which the image lies."""
+    """Cells of `factor` reference cells, and the image `window` in them (first row, first col, last row + 1, last
+    col + 1)."""
 
     factor: int
     window: tuple[int, int, int, int]
 
 
 class OnMap(AbstractComparison):
-    """As Gu and Qiao (2017): for images from above, whose parts are only shifted by an error of the pose."""
+    """Comparison for near-vertical images, as in Gu and Qiao (2017): a pose error only shifts the blocks."""
 
     def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
         level = images.level(place.factor)
@@ -66,7 +66,7 @@ class OnMap(AbstractComparison):
 
 
 def _wider(window: tuple[int, int, int, int], shape: tuple[int, ...], aside: int) -> tuple[int, int, int, int]:
-    """A window with room beside it, as far as the reference goes."""
+    """A window with a margin, clipped to the reference."""
     return (
         max(window[0] - aside, 0),
         max(window[1] - aside, 0),
@@ -82,7 +82,8 @@ def _rectified(
     inner: tuple[int, int, int, int],
     outer: tuple[int, int, int, int],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(grey, known) of the image on the outer window, on whose cells the grid counts; it is sought in the inner one."""
+    """(grey, known) of the image on the outer window, with the grid relative to it; rectified in the inner window
+    only."""
     shape = outer[2] - outer[0], outer[3] - outer[1]
     time = None if isinstance(look.motion, Shot) else look.time
     rectifier = Rectifier(

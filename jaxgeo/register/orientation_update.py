@@ -1,4 +1,4 @@
-"""The update: a navigation's errors estimated from tie points between its image and a reference map."""
+"""Orientation update: navigation errors estimated from tie points between an image and a reference map."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import TerrainField
 
-ALONE = 10.0  # standard deviations of a lone tie, within which a prior must foretell it
+ALONE = 10.0  # standard deviations of a lone tie: largest prior uncertainty of its pixel
 HUBER, FULL_JACOBIAN = Huber(), FullJacobian()
 
 
@@ -46,30 +46,30 @@ def update_orientation(
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
 ) -> Update:
-    """Correct sensor, shot and terrain by what a reference map shows, and say how sure they then are.
+    """Correct sensor, shot and terrain from tie points with a reference map, with the posterior covariance.
 
-    `sensor`, `shot` (or a trajectory with the image's `time` in s), `terrain` and `atmosphere` are as the navigation
-    gives them, as for `jaxgeo.locate`; `errors` is the `ErrorModel` of how they err, or a tuple of sources: its error
-    vector is estimated, together with the map's shift. All its sources may have a part (position, attitude, gimbal,
-    boresight, interior orientation, a terrain height common to all, ...); what the ties tell nothing of keeps its
-    prior. `ties` are the matched points, `tie_errors` how map and terrain err there.
+    `sensor`, `shot` (or a trajectory with the image's `time` in s), `terrain` and `atmosphere` are those of the
+    navigation, as for `jaxgeo.locate`. `errors` is the navigation's `ErrorModel`, or a tuple of sources: its error
+    vector is estimated together with the map shift. All sources can be included (position, attitude, gimbal, boresight,
+    interior orientation, a common terrain height, ...); components that the ties do not determine keep their prior.
+    `ties` are the matched points, `tie_errors` the errors of map and terrain there.
 
-    The residual of a tie is its pixel less the image of its place on the map less the map's shift, on the terrain; its
-    covariance is that of the match, the map and the terrain's height by the derivatives of the image (`propagation`),
-    and of the pixel. Least squares with these and with the prior by Gauss and Newton, damped where a step goes wrong;
-    each step is taken into the look, so that the covariance is about the corrected one. Residuals count by `loss`. One
-    that falls to nothing (`Tukey`, `Cauchy`) starts from what `Huber` finds.
+    The residual of a tie is its pixel less the projection of its map position, corrected for the map shift and placed
+    on the terrain. Its covariance includes the match, the map and the terrain height, propagated by the derivatives of
+    the projection (`propagation`), and the pixel. The solution is damped Gauss-Newton least squares with the prior as
+    observations; each step is applied to the model inputs, so that the covariance refers to the corrected ones.
+    Residuals are weighted by `loss`; redescending losses (`Tukey`, `Cauchy`) start from the `Huber` solution.
 
-    `prior` says what is known before: by default that no error is likeliest, with the covariance of `errors` and of
-    `tie_errors.shift`. One of `propagate_prior` goes on from another image; `tie_errors.shift` then has no part.
+    `prior` defaults to zero mean with the covariance of `errors` and of `tie_errors.shift`. A prior of
+    `propagate_prior` carries over the update of another image; `tie_errors.shift` is then ignored.
 
-    Works under `jit` and `vmap`; derivatives of the result are not to be had. One that does not converge has that
-    status, and NaN.
+    Works under `jit` and `vmap`; the result is not differentiable. An update that does not converge has status
+    `not_converged` and NaN.
     Raises `TypeError` for arguments of the wrong kind and float32, `RuntimeError` with 64-bit floats off. `ValueError`
-    for no ties, shapes that do not fit, numbers that are not finite, ties over no known terrain (by number), more than
-    4096 ties, a `TerrainField` among `errors` (it goes into `tie_errors`), ties without any error, as
-    `jaxgeo.uncertainty.propagate` does for errors, and for a single tie whose pixel the prior foretells less well than
-    to ten of its standard deviations: nothing would tell a wrong one.
+    for no ties, shapes that do not fit, numbers that are not finite, ties over unknown terrain (by number), more than
+    4096 ties, a `TerrainField` among `errors` (it belongs in `tie_errors`), ties without any error, as
+    `jaxgeo.uncertainty.propagate` does for errors, and for a single tie whose prior uncertainty exceeds ten of its
+    standard deviations: a wrong match could not be detected.
     """
     sensor, shot, moment = checked_exposure(sensor, shot, time)
     check_mapped_terrain(terrain)
@@ -97,7 +97,7 @@ def _handed_over(
     if solution.terrain is not None:
         terrain = solution.terrain
     elif isinstance(terrain, Dem) and solution.field is not None:
-        terrain = dataclasses.replace(terrain, field=solution.field)  # without a copy of its posts
+        terrain = dataclasses.replace(terrain, field=solution.field)  # without copying its posts
     return Update(
         sensor=exposure.sensor,
         shot=exposure.motion,
@@ -123,7 +123,7 @@ def _handed_over(
 
 def _first(values: Any, count: int) -> Any:
     known = concrete(values)
-    return values[:count] if known is None else jnp.asarray(known[:count])  # without compiling for every number
+    return values[:count] if known is None else jnp.asarray(known[:count])  # without compiling for each count
 
 
 def _check_sources(model: ErrorModel) -> None:

@@ -1,4 +1,4 @@
-"""An image that lies on the ground: what a map shows, and what rectifying makes of an image."""
+"""Orthoimage: image bands on a ground grid."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from jaxgeo.terrain.grid import AbstractGrid
 
 
 class Orthoimage(Record):
-    """Bands of an image over a grid on the ground: an orthophoto, or an image that was rectified.
+    """Bands of an image on a ground grid: an orthophoto or a rectified image.
 
-    `values` (bands, rows, cols) of any real dtype; `known` (rows, cols) is where there is an image at all; `grid` maps
-    positions to (row, col), whose whole numbers are the middles of cells. Make one with `Orthoimage.of`,
-    `jaxgeo.io.read_orthoimage` or `rectify`.
+    `values` (bands, rows, cols) of any real dtype; `known` (rows, cols) is the mask of valid cells; `grid` maps
+    positions to (row, col) with cell centres at integers. Make one with `Orthoimage.of`, `jaxgeo.io.read_orthoimage` or
+    `rectify`.
     """
 
     values: Num[Any, "bands rows cols"]
@@ -29,7 +29,7 @@ class Orthoimage(Record):
     def of(cls, values: Any, grid: AbstractGrid, known: Any = None) -> Orthoimage:
         """From values (rows, cols) or (bands, rows, cols); by default known where all bands are finite.
 
-        Raises `ValueError` for other shapes, and where nothing is known.
+        Raises `ValueError` for other shapes, and if no cell is known.
 
         >>> from jaxgeo.register import Orthoimage
         >>> from jaxgeo.terrain import TangentGrid
@@ -59,18 +59,18 @@ class Orthoimage(Record):
 
     @property
     def ground_sampling(self) -> float:
-        """Length in m of a cell's side in the middle: the root of its area on the ellipsoid."""
+        """Side length in m of the central cell: the square root of its area on the ellipsoid."""
         return cell_side(self.grid)
 
     def grey(self) -> Float[Array, "rows cols"]:
-        """One band: the mean of all, and the mean of what is known where nothing is."""
+        """The mean of all bands; unknown cells have the mean of the known ones."""
         grey = jnp.mean(jnp.asarray(self.values, jnp.float64), axis=0)
         known = jnp.asarray(self.known)
         middle = jnp.sum(jnp.where(known, grey, 0.0)) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(known, grey, middle)
 
     def window(self, row: int, col: int, shape: tuple[int, int]) -> Orthoimage:
-        """A part that starts at (row, col); what lies beyond the edges is unknown, and zero."""
+        """A window with its first cell at (row, col); cells beyond the edges are unknown and zero."""
         rows, cols = self.shape
         top, left = max(row, 0), max(col, 0)
         bottom, right = min(row + shape[0], rows), min(col + shape[1], cols)
@@ -83,8 +83,8 @@ class Orthoimage(Record):
         return Orthoimage(values, known, self.grid.window(row, col))
 
     def coarser(self, factor: int) -> Orthoimage:
-        """Means over squares of `factor` cells; known where half of a square or more is. Rows and columns left over at
-        the end are dropped."""
+        """Means over squares of `factor` cells; known where at least half of a square is. Remaining rows and columns
+        at the end are dropped."""
         if factor == 1:
             return self
         rows, cols = (n // factor for n in self.shape)
@@ -100,7 +100,7 @@ class Orthoimage(Record):
 
 
 def cell_side(grid: AbstractGrid) -> float:
-    """Length in m of a cell's side in the middle of a grid: the root of its area on the ellipsoid."""
+    """Side length in m of the central cell of a grid: the square root of its area on the ellipsoid."""
     return float(np.sqrt(np.prod(np.asarray(_cell_size(grid)))))
 
 

@@ -1,4 +1,4 @@
-"""What became of a registration."""
+"""Outcome codes of a registration."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 
 
 class Outcome(enum.IntEnum):
-    """What became of a registration; only `registered` comes with an update. `.message` is the full sentence."""
+    """Outcome of a registration; only `registered` comes with an update. `.message` is the full sentence."""
 
     registered = 0
     no_overlap = 1

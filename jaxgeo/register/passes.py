@@ -1,4 +1,4 @@
-"""One pass of a registration: compare, match, choose, and make tie points."""
+"""One registration pass: compare, match, select and make tie points."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from jaxgeo.register.ties import TiePoints
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-# Cells by which a block may be shifted beside what the navigation's errors do: at first so many that it can be told
-# whether blocks agree by chance, even where the navigation leaves little to be sought.
+# # Cells added in quadrature to the predicted block shifts; larger in the first pass, so that the test against chance
+# agreement has enough shifts even where the navigation is accurate.
 AT_FIRST, LATER = 3.0, 1.0
 MOSTLY = 0.6  # of the blocks
 
 
 class Pass(Record):
-    """What a pass did. `cell` is the side of a cell in m, `block` that of a block in cells. `offered` blocks could be
-    matched, `agreeing` were chosen, `rival` is how many agree on something else, `false_alarms` how often chance would
-    do as well. `shifts` are those of the blocks' middles; `searched` cells were compared in all."""
+    """Result of a pass. `cell` is the side of a cell in m, `block` that of a block in cells. `offered` is the number
+    of blocks that could be matched, `agreeing` that of the chosen ones, `rival` the size of the second-best set,
+    `false_alarms` the expected number of chance agreements as large. `shifts` are those of the block centres;
+    `searched` is the total number of shifts compared.
+    """
 
     cell: float
     block: int
@@ -40,8 +42,7 @@ class Pass(Record):
     searched: int
 
     def moved_by(self, error: np.ndarray) -> float:
-        """By how many cells the chosen blocks are moved by a change of the errors and the map's shift, root mean
-        square."""
+        """Root mean square shift of the chosen blocks in cells by a change of the errors and the map shift."""
         by_error = np.asarray(self.shifts.by_error)[np.asarray(self.chosen.is_chosen)][:, :, : len(error)]
         return float(np.sqrt(np.mean(np.sum((by_error @ error) ** 2, axis=1))))
 
@@ -64,8 +65,8 @@ def one_pass(
     *,
     is_first: bool,
 ) -> tuple[Pass, TiePoints]:
-    """(what a pass did, the tie points of the blocks that agree), of a look whose errors have a covariance (axes and
-    the map's shift). Raises `Stopped` where no blocks could be matched."""
+    """(result of the pass, tie points of the agreeing blocks) for model inputs whose errors and map shift have
+    `covariance` (axes + 2, axes + 2). Raises `RegistrationFailed` if no blocks could be matched."""
     pair = plan.comparison(look, model, images, plan.place, plan.block)
     centres = blocks_of(pair.known, plan.block)
     if not len(centres):
@@ -106,7 +107,7 @@ def one_pass(
 
 
 def _covariances(shifts: Shifts, cov: np.ndarray, aside: float) -> np.ndarray:
-    """Of the shifts of blocks; the largest of all for those whose middle is not seen."""
+    """Covariances of the block shifts; blocks with hidden centres get the largest of all."""
     covariance = np.asarray(shifts.covariance(cov)) + aside**2 * np.eye(2)
     seen = np.asarray(shifts.seen) & np.isfinite(covariance).all(axis=(1, 2))
     if not seen.any():
@@ -117,7 +118,7 @@ def _covariances(shifts: Shifts, cov: np.ndarray, aside: float) -> np.ndarray:
 
 
 def _check_blocks(matches: Matches) -> None:
-    """Raise `Stopped` where most blocks have the same reason not to be matched."""
+    """Raise `RegistrationFailed` if most blocks failed for the same reason."""
     counts = count_outcomes(matches.outcome)
     looked_at = len(matches.outcome) - counts.get(BlockOutcome.outside_image, 0)
     reasons = {BlockOutcome.no_texture: Outcome.no_texture, BlockOutcome.off_reference: Outcome.off_reference}

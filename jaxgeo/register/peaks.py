@@ -1,4 +1,4 @@
-"""The part of the reference in which a block may lie, and the peaks of its correlation there."""
+"""Search area of a block in the reference, and its correlation peaks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgeo._typing import Scalar
 from jaxgeo.register.correlation import Block, Known, KnownWindow, Surface, Window, correlation
 
-MARGIN = 1.0  # cells by which the semi-axes of the searched ellipse are longer
+MARGIN = 1.0  # cells added to the semi-axes of the search ellipse
 HALF_WIDTHS = tuple(
     width for power in range(2, 11) for width in (2**power, 3 * 2 ** (power - 1))
 )  # 4, 6, 8, 12, 16 ...
@@ -26,9 +26,9 @@ Inside = Bool[Array, "shifts_down shifts_across"]
 class Peaks(NamedTuple):
     """The best local maxima of a block's correlation: whole shifts (row, col), scores (NaN for none), and counts.
 
-    `offset` is the top of a paraboloid through the nine scores less the whole shift; `inside` how many shifts lie in
-    the ellipse, `overlapping` at how many of those enough is known, `searched` how many have a score; `level` the best
-    score to be expected of so many by chance.
+    `offset` is the sub-cell maximum of a paraboloid fitted to the nine scores, relative to the whole shift; `inside` is
+    the number of shifts in the ellipse, `overlapping` of those with enough known cells, `searched` of those with a
+    score; `level` is the best score expected by chance in a search of that size.
     """
 
     shift: Int[Any, "*batch peaks 2"]
@@ -43,7 +43,7 @@ class Peaks(NamedTuple):
 def ellipses(
     covariance: Float[np.ndarray, "n 2 2"], probability: float
 ) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2"]]:
-    """(W, half extents in cells): a shift d is searched where |W d| <= 1, which holds it with `probability`.
+    """(W, half extents in cells): shifts d with |W d| <= 1 are searched; they contain the true one with `probability`.
 
     d' covariance^-1 d <= -2 ln(1 - probability), semi-axes one cell longer.
     """
@@ -54,10 +54,10 @@ def ellipses(
 
 
 def half_widths(extent: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, "n 2"]:
-    """Half widths (rows, cols) of the windows to search: a few sizes, so that few programs are compiled.
+    """Half widths (rows, cols) of the search windows, from a few sizes to limit compilation.
 
-    One cell wider than the ellipse at least, since a peak is known by its neighbours. Raises `ValueError` where the
-    extent is beyond the largest.
+    At least one cell wider than the ellipse, as the peak test needs all neighbours. Raises `ValueError` if the extent
+    exceeds the largest size.
     """
     most = HALF_WIDTHS[-2]
     if extent.size and np.max(extent) + 1 > most:
@@ -81,7 +81,7 @@ def best_peaks(
     *,
     peaks: int,
 ) -> Peaks:
-    """Peaks of each block in its window, inside its ellipse (see `ellipses`), `separation` cells or more apart."""
+    """Peaks of each block in its window, inside its ellipse (see `ellipses`), at least `separation` cells apart."""
 
     def of_one(block: Block, known: Known, window: Window, known_window: KnownWindow, W: Float[Array, "2 2"]) -> Peaks:
         surface = correlation(block, known, window, known_window, least_overlap)
@@ -91,8 +91,8 @@ def best_peaks(
 
 
 def highest(surface: Surface, whitening: Float[Array, "2 2"], separation: Scalar, peaks: int) -> Peaks:
-    """The highest local maxima inside an ellipse about the window's middle; what has no eight scored neighbours is
-    none, nor what lies on the ellipse's rim with a higher score outside."""
+    """The highest local maxima inside an ellipse about the window's centre. Cells without eight scored neighbours do
+    not count, nor do cells at the ellipse's edge with a higher score outside."""
     down, across = (jnp.arange(side) - side // 2 for side in surface.score.shape)
     places = jnp.stack(jnp.broadcast_arrays(down[:, None], across[None, :]), axis=-1).astype(float)
     inside = jnp.sum((places @ whitening.T) ** 2, axis=-1) <= 1.0
@@ -109,22 +109,22 @@ def highest(surface: Surface, whitening: Float[Array, "2 2"], separation: Scalar
 
     _, (shift, offset, score) = jax.lax.scan(taken, left, None, length=peaks)
     count = jnp.sum(searched)
-    several = jnp.maximum(count / jnp.maximum(surface.area, 1.0), 2.0)  # shifts whose scores are independent
+    several = jnp.maximum(count / jnp.maximum(surface.area, 1.0), 2.0)  # number of shifts with independent scores
     level = jnp.tanh(surface.chance * jnp.sqrt(2.0 * jnp.log(several)))
     return Peaks(shift, offset, score, jnp.sum(inside), jnp.sum(inside & surface.overlaps), count, level)
 
 
 def _is_local_maximum(score: Cells) -> Inside:
-    """Where no neighbour is higher, and all eight have a score."""
+    """Flags of cells whose eight neighbours all have scores, none of them higher."""
     rows, cols = score.shape
     padded = jnp.pad(score, 1, constant_values=jnp.nan)
     steps = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
     neighbours = jnp.stack([padded[i : i + rows, j : j + cols] for i, j in steps])
-    return jnp.all(score[None, :, :] >= neighbours, axis=0)  # False by NaN
+    return jnp.all(score[None, :, :] >= neighbours, axis=0)  # False if a score is NaN
 
 
 def _top_of_paraboloid(score: Cells, row: Int[Array, ""], col: Int[Array, ""]) -> Float[Array, "2"]:
-    """Where the paraboloid through nine scores, by least squares, has its top; within half a cell of the middle."""
+    """Maximum of the least-squares paraboloid through nine scores, limited to half a cell from the centre."""
     nine = jax.lax.dynamic_slice(jnp.nan_to_num(score), (row - 1, col - 1), (3, 3))
     by_row, by_col = jnp.sum(nine, axis=1), jnp.sum(nine, axis=0)
     slope = jnp.stack([by_row[2] - by_row[0], by_col[2] - by_col[0]]) / 6.0

@@ -1,4 +1,4 @@
-"""Where the blocks of a registration lie on the ground, and by how much image and reference differ there."""
+"""Ground positions and residuals of the blocks of a registration."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from jaxgeo.terrain import AbstractTerrain
 
 
 class BlockPlaces(NamedTuple):
-    """Of the blocks of the last pass: the pixels `uv` (n, 2) of their middles, and the ground (n,) that these see from
-    the registration's shot, NaN where they see none. `tie` (n,) is the index of a block's tie point, -1 for none;
-    `residual` (n, 2) the residual of that in m east and north on the ground, where the image has it less where the
-    reference, its shift taken off, shows it; NaN without a tie, or an update."""
+    """Blocks of the last pass: the pixels `uv` (n, 2) of their centres and the ground positions (n,) that these see
+    from the registration's shot, NaN if none. `tie` (n,) is the index of a block's tie point, -1 for none;
+    `residual` (n, 2) is the tie residual in m east and north on the ground, image position minus reference position
+    corrected for the map shift; NaN without a tie or an update.
+    """
 
     uv: Float[Any, "n 2"]
     ground: Geodetic
@@ -35,14 +36,15 @@ class BlockPlaces(NamedTuple):
 
     @property
     def known(self) -> Bool[np.ndarray, " n"]:
-        """Whether the ground is known."""
+        """Flags of blocks with a ground position."""
         return np.isfinite(np.asarray(self.ground.lat))
 
 
 def places_of_blocks(
     registration: Registration, *, time: ArrayLike | None = None, atmosphere: Atmosphere | None = None
 ) -> BlockPlaces:
-    """Where the blocks of the last pass lie, by the updated shot if there is one, else by the navigation's.
+    """Ground positions of the blocks of the last pass, from the updated shot if there is one, else from the
+    navigation's.
 
     `time` (of a trajectory) and `atmosphere` are as for `register_image`. Raises `ValueError` for a registration
     without a pass.
@@ -65,7 +67,7 @@ def places_of_blocks(
 
 
 class _Scene(Record):
-    """What looks at what."""
+    """Forward-model inputs of the ground positions."""
 
     sensor: Sensor
     motion: Shot | Trajectory
@@ -76,7 +78,7 @@ class _Scene(Record):
 
 @eqx.filter_jit
 def _seen(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
-    """(lat, lon, height of the ground, residual there) of rows of a pixel and its residual."""
+    """(lat, lon, height of the ground, residual there) for rows of a pixel and its residual."""
 
     def ground(pixel: Float[Array, "2"]) -> tuple[Array, Fix]:
         fix = locate(scene.sensor, scene.motion, pixel, scene.terrain, time=scene.time, atmosphere=scene.air)

@@ -1,4 +1,4 @@
-"""How the next pass of a registration goes: on the map or in the image, in which cells, how large its blocks are."""
+"""Planning of a registration pass: comparison type, cell size and block size."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 SIDES = (32, 48, 64, 96, 128, 192, 256, 300)  # cells of a block: few sizes, few compilations
-LATTICE = 9  # places along a side of the window, by which shifts are foretold
-FAR = 40.0  # cells: standard deviation of a shift, over which coarser cells are taken
-SURE = 5.0  # cells: under which blocks may be many and small
-FEW, MANY = 16, 48  # blocks that are aimed at
-BENT = 2.5  # cells by which the edge of a block may be shifted otherwise than its middle, one standard deviation
-FEWEST_CELLS = 64  # on a side of the image, at the least
-FAR_IN_IMAGE = 20.0  # the same of a comparison in the image, where the reference is rendered cell by cell
-MOST_FAR = 250.0  # cells: standard deviation of a shift, over which nothing is searched
-OBLIQUE = 2.0  # times that the ground is drawn out along the look, from which on images are compared as they are
-WIDE = 3.7  # standard deviations by which the reference is rendered beside the image
-STEP = 8  # cells: that room is a multiple of it
+LATTICE = 9  # positions along a side of the window at which shifts are predicted
+FAR = 40.0  # cells: standard deviation of a shift above which coarser cells are used
+SURE = 5.0  # cells: standard deviation below which blocks may be many and small
+FEW, MANY = 16, 48  # target numbers of blocks
+BENT = 2.5  # cells: one-sigma difference between the shifts of a block's edge and its centre
+FEWEST_CELLS = 64  # on a side of the image, at least
+FAR_IN_IMAGE = 20.0  # `FAR` in image space, where the reference is rendered cell by cell
+MOST_FAR = 250.0  # cells: standard deviation of a shift above which the search is refused
+OBLIQUE = 2.0  # ground stretch along the line of sight, above which the comparison is in image space
+WIDE = 3.7  # standard deviations of the margin rendered around the image
+STEP = 8  # cells: the margin is a multiple of it
 
 
 class Search(NamedTuple):
-    """What was asked for: the choice of candidates, the probability of the search, the largest block in cells."""
+    """Search options: the candidate selection, the probability of the search area, the largest block in cells."""
 
     choice: AbstractChoice
     probability: float
@@ -42,8 +42,7 @@ class Search(NamedTuple):
 
 
 class Plan(Record):
-    """A pass: how image and reference are compared, and where; blocks of `block` cells. `is_last` where nothing finer
-    comes."""
+    """A pass: comparison type and cells; blocks of `block` cells. `is_last` if no finer pass follows."""
 
     comparison: type[AbstractComparison] = eqx.field(static=True)
     place: Any
@@ -52,7 +51,7 @@ class Plan(Record):
 
 
 class _Size(NamedTuple):
-    """Of the cells of a pass: `factor`, the side of a block, and whether nothing finer comes."""
+    """Cell size of a pass as a `factor`, the side of a block, and whether no finer pass follows."""
 
     factor: int
     block: int
@@ -62,9 +61,10 @@ class _Size(NamedTuple):
 def planned(
     look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
 ) -> Plan:
-    """The plan of a pass from a look whose errors have a covariance (axes and the map's shift).
+    """Plan of a pass from model inputs whose errors and map shift have `covariance` (axes + 2, axes + 2).
 
-    `coarser` halves the resolution so many times more than needed. Raises `Stopped` where there is nothing to match.
+    `coarser` is the number of additional halvings of the resolution. Raises `RegistrationFailed` if there is nothing to
+    match.
     """
     reference = images.reference
     window = window_of(look, reference.grid, reference.shape)
@@ -87,7 +87,7 @@ def planned(
 def _in_image(
     look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
 ) -> Plan:
-    """The plan of a pass that compares in the image."""
+    """Plan of a pass in image space."""
     rows, cols = images.grey.shape[1:]
     t = (np.arange(LATTICE) + 0.5) / LATTICE
     row, col = np.meshgrid(t * rows - 0.5, t * cols - 0.5, indexing="ij")
@@ -108,7 +108,7 @@ def _in_image(
 
 
 def _sized(side: float, spread: float, bends: float, finest: int, far: float, search: Search, coarser: int) -> _Size:
-    """How large cells and blocks are, of an image with so many of the finest cells' units on a side."""
+    """Cell factor and block size for an image of `side` finest cells."""
     factor = finest
     while spread > far * factor and side / (2 * factor) >= FEWEST_CELLS:
         factor *= 2
@@ -127,7 +127,7 @@ def _sized(side: float, spread: float, bends: float, finest: int, far: float, se
 def _foretold(
     look: ModelInputs, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
 ) -> tuple[Shifts, float]:
-    """(shifts of places in the window that the image shows, (seen places); their share of all places)."""
+    """(shifts at the visible positions of the window, the visible share of all positions)."""
     t = (np.arange(LATTICE) + 0.5) / LATTICE
     row, col = np.meshgrid(
         window[0] + t * (window[2] - window[0]) - 0.5, window[1] + t * (window[3] - window[1]) - 0.5, indexing="ij"
@@ -141,16 +141,16 @@ def _foretold(
 
 
 def _bends(shifts: Shifts, covariance: np.ndarray) -> float:
-    """By how much the shift changes over a cell, one standard deviation: by that the navigation's errors stretch and
-    turn the image."""
+    """Change of the shift per cell, one standard deviation: the stretch and rotation of the image by navigation
+    errors."""
     change = _changes(shifts) @ _root(covariance)
     return _typical(change) if len(change) else 0.0
 
 
 def _changes(shifts: Shifts) -> np.ndarray:
-    """Differences of the shifts' derivatives between neighbouring places, for each cell between them, (pairs, 2, axes).
+    """Differences of the shift derivatives between neighbouring positions, per cell of distance, (pairs, 2, axes).
 
-    Neighbours are told from their pixels' places on the grid, which the shifts' own order keeps.
+    Each position is paired with its nearest neighbour in pixels.
     """
     uv = np.asarray(shifts.uv)
     by_error = np.asarray(shifts.by_error)
@@ -166,12 +166,12 @@ def _changes(shifts: Shifts) -> np.ndarray:
 
 
 def _typical(change: np.ndarray) -> float:
-    """Of changes (pairs, 2, axes) by errors of one standard deviation each, that which one pair in four surpasses."""
+    """75 % quantile of changes (pairs, 2, axes) caused by errors of one standard deviation each."""
     return float(np.quantile(np.sqrt(np.sum(change**2, axis=(1, 2)) / 2.0), 0.75))
 
 
 def _spread(covariance: np.ndarray) -> float:
-    """Of covariances (n, 2, 2) in cells2, the larger standard deviation that one in ten surpasses."""
+    """90 % quantile of the largest standard deviation, of covariances (n, 2, 2) in cells2."""
     return float(np.quantile(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]), 0.9))
 
 
@@ -180,7 +180,7 @@ def _side(cells: float) -> int:
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """A root of a covariance that may be singular, of axes in different units."""
+    """Root of a possibly singular covariance of axes in different units."""
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     scale = np.where(sigma > 0.0, sigma, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))

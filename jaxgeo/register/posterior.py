@@ -1,4 +1,4 @@
-"""What an update finds: the corrected sensor and shot, how sure they are, and fixes from them."""
+"""Result of an orientation update: corrected sensor and shot, their covariance, and fixes from them."""
 
 from __future__ import annotations
 
@@ -27,20 +27,21 @@ from jaxgeo.uncertainty.sources.base import AbstractSource
 
 
 class Update(Record):
-    """Sensor, shot and terrain as ties have corrected them, and the covariance of what is left of their errors.
+    """Sensor, shot and terrain corrected from tie points, and the covariance of their remaining errors.
 
     `sensor`, `shot` (or trajectory, with the image's `time` in s), `terrain` and `atmosphere` are the corrected ones.
-    `error` (axes,) is by what the navigation's own look was moved to get there, along the axes of `errors`, and `shift`
-    (2,) that of the map to the east and north, m: the map shows the true place plus `shift`. `covariance` (axes + 2,
-    axes + 2) is that of both together, about the corrected look, by the errors given, not scaled by the residuals.
+    `error` (axes,) is the estimated correction of the navigation's model inputs along the axes of `errors`; `shift`
+    (2,) is the map shift to the east and north, m: map position = true position + `shift`. `covariance` (axes + 2, axes
+    + 2) is the joint covariance of both about the corrected model inputs, from the given errors, not scaled by the
+    residuals.
 
-    Of the ties: `residuals` (n, 2) in px, the pixel measured less that of the place on the map; `normalised` (n, 2) the
-    same in standard deviations of the tie's own errors, `cov_residuals` (n, 2, 2) in px2; `weights` (n,) what the loss
-    left of each.
+    Ties: `residuals` (n, 2) in px, measured pixel less projection of the map position; `normalised` (n, 2) the same in
+    standard deviations of the tie's own errors, `cov_residuals` (n, 2, 2) in px2; `weights` (n,) the weights of the
+    loss.
     `chi_square_ties` and `chi_square_prior` are the squared residuals of the ties and the squared distance of `error`
-    and `shift` from the prior, both in standard deviations; `redundancy_ties` and `redundancy_prior` are what they come
-    to on average if the errors given are right. `steps` is how many it took. `status` is `hit`, or `not_converged`, or
-    what keeps a tie from being imaged: all numbers are NaN then.
+    and `shift` from the prior, both in standard deviations; `redundancy_ties` and `redundancy_prior` are their expected
+    values for correct error models. `steps` is the number of steps. `status` is `hit`, `not_converged`, or the reason
+    why a tie has no image; all numbers are NaN unless it is `hit`.
     """
 
     sensor: Sensor
@@ -70,7 +71,7 @@ class Update(Record):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """A name for every row of `covariance`."""
+        """Names of the rows of `covariance`."""
         return (*self.errors.axes, *SHIFT)
 
     @property
@@ -80,45 +81,44 @@ class Update(Record):
 
     @property
     def cov_error(self) -> Numbers:
-        """Covariance (axes, axes) of `error`, the map's shift being unknown too."""
+        """Covariance (axes, axes) of `error`, with the map shift unknown too."""
         return jnp.asarray(self.covariance)[..., :-2, :-2]
 
     @property
     def cov_shift(self) -> Numbers:
-        """Covariance (2, 2) in m2 of the map's shift to the east and north."""
+        """Covariance (2, 2) in m2 of the map shift to the east and north."""
         return jnp.asarray(self.covariance)[..., -2:, -2:]
 
     @property
     def used(self) -> Flags:
-        """Which ties the loss left anything of."""
+        """Flags of ties with nonzero weight."""
         return jnp.asarray(self.weights) > 0.0
 
     @property
     def degrees_of_freedom(self) -> Numbers:
-        """Twice the ties, each as its weight: every unknown has its prior, so that all of them are redundant."""
+        """Twice the sum of the tie weights: every unknown has a prior, so that all tie coordinates are redundant."""
         return 2.0 * jnp.sum(jnp.asarray(self.weights), axis=-1)
 
     @property
     def redundancy_ties(self) -> Numbers:
-        """What `chi_square_ties` comes to on average."""
+        """Expected value of `chi_square_ties`."""
         return self.degrees_of_freedom - self.redundancy_prior
 
     @property
     def sigma0(self) -> Numbers:
-        """How many times larger all residuals, those of the prior included, are than the errors given would have
-        them: 1 if those are right."""
+        """Ratio of all residuals, those of the prior included, to their expected size: 1 for correct error models."""
         chi_square = jnp.asarray(self.chi_square_ties) + self.chi_square_prior
         return jnp.sqrt(chi_square / self.degrees_of_freedom)
 
     @property
     def sigma0_ties(self) -> Numbers:
-        """The same of the ties alone; of few ties, which the unknowns can follow, it says little."""
+        """The same ratio for the ties alone; unreliable for few ties, which the unknowns can fit."""
         redundancy = self.redundancy_ties
         return jnp.sqrt(jnp.asarray(self.chi_square_ties) / jnp.where(redundancy > 0.0, redundancy, jnp.nan))
 
     @property
     def model(self) -> ErrorModel:
-        """What is left of the navigation's errors, about the corrected look: all sources as one block."""
+        """The remaining navigation errors about the corrected model inputs, all sources as one block."""
         sigma = safe_sqrt(jnp.diagonal(self.cov_error))
         scale = jnp.where(sigma > 0.0, sigma, 1.0)
         correlation = self.cov_error / (scale[:, None] * scale[None, :])
@@ -134,16 +134,15 @@ class Update(Record):
         search: AbstractSearch = FIRST_HIT,
         slope: AbstractSlope = FACET,
     ) -> Propagation:
-        """The ground point that a pixel (column, row) sees from the corrected look, with its covariance.
+        """The ground point that a pixel (column, row) sees with the corrected orientation, with its covariance.
 
-        `terrain_sigma` in m is the error of the terrain's own height there, which is another than at the ties.
-        Arguments and errors are those of `jaxgeo.uncertainty.propagate`; in addition raises `ValueError` if there is no
-        update.
+        `terrain_sigma` in m is the terrain height error there, independent of that at the ties. Arguments and errors
+        are those of `jaxgeo.uncertainty.propagate`; in addition raises `ValueError` if there is no update.
 
-        Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", draw a circle of 2.164
-        standard deviations for 90 %; it is sqrt(-2 ln 0.1) = 2.146, and that only of a round error. The result's
-        `circular_error(0.9)` is the exact integral over its ellipse: for axes of 278 and 68 m it is 462.5 m, where
-        2.146 root mean square axes are 434.3 m and hold 87.7 %.
+        Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", use 2.164 standard
+        deviations for a 90 % circle. The correct factor is sqrt(-2 ln 0.1) = 2.146, and holds for circular errors only.
+        `circular_error(0.9)` of the result is the exact integral over its ellipse: for axes of 278 and 68 m it is 462.5
+        m, while 2.146 times the root mean square axis is 434.3 m and contains 87.7 %.
         """
         known = concrete(self.status)
         if known is not None and known != Status.hit:

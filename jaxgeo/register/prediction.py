@@ -1,4 +1,4 @@
-"""What the navigation's errors do to a rectified image: by how far its parts are shifted on the map."""
+"""Predicted block shifts on the map: derivatives by the navigation errors and the map shift."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-CHUNK = 128  # places at once: one size, so that another number compiles nothing anew
-ACROSS = 5  # places along a side of a block, to which a plane is fitted
-LATTICE = 17  # pixels along a side of the image, by which its extent on the map is told
+CHUNK = 128  # positions per call: one size, so that other counts need no compilation
+ACROSS = 5  # positions along a side of a block, to which a plane is fitted
+LATTICE = 17  # pixels along a side of the image, from which its extent on the map is computed
 
 
 class Shifts(NamedTuple):
-    """Of places on the map, seen in an image: their pixels `uv` (n, 2); `by_error` (n, 2, axes + 2), the shift in cells
-    (rows, cols) of what is seen there by the errors of the navigation and by the map's own shift to the east and
-    north, m; `cells_per_metre` (n, 2, 2), rows and cols by east and north; `ground_sampling` (n,), the side of a
-    pixel on the ground in m; `stretch` (n,), how many times longer it is there than wide; whether the place is seen.
-    `height` (n,), ellipsoidal, and `rise` (n, 2) to the east and north are those of the plane that fits the ground
-    about the place best."""
+    """Predicted shifts at map positions: pixels `uv` (n, 2); `by_error` (n, 2, axes + 2), derivatives of the shift
+    in cells (rows, cols) by the navigation errors and the map shift to the east and north, m; `cells_per_metre` (n,
+    2, 2), rows and cols by east and north; `ground_sampling` (n,), the side of a pixel on the ground in m; `stretch`
+    (n,), length over width of a pixel on the ground; `seen`, whether the position is visible. `height` (n,),
+    ellipsoidal, and `rise` (n, 2) to the east and north describe the best-fitting plane of the ground there.
+    """
 
     uv: Float[Any, "n 2"]
     by_error: Float[Any, "n 2 unknowns"]
@@ -44,20 +44,19 @@ class Shifts(NamedTuple):
     rise: Float[Any, "n 2"]
 
     def covariance(self, cov: Float[Any, "unknowns unknowns"]) -> Float[np.ndarray, "n 2 2"]:
-        """Covariance of the shifts in cells2 by that of the errors and the map's shift."""
+        """Covariance of the shifts in cells2 from the joint covariance of the errors and the map shift."""
         return np.einsum("nia,ab,njb->nij", self.by_error, cov, self.by_error)
 
 
 def shifts_of(look: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: np.ndarray, reach: float) -> Shifts:
-    """Shifts of places (n, 2) = (row, col) on a grid, on the plane that fits the ground best within `reach` cells to
-    all sides: a block moves as that does, not as the facet at its middle."""
+    """Shifts at (n, 2) = (row, col) on a grid, on the plane that best fits the ground within `reach` cells to each
+    side: it represents the block better than the facet at its centre."""
     found = in_chunks(lambda part: _shifts(look, model, grid, part, jnp.asarray(float(reach))), places)
     return Shifts(*found)
 
 
 def in_chunks(function: Callable[[Array], Any], places: np.ndarray) -> list[np.ndarray]:
-    """The arrays, with a leading axis, that a function gives of places (n, 2), or other rows, `CHUNK` of them at a
-    time."""
+    """Output arrays of a function of rows, such as positions (n, 2), called on `CHUNK` rows at a time."""
     count, width = places.shape
     padded = np.resize(places, (max(-(-count // CHUNK), 1) * CHUNK, width)) if count else np.zeros((CHUNK, width))
     parts = [function(jnp.asarray(padded[k : k + CHUNK])) for k in range(0, len(padded), CHUNK)]
@@ -77,7 +76,7 @@ def _shifts(
         by_enu = jax.jacfwd(lambda p: _image(look, p)[0])(p_ecef) @ R
         per_metre = jax.jacfwd(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(p_ecef) @ R[:, :2]
         slope = by_cell @ per_metre
-        along = by_enu[:, :2] + by_enu[:, 2:] * slope[None, :]  # by a step over the terrain
+        along = by_enu[:, :2] + by_enu[:, 2:] * slope[None, :]  # derivative by a step over the terrain
 
         def moved(error: Float[Array, " axes"]) -> Float[Array, "2"]:
             there = model.moved(look, error)
@@ -100,9 +99,9 @@ def _shifts(
 
 
 def window_of(look: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[int, int, int, int] | None:
-    """(first row, first col, last row + 1, last col + 1) of a grid within which the image lies; None if beside it.
+    """(first row, first col, last row + 1, last col + 1) of the image's extent on a grid; None if outside.
 
-    Told without a search: from where lines of sight pass the heights of the lowest and of the highest ground.
+    Computed without a terrain search, from the intersections of lines of sight with the lowest and highest heights.
     """
     rowcol, seen = (np.asarray(x) for x in _passed(look, grid))
     if not seen.any():
@@ -118,9 +117,10 @@ def window_of(look: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> 
 
 @eqx.filter_jit
 def _passed(look: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
-    """(row, col) where lines of sight of a lattice of pixels pass the lowest and the highest ground; whether they do.
+    """(row, col) where lines of sight of a pixel lattice intersect the lowest and the highest height; flags whether
+    they do.
 
-    Those that pass neither end at the horizon.
+    Lines of sight that intersect neither end at the horizon.
     """
     camera = look.sensor.camera
     t = jnp.linspace(0.0, 1.0, LATTICE)
@@ -150,8 +150,8 @@ def _image(look: ModelInputs, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array
 def _plane(
     terrain: AbstractTerrain, grid: AbstractGrid, place: Float[Array, "2"], reach: Scalar
 ) -> tuple[Scalar, Float[Array, "2"], Bool[Array, ""]]:
-    """(height in m at a place, rise in m for a cell down and a cell across, whether it is known) of the plane that fits
-    the ground best within `reach` cells; by what is known of it, half at least."""
+    """(height in m at a position, rise in m per cell down and across, whether it is known) of the plane that best
+    fits the ground within `reach` cells; at least half of the ground must be known."""
     t = reach * jnp.linspace(-1.0, 1.0, ACROSS)
     steps = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(t, t, indexing="ij")], axis=1)
 
@@ -168,7 +168,7 @@ def _plane(
 
 
 def _lift(terrain: AbstractTerrain, p_ecef: Vector3) -> Scalar:
-    """How far the terrain's surface lies above a point, m."""
+    """Height of the terrain surface above a point, m."""
     return -terrain.clearance(p_ecef, _cell(terrain, p_ecef))
 
 

@@ -1,4 +1,4 @@
-"""What is known of the navigation's errors and of the map's shift before an image is compared with the map."""
+"""Prior of the navigation errors and the map shift."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sources.base import check_covariance
 
 SHIFT = ("shift: east", "shift: north")
-NOTHING = 1e-14  # of the largest eigenvalue of a correlation: less is rounding
+NOTHING = 1e-14  # of the largest eigenvalue of a correlation matrix: smaller ones are rounding
 
 
 class Prior(Record):
-    """A normal distribution of the unknowns: the axes of an error model, and the map's shift to the east and north, m.
+    """Normal distribution of the unknowns: the axes of an error model, and the map shift to the east and north, m.
 
-    `mean` (unknowns,) is about the navigation's own look; `covariance` (unknowns, unknowns) may be singular.
+    `mean` (unknowns,) is relative to the navigation's model inputs; `covariance` (unknowns, unknowns) may be singular.
     """
 
     mean: Numbers
@@ -30,14 +30,14 @@ class Prior(Record):
 
     @classmethod
     def of(cls, model: ErrorModel, errors: TieErrors) -> Prior:
-        """Without a history: no error is the likeliest, and the spread is that of the sources and of the map."""
+        """Prior without an earlier update: zero mean, with the covariance of the sources and of the map shift."""
         count = model.size
         shift = jnp.asarray(errors.shift, jnp.float64) ** 2 * jnp.eye(2)
         total = jnp.zeros((count + 2, count + 2)).at[:count, :count].set(model.covariance())
         return cls(jnp.zeros(count + 2), total.at[count:, count:].set(shift))
 
     def factor(self) -> Float[Array, "unknowns unknowns"]:
-        """F with F F' = covariance, of unknowns brought to one scale; zero columns for what is known already."""
+        """F with F F' = covariance, from scaled unknowns; zero columns for directions without uncertainty."""
         covariance = jnp.asarray(self.covariance)
         sigma = safe_sqrt(jnp.diagonal(covariance))
         scale = jnp.where(sigma > 0.0, sigma, 1.0)
@@ -47,10 +47,10 @@ class Prior(Record):
 
 
 def checked_prior(prior: Any, model: ErrorModel) -> Prior:
-    """A prior of a model in float64.
+    """A validated prior of a model in float64.
 
-    Raises `TypeError` for anything else, `ValueError` for another number of unknowns, what is not finite, and a
-    covariance that is none.
+    Raises `TypeError` for anything else, `ValueError` for a wrong number of unknowns, values that are not finite, and
+    an invalid covariance.
     """
     check_is(prior, Prior, "prior")
     prior = as_float64(prior, "prior")

@@ -1,4 +1,4 @@
-"""Rectification: an image brought onto a grid on the ground, with what the terrain hides left out."""
+"""Orthorectification of an image onto a ground grid, with occluded cells masked."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 
 TILE = 512  # cells on a side, at most
-STRIP = 32  # rows of a tile that are worked on together: arrays that stay in the processor's caches
-SEARCHED = 1024  # lines of sight in one call: one size, which is compiled once
+STRIP = 32  # rows of a tile per step, so that arrays stay in the processor's caches
+SEARCHED = 1024  # lines of sight per call: one size, compiled once
 BILINEAR = Bilinear()
-COARSEST = 6  # times an image is halved, at most
+COARSEST = 6  # halvings of an image, at most
 HIDDEN_TOLERANCE = 0.01
 
 
 class How(NamedTuple):
-    """How values are made, and what they become."""
+    """Interpolation and output options."""
 
     interpolation: AbstractInterpolation
     dtype: np.dtype
 
 
 class Filled(NamedTuple):
-    """A tile's values (bands, rows, cols), whether they are known, the `Status` that knows nothing of hidden ground,
-    and which of the cells on the image that may hide, None if that was not asked."""
+    """A tile's values (bands, rows, cols), mask of known cells, `Status` without occlusion, and flags of image cells
+    that may be occluded (None if not requested)."""
 
     values: Array
     known: Array
@@ -57,8 +57,8 @@ class Filled(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """What a tile of a rectified image holds: values (bands, rows, cols) in the image's dtype, zero where nothing is
-    known; whether there is an image, and the `Status` of each cell, (rows, cols)."""
+    """A tile of a rectified image: values (bands, rows, cols) in the image's dtype, zero where unknown; mask of
+    known cells and `Status` of each cell, (rows, cols)."""
 
     values: np.ndarray
     known: np.ndarray
@@ -66,7 +66,8 @@ class Tile(NamedTuple):
 
 
 class Rectified(Record):
-    """A rectified image, and the `Status` (rows, cols) of each cell: `hit` where the image shows it, or why not."""
+    """A rectified image, and the `Status` (rows, cols) of each cell: `hit` where the image shows it, else the
+    reason."""
 
     orthoimage: Orthoimage
     status: Int8[Any, "rows cols"]
@@ -75,7 +76,7 @@ class Rectified(Record):
 class Rectifier:
     """Rectifies an image onto any part of a grid, tile by tile; arguments and errors as for `rectify`.
 
-    In another process (it can be pickled) it is made again from the same arguments.
+    Pickling stores the arguments, from which another process constructs it again.
     """
 
     def __init__(
@@ -114,7 +115,7 @@ class Rectifier:
         return _made_again, packed(self._made_of)
 
     def tile(self, row: int, col: int, shape: tuple[int, int]) -> Tile:
-        """The cells from (row, col) of the grid on, `shape` = (rows, cols) of them."""
+        """The cells from (row, col) of the grid, `shape` = (rows, cols)."""
         corner = jnp.array([float(row), float(col)])
         filled = self._by_chart(corner, shape) if isinstance(self.view.motion, Shot) else None
         filled = self._one_by_one(corner, shape) if filled is None else filled
@@ -129,7 +130,7 @@ class Rectifier:
         return Tile(values, known, status)
 
     def _by_chart(self, corner: Array, shape: tuple[int, int]) -> Filled | None:
-        """A tile by polynomials; None where they do not hold."""
+        """A tile by polynomials; None where they are not accurate enough."""
         found = charted(self.view, corner, jnp.array([shape[0] - 1.0, shape[1] - 1.0]))
         if not float(found.error) <= WELL_MAPPED:
             return None
@@ -139,7 +140,7 @@ class Rectifier:
         return _filled(self.view, found.chart, pixels, jnp.asarray(2.0**level), least_sine, self._how, shape)
 
     def _one_by_one(self, corner: Array, shape: tuple[int, int]) -> Filled:
-        """A tile by the exact map of each cell."""
+        """A tile by exact projection of each cell."""
         cells = cells_one_by_one(self.view, corner, shape)
         here, below, right = np.s_[:-1, :-1], np.s_[1:, :-1], np.s_[:-1, 1:]
         three = (np.asarray(x) for x in (cells.u, cells.v, cells.status))
@@ -151,7 +152,7 @@ class Rectifier:
         return _filled_cells(cells, self._at_level(level), jnp.asarray(2.0**level), least_sine, self._how)
 
     def _looked_at(self, places: np.ndarray) -> np.ndarray:
-        """What the lines of sight to cells (n, 2) meet, as a `Status` (n,)."""
+        """First-hit `Status` (n,) of the lines of sight to cells (n, 2)."""
         found = np.empty(len(places), np.int8)
         for first in range(0, len(places), SEARCHED):
             part = places[first : first + SEARCHED]
@@ -160,8 +161,8 @@ class Rectifier:
         return found
 
     def _level_for(self, u: np.ndarray, v: np.ndarray, status: np.ndarray) -> int:
-        """How often the image is to be halved so that its pixels are about as large as cells, from pixels (n, 3) of
-        some and of those one row and one column further on."""
+        """Number of image halvings that make pixels about as large as cells, from pixels (n, 3) of sample cells and
+        their neighbours one row and one column on."""
         if isinstance(self._how.interpolation, Nearest):
             return 0
         area = np.abs((u[:, 1] - u[:, 0]) * (v[:, 2] - v[:, 0]) - (u[:, 2] - u[:, 0]) * (v[:, 1] - v[:, 0]))
@@ -172,7 +173,7 @@ class Rectifier:
 
     def _at_level(self, level: int) -> Pixels:
         level = min(level, min(self._image[0].shape[1:]).bit_length() - 1)
-        with self._lock:  # tiles are made in several threads
+        with self._lock:  # several threads make tiles
             found = self._levels
             if level == 0 and 0 not in found:
                 found[0] = _packed(Pixels.of(*self._image))
@@ -203,15 +204,15 @@ def rectify(
     atmosphere: Atmosphere | None = None,
     tile: int = TILE,
 ) -> Rectified:
-    """An image of a shot (or a trajectory and the image's `time`) as it lies on the ground, on a grid of `shape` cells.
+    """Orthorectify the image of a shot (or a trajectory and the image's `time`) onto a grid of `shape` cells.
 
-    `image` (rows, cols) or (bands, rows, cols) of any real dtype, which is kept, of the size of the sensor's camera;
-    `known` (rows, cols) says which of its pixels hold an image. `terrain` is a `Dem` or a `ConstantHeight`, `grid` the
-    map from positions to the (row, col) of cells: that of an `Orthoimage`, of a `Dem`, or one of `jaxgeo.io`.
-    Each cell is projected into the image from its own height, at its middle; where cells are larger than pixels, means
-    over pixels are taken (not by `Nearest`). A cell that ground hides by more than `hidden_tolerance` m of the line of
-    sight is not filled but has the status `hidden_by_terrain`: a first-hit search says so, but where slopes prove that
-    nothing can be in between. `mask_hidden=False` leaves all that out: hidden ground then shows what hides it.
+    `image` (rows, cols) or (bands, rows, cols) of any real dtype, which is kept, has the size of the sensor's camera;
+    `known` (rows, cols) flags its valid pixels. `terrain` is a `Dem` or a `ConstantHeight`, `grid` the map from
+    positions to the (row, col) of cells: that of an `Orthoimage`, of a `Dem`, or one of `jaxgeo.io`.
+    Each cell centre is projected into the image from its own height. Where cells are larger than pixels, pixel means
+    are used (not by `Nearest`). A cell that terrain occludes by more than `hidden_tolerance` m of the line of sight is
+    not filled and has the status `hidden_by_terrain`. Occlusion is tested by first-hit search, except where slope
+    bounds prove visibility. `mask_hidden=False` skips the test: occluded cells then show the occluding ground.
 
     Raises `ValueError` for an image of another size than the camera's, and as `project` does.
     """
@@ -239,9 +240,9 @@ def rectify(
 def tiles_of(
     rectifier: Rectifier, shape: tuple[int, int], tile: int = TILE
 ) -> Iterator[tuple[tuple[slice, slice], Tile]]:
-    """(place, tile) of all tiles of a grid of `shape` cells, in order, computed on all processors.
+    """(position, tile) of all tiles of a grid of `shape` cells, in order, computed on all processors.
 
-    Tiles have one size, so that one program serves all; those at the end are cut.
+    Tiles have one size, so that one compiled program serves all; those at the end are clipped.
     """
     rows, cols = shape
     side = _side(rows, tile), _side(cols, tile)
@@ -251,7 +252,7 @@ def tiles_of(
         waiting: deque[tuple[tuple[int, int], Future[Tile]]] = deque()
         for corner in corners:
             waiting.append((corner, pool.submit(rectifier.tile, *corner, side)))
-            if len(waiting) > 2 * workers:  # no more than are soon wanted: the whole may be larger than memory
+            if len(waiting) > 2 * workers:  # limit the queue: the whole may be larger than memory
                 yield _cut(*waiting.popleft(), side, shape)
         while waiting:
             yield _cut(*waiting.popleft(), side, shape)
@@ -260,7 +261,7 @@ def tiles_of(
 def _cut(
     corner: tuple[int, int], made: Future[Tile], side: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[tuple[slice, slice], Tile]:
-    """(place, tile) of a tile when it is made, without what lies beyond the last row and column."""
+    """(position, tile) of a finished tile, clipped to the last row and column."""
     (row, col), part = corner, made.result()
     here = np.s_[row : min(row + side[0], shape[0]), col : min(col + side[1], shape[1])]
     cut = np.s_[: here[0].stop - row, : here[1].stop - col]
@@ -268,7 +269,7 @@ def _cut(
 
 
 def checked_image(image: Any, sensor: Sensor) -> np.ndarray:
-    """The image as (bands, rows, cols). Raises `ValueError` for a shape that is not that of the sensor's camera."""
+    """The image as (bands, rows, cols). Raises `ValueError` for a shape other than that of the sensor's camera."""
     values = np.asarray(image)
     values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or values.dtype.kind not in "uif":
@@ -287,7 +288,7 @@ def checked_image(image: Any, sensor: Sensor) -> np.ndarray:
 
 
 def _mask_of(known: Any, values: np.ndarray) -> np.ndarray | None:
-    """Which pixels hold an image; None if all do."""
+    """Mask of valid pixels; None if all are valid."""
     sound = np.all(np.isfinite(values), axis=0) if values.dtype.kind == "f" else np.ones(values.shape[1:], bool)
     if known is not None:
         if np.shape(known) != values.shape[1:]:
@@ -310,7 +311,7 @@ def _filled(
     how: How,
     shape: tuple[int, int],
 ) -> Filled:
-    """A tile by its chart, strip by strip."""
+    """A tile filled by its chart, strip by strip."""
     rows, cols = shape
     by_row = basis(jnp.arange(float(rows)), chart.last[0]).reshape(rows // STRIP, STRIP, -1)
     by_col = basis(jnp.arange(float(cols)), chart.last[1])
@@ -330,7 +331,8 @@ def _filled(
 
 @eqx.filter_jit
 def _filled_cells(cells: Cells, pixels: Pixels, size: ArrayLike, least_sine: Array | None, how: How) -> Filled:
-    """Cells (rows, cols) filled from an image whose pixels are `size` times as large as those that the cells know."""
+    """Cells (rows, cols) filled from an image whose pixels are `size` times as large as the pixels of their
+    coordinates."""
     some = jnp.any(cells.status == Status.hit)
     values, known = where_any(some, lambda *given: _values(pixels, size, how, *given), cells.u, cells.v, cells.status)
     doubtful = None if least_sine is None else may_be_hidden(cells, least_sine)
@@ -338,8 +340,8 @@ def _filled_cells(cells: Cells, pixels: Pixels, size: ArrayLike, least_sine: Arr
 
 
 def _values(pixels: Pixels, size: ArrayLike, how: How, u: Array, v: Array, status: Array) -> tuple[Array, Array]:
-    """(values in the image's dtype (bands, rows, cols), zero unless known; whether they are). Whole numbers are rounded
-    and kept within their range."""
+    """(values in the image's dtype (bands, rows, cols), zero where unknown; mask of known cells). Integers are
+    rounded and clipped to their range."""
     sound = (status == Status.hit) & jnp.isfinite(u) & jnp.isfinite(v)
     place_u, place_v = (jnp.where(sound, (x + 0.5) / size - 0.5, 0.0) for x in (u, v))
     bands, all_known = sampled(pixels, (place_u, place_v), how.interpolation)
@@ -355,7 +357,7 @@ def _values(pixels: Pixels, size: ArrayLike, how: How, u: Array, v: Array, statu
 
 
 def _side(count: int, most: int) -> int:
-    """Of tiles that cover so many cells, none over `most` and as alike as may be: a multiple of `STRIP`."""
+    """Tile side for `count` cells: at most `most`, tiles of nearly equal size, a multiple of `STRIP`."""
     tiles = -(-count // most)
     share = -(-count // tiles)
     return -(-share // STRIP) * STRIP

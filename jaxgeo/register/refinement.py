@@ -1,4 +1,4 @@
-"""Least-squares matching: the shift of a block to a small part of a cell, with its covariance."""
+"""Least-squares matching: subpixel shift of a block, with its covariance."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float
 from jaxgeo._typing import Flag, Index, Scalar
 from jaxgeo.register.correlation import Block, Known, standardised
 
-TAPS = 5  # cells on either side over which both images are smoothed
-WIDTH = 1.0  # cells: standard deviation of the Gaussian that smooths both, and interpolates one
-FURTHEST = 1.2  # cells from the whole shift
+TAPS = 5  # cells on either side used for smoothing
+WIDTH = 1.0  # cells: standard deviation of the Gaussian that smooths both images and interpolates one
+FURTHEST = 1.2  # cells from the whole shift, at most
 STEPS = 8
-CLOSE_ENOUGH = 2e-3  # cells: the longest last step
-FEWEST = 64  # cells in common
+CLOSE_ENOUGH = 2e-3  # cells: longest last step
+FEWEST = 64  # common cells, at least
 
 Wider = Float[Array, "wide_rows wide_cols"]
 KnownWider = Bool[Array, "wide_rows wide_cols"]
@@ -27,7 +27,7 @@ _State: TypeAlias = tuple[Float[Array, "2"], Scalar, Index]  # the shift, the le
 
 
 class Refined(NamedTuple):
-    """`shift` (2,) in cells from the whole shift, its `covariance` (2, 2) in cells2, and whether it was found."""
+    """`shift` (2,) in cells from the whole shift, its `covariance` (2, 2) in cells2, and whether it converged."""
 
     shift: Float[Array, "*batch 2"]
     covariance: Float[Array, "*batch 2 2"]
@@ -41,16 +41,16 @@ class _Smooth(NamedTuple):
 
 
 def refine(T: Wider, known_T: KnownWider, S: Wider, known_S: KnownWider, start: Float[Array, "2"]) -> Refined:
-    """The shift d by which T(p) = gain S(p + d) + offset, for p in a block with `TAPS` more cells on every side.
+    """The shift d with T(p) = gain S(p + d) + offset, for p in a block with a margin of `TAPS` cells on every side.
 
-    Both images are smoothed by a Gaussian of one cell, at whole cells or in between: of what that leaves, little is
-    lost by sampling, so that places between cells are as good as others (cubic interpolation of images as they are
-    draws noisy ones towards half cells). The equations are those of least-squares matching (Foerstner 1982), but
-    multiplied with the gradients of T rather than of the interpolated S: noise in the two is independent, and so biases
-    neither the shift nor the normal matrix. Cells take part where all that is smoothed into them is known.
+    Both images are smoothed by a Gaussian of one cell, at whole cells or between them. The smoothed images are nearly
+    band-limited, so that interpolation has no bias between cells (cubic interpolation of unsmoothed images attracts
+    noisy ones to half cells). The equations are those of least-squares matching (Foerstner 1982), but multiplied with
+    the gradients of T instead of those of the interpolated S: the noise of the two is independent and biases neither
+    the shift nor the normal matrix. Cells are used if all cells within their smoothing kernel are known.
 
-    The covariance is that of the estimate by residuals with the autocorrelation that they show themselves: the
-    product of their power spectrum and that of the weights by which residuals become a shift.
+    The covariance of the estimate uses residuals with their empirical autocorrelation: the product of their power
+    spectrum and that of the weights that map residuals to a shift.
     """
     known = _all_known(known_T) & _all_known(known_S)
     mask = known.astype(float)
@@ -83,14 +83,14 @@ def refine_all(
     known_S: Bool[Array, "n wide_rows wide_cols"],
     start: Float[Array, "n 2"],
 ) -> Refined:
-    """`refine` of several candidates, one after the other: what one needs stays in the processor's cache."""
+    """`refine` of several candidates, sequentially, so that the data of one stays in the processor's cache."""
     return jax.lax.map(lambda one: refine(*one), (T, known_T, S, known_S, start))
 
 
 def _equations(
     fixed: _Smooth, moved: _Smooth, mask: Block
 ) -> tuple[Float[Array, "4 4"], Float[Array, "4 cells"], Block]:
-    """(Z'X, Z, residuals) of shift, gain and offset at a shift, the gain at its best there."""
+    """(Z'X, Z, residuals) of shift, gain and offset at a shift, with the optimal gain there."""
     count = jnp.maximum(jnp.sum(mask), 1.0)
     mean_T, mean_S = (jnp.sum(mask * x) / count for x in (fixed.value, moved.value))
     centred_T, centred_S = mask * (fixed.value - mean_T), mask * (moved.value - mean_S)
@@ -107,7 +107,7 @@ def _is_found(d: Float[Array, "2"], last: Scalar, covariance: Float[Array, "2 2"
 
 
 def _spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) -> Float[Array, "2 2"]:
-    """Covariance of weights @ residuals, residuals stationary with the autocovariance that they have."""
+    """Covariance of weights @ residuals, for stationary residuals with their empirical autocovariance."""
     rows, cols = residual.shape
     R = jnp.fft.fft2(residual)
     Y = jnp.fft.fft2(weights.reshape(2, rows, cols)).reshape(2, -1)
@@ -116,14 +116,14 @@ def _spread(weights: Float[Array, "2 cells"], residual: Block, count: Scalar) ->
 
 
 def _inverse(normal: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
-    """Inverse, NaN where there is none: scaled to ones on the diagonal first."""
+    """Inverse by diagonal scaling; NaN if singular."""
     size = jnp.sqrt(jnp.abs(jnp.diagonal(normal)))
     scale = 1.0 / jnp.where(size > 0.0, size, 1.0)
     return jnp.linalg.inv(normal * scale[:, None] * scale[None, :]) * scale[:, None] * scale[None, :]
 
 
 def _smooth(values: Wider, d: Float[Array, "2"]) -> _Smooth:
-    """Smoothed values and their derivatives (by row, by col) at the block's cells moved by `d`."""
+    """Smoothed values and their derivatives (by row, by col) at the block's cells shifted by `d`."""
     (down, slope_down), (across, slope_across) = _gaussian(d[0]), _gaussian(d[1])
     rows = _weighted(values, down, 0)
     return _Smooth(
@@ -134,7 +134,7 @@ def _smooth(values: Wider, d: Float[Array, "2"]) -> _Smooth:
 
 
 def _gaussian(d: Scalar) -> tuple[Weights, Weights]:
-    """Weights of the cells about a place, of sum one, and their derivatives by it."""
+    """Weights of the neighbouring cells, with sum one, and their derivatives by the position."""
     away = d - jnp.arange(-TAPS, TAPS + 1)
     bell = jnp.exp(-0.5 * (away / WIDTH) ** 2)
     total, slope = jnp.sum(bell), -away / WIDTH**2 * bell
@@ -142,7 +142,7 @@ def _gaussian(d: Scalar) -> tuple[Weights, Weights]:
 
 
 def _weighted(values: Float[Array, "r c"], weights: Weights, axis: int) -> Float[Array, "r2 c2"]:
-    """Sum over neighbours along one axis, where all are there."""
+    """Weighted sum over neighbours along one axis, without padding."""
     length = values.shape[axis] - 2 * TAPS
     parts = [jax.lax.slice_in_dim(values, k, k + length, axis=axis) for k in range(2 * TAPS + 1)]
     return sum((weights[k] * part for k, part in enumerate(parts[1:], 1)), weights[0] * parts[0])

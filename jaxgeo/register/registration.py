@@ -1,4 +1,4 @@
-"""Registration: an image matched with a reference map, pass after pass, until its pose is known."""
+"""Image registration with a reference map: iterated matching and orientation updates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jax.typing import ArrayLike
 
 from jaxgeo._arguments import check_mapped_terrain, checked_air, checked_exposure
@@ -37,23 +37,23 @@ from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-LEAST_REGISTRATION = 0.1  # cells: no tie is taken as better than that
-COARSER = 1  # times that it is tried in coarser cells, before the first pass is given up
-MORE, ROUNDS = 1.02, 6  # residuals over what the errors given make of them, from which on registration errs more
+LEAST_REGISTRATION = 0.1  # cells: lower bound of the registration error of ties
+COARSER = 1  # retries in coarser cells before the first pass is given up
+MORE, ROUNDS = 1.02, 6  # residuals over their expected size, above which the registration error is raised; rounds
 HUBER, CONSENSUS = Huber(), PoseConsensus()
 
 
 class Limits(Record):
-    """What it takes to accept a registration.
+    """Acceptance criteria of a registration.
 
-    `false_alarms`: how often in so many images chance may make blocks agree. `least_blocks` and `least_share` of those
-    that have texture and lie on the reference must agree. `rival` is the share of these from which on another pose
-    makes the registration ambiguous. `beyond_prior`: the probability of an error of the navigation so large, by its own
-    standard deviations, below which it is not believed. Passes go on until ties move by less than `settled` cells, for
-    `most_passes`; `most_residual` cells is the standard deviation to which ties must fit the pose. Ties that fit worse
-    than their errors, by a factor of more than `misfit`, must do so independently of their neighbours: by `alike`
-    standard deviations of chance more, something is wrong that is no noise, and would make the pose seem too sure; so
-    it may be if the ties are too few to tell.
+    `false_alarms` is the largest expected number of chance agreements. At least `least_blocks`, and the share
+    `least_share` of the blocks that have texture and lie on the reference, must agree. If a second set has the share
+    `rival` of the agreeing blocks, the registration is ambiguous. A navigation error whose probability under the prior
+    is below `beyond_prior` is rejected. Passes continue until ties move by less than `settled` cells, at most
+    `most_passes`. `most_residual` in cells limits the standard deviation of the tie residuals. If ties fit worse than
+    their errors by more than the factor `misfit`, their residuals must be spatially uncorrelated: a Moran's I of
+    `alike` standard deviations or more indicates a systematic error, which would make the covariance too small. Too few
+    ties for this test fail it.
     """
 
     false_alarms: float = 1e-6
@@ -129,29 +129,30 @@ def register_image(
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
 ) -> Registration:
-    """Find the pose of an image from a reference map that shows the same ground, and say how sure it then is.
+    """Register an image to a reference map of the same ground; returns the updated pose and its covariance.
 
     After Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation": the image is rectified
-    with what the navigation says, blocks of it are sought in the reference where the navigation's errors allow, those
-    that agree become tie points, and least squares with the navigation as prior updates sensor and shot. This is done
-    again with the new pose, in smaller parts and finer cells as it becomes surer, until it stays.
+    with the navigation, its blocks are matched with the reference within the navigation's error bounds, agreeing blocks
+    become tie points, and least squares with the navigation as prior updates sensor and shot. This repeats with the new
+    pose, with smaller blocks and finer cells as the accuracy improves, until it is stable.
 
-    `sensor`, `shot` (or a trajectory and the image's `time`), `image` and its `known` pixels, and `atmosphere` are as
-    for `rectify`; `reference` an `Orthoimage` in any map, coarser or finer than the image. `errors` is the `ErrorModel`
-    of the navigation, whatever of it errs (with an `InteriorOrientation` among them the camera is updated as well);
-    `tie_errors` how the reference and the terrain err: `registration` there is the least, and becomes what the
-    residuals show, while of `shift`, by which the whole map may be off, only relief tells something, as the terrain is
-    not off with it: what is left of it enlarges all errors. Heights that err alike over some distance belong into
-    `terrain_field`: taken as each tie's own they make all seem too sure.
-    `prior` goes on from another image (see `propagate_prior`).
+    `sensor`, `shot` (or a trajectory and the image's `time`), `image`, its `known` pixels and `atmosphere` are as for
+    `rectify`; `reference` is an `Orthoimage` on any grid, coarser or finer than the image. `errors` is the navigation's
+    `ErrorModel` (with an `InteriorOrientation` source the camera is updated as well). `tie_errors` are the errors of
+    reference and terrain: `registration` is a lower bound and is raised to fit the residuals. The common map `shift` is
+    observable through relief only, as the terrain does not shift with the map; its remaining uncertainty enters all
+    covariances. Spatially correlated height errors belong in `terrain_field`: as independent tie errors they would make
+    all covariances too small.
+    `prior` carries over another image's update (see `propagate_prior`).
 
-    `block` cells on a side are matched at most, where the navigation allows so many without bending them; shifts are
-    sought that its errors make with `probability`; `choice` picks those that agree, and `loss` is that of the update.
-    `flatten` cells is the width over which brightness and contrast are made even; None leaves both images as they are.
+    `block` is the largest block side in cells; blocks are smaller where the navigation errors would distort them.
+    Shifts are searched within the `probability` region of these errors; `choice` selects consistent candidates, and
+    `loss` is that of the update. `flatten` is the width in cells of the local brightness and contrast normalisation;
+    None disables it.
 
-    Nothing is accepted that chance, a repeated texture or a wrong area could have made (see `Limits`): then `outcome`
-    says so, and sensor and shot stay as they were.
-    No image can tell of level ground that a map is shifted as a whole: `shift` is what the caller vouches for.
+    Agreements that chance, repetitive texture or a wrong area could cause are rejected (see `Limits`): `outcome` is
+    then the reason, and sensor and shot are unchanged.
+    On level ground no image can determine a common map shift: `shift` is an input that the caller must supply.
     Raises `ValueError` for an image of another size than the camera's, a `probability` of half or less, a `block` under
     32 cells, and as `rectify`, `match_blocks` and `update_orientation`.
     """
@@ -178,7 +179,7 @@ def register_image(
 
 
 class _Given(Record):
-    """What the navigation says, and how it and the map err."""
+    """Model inputs of the navigation, with its errors and those of the map."""
 
     look: ModelInputs
     model: ErrorModel
@@ -188,7 +189,7 @@ class _Given(Record):
     has_time: bool = eqx.field(static=True)
 
     def updated(self, ties: TiePoints, tie_errors: TieErrors) -> Update:
-        """The update of the navigation's own look by ties."""
+        """Update of the navigation's model inputs from ties."""
         look = self.look
         return update_orientation(
             look.sensor,
@@ -240,7 +241,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         if not bool(found.ok):
             return ended(Outcome.not_settled)
         if plan.is_last and not np.isfinite(float(found.sigma0_ties)):
-            return ended(Outcome.few_agree)  # the pose can follow them all: nothing is left to check it
+            return ended(Outcome.few_agree)  # the pose can fit all ties exactly: no redundancy to check it
         if _beyond(found, limits):
             return ended(Outcome.beyond_prior)
         if plan.is_last and not _fits(given, ties, found, tie_errors, done.cell, limits):
@@ -254,7 +255,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
 
 
 def _updated(given: _Given, ties: TiePoints, cell: float) -> tuple[Update, TieErrors]:
-    """The update, with the error of registration raised until residuals are as large as the errors have them."""
+    """Update with the registration error raised until the residuals match their expected size."""
     tie_errors = _least_errors(given, cell)
     found = given.updated(ties, tie_errors)
     for _ in range(ROUNDS):
@@ -269,13 +270,13 @@ def _updated(given: _Given, ties: TiePoints, cell: float) -> tuple[Update, TieEr
 
 
 def _least_errors(given: _Given, cell: float) -> TieErrors:
-    """The errors given, that of registration being no less than ties can be."""
+    """The given errors, with the registration error at its lower bound or above."""
     least = max(float(given.tie_errors.registration), LEAST_REGISTRATION * cell)
     return eqx.tree_at(lambda e: e.registration, given.tie_errors, jnp.asarray(least))
 
 
 def _fits(given: _Given, ties: TiePoints, found: Update, tie_errors: TieErrors, cell: float, limits: Limits) -> bool:
-    """Whether what the ties are off the pose is small, and noise; not of ties that are too few to tell."""
+    """Whether the tie residuals are small, and random if larger than expected; False with too few ties to test that."""
     if not float(tie_errors.registration) <= limits.most_residual * cell:
         return False
     if _tie_sigma(ties, tie_errors) <= limits.misfit * _tie_sigma(ties, _least_errors(given, cell)):
@@ -284,13 +285,13 @@ def _fits(given: _Given, ties: TiePoints, found: Update, tie_errors: TieErrors, 
 
 
 def _tie_sigma(ties: TiePoints, errors: TieErrors) -> float:
-    """Standard deviation in m along an axis of the map of a usual tie, as the errors have it."""
+    """Standard deviation in m per map axis of a typical (median) tie, from its errors."""
     own = np.median(np.trace(np.asarray(ties.covariance), axis1=1, axis2=2)) / 2.0
     return float(np.sqrt(own + float(errors.registration) ** 2))
 
 
 def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
-    """Whether the blocks of a pass agree as they should; that it is no chance the first shows, which searches far."""
+    """Whether the blocks of a pass agree; chance agreement is tested in the first pass, with its large search area."""
     if len(done.matches.outcome) < limits.least_blocks:
         return Outcome.too_small
     if is_first and not done.false_alarms <= limits.false_alarms:
@@ -303,7 +304,7 @@ def _judged(done: Pass, limits: Limits, *, is_first: bool) -> Outcome:
 
 
 def _beyond(found: Update, limits: Limits) -> bool:
-    """Whether the navigation erred by more than it says it may, or nothing can be told of that."""
+    """Whether the navigation error exceeds its prior, or this cannot be tested."""
     freedom = int(np.count_nonzero(np.diagonal(np.asarray(found.prior.covariance)) > 0.0))
     return freedom > 0 and not scipy.stats.chi2.sf(float(found.chi_square_prior), freedom) >= limits.beyond_prior
 

@@ -1,4 +1,4 @@
-"""Rendering: the image that a camera would take of an orthoimage that lies over the terrain."""
+"""Rendering: synthetic camera images of an orthoimage draped over terrain."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-CHUNK = 1024  # rays at once: one size, which is compiled once
+CHUNK = 1024  # rays per call: one size, compiled once
 BILINEAR = Bilinear()
 
 
 class Rendered(NamedTuple):
-    """A rendered image: values (bands, rows, cols), zero where nothing is known; where all rays of a pixel see what the
-    orthoimage shows; and the `Status` of each pixel: of the first of its rays that meets no ground, else `hit`."""
+    """A rendered image: values (bands, rows, cols), zero where unknown; mask of pixels whose rays all hit known
+    cells of the orthoimage; and the `Status` of each pixel: that of its first ray without a hit, else `hit`."""
 
     values: Float[np.ndarray, "bands rows cols"]
     known: Bool[np.ndarray, "rows cols"]
@@ -38,8 +38,8 @@ class Rendered(NamedTuple):
 
 
 class Met(NamedTuple):
-    """What lines of sight meet: points in ECEF m, their latitude and longitude in rad and height in m, the cell of the
-    terrain that they lie in, and the `Status` of each; a place on the equator where it is not `hit`."""
+    """First terrain hits of lines of sight: points in ECEF m, latitude and longitude in rad and height in m, the
+    terrain cell, and the `Status` of each; a point on the equator where it is not `hit`."""
 
     p_ecef: Float[Any, "n 3"]
     lat: Float[Any, " n"]
@@ -61,14 +61,14 @@ def render(
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
 ) -> Rendered:
-    """The image (bands, rows, cols) that a shot (or a trajectory and the image's `time`) has of an orthoimage.
+    """Render the image (bands, rows, cols) of an orthoimage for a shot (or a trajectory and the image's `time`).
 
-    The inverse of `rectify`, by another way: each pixel's line of sight is followed to the first ground that it meets
-    (`locate`), and the orthoimage is sampled there. `terrain` is a `Dem` or a `ConstantHeight`. A pixel is the mean of
-    `supersampling` x `supersampling` rays spread evenly over it; take so many that they lie no further apart on the
-    ground than the cells of the orthoimage. `known` is where all of these meet ground on a known part of it; elsewhere
-    the value is zero, and `status` says why if it is the line of sight that fails, while it is `hit` beside the
-    orthoimage. There is no light and no air in it: brightness is that of the orthoimage.
+    The inverse of `rectify`, by ray tracing: each pixel's line of sight is intersected with the terrain (`locate`,
+    first hit), and the orthoimage is sampled there. `terrain` is a `Dem` or a `ConstantHeight`. A pixel is the mean of
+    `supersampling` x `supersampling` evenly spaced rays; choose it so that their ground spacing does not exceed the
+    cells of the orthoimage. `known` flags pixels whose rays all hit a known part of it; elsewhere the value is zero.
+    `status` is the reason if a line of sight fails, and `hit` outside the orthoimage. Illumination and atmospheric
+    radiance are not modelled: brightness is that of the orthoimage.
 
     Raises `ValueError` for a camera without a size and a `supersampling` under 1, and as `locate` does.
     """
@@ -93,8 +93,8 @@ def render(
 def seen_at(
     look: ModelInputs, reference: Orthoimage, uv: Float[np.ndarray, "n 2"], how: AbstractInterpolation = BILINEAR
 ) -> tuple[Float[np.ndarray, "bands n"], Bool[np.ndarray, " n"], Int8[np.ndarray, " n"]]:
-    """(values of an orthoimage at the first ground that pixels see, zero if unknown; whether they are known; the
-    `Status`). Pixels may lie beside the image, as far as the camera has rays there."""
+    """(orthoimage values at the first terrain hits of pixels, zero if unknown; mask of known values; the `Status`).
+    Pixels may lie outside the image where the camera still defines rays."""
     pixels = Pixels.of(jnp.asarray(reference.values), jnp.asarray(reference.known))
     parts = []
     for part in _chunks(uv):
@@ -107,7 +107,7 @@ def seen_at(
 
 
 def met(look: ModelInputs, uv: Float[np.ndarray, "n 2"]) -> Met:
-    """The first ground that pixels see; they may lie beside the image."""
+    """First terrain hits of pixels; they may lie outside the image."""
     parts = [_met(look, part) for part in _chunks(uv)]
     return Met(*(np.concatenate([np.asarray(x) for x in column])[: len(uv)] for column in zip(*parts, strict=True)))
 
@@ -119,7 +119,7 @@ def _chunks(uv: Float[np.ndarray, "n 2"]) -> list[Array]:
 
 @eqx.filter_jit
 def _met(look: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
-    """By one program, whatever is then done with it: a search of the terrain takes long to compile."""
+    """One shared program for all uses, since the terrain search takes long to compile."""
     nowhere = jnp.array([WGS84.a, 0.0, 0.0])
 
     def one(pixel: Float[Array, "2"]) -> tuple[Any, ...]:
@@ -137,7 +137,7 @@ def _met(look: ModelInputs, uv: Float[Array, "n 2"]) -> Met:
 def _sampled_on(
     grid: AbstractGrid, pixels: Pixels, found: Met, how: AbstractInterpolation
 ) -> tuple[Float[Array, "bands n"], Bool[Array, " n"]]:
-    """(values, whether they are known) of an orthoimage at points."""
+    """(values, mask of known values) of an orthoimage at points."""
     rowcol = jax.vmap(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(found.p_ecef)
     (rows, cols), row, col = pixels.shape, rowcol[:, 0], rowcol[:, 1]
     on = (row >= -0.5) & (row <= rows - 0.5) & (col >= -0.5) & (col <= cols - 0.5) & (found.status == Status.hit)
@@ -146,7 +146,7 @@ def _sampled_on(
 
 
 def _offsets(count: int) -> Float[np.ndarray, "rays 2"]:
-    """Places within a pixel, (column, row) from its middle."""
+    """Ray offsets within a pixel, (column, row) from its centre."""
     steps = (np.arange(count) + 0.5) / count - 0.5
     return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 

@@ -1,23 +1,21 @@
-"""Whether residuals of neighbouring ties are alike: what is left of a misfit, and no noise of the matches."""
+"""Spatial correlation test of tie residuals (Moran's I)."""
 
 from __future__ import annotations
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load lazily
 from jaxtyping import Float
 
 NEIGHBOURS = 4
-FEWEST = 12  # ties: of fewer nothing is told
-LARGEST = 3.0  # standard deviations, as which larger residuals count
+FEWEST = 12  # ties: with fewer the test is undefined
+LARGEST = 3.0  # standard deviations at which residuals are clipped
 
 
 def morans_i_zscore(residuals: Float[np.ndarray, "n 2"], places: Float[np.ndarray, "n 2"]) -> float:
-    """By how many standard deviations residuals, each in its own standard deviations, are more alike to those of their
-    nearest neighbours than by chance.
+    """Moran's I of standardised residuals against their nearest neighbours, as a z-score.
 
-    Moran (1950), "Notes on continuous stochastic phenomena": his I, of both components together, with its mean and
-    variance for independent normal values after Cliff and Ord (1981), "Spatial processes".
-    NaN for fewer than `FEWEST` ties, of which nothing is told.
+    Moran (1950), "Notes on continuous stochastic phenomena": I of both components together, with its mean and variance
+    for independent normal values after Cliff and Ord (1981), "Spatial processes". NaN for fewer than `FEWEST` ties.
     """
     count = len(residuals)
     if count < FEWEST:
@@ -25,7 +23,7 @@ def morans_i_zscore(residuals: Float[np.ndarray, "n 2"], places: Float[np.ndarra
     nearest = scipy.spatial.KDTree(places).query(places, NEIGHBOURS + 1)[1][:, 1:]
     weights = np.zeros((count, count))
     weights[np.arange(count)[:, None], nearest] = 1.0
-    np.fill_diagonal(weights, 0.0)  # where places coincide
+    np.fill_diagonal(weights, 0.0)  # for coincident positions
     values = np.clip(residuals, -LARGEST, LARGEST)
     values = values - values.mean(axis=0)
     total = weights.sum()

@@ -1,4 +1,4 @@
-"""Images one after the other: what an update of one says of the errors of the next."""
+"""Sequential registration: the prior of the next image from the update of the last."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from jaxgeo.uncertainty.sharing import Occasion
 
 
 def propagate_prior(update: Update, here: Occasion, there: Occasion) -> Prior:
-    """What is known of the errors of the image taken `there` from the update of the one taken `here`.
+    """Prior of the errors of the image taken `there` from the update of the image taken `here`.
 
-    Each source's error there is D e + w, with D its correlation between the two (its `sharing`) and w drawn anew with
-    the covariance S - D S D that keeps its own, S: so the mean is D e, the covariance D P D + S - D S D with the
-    posterior P. An error of `PerFlight` or `Systematic` is carried over whole, one of `PerImage` begins anew, one that
-    is `TimeCorrelated` fades; the map's shift is the same one. e is along the axes of the error model, about the
-    navigation's orientation of each image; pass that of the next unchanged, with the prior, to `update_orientation`.
+    Each source's error there is D e + w, with D its correlation between the two (its `sharing`) and w independent with
+    covariance S - D S D, which preserves its covariance S. The mean is thus D e, the covariance D P D + S - D S D with
+    the posterior P. `PerFlight` and `Systematic` errors carry over in full, `PerImage` errors are drawn anew,
+    `TimeCorrelated` errors decay; the map shift is unchanged. e is along the axes of the error model, relative to the
+    navigation's orientation of each image: pass that of the next image, uncorrected, with the prior to
+    `update_orientation`.
 
-    Exact for errors that are constant, independent, or fade as exp(-dt/T), whose past says no more than their present:
-    the images one after the other then are one least squares adjustment of all, so far as that is linear. With other
-    `alpha`, `beta` or `strength` what lies before the last image is passed on by way of it only. Raises `TypeError`
-    for what is no update.
+    Exact for errors that are constant, independent, or decay as exp(-dt/T) (Markov processes): up to linearisation,
+    sequential updates then equal one joint least-squares adjustment. With other `alpha`, `beta` or `strength`,
+    information from earlier images passes through the last image only. Raises `TypeError` for anything but an update.
     """
     check_is(update, Update, "update")
     model = update.errors

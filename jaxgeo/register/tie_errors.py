@@ -1,4 +1,4 @@
-"""What errs in a tie point beside the navigation, and what that comes to in the image."""
+"""Tie point errors of map and terrain, and their propagation into the image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.adjust.losses import AbstractLoss
 from jaxgeo.register.ties import PaddedTies, TiePoints
 from jaxgeo.uncertainty.sources import TerrainField
 
-FAINT = 1e-12  # least weight: a tie of none at all would divide by zero
+FAINT = 1e-12  # lower bound of the weights: a weight of zero would divide by zero
 
 Rows = Float[Array, "ties 2 columns"]
 Blocks = Float[Array, "ties 2 2"]
@@ -25,12 +25,12 @@ Weights = Float[Array, " ties"]
 
 
 class TieErrors(Record):
-    """Standard deviations in m of what errs in the reference and the terrain, beside the covariance of each match.
+    """Standard deviations in m of reference and terrain, in addition to the covariance of each match.
 
-    `registration` errs anew at each tie, along east and north alike; `terrain` is the height of the elevation model,
-    anew at each tie; `terrain_field` a part of its heights' errors that is alike over some distance, by which ties hang
-    together. `shift` is that of the map as a whole, which shows the true place plus its shift, along east and north
-    alike: it is estimated with the navigation's errors unless it is zero.
+    `registration` is independent for each tie, the same along east and north; `terrain` is the elevation model's height
+    error, independent for each tie; `terrain_field` is a spatially correlated part of the height errors, which
+    correlates ties. `shift` is the common map shift (map position = true position + shift), the same along east and
+    north: it is estimated with the navigation errors unless it is zero.
     """
 
     registration: ScalarField = 0.0
@@ -40,18 +40,18 @@ class TieErrors(Record):
 
 
 class AbstractTiePropagation(Record):
-    """How an error of a tie's place on the map becomes one in the image."""
+    """Propagation of a tie's map position error into the image."""
 
     @abc.abstractmethod
     def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
-        """Derivatives of the pixels by the places on the map, to the east and north.
+        """Derivatives of the pixels by the map positions, to the east and north.
 
         `by_surface` are those along the terrain's surface, `by_enu` those by east, north, up in space.
         """
 
 
 class FullJacobian(AbstractTiePropagation):
-    """The place moves along the terrain: where that rises, an error on the map is one of the height too."""
+    """Displacement along the terrain: on slopes, a map error causes a height error too."""
 
     def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
         del by_enu
@@ -59,10 +59,10 @@ class FullJacobian(AbstractTiePropagation):
 
 
 class LevelGround(AbstractTiePropagation):
-    """The place moves as if the ground were level.
+    """Displacement on level ground.
 
-    Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", Eq 6: there the transformation
-    of coordinates itself is applied to the error on the map, in place of the chain of its derivatives.
+    Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", Eq 6: applies the coordinate
+    transformation itself to the map error instead of the chain of its derivatives.
     """
 
     def along(self, by_surface: Blocks, by_enu: Float[Array, "ties 2 3"]) -> Blocks:
@@ -71,15 +71,15 @@ class LevelGround(AbstractTiePropagation):
 
 
 class AbstractWhitener(Record):
-    """Rows of ties divided by a root of the covariance of their errors."""
+    """Whitening of tie rows by a root of their error covariance."""
 
     @abc.abstractmethod
     def __call__(self, rows: Rows) -> Float[Array, "numbers columns"]:
-        """Rows that are independent, with errors of one."""
+        """Rows scaled to independent errors of unit standard deviation."""
 
 
 class Independent(AbstractWhitener):
-    """Of ties that err each for itself: the inverse root of each one's covariance."""
+    """Whitener of independent ties: the inverse root of each one's covariance."""
 
     root: Blocks
 
@@ -88,7 +88,7 @@ class Independent(AbstractWhitener):
 
 
 class Alike(AbstractWhitener):
-    """Of ties that err together: the lower root of the covariance of all."""
+    """Whitener of correlated ties: the lower root of their joint covariance."""
 
     lower: Float[Array, "numbers numbers"]
 
@@ -97,7 +97,7 @@ class Alike(AbstractWhitener):
 
 
 class Sensitivity(Record):
-    """Derivatives of the ties' pixels by the place on the map (east, north) and by the height, px/m; where they lie."""
+    """Derivatives of the ties' pixels by the map position (east, north) and the height, px/m; and ECEF positions."""
 
     by_place: Blocks
     by_height: Pixels
@@ -105,7 +105,7 @@ class Sensitivity(Record):
 
 
 def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
-    """Errors of ties in float64.
+    """Validated tie errors in float64.
 
     Raises `TypeError` for anything else, `ValueError` for a standard deviation that is negative or not finite, and for
     ties without any error.
@@ -131,7 +131,7 @@ def checked_tie_errors(errors: Any, ties: TiePoints) -> TieErrors:
 
 
 def tie_covariances(ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity) -> Blocks:
-    """Covariance in px2 of each tie's residual, were the navigation without error; 1 for those not used."""
+    """Covariance in px2 of each tie's residual without navigation errors; the identity for unused ties."""
     place = ties.covariance + jnp.asarray(errors.registration) ** 2 * jnp.eye(2)[None, :, :]
     by_place, by_height = sensitivity.by_place, sensitivity.by_height
     total = jnp.einsum("tij,tjk,tlk->til", by_place, place, by_place)
@@ -153,7 +153,7 @@ def inverse_roots(cov: Blocks) -> Blocks:
 
 
 def robust_weights(loss: AbstractLoss, roots: Blocks, residuals: Pixels, ties: PaddedTies) -> Weights:
-    """What each tie counts, by the length of its residual in its own standard deviations; zero if it is not used."""
+    """Weight of each tie by the length of its standardised residual; zero if unused."""
     squared = jnp.sum(jnp.einsum("tij,tj->ti", roots, residuals) ** 2, axis=1)
     return jnp.where(ties.used, loss.weight(squared), 0.0)
 
@@ -161,9 +161,9 @@ def robust_weights(loss: AbstractLoss, roots: Blocks, residuals: Pixels, ties: P
 def whitener(
     cov: Blocks, roots: Blocks, weights: Weights, ties: PaddedTies, errors: TieErrors, sensitivity: Sensitivity
 ) -> AbstractWhitener:
-    """Of ties with a covariance each, of which a tie with less weight has so much more.
+    """Whitener of ties with the given covariances, each divided by the tie's weight.
 
-    What it errs more it errs for itself: a wrong match says nothing of its neighbours.
+    The added variance is independent for each tie: a wrong match is uncorrelated with its neighbours.
     """
     if errors.terrain_field is None:
         return Independent(roots * jnp.sqrt(weights)[:, None, None])
@@ -181,7 +181,7 @@ def whitener(
 
 
 def information_of(rows: Float[Array, "numbers columns"]) -> Float[Array, "columns columns"]:
-    """What independent rows with errors of one tell of their columns."""
+    """Information matrix of the columns from whitened rows."""
     return rows.T @ rows
 
 

@@ -1,4 +1,4 @@
-"""Tie points: pixels of an image, and where a reference map shows the same."""
+"""Tie points between image pixels and a reference map."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 else:
     CovariancesField: TypeAlias = Num[ArrayLike, "... 2 2"]
 
-SIZES = (32, 128, 512, 2048, 4096)  # ties are padded to one of these, so that another number compiles nothing anew
+SIZES = (32, 128, 512, 2048, 4096)  # padded sizes, so that other counts need no compilation
 
 
 class TiePoints(Record):
-    """Pixels `uv` (n, 2) of an image, and the places where a reference shows the same, by latitude and longitude.
+    """Tie points: pixels `uv` (n, 2) of an image, and the matching reference positions (latitude, longitude).
 
-    `covariance` (n, 2, 2) in m2 of east, north is that of each match on the map, independent from tie to tie;
-    `pixel_sigma` in px that of the pixels, along columns and rows alike. The height of `ground`, a `Geodetic` with a
-    leading axis (n,), is not used: it is the terrain's there. With `rise` (n, 2), the slope to the east and to the
-    north in m per m, it is: the tie then lies on that plane, and of the terrain only its errors matter. So it is with
-    what was matched over some width: that moves as the mean ground of it does, not as the facet at its middle.
+    `covariance` (n, 2, 2) in m2 of east, north is that of each match on the map, independent between ties;
+    `pixel_sigma` in px is that of the pixels, the same along columns and rows. The height of `ground`, a `Geodetic`
+    with a leading axis (n,), is ignored; the terrain height is used instead. With `rise` (n, 2), the slope to the east
+    and north in m per m, the height is used: the tie lies on that plane, and only the errors of the terrain apply. Use
+    it for matches of extended blocks, which move as the mean ground does, not as the facet at their centre.
     """
 
     uv: PixelField
@@ -42,11 +42,11 @@ class TiePoints(Record):
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of ties."""
         return jnp.shape(self.uv)[0]
 
     def moved(self, shift: Any) -> TiePoints:
-        """The same on a map that is off by a shift to the east and north, m."""
+        """The same ties on a map with a shift to the east and north, m."""
         shift = np.asarray(shift, np.float64)
         if self.count == 0 or not np.any(shift):
             return self
@@ -58,7 +58,7 @@ class TiePoints(Record):
 
 @jax.jit
 def _moved(ground: Geodetic, rise: Float[Array, "n 2"], shift: Float[Array, "2"]) -> tuple[Array, Array, Array]:
-    """Latitudes, longitudes and heights of points moved to the east and north, m, along planes."""
+    """Latitudes, longitudes and heights of points shifted to the east and north, m, along planes."""
 
     def one(position: Geodetic, rise: Float[Array, "2"]) -> tuple[Array, Array, Array]:
         step = jnp.concatenate([shift, jnp.sum(rise * shift)[None]])
@@ -69,7 +69,7 @@ def _moved(ground: Geodetic, rise: Float[Array, "n 2"], shift: Float[Array, "2"]
 
 
 class PaddedTies(NamedTuple):
-    """Ties in an array of one of the `SIZES`; those that are not `used` repeat the last and count for nothing."""
+    """Ties padded to one of the `SIZES`; entries that are not `used` repeat the last tie with zero weight."""
 
     uv: Float[Array, "ties 2"]
     lat: Float[Array, " ties"]
@@ -82,10 +82,10 @@ class PaddedTies(NamedTuple):
 
 
 def checked_ties(ties: Any) -> TiePoints:
-    """Tie points in float64.
+    """Validated tie points in float64.
 
-    Raises `TypeError` for anything else, `ValueError` for none, for shapes that do not fit, numbers that are not
-    finite, and a covariance of a match that is none.
+    Raises `TypeError` for anything else, `ValueError` for no ties, shapes that do not fit, numbers that are not finite,
+    and an invalid match covariance.
     """
     check_is(ties, TiePoints, "ties")
     check_is(ties.ground, Geodetic, "ties.ground")
@@ -116,7 +116,7 @@ def checked_ties(ties: Any) -> TiePoints:
 
 
 def padded(ties: TiePoints) -> PaddedTies:
-    """Checked ties as arrays of one of the `SIZES`. Raises `ValueError` for more than the largest of them."""
+    """Validated ties padded to one of the `SIZES`. Raises `ValueError` for more than the largest."""
     count = ties.count
     if count > SIZES[-1]:
         raise ValueError(f"ties holds {count} tie points; an update takes up to {SIZES[-1]}. Thin them out.")

@@ -1,9 +1,9 @@
-"""Which lines of sight to a camera are surely free, told from the ground between, so that only the others are searched.
+"""Conservative visibility bounds from terrain slopes, so that only uncertain lines of sight need a search.
 
-Every facet of a terrain has the tangent of an elevation: lines of sight to the camera that rise faster than that from
-anywhere on the facet meet no other ground, and leave the terrain only above all of it. Along the way to the camera, cut
-into stretches, ground rises above where the line starts neither by more than the steepest slopes of the stretches up to
-there add up to, nor above their highest posts; the smaller of the two, over the least distance, is what counts.
+For every terrain facet, a tangent of elevation is computed above which lines of sight from the facet to the camera meet
+no terrain. The path to the camera is divided into intervals. In each, the terrain height above the start of the line is
+bounded by the accumulated steepest slopes of the intervals so far, and by the interval's highest post. The smaller
+bound, over the shortest distance, gives the tangent.
 """
 
 from __future__ import annotations
@@ -26,44 +26,44 @@ from jaxgeo.sensor import Shot
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.terrain.grid import surface_point
 
-NEAR = 8  # stretches of one cell's length, of which slopes are added up; then they grow
+NEAR = 8  # intervals of one cell in which slopes are accumulated; later intervals grow
 GROWTH = 1.25
-FARTHEST = 4096.0  # cells; beyond, all ground counts as high as the highest
-WINDOW = 4  # cells on a side, as stretches near the facet cover at most
-BENT_BY_AIR = 2e-3  # rad by which air may bend a line of sight
-LEAST_ELEVATION = 1e-3  # rad; lines of sight as flat as that are always searched
-LEAST_WAY = 3.0  # cells; nearer to the camera's foot lines of sight have no common direction
-WIDER = 1.01  # for steps of the grid that differ a little from those measured, and by height above the ellipsoid
-STRAIGHT = 1e-3  # of its length, by which a line of sight may always leave its straight line on the grid
-MOST_BENT = 1e-2  # of its length, by which it may leave it at most: meridians that meet, seen from tens of km
-ROUNDED = 1e-5  # of a tangent
-BLOCKS = 16  # along the longer side of a large terrain, of which only those in view are computed
+FARTHEST = 4096.0  # cells; beyond, the terrain maximum is used
+WINDOW = 4  # cells on a side: largest extent of an interval near the facet
+BENT_BY_AIR = 2e-3  # rad: bound of atmospheric refraction
+LEAST_ELEVATION = 1e-3  # rad; flatter lines of sight are always searched
+LEAST_WAY = 3.0  # cells; nearer to the nadir point lines of sight have no common direction
+WIDER = 1.01  # margin for grid steps between the sampled ones, and for height above the ellipsoid
+STRAIGHT = 1e-3  # of its length: minimum allowance for a line of sight's deviation from a straight grid line
+MOST_BENT = 1e-2  # of its length: largest accepted deviation (convergence of meridians, from tens of km)
+ROUNDED = 1e-5  # rounding of a tangent
+BLOCKS = 16  # along the longer side of a large terrain; only visible blocks are computed
 LEAST_BLOCK = 256  # cells
 
 
 class Ground(NamedTuple):
-    """What is asked of a terrain seen from one place, as arrays over facets, flattened one after the other.
+    """Terrain properties relative to one camera position, flattened over facets.
 
-    `rise` is the steepest rise towards the camera in the `WINDOW` from a facet on, m per m; `tops` is the highest post
-    in it in m, followed by that in squares of 2, 4, 8, ... facets and the squares after them.
+    `rise` is the steepest slope towards the camera in the `WINDOW` starting at a facet, m per m; `tops` is the highest
+    post in that window in m, followed by the maxima over squares of 2, 4, 8, ... facets and their next neighbours.
     """
 
     rise: Float32[Array, " facets"]
     rise_at_foot: Scalar
-    """The steepest in any direction about the point below the camera, m per m."""
+    """Steepest slope in any direction near the nadir point, m per m."""
     tops: Float32[Array, " squares"]
     lowest: Float32[Array, "rows cols"]
     ceiling: Scalar
     metric: Float[Array, "places 3"]
-    """Squares and product of a step along rows and along columns, m2."""
+    """Squared lengths and inner product of grid steps along rows and columns, m2."""
     bend: Scalar
     nadir: Float[Array, "2"]
     extent: Int[Array, "2"]
 
 
 class OpenSight:
-    """The sines of elevations from which on lines of sight from facets of a terrain are surely free, found where asked
-    for; safe to ask from several threads."""
+    """Sines of elevation above which lines of sight from terrain facets are proven free; computed on demand,
+    thread-safe."""
 
     def __init__(self, view: View) -> None:
         assert isinstance(view.terrain, Dem)
@@ -78,15 +78,15 @@ class OpenSight:
 
     @classmethod
     def of(cls, view: View) -> OpenSight | None:
-        """None for terrains of which nothing can be told so: no `Dem`, or one with a field that varies, or seen from a
-        moving camera."""
+        """Bounds for a view, or None where they do not apply: no `Dem`, a spatially varying field, or a moving
+        camera."""
         if not (isinstance(view.terrain, Dem) and isinstance(view.motion, Shot)):
             return None
         return cls(view) if isinstance(view.terrain.field, ConstantField | None) else None
 
     def least_sine(self, first: np.ndarray, last: np.ndarray) -> Float32[Array, "rows cols"]:
-        """For every facet between two places (row, col) of the terrain's grid, and perhaps more: lines of sight that
-        rise at an angle with a greater sine are free. Greater than 1 where nothing is known."""
+        """Sine bound of all facets between two (row, col) positions of the terrain's grid, possibly more: lines of
+        sight with a greater sine of elevation are free. Greater than 1 where unknown."""
         shape, side = np.array(self._found.shape), np.array(self._block)
         low, high = (np.clip(np.floor(np.nan_to_num(x) / side), 0, shape - 1).astype(int) for x in (first, last))
         with self._lock:
@@ -103,7 +103,7 @@ class OpenSight:
 def _ground_of(view: View) -> Ground:
     assert isinstance(view.terrain, Dem)
     assert isinstance(view.motion, Shot)
-    terrain = dataclasses.replace(view.terrain, field=None)  # what lifts all ground alike hides nothing
+    terrain = dataclasses.replace(view.terrain, field=None)  # a common height offset does not affect occlusion
     foot, _ = WGS84.normal_and_height(view.sensor.perspective_centre(view.motion))
     metric, bend, nadir = _map_of(foot, terrain)
     posts, void = jnp.asarray(terrain.posts), jnp.asarray(terrain.void)
@@ -141,8 +141,8 @@ def _ground_of(view: View) -> Ground:
 
 
 def _map_of(foot: Vector3, terrain: Dem) -> tuple[Array, Array, Array]:
-    """(squares and product of the grid's steps at some places, m2; by which part of its length a line of sight may
-    leave its straight line on the grid; (row, col) below the camera)."""
+    """(squared lengths and inner products of grid steps at sample positions, m2; relative deviation of lines of
+    sight from straight grid lines; (row, col) of the nadir point)."""
     grid = terrain.grid
     last = (jnp.asarray(terrain.extent) - 1).astype(jnp.float64)
     places = jnp.array([[r, c] for r in (0.0, 0.5, 1.0) for c in (0.0, 0.5, 1.0)]) * last[None, :]
@@ -156,26 +156,26 @@ def _map_of(foot: Vector3, terrain: Dem) -> tuple[Array, Array, Array]:
         way = nadir - place
         return jnp.abs(off[0] * way[1] - off[1] * way[0]) / jnp.maximum(way @ way, 1e-9)
 
-    off = jnp.max(jax.vmap(leaves_line)(places))  # an arc's ends are four times as steep as it is high
+    off = jnp.max(jax.vmap(leaves_line)(places))  # the end slope of an arc is four times its relative height
     return jnp.stack([squared[:, 0, 0], squared[:, 1, 1], squared[:, 0, 1]], axis=1), STRAIGHT + 8.0 * off, nadir
 
 
 def _way(nadir: Array, row: Array, col: Array) -> tuple[Array, Array, Array]:
-    """(the direction from places on the grid to the camera's foot, along rows and columns; the way's length, cells)."""
+    """(direction from grid positions to the nadir point, along rows and columns; distance in cells)."""
     down, across = nadir[0] - row, nadir[1] - col
     length = jnp.sqrt(down * down + across * across)
     return down / jnp.maximum(length, 1e-9), across / jnp.maximum(length, 1e-9), length
 
 
 def _least_metres(metric: Array) -> Scalar:
-    """The least length in m of one cell's way."""
+    """Smallest length in m of a step of one cell."""
     middle, half = 0.5 * (metric[:, 0] + metric[:, 1]), jnp.hypot(0.5 * (metric[:, 0] - metric[:, 1]), metric[:, 2])
     return jnp.sqrt(jnp.min(middle - half)) / WIDER
 
 
 def _metres(metric: Array, bend: Array, by_row: Array, by_col: Array, length: Array) -> tuple[Array, Array]:
-    """(the least length in m of one cell's way in a direction, for lines from anywhere on a facet; by how much in rad
-    these may differ in direction). The length is not positive where nothing can be told."""
+    """(smallest length in m of a one-cell step in a direction, for lines from anywhere on a facet; their spread in
+    direction, rad). The length is not positive where there is no bound."""
     row2, col2, both = (metric[:, k] for k in range(3))
     middle, half = 0.5 * (row2 + col2), jnp.hypot(0.5 * (row2 - col2), both)
     longest = jnp.sqrt(jnp.max(middle + half))
@@ -189,13 +189,13 @@ def _metres(metric: Array, bend: Array, by_row: Array, by_col: Array, length: Ar
 
 
 def _up(values: Array) -> Array:
-    """In single precision, not below what they are."""
+    """Round up to single precision."""
     single = values.astype(jnp.float32)
     return jnp.where(single.astype(jnp.float64) < values, jnp.nextafter(single, jnp.float32(jnp.inf)), single)
 
 
 def _with_later(values: Array, step: int, beyond: Any) -> Array:
-    """The larger of each value and those `step` later, along both sides."""
+    """Maximum of each value and the one `step` later, along both axes."""
     for axis in (0, 1):
         count = min(step, values.shape[axis])
         shape = list(values.shape)
@@ -206,7 +206,7 @@ def _with_later(values: Array, step: int, beyond: Any) -> Array:
 
 
 def _halved(values: Array, beyond: Array) -> Array:
-    """The largest of squares of 2 x 2."""
+    """Maxima of 2 x 2 squares."""
     rows, cols = values.shape
     values = jnp.pad(values, ((0, rows % 2), (0, cols % 2)), constant_values=beyond)
     return jnp.maximum(
@@ -215,7 +215,7 @@ def _halved(values: Array, beyond: Array) -> Array:
 
 
 def _strides(shape: tuple[int, ...]) -> list[tuple[int, int, int]]:
-    """(side of a square in facets, columns of squares, where they start) of the arrays in `Ground.tops`."""
+    """(side of a square in facets, squares per row, start index) of the arrays in `Ground.tops`."""
     rows, cols, start, side, found = *shape, 0, 1, []
     while True:
         found.append((side, cols, start))
@@ -226,8 +226,8 @@ def _strides(shape: tuple[int, ...]) -> list[tuple[int, int, int]]:
 
 
 def _stretches(strides: list[tuple[int, int, int]]) -> np.ndarray:
-    """First and last end in cells of the stretches beyond the near ones, and side, columns and start of the squares
-    that each is looked up in: no less than it covers."""
+    """First and last end in cells of the intervals beyond the near ones, and side, row length and start index of the
+    squares used for lookup; the squares cover at least the interval."""
     rows, first = [], float(NEAR)
     while first < FARTHEST:
         last = first + max(1.0, (GROWTH - 1.0) * first)
@@ -248,7 +248,7 @@ def _with_block(
     corner: Int[Array, "2"],
     shape: tuple[int, int],
 ) -> Float32[Array, "rows cols"]:
-    """The sines with those of a block of facets from (row, col)."""
+    """The sine bounds with a block of facets from (row, col) computed."""
     rows, cols = least_sine.shape
     corner = jnp.minimum(corner, jnp.array([rows - shape[0], cols - shape[1]]))  # the last blocks overlap others
     row = (corner[0] + jnp.arange(shape[0]))[:, None].astype(jnp.float64) + jnp.zeros(shape)
@@ -262,7 +262,7 @@ def _with_block(
 
 
 def _least_tangent(ground: Ground, row: Array, col: Array, lowest: Array) -> Array:
-    """The tangent of the elevation from which on lines of sight from facets are free."""
+    """Tangent of elevation above which lines of sight from facets are free."""
     by_row, by_col, length = _way(ground.nadir, row + 0.5, col + 0.5)
     metres, _ = _metres(ground.metric, ground.bend, by_row, by_col, length)
     metres = jnp.where((metres > 0.0) & (ground.bend < MOST_BENT), metres, jnp.nan)
@@ -270,7 +270,7 @@ def _least_tangent(ground: Ground, row: Array, col: Array, lowest: Array) -> Arr
     all_cols = ground.lowest.shape[1]
 
     def looked_up(first: Any, last: Any, squares: tuple[Any, Any, Any]) -> tuple[Array, Array, Array]:
-        """(where the stretch is in the arrays, whether it leaves the terrain, the highest ground there)."""
+        """(array index of the interval, whether it leaves the terrain, its highest ground)."""
         side, across, start = squares
         aside = ground.bend * last
         row0 = row + jnp.minimum(by_row * first, by_row * last) - aside
