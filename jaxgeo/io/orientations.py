@@ -194,10 +194,10 @@ def which_map(columns: Columns) -> str:
     """That nobody says in which map a table is, with an example that fits its numbers."""
     called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
     cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
-    what, example = "of a map", "EPSG:32616"
+    what, example = "projected", "EPSG:32616"
     if len(cells) == 2 and _in_degrees(*cells):
         what, example = "in deg", "EPSG:4326"
-    told = f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS; give it: "
+    told = f"{columns.table.path}: {called[0]} is {what}, and the file states no CRS: pass "
     return f'{told}crs="{example}".'
 
 

@@ -99,8 +99,8 @@ def in_file(tags: ImageTags, found: Calibration, width: int, height: int) -> Cal
     if across == 1.0 and down == 1.0:
         return found
     told = (
-        f"The file has {tags.width} x {tags.height} pixels and its tags speak of {width} x {height}: it is taken as "
-        f"the whole image made smaller, and focal length and principal point are scaled by {across:.6g}."
+        f"Image was resized ({tags.width} x {tags.height} of {width} x {height}): focal length and principal point "
+        f"scaled by {across:.6g}."
     )
     return replace(found.scaled(across, down), assumed=(*found.assumed, told))
 

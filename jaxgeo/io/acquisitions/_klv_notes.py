@@ -112,8 +112,10 @@ def assumed(
         )
     if not is_given:
         notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
-    sigmas = "are in tag 102, which is not read" if any(102 in one for one in values) else "are not in the packets"
-    notes.append(f"Accuracies {sigmas}: no errors of positions and angles are given.")
+    has_sigmas = any(102 in one for one in values)
+    notes.append(
+        f"The telemetry has {'accuracies in tag 102, which is not read' if has_sigmas else 'no accuracy fields'}."
+    )
     return notes
 
 

@@ -30,10 +30,10 @@ CHOICES = (
     'Pass height_datum="ellipsoid" (WGS 84), height_datum="EPSG:5773" (EGM96 mean sea level), an undulation in m, or '
     "the path of a geoid grid."
 )
-NO_ERRORS = "How large errors are is not in the file."
+NO_ERRORS = "No accuracies in the file."
 NO_TIMES = "When images were taken is not in the file; their time is 0."
 CAPTURE_TIME = "Times are the file's capture_time, in s since 1970 by the camera's clock, of an unknown time zone."
-ELLIPSOID = "Angles of attitude are against the ellipsoid's normal, without deflection of the vertical."
+ELLIPSOID = "Attitude is relative to the ellipsoid normal (deflection of the vertical ignored)."
 
 
 def acquisition_of_opensfm(
@@ -76,7 +76,7 @@ def acquisition_of_opensfm(
             CAPTURE_TIME if timed else NO_TIMES,
             NO_ERRORS,
             AS_READ,
-            "Cameras are of the size that the file gives, perhaps less than that of the images.",
+            "Camera size is from the file; images may be larger.",
         ),
         facts=_facts(block, rows),
         tags=tags,

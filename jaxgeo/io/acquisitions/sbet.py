@@ -242,7 +242,7 @@ def _assumed(errors: bool, clock_zero: float | None, carried_on: bool, remark: s
     said = [
         "Positions are of WGS 84: the file does not name its datum (NAD83, for one, lies up to 2 m off).",
         "Position and attitude are those of one body: the file does not name the point that its program reduced it to.",
-        "Attitude is against the ellipsoid's normal, without deflection of the vertical.",
+        "Attitude is relative to the ellipsoid normal (deflection of the vertical ignored).",
     ]
     if clock_zero is None:
         said.append("Times are by the clock of the file, which it does not name: seconds of the GPS week, or of UTC.")
@@ -251,7 +251,7 @@ def _assumed(errors: bool, clock_zero: float | None, carried_on: bool, remark: s
     if errors:
         said.append("Errors of one record are independent of the next's: the file states none of their correlations.")
     else:
-        said.append("How large errors are is not in the file; its smrmsg says so.")
+        said.append("No accuracies in the file; its smrmsg has them.")
     return (*said, *([remark] if remark else ()))
 
 

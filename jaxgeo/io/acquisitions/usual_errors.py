@@ -39,7 +39,7 @@ def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
 
 def _position() -> tuple[AbstractSource, str]:
     north, east, down = POSITION
-    told = f"Positions err by {north:g}, {east:g}, {down:g} m (standard deviations north, east, down)."
+    told = f"Position sigma: {north:g}, {east:g}, {down:g} m (N, E, D; default)."
     return Position.from_ned(north=north, east=east, down=down), told
 
 
