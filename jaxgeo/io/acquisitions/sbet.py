@@ -185,7 +185,7 @@ def _check_kind(path: str, records: np.ndarray) -> None:
 def _plausible(record: np.ndarray) -> bool:
     with np.errstate(invalid="ignore"):
         used = all(low <= record[FIELDS.index(name)] <= high for name, (low, high, _) in LIMITS.items())
-        # wrongly ordered float64 are often nearly zero, unlike real positions and accelerations
+        # float64 in the wrong byte order are often nearly zero; real values are exactly zero or far larger
         tiny = np.any((record != 0.0) & (np.abs(record) < 1e-100))
         return bool(used and not tiny and np.isfinite(record[0]))
 
