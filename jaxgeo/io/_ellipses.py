@@ -11,7 +11,7 @@ from jaxgeo.io._outlines import outline
 
 VERTICES = 64  # the polygon has 0.16 % less area than the ellipse
 LEAST_AXIS = 1e-4  # m; thinner ones have no area at the precision of files
-MOST_AXIS = 1e6  # m; larger ones leave the ground's curvature behind
+MOST_AXIS = 1e6  # m; beyond it the level plane is far from the ground
 MOST_STRETCHED = 100.0  # ratio of map to ground length; larger ones indicate a seam of the map
 
 

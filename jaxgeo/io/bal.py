@@ -118,7 +118,7 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 def _numbers(path: str | os.PathLike[str], text: str) -> np.ndarray:
     """All numbers of a file; invalid words are searched for only after NumPy has reported one."""
-    with heard("jaxgeo", DeprecationWarning) as stopped:  # NumPy warns that parsing stopped
+    with heard("jaxgeo", DeprecationWarning) as stopped:  # NumPy warns at our line that it stopped
         try:
             values = np.fromstring(text, sep=" ")
         except ValueError:
