@@ -113,14 +113,14 @@ def test_an_image_without_rtk_does_not_take_it_from_others(sure: dict) -> None:
     assert a["cov_nn_m2"] - b["cov_nn_m2"] == pytest.approx(more, rel=1e-4)
     assert a["ce90_m"] > b["ce90_m"] > 0.0
     assert (c["status"], c["ce90_m"], c["accuracy_method"]) == ("file_not_read", None, None)
-    assert any("Positions err by 3, 3, 5 m" in one and one.endswith("(1 of 2 exposures)") for one in sure["assumed"])
+    assert any("Position sigma: 3, 3, 5 m" in one and one.endswith("(1 of 2 exposures)") for one in sure["assumed"])
 
 
 def test_what_is_assumed_is_told_once_with_the_number_of_files(located: dict) -> None:
     told = located["assumed"]
     assert len(told) == len(set(told))
     assert any("free of distortion" in one and one.endswith("(3 of 4 files)") for one in told)
-    (resized,) = [one for one in told if "tags speak of" in one]
+    (resized,) = [one for one in told if "Image was resized" in one]
     assert "other numbers in some" in resized
     assert any("1 other file (.mrk) left out" in one for one in told)
 

@@ -277,7 +277,7 @@ REFUSED = [
         f"locate {SCENE} --vertical-datum 5773.5",
         r"dem\.tif: --vertical-datum 5773\.5 would be a constant undulation.*|--vertical-datum 5773\.5 would .*",
     ),
-    ("inspect opk.csv --height-datum ellipsoid", r"opk\.csv.* in which CRS; give it: --source-crs EPSG:32616\."),
+    ("inspect opk.csv --height-datum ellipsoid", r"opk\.csv.* states no CRS: pass --source-crs EPSG:32616\."),
     ("rectify noise.tif --scene scene.toml --dem dem.tif -o out.tif", r"noise\.tif: .*"),
     ("footprint --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),
     ("locate --scene scene.toml --dem noise.tif", r"noise\.tif: .*"),

@@ -1,4 +1,4 @@
-"""Files to records and back: terrain, heights, scenes, blocks of images, tables, maps. Only io knows PROJ and GDAL."""
+"""Readers and writers: terrain, heights, scenes, image blocks, tables, maps. Only `io` uses PROJ and GDAL."""
 
 from __future__ import annotations
 

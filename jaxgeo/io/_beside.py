@@ -1,7 +1,7 @@
-"""Files that GDAL opens beside a raster by their names (masks, overviews, auxiliary XML), checked before it does.
+"""Sidecar files that GDAL opens with a raster (masks, overviews, auxiliary XML), checked before it does.
 
-It opens `dem.tif.msk` and `dem.tif.ovr` with any of its drivers, and follows the name of a file of overviews in
-`dem.tif.aux.xml`: each could name a place on the network.
+GDAL opens `dem.tif.msk` and `dem.tif.ovr` with any of its drivers, and follows the overview file name in
+`dem.tif.aux.xml`: each could refer to a network location.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jaxgeo.io._regular import check_regular
 
 RASTERS = (".msk", ".ovr", ".aux", ".rrd")
 XML = ".aux.xml"
-DEEPEST = 2  # masks of overviews, and the like
+DEEPEST = 2  # nesting depth, such as masks of overviews
 MOST_XML = 64 * 2**20  # bytes
 AUX, HFA = ".aux", b"EHFA_HEADER_TAG"
 MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", HFA)
@@ -25,7 +25,7 @@ OVERVIEWS, BASE = "overview_file", ":::BASE:::"
 
 
 def check_beside(path: str, error: type[ValueError]) -> list[str]:
-    """The masks and overviews beside a raster; raises `error` for what lies there and may reach farther."""
+    """The masks and overviews beside a raster; raises `error` for sidecars that may refer to other locations."""
     rasters = []
     for file in _candidates(path):
         check_regular(file, error)
@@ -44,7 +44,7 @@ def check_beside(path: str, error: type[ValueError]) -> list[str]:
 
 
 def head_of(path: str, error: type[ValueError], size: int = 1024) -> bytes:
-    """The first bytes of a file. Raises `error` where it cannot be read."""
+    """The first bytes of a file. Raises `error` if it cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(size)
@@ -53,7 +53,7 @@ def head_of(path: str, error: type[ValueError], size: int = 1024) -> bytes:
 
 
 def check_overviews_named(path: str, named: str | None, error: type[ValueError]) -> None:
-    """Raise `error` where a file names its overviews elsewhere than beside it."""
+    """Raise `error` if a file names overviews that are not beside it."""
     if not named:
         return
     rest = named.removeprefix(BASE)
@@ -84,8 +84,8 @@ def _candidates(path: str) -> Iterator[str]:
 
 @functools.lru_cache(maxsize=64)
 def _listed(folder: str, stamp: int) -> dict[str, tuple[str, ...]]:
-    """Names in a folder that may be of such files, by the same in small letters: GDAL takes both alike."""
-    del stamp  # part of the key only
+    """Possible sidecar names in a folder by their lower-case form: GDAL ignores case."""
+    del stamp  # only part of the cache key
     found: dict[str, tuple[str, ...]] = {}
     for one in os.listdir(folder):
         if one.lower().endswith((*RASTERS, XML)):

@@ -1,4 +1,4 @@
-"""Bytes of files, read as a whole within the limits of `limits`; and how deep lists lie within each other."""
+"""Reading of whole files within the limits of `limits`, and checks of nesting depth."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxgeo.io.limits import FILE_BYTES, NESTING, UNPACKED_ALWAYS, UNPACKED_BYTES, UNPACKED_RATIO, Limit
 
-PART = 2**20  # bytes that are read at a time
-# A string of JSON, or the rest of a file that ends within one; without a way back, so that its time is linear.
+PART = 2**20  # bytes read at a time
+# A JSON string, or the rest of a file that ends within one; without backtracking, so that its time is linear.
 _STRING = re.compile(rb'"[^"\\]*+(?:\\.[^"\\]*+)*+(?:"|\\?\Z)', re.DOTALL)
 _PART = r"(?:(?<![\w-])[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')[ \t]*+"
 _DOTTED = re.compile(rf"(?:{_PART}\.[ \t]*+){{{NESTING.most},}}+")
@@ -21,16 +21,16 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 
 def read_bytes(path: str | os.PathLike[str], limit: Limit = FILE_BYTES) -> bytes:
-    """All bytes of a file. Raises `OSError`, and `TableError` where there are more than the limit allows."""
+    """All bytes of a file. Raises `OSError`, and `TableError` above the limit."""
     with open(path, "rb") as file:
         limit.check(path, os.fstat(file.fileno()).st_size)
         return _whole(path, file, limit)
 
 
 def unpacked(path: str | os.PathLike[str]) -> bytes:
-    """All bytes of a file, those of a .bz2 unpacked.
+    """All bytes of a file, decompressed if it is a .bz2.
 
-    Raises `OSError` and `EOFError` for what is no such file; `TableError` for more bytes than the limits allow.
+    Raises `OSError` and `EOFError` for invalid files; `TableError` above the limits.
     """
     if not os.fspath(path).endswith(".bz2"):
         return read_bytes(path)
@@ -46,7 +46,7 @@ def unpacked(path: str | os.PathLike[str]) -> bytes:
 
 
 def check_nesting_of_json(path: str | os.PathLike[str], content: bytes) -> None:
-    """Raises `TableError` for JSON whose lists and tables lie too deep within each other, before it is parsed."""
+    """Raises `TableError` for JSON nested too deeply, before it is parsed."""
     brackets = np.frombuffer(_STRING.sub(b"", content).translate(None, _NO_BRACKETS), np.uint8)
     depth = 0
     for start in range(0, len(brackets), PART):
@@ -58,16 +58,16 @@ def check_nesting_of_json(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def check_dotted_keys(path: str | os.PathLike[str], text: str) -> None:
-    """Raises `TableError` for TOML with a key of too many parts, a.b.c, each of which is a table within the last.
+    """Raises `TableError` for TOML with a dotted key of too many parts, each of which is a nested table.
 
-    To be called before it is parsed: the time and memory of that grow with the square of the parts.
+    Call it before parsing, whose time and memory grow with the square of the parts.
     """
     if _DOTTED.search(text):
         raise NESTING.refusal(path, None)
 
 
 def check_nesting(path: str | os.PathLike[str], content: Any) -> None:
-    """Raises `TableError` for parsed content whose lists and tables lie too deep within each other."""
+    """Raises `TableError` for parsed content nested too deeply."""
     level: list[Any] = [content]
     for _ in range(NESTING.most):
         level = [inner for outer in level for inner in _inside(outer)]
@@ -89,7 +89,7 @@ def _whole(path: Any, file: Any, limit: Limit) -> bytes:
 
 
 def _up_to(file: BinaryIO | Any, most: int) -> bytes | None:
-    """All bytes of an open file, None where there are more than `most`."""
+    """All bytes of an open file, None if there are more than `most`."""
     parts, size = [], 0
     while part := file.read(PART):
         size += len(part)

@@ -1,9 +1,9 @@
-"""Texts in cells of CSV files that no spreadsheet runs as a formula, and the same texts read back.
+"""CSV cells that spreadsheets do not run as formulas, and their inverse.
 
-Excel, LibreOffice and Google Sheets run a cell that begins with =, +, - or @, in some languages also with their wide
-forms, and pass over a tab or line break before it (OWASP, "CSV Injection"). An apostrophe in front makes it a text, as
-in a spreadsheet's own cells. One is written before such a text, and before one that already has apostrophes there, so
-that reading, which takes one off, gives every text back. Numbers are left as they are.
+Excel, LibreOffice and Google Sheets run a cell that begins with =, +, - or @, in some locales also with their
+full-width forms, and skip a tab or line break before it (OWASP, "CSV Injection"). A leading apostrophe makes it a text,
+as in a spreadsheet's own cells. It is written before such a text, and before one that already has apostrophes there;
+reading removes one, so every text is restored. Numbers are unchanged.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ _RUN = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
 class Rows:
-    """Where a writer of `csv` with the line end "\\r\\n" writes rows that end in "\\n" alone.
+    """Stream adapter that replaces the line end "\\r\\n" of `csv` by "\\n".
 
-    With "\\n" as its line end, `csv` puts no quotes around a carriage return, which then ends the row.
+    With "\\n" as its line end, `csv` does not quote a carriage return, which then ends the row.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -31,7 +31,7 @@ class Rows:
 
 
 def safe_cell(value: Any) -> Any:
-    """A value as it is written: a text that a spreadsheet would run has an apostrophe in front.
+    """A value as written: a text that a spreadsheet would run gets a leading apostrophe.
 
     >>> from jaxgeo.io._cells import safe_cell
     >>> print(safe_cell("=1+1"), safe_cell("-1.5"), safe_cell("'=x"), safe_cell("a=b"), safe_cell(-1.5))
@@ -43,12 +43,12 @@ def safe_cell(value: Any) -> Any:
 
 
 def utf8_text(value: Any) -> Any:
-    """A value whose text UTF-8 can hold: names of files need not be UTF-8, nor escapes in JSON a whole character."""
+    """A value whose text UTF-8 can encode: file names need not be UTF-8, nor JSON escapes whole characters."""
     if not isinstance(value, str) or value.isascii():
         return value
     return value.encode("utf-8", UNWRITABLE).decode("utf-8")
 
 
 def plain_cell(text: str) -> str:
-    """A cell as it was before `safe_cell`."""
+    """The inverse of `safe_cell`."""
     return text[1:] if text.startswith("'") and _RUN.match(text) else text

@@ -1,4 +1,4 @@
-"""Tables of other programs: columns under several names and in any case, between commas or white space."""
+"""Tables of other programs: case-insensitive columns with aliases, separated by commas or white space."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.io._csv import CsvTable, Limits, read_csv
 from jaxgeo.io.errors import TableError
 
-OUR_UNITS = re.compile(r"\s*[\[(](?:deg|degrees?|°|m|met(?:er|re)s?)[\])]$")  # behind a name, in small letters
-Aliases = Mapping[str, tuple[str, ...]]  # our name of a column: what else it is called
+OUR_UNITS = re.compile(r"\s*[\[(](?:deg|degrees?|°|m|met(?:er|re)s?)[\])]$")  # after a name, in lower case
+Aliases = Mapping[str, tuple[str, ...]]  # our column name: its aliases
 
 
-SHOWN = 2  # other names of a column in a message
+SHOWN = 2  # aliases shown in a message
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A table, and what its columns are called in the file, by our names."""
+    """A table, and the file's column names by our names."""
 
     table: CsvTable
     called: dict[str, str]
@@ -42,7 +42,7 @@ class Columns:
         return names_of(self.table, self.called[name])
 
     def require(self, names: Iterable[str], aliases: Aliases, why: str = "") -> None:
-        """Raises `TableError` unless all columns are there; `why` is a sentence for the message."""
+        """Raises `TableError` unless all columns are present; `why` is a sentence for the message."""
         missing = [name for name in names if name not in self.called]
         if missing:
             others = [
@@ -56,11 +56,11 @@ class Columns:
 
 
 def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases, *, weak: Aliases | None = None) -> Columns:
-    """A table with columns under several names, of any layout that `read_csv` detects; quoted names may hold blanks.
+    """A table with column aliases, of any layout that `read_csv` detects; quoted names may contain blanks.
 
-    Capitals do not matter in the header, nor does a unit of ours behind a name, "Yaw [deg]". Columns that `aliases` do
-    not name are passed over; those that `weak` names count where no other column means the same. Raises as `read_csv`,
-    and `TableError` for two columns that mean the same.
+    The header is case-insensitive, and units of ours after a name, "Yaw [deg]", are ignored. Columns that are not in
+    `aliases` are ignored; those in `weak` are used if no other column has the same meaning. Raises as `read_csv`,
+    and `TableError` for two columns of the same meaning.
     """
     meant = {other.lower(): name for name, others in aliases.items() for other in (name, *others)}
     weakly = {other.lower(): name for name, others in (weak or {}).items() for other in others}
@@ -80,7 +80,7 @@ def read_columns(path: str | os.PathLike[str], what: str, aliases: Aliases, *, w
 
 
 def names_of(table: CsvTable, column: str) -> np.ndarray:
-    """A column as an array of names, white space around them taken off; raises `TableError` for an empty cell."""
+    """A column as an array of names, without surrounding white space; raises `TableError` for an empty cell."""
     index = table.header.index(column)
     names = [row[index].strip() for row in table.cells]
     if "" in names:
@@ -89,7 +89,7 @@ def names_of(table: CsvTable, column: str) -> np.ndarray:
 
 
 def refuse_doubles(table: CsvTable, keys: Iterable[object], what: str) -> None:
-    """Raises `TableError` with both rows for a key that stands in two; `what` is said of it, `{}` is its name."""
+    """Raises `TableError` with both rows for a repeated key; `what` is the message, with `{}` for the key."""
     seen: dict[object, int] = {}
     for key, line in zip(keys, table.lines, strict=True):
         if key in seen:
@@ -99,7 +99,7 @@ def refuse_doubles(table: CsvTable, keys: Iterable[object], what: str) -> None:
 
 
 def refuse_nowhere(table: CsvTable, column: str, lat: np.ndarray, lon: np.ndarray) -> None:
-    """Raises `TableError` for a row whose latitude and longitude are zero, as GPS without a position is written."""
+    """Raises `TableError` for a row whose latitude and longitude are zero, as written by GPS without a position."""
     nowhere = (lat == 0.0) & (lon == 0.0)
     if np.any(nowhere):
         reason = "latitude and longitude are zero, which is written where GPS has no position; take the row out."

@@ -1,6 +1,6 @@
-"""Files that a CRS names (grids of datum shifts and geoids, definitions), where a file brings the CRS.
+"""Check of files that a CRS refers to (grids of datum shifts and geoids, definitions), if a file states the CRS.
 
-PROJ opens them by their path. A bare name is looked up in PROJ's own folders, and is allowed.
+PROJ opens them by path. A bare name is looked up in PROJ's own folders, and is allowed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NAMING = re.compile(r"\b\w*(?:grids|file|model|init)\s*=\s*([^\s+\"]+)", re.IGN
 
 
 def check_crs(where: str, crs: pyproj.CRS | str | Any, error: type[ValueError]) -> None:
-    """Raise `error` where a CRS that a file brings, as text or as PROJ understands it, names a file by a path."""
+    """Raise `error` if a CRS from a file, as text or parsed by PROJ, refers to a file by a path."""
     names: list[str] = []
     if isinstance(crs, str):
         names += _named(crs)
@@ -28,7 +28,7 @@ def check_crs(where: str, crs: pyproj.CRS | str | Any, error: type[ValueError]) 
             try:
                 crs = pyproj.CRS.from_user_input(crs)
             except CRSError:
-                return  # whoever takes it says so
+                return  # the CRS parser reports it
     if isinstance(crs, pyproj.CRS):
         names += _within(crs.to_json_dict())
     path = next((name for name in names if _is_path(name)), None)
@@ -40,7 +40,7 @@ def check_crs(where: str, crs: pyproj.CRS | str | Any, error: type[ValueError]) 
 
 
 def check_crs_in(where: str, root: Element, error: type[ValueError]) -> None:
-    """As `check_crs`, of all that XML of GDAL's names a CRS: GDAL itself has PROJ open what it names."""
+    """As `check_crs`, for every CRS in GDAL's XML: GDAL lets PROJ open the files it refers to."""
     for element in root.iter():
         for key, text in ((str(element.tag).lower(), element.text or ""), *entries(element)):
             if key in _KEYS and text.strip():
@@ -48,7 +48,7 @@ def check_crs_in(where: str, root: Element, error: type[ValueError]) -> None:
 
 
 def _within(part: Any) -> Iterator[str]:
-    """Names of files in PROJJSON: texts as the value of a parameter, and those within definitions of PROJ's."""
+    """File names in PROJJSON: texts as parameter values, and those in PROJ definitions."""
     if isinstance(part, dict):
         for key, value in part.items():
             if key == "value" and isinstance(value, str):

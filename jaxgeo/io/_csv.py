@@ -1,4 +1,4 @@
-"""Tables whose columns are checked: every refusal names the file, the row, the column and the reason."""
+"""CSV tables with validated columns: every error names the file, the row, the column and the reason."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ POSE_COLUMNS: dict[str, Limits] = {
     "roll_deg": (-180.0, 180.0, "deg"),
 }
 
-# What is written where a value is not known: words, and numbers that no column of this package can hold.
+# Markers of unknown values: words, and numbers that no column of this package can hold.
 UNKNOWN_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "nil", "unknown", "-", "--", "?"})
 UNKNOWN_NUMBERS = frozenset({-9999.0, -99999.0, -999999.0, -32767.0, -32768.0})
 
 
 @dataclass(frozen=True)
 class CsvTable:
-    """The header and the rows of a CSV file, and the line that each row ends in; every row is complete.
+    """The header and rows of a CSV file, and the line in which each row ends; every row is complete.
 
-    Cells are as written, but decimals are with points; `comments` are the lines above that begin with #.
+    Cells are as written, but with decimal points; `comments` are the lines above that begin with #.
     """
 
     path: str | os.PathLike[str]
@@ -53,13 +53,13 @@ class CsvTable:
 
     @property
     def rows(self) -> list[Row]:
-        """Every row by column, as it was written."""
+        """Every row by column, as written."""
         return [dict(zip(self.header, row, strict=True)) for row in self.cells]
 
     def numbers(self, name: str, limits: Limits, *, unknown_too: bool = False) -> np.ndarray:
-        """A column as floats; `unknown_too` lets what is not known pass, as NaN: `nan`, an empty cell, -9999 and so on.
+        """A column as floats; `unknown_too` reads unknown values (`nan`, an empty cell, -9999 and so on) as NaN.
 
-        Raises `TableError` for a cell that is no number, is unknown, or lies outside the limits.
+        Raises `TableError` for a cell that is not a number, is unknown, or is outside the limits.
         """
         low, high, unit = limits
         index, values = self.header.index(name), np.empty(len(self))
@@ -73,7 +73,7 @@ class CsvTable:
         return values
 
     def _number(self, row: int, name: str, cell: str, unit: str, *, unknown_too: bool) -> float:
-        """A cell as a number, NaN where it says that the value is not known."""
+        """A cell as a number, NaN if it is a marker of an unknown value."""
         if cell.lower() in UNKNOWN_WORDS:
             return np.nan
         value = number_in(cell)
@@ -88,7 +88,7 @@ class CsvTable:
         return np.nan if value in UNKNOWN_NUMBERS else value
 
     def wrong(self, index: int, name: str, reason: str) -> TableError:
-        """The error of a cell."""
+        """An error that names the cell."""
         return TableError(f"{self.path}, row {self.lines[index]}, column {name}: {reason}")
 
 
@@ -106,12 +106,12 @@ def read_csv(
     hints: Mapping[str, str] | None = None,
     known: Collection[str] = (),
 ) -> CsvTable:
-    """A table whose columns and lengths of rows are checked; blank rows and comments (#) are skipped.
+    """A table with validated columns and row lengths; blank rows and comments (#) are skipped.
 
     Columns are separated by commas, semicolons, tabs, bars or white space, decimals have points or commas, and the text
-    is UTF-8, UTF-16 or Windows' 1252: all detected from the content. `what` it is, for messages; `needed` are columns
-    that it must have, `taken` those that it may not. `hints` say for some columns what to do where they are missing;
-    `known` are further names by which a header is recognised. Raises `TableError`, and `FileNotFoundError`.
+    is UTF-8, UTF-16 or Windows 1252: all detected from the content. `what` describes it in messages; `needed` are
+    required columns, `taken` forbidden ones. `hints` are remedies for some missing columns;
+    `known` are further names for recognising a header. Raises `TableError`, and `FileNotFoundError`.
     """
     layout = layout_of(path, read_text(path, what), {name.lower() for name in (*needed, *known)})
     header = layout.header
@@ -159,7 +159,7 @@ def _check_header(
 
 
 def _near_names(missing: list[str], header: list[str], needed: Collection[str]) -> str:
-    """A question for each missing column that another one, which nobody asks for, may stand for."""
+    """A hint for each missing column that an unused one may stand for."""
     spare = {name.lower(): name for name in header if name not in needed}
     found = {name: difflib.get_close_matches(name, spare, n=1, cutoff=0.8) for name in missing}
     pairs = [f"{name} by {spare[near[0]]!r}" for name, near in found.items() if near]

@@ -1,7 +1,7 @@
-"""Blocks of TIFF files that are compressed by deflate, held against the checksum that each of them ends in.
+"""Checksum verification of deflate-compressed TIFF blocks.
 
-libtiff takes a block for whole that decodes to more than it should, as a damaged one may, and does not come to its
-checksum; its last values then are what lies in memory by chance, others at every reading.
+libtiff accepts a block that decodes to more than its size, as a damaged one may, and does not reach its
+checksum; its last values are then uninitialised memory, different at every read.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Block = tuple[int, int, int]  # band, row and column of blocks
 
 
 def damaged_block(data: DatasetReader, bands: Iterable[int], window: Window | None, sound: set[Block]) -> str:
-    """Which block under a window of a deflated TIFF file is damaged, in words; empty if none is.
+    """Description of a damaged block under a window of a deflated TIFF file; empty if there is none.
 
-    `sound` are blocks that have been looked at before; it gets those that are now.
+    `sound` are blocks verified before; newly verified ones are added.
     """
     if data.driver != "GTiff" or data.compression != Compression.deflate or not os.path.isfile(data.name):
         return ""
@@ -51,7 +51,7 @@ def _under(data: DatasetReader, bands: Iterable[int], window: Window | None) -> 
 def _is_sound(data: DatasetReader, block: Block, file: BinaryIO, bands: int) -> bool:
     band, row, col = block
     at, size = (data.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=band) for what in ("OFFSET", "SIZE"))
-    if not at or not size:  # a sparse block, that is not in the file
+    if not at or not size:  # a sparse block, not stored in the file
         return True
     file.seek(int(at))
     stream = zlib.decompressobj()

@@ -1,4 +1,4 @@
-"""How a table is laid out: its comments, its header, what stands between its columns and in its decimals."""
+"""Table layout detection: comments, header, separator and decimal mark."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxgeo.io._cells import plain_cell
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.limits import COLUMNS, COMMENT_LINES
 
-SEPARATORS = (",", ";", "\t", "|")  # in the order in which they are tried; then white space
+SEPARATORS = (",", ";", "\t", "|")  # in order of trial; then white space
 WHITE = " "
 BY_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
 BY_POINT = re.compile(r"[+-]?[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?")
@@ -20,10 +20,10 @@ BY_POINT = re.compile(r"[+-]?[0-9]*\.[0-9]+(?:[eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Layout:
-    """The header and the rows of a table as written, the line that each row ends in, and the comments above.
+    """The header and rows of a table as written, the line in which each row ends, and the comments above.
 
-    `separator` stands between the columns of rows (a space for any white space); decimals are written with points in
-    `cells`, whatever the file has, and texts are without the apostrophe of `safe_cell`.
+    `separator` is that of the rows (a space for any white space). In `cells`, decimals have points, whatever the file
+    has, and texts are without the apostrophe of `safe_cell`.
     """
 
     header: list[str]
@@ -34,10 +34,10 @@ class Layout:
 
 
 def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = ()) -> Layout:
-    """A table's layout, detected from its content: `known` are names of columns, in small letters, by which to choose.
+    """A table's layout, detected from its content: `known` are column names in lower case that guide the choice.
 
-    Lines that begin with # are comments; the last of them that fits the rows is the header where the first other line
-    is none, as Metashape, RealityCapture and MicMac write it. Raises `TableError` for quotes that do not close, and
+    Lines that begin with # are comments; if the first other line is not a header, the last comment that fits the rows
+    is, as Metashape, RealityCapture and MicMac write it. Raises `TableError` for unclosed quotes, and
     for a row that begins with # below the header.
     """
     lines = re.split(r"\r\n|\r|\n", text)
@@ -59,7 +59,7 @@ def layout_of(path: str | os.PathLike[str], text: str, known: Collection[str] = 
 
 
 def header_of(text: str, known: Collection[str] = ()) -> list[str]:
-    """The names of the columns, by the first lines of a table; empty where there is nothing but comments."""
+    """The column names from the first lines of a table; empty if there are only comments."""
     lines = re.split(r"\r\n|\r|\n", text)
     start, comments, declared = _preamble(lines)
     return _header(lines[start:], comments, declared, known, _quote(lines))[0] if start < len(lines) else []
@@ -68,7 +68,7 @@ def header_of(text: str, known: Collection[str] = ()) -> list[str]:
 def _header(
     lines: list[str], comments: list[str], declared: str | None, known: Collection[str], quote: str
 ) -> tuple[list[str], int, str]:
-    """(names of the columns, index of the first line of rows, separator of the rows) of lines below the comments."""
+    """(column names, index of the first row line, separator of the rows) of lines below the comments."""
     separator = declared or _separator(lines[0], lines[1:], known, quote)
     header = _split(lines[0], separator, quote)
     above = _header_above(header, comments, known, quote)
@@ -78,7 +78,7 @@ def _header(
 
 
 def _preamble(lines: list[str]) -> tuple[int, list[str], str | None]:
-    """(the first line that is no comment, the comments above, the separator if a line `sep=;` of Excel names it)."""
+    """(the first line that is not a comment, the comments above, the separator if Excel's line `sep=;` gives it)."""
     comments: list[str] = []
     declared = None
     for number, line in enumerate(lines):
@@ -94,7 +94,7 @@ def _preamble(lines: list[str]) -> tuple[int, list[str], str | None]:
 
 
 def _header_above(first: list[str], comments: list[str], known: Collection[str], quote: str) -> list[str] | None:
-    """The names of the columns in the comments, where the first line below them is a row and not a header."""
+    """The column names in the comments, if the first line below them is a row and not a header."""
     if not any(_is_number(cell) for cell in first) or _hits(first, known) > 1:
         return None
     for comment in reversed(comments):
@@ -112,7 +112,7 @@ def _header_above(first: list[str], comments: list[str], known: Collection[str],
 
 
 def _separator(header: str, below: list[str], known: Collection[str], quote: str) -> str:
-    """What stands between the names of a header: that which gives the most names that are known, else the most."""
+    """The separator of a header: the one with the most known names, else the most names."""
     counts = {mark: _split(header, mark, quote) for mark in (*SEPARATORS, WHITE)}
     row = next((line for line in below if line.strip() and not line.lstrip().startswith("#")), "")
 
@@ -128,7 +128,7 @@ def _separator(header: str, below: list[str], known: Collection[str], quote: str
 
 
 def _fitting(row: str, count: int, quote: str) -> str | None:
-    """What separates a row into that many cells."""
+    """The separator that splits a row into `count` cells."""
     return next((mark for mark in (*SEPARATORS, WHITE) if len(_split(row, mark, quote)) == count), None)
 
 
@@ -141,7 +141,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _quote(lines: list[str]) -> str:
-    """The quotes that words of a table with white space begin with, double or single."""
+    """The quote character of a table with white space, double or single."""
     found = re.search(r"(?:^|\s)(['\"])", "\n".join(lines[:1000]))
     return found[1] if found else '"'
 
@@ -158,7 +158,7 @@ def _reader(lines: Iterable[str], separator: str, quote: str, *, strict: bool = 
 
 
 def _split(line: str, separator: str, quote: str) -> list[str]:
-    """The cells of one line; not split where its quotes do not close."""
+    """The cells of one line; not split if its quotes do not close."""
     try:
         return [cell.strip() for cell in next(iter(_reader([line], separator, quote)), [])]
     except csv.Error:
@@ -168,8 +168,8 @@ def _split(line: str, separator: str, quote: str) -> list[str]:
 def _without_comments(
     path: object, lines: list[str], offset: int, separator: str, count: int, quote: str
 ) -> Iterator[str]:
-    """The lines, comments made blank; raises `TableError` for one that may be a row whose name begins with #."""
-    is_open = False  # a cell in quotes that goes on in the next line
+    """The lines, with comments blanked; raises `TableError` for one that may be a row whose name begins with #."""
+    is_open = False  # a quoted cell continues in the next line
     for number, line in enumerate(lines, start=offset + 1):
         is_comment = not is_open and line.lstrip().startswith("#")
         if is_comment and count > 1 and len(_split(line, separator, quote)) == count:
@@ -192,9 +192,9 @@ def _rows(path: object, lines: list[str], offset: int, separator: str, quote: st
 
 
 def with_points(cells: list[list[str]], separator: str) -> list[list[str]]:
-    """Cells with decimal points where all decimals of the table have commas, and columns are separated otherwise.
+    """Cells with decimal points if all decimals of the table have commas, and the separator is another.
 
-    Between commas, "1,234" in quotes may be a thousand and more; it is left as it is.
+    In comma-separated tables, a quoted "1,234" may have a thousands separator; it is left unchanged.
     """
     if separator == ",":
         return cells

@@ -1,4 +1,4 @@
-"""Error ellipses on the ground as polygons: offsets to the east and north of a point, brought to a map."""
+"""Error ellipses on the ground as polygons: east and north offsets of a point, transformed to a map."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from shapely.geometry.base import BaseGeometry
 from jaxgeo.io._map_crs import MapCRS
 from jaxgeo.io._outlines import outline
 
-VERTICES = 64  # on the ellipse: the polygon has 0.16 % less area
+VERTICES = 64  # the polygon has 0.16 % less area than the ellipse
 LEAST_AXIS = 1e-4  # m; thinner ones have no area at the precision of files
-MOST_AXIS = 1e6  # m; beyond, the level plane of a point has left the ground
-MOST_STRETCHED = 100.0  # lengths on the map to those on the ground; beyond, the map has a seam between two places
+MOST_AXIS = 1e6  # m; beyond it the level plane is far from the ground
+MOST_STRETCHED = 100.0  # ratio of map to ground length; larger ones indicate a seam of the map
 
 
 def ellipse_polygons(
@@ -24,12 +24,12 @@ def ellipse_polygons(
     azimuth: np.ndarray,
     centre_en: np.ndarray,
 ) -> list[BaseGeometry | None]:
-    """The polygon of each of n ellipses on the level plane of a point, in the horizontal CRS of a chart.
+    """The polygon of each of n ellipses on the level plane of a point, in the horizontal CRS of `chart`.
 
     `lonlat_deg` (n, 2) and `ecef` (n, 3) in m are the points, `axes` (n, 2) the semi-axes in m, the longer one first,
-    in an `azimuth` (n,) in rad; `centre_en` (n, 2) in m is where the middle lies, east and north of the point. Exact:
-    vertices go through ECEF. None where a number is not finite, an axis is below 0.1 mm or above 1000 km. Raises
-    `ValueError` where the CRS tears an ellipse apart or does not reach it.
+    at `azimuth` (n,) in rad; `centre_en` (n, 2) in m is the centre, east and north of the point. Exact:
+    vertices are computed in ECEF. None if a number is not finite, an axis is below 0.1 mm or above 1000 km. Raises
+    `ValueError` if the CRS splits an ellipse or does not cover it.
     """
     finite = np.isfinite(np.column_stack([lonlat_deg, ecef, axes, azimuth, centre_en])).all(axis=-1)
     with np.errstate(invalid="ignore"):

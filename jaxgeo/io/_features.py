@@ -1,4 +1,4 @@
-"""Geometries with attributes as the bytes of a GeoJSON or a GeoPackage."""
+"""Encoding of geometries with attributes as GeoJSON or GeoPackage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from jaxgeo.io._cells import utf8_text
 
 DECIMALS = {True: "11", False: "7"}  # of GeoJSON, in a geographic CRS and in others: a micrometre
-# What the column of an attribute may hold, how it is kept, and what stands where it is unknown.
+# Values allowed in an attribute column, their storage type, and the filler for unknown ones.
 COLUMNS = (
     ({float}, np.float64, np.nan),
     ({bool}, bool, False),
@@ -32,18 +32,18 @@ class Feature(NamedTuple):
 
 
 def has_heights(crs: pyproj.CRS) -> bool:
-    """Whether coordinates in a CRS have a height."""
+    """Whether a CRS has a height coordinate."""
     return len(crs.axis_info) == 3
 
 
 def encoded(
     name: str, driver: str, layer: str, features: Sequence[Feature], attributes: Sequence[str], crs: pyproj.CRS
 ) -> bytes:
-    """The file of one layer; `attributes` are the names of its columns, None where a feature has no such.
+    """Encode a file of one layer; `attributes` are its column names, None where a feature lacks one.
 
-    `name` is the file's, for messages. Raises `ValueError` for a column of mixed kinds, `OSError` where GDAL fails.
+    `name` is the file's, for messages. Raises `ValueError` for a column of mixed types, `OSError` if GDAL fails.
     """
-    from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
+    from pyogrio import raw  # imports pandas if installed: a quarter of a second
     from pyogrio.errors import DataLayerError, DataSourceError
 
     columns = [column_of(name, key, [feature.attributes.get(key) for feature in features]) for key in attributes]
@@ -74,19 +74,19 @@ def _geometry_type(features: Sequence[Feature], crs: pyproj.CRS) -> str:
 
 
 def _crs_and_options(driver: str, crs: pyproj.CRS) -> tuple[str, dict[str, Any]]:
-    """A CRS as GDAL takes it, and the options of a driver."""
+    """A CRS in GDAL's notation, and the options of a driver."""
     authority = crs.to_authority()
     code = crs.to_wkt() if authority is None else ":".join(authority)
     if driver != "GeoJSON":
         return code, {}
     options = {"COORDINATE_PRECISION": DECIMALS[crs.is_geographic]}
-    if code in ("EPSG:4326", "EPSG:4979", "OGC:CRS84"):  # heights of GeoJSON are ellipsoidal, and no CRS is named
+    if code in ("EPSG:4326", "EPSG:4979", "OGC:CRS84"):  # GeoJSON heights are ellipsoidal, and it names no CRS
         return "EPSG:4326", options | {"RFC7946": "YES"}
     return code, options
 
 
 def column_of(name: str, key: str, values: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """An attribute of all features, and where it is unknown: numbers, whole numbers, yes or no, or texts."""
+    """An attribute of all features, and its unknown mask: floats, integers, booleans or texts."""
     plain = [value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value for value in values]
     plain = [utf8_text(value) for value in plain]
     kinds = {type(value) for value in plain if value is not None}

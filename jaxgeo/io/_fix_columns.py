@@ -19,18 +19,18 @@ from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_err
 from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
 
 USUAL = 0.9
-SAME = 0.01  # m between a fix and that of its accuracy
-FEWEST, MOST = 16, 512  # covariances at a time, by powers of two: few lengths to compile, 0.2 GB of memory
+SAME = 0.01  # m: tolerance between a fix and the fix of its accuracy
+FEWEST, MOST = 16, 512  # covariances per batch, powers of two: few compilations, 0.2 GB of memory
 COV = [(0, 0, "ee"), (0, 1, "en"), (0, 2, "eu"), (1, 1, "nn"), (1, 2, "nu"), (2, 2, "uu")]
 FIX_DECIMALS = {name: places for name, places in FIX_COLUMNS.items() if places is not None}
 
 
 class Figures(NamedTuple):
-    """How sure n fixes are: NaN where it is not known.
+    """Accuracy of n fixes: NaN where unknown.
 
-    Radii in m that hold the truth with the `probability`, infinite where too many samples have no fix; covariance in m²
-    and mean of the errors in m, east, north, up; of the ellipse with that probability semi-axes in m and the azimuth
-    of the longer one in rad; by which method, and why, in words.
+    Radii in m that contain the true point with the `probability`, infinite where too many samples have no fix;
+    covariance in m² and mean of the errors in m, east, north, up; semi-axes in m of the ellipse with that probability
+    and the azimuth of the longer one in rad; the method, and the reason, as text.
     """
 
     probability: float
@@ -50,7 +50,7 @@ def figures_of(
 ) -> Figures | None:
     """The figures of a batch of n fixes, from an accuracy, covariances, or both; None without either.
 
-    Raises `ValueError` for what does not belong to these fixes, or is no covariance or probability.
+    Raises `ValueError` for arguments that do not match these fixes, and invalid covariances or probabilities.
     """
     if accuracy is None and cov_enu is None:
         if bias_enu is not None:
@@ -77,8 +77,8 @@ def figures_of(
 def rows_of(fixes: Fix, figures: Figures | None, reasons: Sequence[str | None] | None = None) -> list[dict[str, Any]]:
     """A row for each fix: columns of `FIX_COLUMNS`, the status as a sentence, and the figures; None if unknown.
 
-    Heights above mean sea level are those above EGM96, which comes with the package. `reasons` stand in place of the
-    sentence of the status, where they are not None.
+    Heights above mean sea level are above EGM96, which is bundled. `reasons` that are not None replace
+    the sentence of the status.
     """
     rows = []
     for i, own in enumerate(fix_rows(fixes, height_msl(fixes))):
@@ -110,7 +110,7 @@ def _significant(value: Any) -> float | None:
 
 
 def no_figures(count: int, probability: float) -> Figures:
-    """Figures of n fixes of which none is known, with all columns of an accuracy."""
+    """Unknown figures for n fixes, with all columns of an accuracy."""
     return _unknown(count, probability)._replace(method=[None] * count, because=[None] * count)
 
 
@@ -121,7 +121,7 @@ def _unknown(count: int, probability: float) -> Figures:
 
 
 def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | None) -> Figures:
-    """Radii alone: a map of accuracy keeps no covariances."""
+    """Radii only: an accuracy map keeps no covariances."""
     count = len(np.asarray(fixes.status))
     trust = np.asarray(accuracy.trust).reshape(-1)
     if len(trust) != count:
@@ -142,7 +142,7 @@ def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | N
 
 
 def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: float | None) -> Figures:
-    """Of a batch; covariances where a propagation is trusted."""
+    """Figures of a batch; covariances where a propagation is valid."""
     count = len(np.asarray(fixes.status))
     trust = np.asarray(accuracy.trust)
     if trust.shape != (count,):
@@ -165,7 +165,7 @@ def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: floa
 
 
 def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) -> Figures:
-    """Of each fix, or None; covariances are those of the propagation, where that is what can be trusted."""
+    """Figures of each fix, or None; covariances are those of the propagation, if that is the valid method."""
     count = len(np.asarray(fixes.status))
     each: Sequence[Any] = [accuracy] if isinstance(accuracy, Accuracy) else accuracy
     if not isinstance(each, list | tuple) or len(each) != count:
@@ -200,7 +200,7 @@ def _check_probability(name: str, own: float, asked: float | None) -> float:
 
 
 def _check_same(name: str, far: np.ndarray) -> None:
-    """`far` is NaN where nothing is compared."""
+    """Raises if fixes are apart; `far` is NaN where nothing is compared."""
     other = np.flatnonzero(far > SAME)
     if other.size:
         i = other[0]
@@ -208,7 +208,7 @@ def _check_same(name: str, far: np.ndarray) -> None:
 
 
 def _shaped(name: str, given: Any, what: str, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of a shape, each entry known or NaN altogether."""
+    """An array of a given shape, with each entry entirely known or entirely NaN."""
     array = np.asarray(given, np.float64)
     if array.shape == shape[1:] and shape[0] == 1:
         array = array[None]
@@ -222,7 +222,7 @@ def _shaped(name: str, given: Any, what: str, shape: tuple[int, ...]) -> np.ndar
 
 
 def _with_ellipses(name: str, figures: Figures, *, radii_too: bool) -> Figures:
-    """The ellipses of known covariances, and the radii from them unless they are given."""
+    """The ellipses of known covariances, and the radii from them unless given."""
     parts = figures.cov_enu.reshape(-1, 9), figures.bias_enu
     known = np.flatnonzero(np.isfinite(np.concatenate(parts, axis=1)).all(axis=1))
     if not known.size:
@@ -248,7 +248,7 @@ def _parts(cov: np.ndarray, bias: np.ndarray) -> Iterator[tuple[np.ndarray, np.n
 
 
 def _computed(cov: np.ndarray, bias: np.ndarray, probability: float, radii_too: bool) -> np.ndarray:
-    """Of covariances (n, 3, 3) and biases (n, 3) the semi-axes, azimuth, and circular, linear, spherical error."""
+    """Semi-axes, azimuth, and circular, linear, spherical error of covariances (n, 3, 3) and biases (n, 3)."""
     count = len(cov)
     more = max(FEWEST, 1 << (count - 1).bit_length()) - count
     cov, bias = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1), mode="edge") for x in (cov, bias))
@@ -262,7 +262,7 @@ def _computed(cov: np.ndarray, bias: np.ndarray, probability: float, radii_too: 
 
 
 def checked_attributes(name: str, attributes: Any, count: int, taken: set[str]) -> list[dict[str, Any]]:
-    """Rows that a caller carries through: plain texts, numbers and bools by name, the same names for all."""
+    """Validated caller attributes: texts, numbers and bools by name, the same names for all rows."""
     if attributes is None:
         return [{} for _ in range(count)]
     if not isinstance(attributes, list | tuple) or not all(isinstance(one, Mapping) for one in attributes):

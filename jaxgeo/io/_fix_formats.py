@@ -1,4 +1,4 @@
-"""The formats of files of fixes: CSV, GeoJSON, GeoPackage, GeoParquet, KML and KMZ, each as bytes."""
+"""Encoders of fix files: CSV, GeoJSON, GeoPackage, GeoParquet, KML and KMZ."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from jaxgeo.io._map_crs import MapCRS, code_of
 from jaxgeo.status import Status
 
 PLACE = ("map_x", "map_y", "map_z")  # of a table
-# What an outline does not say again of its fix.
+# Attributes of a fix that its outline does not repeat.
 POINT_ONLY = ("fix_", "slant_", "incidence_", "slope_", "cov_", "bias_", "mgrs", "vertical_datum", "status_text")
 WGS84 = ("EPSG:4979", "EPSG:4326", "OGC:CRS84", "OGC:CRS84h")
 
 
 class FixTable(NamedTuple):
-    """What is written of n fixes: rows, coordinates (n, 3) on the map, NaN where there are none, and outlines.
+    """Content of a file of n fixes: rows, map coordinates (n, 3), NaN if there are none, and outlines.
 
-    Columns named in `carried` are the caller's.
+    Columns in `carried` are the caller's.
     """
 
     name: str
@@ -48,7 +48,7 @@ class FixTable(NamedTuple):
 
     @property
     def points(self) -> list[BaseGeometry | None]:
-        """Points with heights; None of a fix without coordinates."""
+        """Points with heights; None for a fix without coordinates."""
         return [shapely.Point(place) if np.isfinite(place).all() else None for place in self.places]
 
 
@@ -59,14 +59,14 @@ def _outline_row(table: FixTable, i: int) -> dict[str, Any]:
 
 
 def _csv(table: FixTable) -> bytes:
-    """No outlines, but the semi-axes; coordinates on the map in columns of their own."""
+    """CSV with the semi-axes instead of outlines, and map coordinates in columns of their own."""
     decimals = dict(zip(PLACE, [10 if table.chart.flat.is_geographic else 4] * 2 + [4], strict=True)) | FIX_DECIMALS
     stream = io.StringIO(newline="")
     writer = None
     for row, place in zip(table.rows, table.places, strict=True):
         mapped = {name: x if math.isfinite(x) else None for name, x in zip(PLACE, place.tolist(), strict=True)}
         line = row | mapped | {"crs": table.metadata["crs"]}
-        line["vertical_datum"] = line.pop("vertical_datum")  # as the last
+        line["vertical_datum"] = line.pop("vertical_datum")  # moved to the end
         if writer is None:
             writer = csv.DictWriter(Rows(stream), list(line), lineterminator="\r\n")
             writer.writerow({name: safe_cell(name) for name in line})
@@ -75,12 +75,12 @@ def _csv(table: FixTable) -> bytes:
 
 
 def _text(value: Any, decimals: int | None) -> Any:
-    """A cell: empty for None."""
+    """A cell; empty for None."""
     return value if value is None or decimals is None else f"{value:.{decimals}f}"
 
 
 def _geojson(table: FixTable) -> bytes:
-    """Points, then outlines, in one collection; `kind` says which is which, and a member "jaxgeo" what all share."""
+    """Points, then outlines, in one collection, distinguished by `kind`; a member "jaxgeo" has common metadata."""
     decimals = int(DECIMALS[table.chart.flat.is_geographic])
     features = []
     for row, place in zip(table.rows, table.places, strict=True):
@@ -102,11 +102,11 @@ def _geojson(table: FixTable) -> bytes:
 
 
 def _named_crs(table: FixTable) -> dict[str, Any]:
-    """The member by which GeoJSON named a CRS before RFC 7946; none for its own, WGS 84 with ellipsoidal heights."""
+    """The pre-RFC 7946 CRS member; none for WGS 84 with ellipsoidal heights, the default."""
     chart = table.chart
     if code_of(chart.crs) in WGS84:
         return {}
-    code = code_of(chart.crs) or code_of(chart.flat)  # a map with ellipsoidal heights has no code: those go without
+    code = code_of(chart.crs) or code_of(chart.flat)  # no code with ellipsoidal heights: use the horizontal one
     if code is None:
         raise ValueError(
             f"{table.name}: GeoJSON names a crs by its code, and {chart.crs.name!r} has none that PROJ knows; "
@@ -119,7 +119,7 @@ def _named_crs(table: FixTable) -> dict[str, Any]:
 
 
 def _json(value: Any) -> Any:
-    """JSON has no NaN and no infinities: they are null."""
+    """A value for JSON, which has no NaN or infinities: they are null."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -175,4 +175,4 @@ WRITERS: dict[str, Callable[[FixTable], bytes]] = {
     ".kml": _kml,
     ".kmz": _kmz,
 }
-KML_WRITERS = (_kml, _kmz)  # of one CRS, that cannot be chosen
+KML_WRITERS = (_kml, _kmz)  # with a fixed CRS

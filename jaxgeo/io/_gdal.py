@@ -1,4 +1,4 @@
-"""GDAL through rasterio: the options that files are opened and read with, and what it raises over a damaged one."""
+"""GDAL through rasterio: options for opening and reading, and error translation."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import rasterio
 from rasterio._err import CPLE_BaseError, CPLE_OutOfMemoryError
 from rasterio.errors import RasterioError
 
-# rasterio turns most of GDAL's errors into its own, but not all; it decodes GDAL's messages and the names in a file as
-# UTF-8, which those of a damaged one are not.
+# rasterio converts most of GDAL's errors into its own, but not all; it decodes GDAL's messages and names in a file as
+# UTF-8, which a damaged file violates.
 GDAL_ERRORS = (RasterioError, CPLE_BaseError, UnicodeDecodeError)
-# - The vertical part of a GeoTIFF's CRS is not dropped.
-# - PNG is decoded by libpng, row by row: GDAL's way for whole images does not look at the checksums, and gives what is
-#   in memory by chance where a damaged file has no pixels.
-# - What libjpeg only warns of, such as an image that ends before its time, is an error.
-# - No Python that a VRT holds is run.
+# - The vertical part of a GeoTIFF's CRS is kept.
+# - PNG is decoded by libpng, row by row: GDAL's path for whole images does not verify checksums, and returns
+#   uninitialised memory where a damaged file has no pixels.
+# - libjpeg warnings, such as a premature end of the image, are errors.
+# - Python code in a VRT is not run.
 OPTIONS = {
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "GTIFF_REPORT_COMPD_CS": "YES",
@@ -27,14 +27,14 @@ OPTIONS = {
 
 
 def options(**more: Any) -> rasterio.Env:
-    """The options, and more, within a `with`: they hold for opening and for reading alike."""
+    """GDAL options with additions, for use with `with`; they apply to opening and reading."""
     settings: dict[str, Any] = OPTIONS | more
     return rasterio.Env(**settings)
 
 
 @contextlib.contextmanager
 def refused_as(error: type[ValueError], name: str, what: str) -> Iterator[None]:
-    """Errors of GDAL over a file as `error`, whose message names the file and `what` cannot be read."""
+    """Re-raise GDAL errors as `error`, whose message names the file and `what` cannot be read."""
     try:
         with options():
             yield

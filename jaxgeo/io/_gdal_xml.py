@@ -1,4 +1,4 @@
-"""XML as GDAL reads it: bytes of UTF-8 whatever the declaration says, names alike in small and capital letters."""
+"""XML as parsed by GDAL: UTF-8 regardless of the declaration, case-insensitive names."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 
 
 def root_of(content: bytes) -> Element:
-    """The root of a document. Raises `ValueError` for what is no XML, or has definitions of its own.
+    """The root of a document. Raises `ValueError` for invalid XML, or with entity definitions.
 
-    The declaration is left out: by the encoding that it names, other text would be found here than GDAL finds.
+    The declaration is removed: with its encoding, this parser could see other text than GDAL does.
     """
     text = content.decode("utf-8-sig", errors="replace")
     try:
@@ -25,7 +25,7 @@ def root_of(content: bytes) -> Element:
 
 
 def entries(element: Element) -> Iterator[tuple[str, str]]:
-    """(name in small letters, text) of an element's attributes and children, which GDAL takes for the same."""
+    """(name in lower case, text) of an element's attributes and children, which GDAL treats alike."""
     for name, value in element.attrib.items():
         yield name.lower(), value
     for child in element:
@@ -33,5 +33,5 @@ def entries(element: Element) -> Iterator[tuple[str, str]]:
 
 
 def entry(element: Element, name: str) -> str:
-    """The first of an element's entries of a name; empty where there is none."""
+    """The first of an element's entries of a name; empty if there is none."""
     return next((text.strip() for key, text in entries(element) if key == name), "")

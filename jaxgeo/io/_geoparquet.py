@@ -1,4 +1,4 @@
-"""A table with geometries as a GeoParquet 1.1: each column of geometries with its CRS in PROJJSON."""
+"""GeoParquet 1.1 encoder: each geometry column with its CRS in PROJJSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ VERSION = "1.1.0"
 
 
 class GeometryColumn(NamedTuple):
-    """Geometries of the rows, None where there is none, and their CRS."""
+    """Geometries of the rows, None if missing, and their CRS."""
 
     geometries: Sequence[BaseGeometry | None]
     crs: pyproj.CRS
@@ -26,10 +26,10 @@ class GeometryColumn(NamedTuple):
 def geoparquet(
     columns: Mapping[str, Sequence[Any]], geometries: Mapping[str, GeometryColumn], metadata: Mapping[str, Any]
 ) -> bytes:
-    """The file of a table; the first of the columns of geometries is its primary one.
+    """Encode a table; the first geometry column is the primary one.
 
-    `metadata` goes under the key "jaxgeo". Raises `ImportError` without pyarrow, `ValueError` where a column cannot be
-    stored.
+    `metadata` is stored under the key "jaxgeo". Raises `ImportError` without pyarrow, `ValueError` for a column that
+    cannot be stored.
     """
     try:
         import pyarrow as pa

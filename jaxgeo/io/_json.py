@@ -1,4 +1,4 @@
-"""JSON files whose values are checked: every refusal names the file, the key and the reason."""
+"""JSON files with validated values: every error names the file, the key and the reason."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from jaxgeo.io._bounded import check_nesting_of_json, read_bytes
 from jaxgeo.io._regular import check_regular
 from jaxgeo.io.errors import TableError
 
-HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # of a pair that UTF-16 writes one character with
-LARGEST = 1e15  # of any number in such a file, whatever its unit; NaN is not below it
+HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # half of a UTF-16 surrogate pair
+LARGEST = 1e15  # limit of any number in such a file; NaN fails the comparison
 
 
 def read_json(path: str | os.PathLike[str], what: str) -> Any:
-    """What a JSON file holds; `what` it is, for messages.
+    """The content of a JSON file; `what` describes it in messages.
 
-    Raises `TableError` for a file that is none, is cut off, is too large or deep, or has a key twice in one table;
+    Raises `TableError` for a file that is invalid, truncated, too large or deep, or has a repeated key in one table;
     `FileNotFoundError`.
     """
     check_regular(path, TableError)
@@ -43,7 +43,7 @@ def read_json(path: str | os.PathLike[str], what: str) -> Any:
 
 
 def _check_characters(path: object, found: Any) -> None:
-    """Raises `TableError` for a text with half a pair of UTF-16, which no file and no terminal can show."""
+    """Raises `TableError` for a text with an unpaired UTF-16 surrogate, which cannot be written or displayed."""
     try:
         json.dumps(found, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
@@ -52,9 +52,9 @@ def _check_characters(path: object, found: Any) -> None:
 
 
 def value_of(where: str, content: Any, key: str) -> Any:
-    """What stands under a key; `where` names the table, whose keys may be none or numbers in YAML.
+    """The value of a key; `where` names the table, whose keys may be null or numbers in YAML.
 
-    Raises `TableError`, as all below.
+    Raises `TableError`, as all functions below.
     """
     if not isinstance(content, dict) or key not in content:
         found = ", ".join(map(str, list(content)[:8])) if isinstance(content, dict) else shown(content)
@@ -71,7 +71,7 @@ def table_of(where: str, content: Any, key: str) -> dict[str, Any]:
 
 
 def number_of(where: str, content: Any, key: str, default: float | None = None) -> float:
-    """A finite number under a key; `default` where the key is not there."""
+    """A finite number under a key; `default` if the key is missing."""
     if default is not None and isinstance(content, dict) and key not in content:
         return default
     value = value_of(where, content, key)
@@ -89,7 +89,7 @@ def size_of(where: str, content: Any, key: str) -> int:
 
 
 def vectors_of(where: str, table: Mapping[str, Any], key: str, largest: float) -> np.ndarray:
-    """Three numbers, none beyond `largest` of either sign, under a key of each entry of a table, (n, 3)."""
+    """Three numbers of magnitude up to `largest` under a key of each entry of a table, (n, 3)."""
     vectors = [_vector(where, name, entry, key, largest) for name, entry in table.items()]
     return np.array(vectors, np.float64).reshape(-1, 3)
 
@@ -110,7 +110,7 @@ def _vector(where: str, name: str, entry: Any, key: str, largest: float) -> list
 
 
 def _integer(digits: str) -> int | float:
-    """A whole number; one of more digits than Python takes is infinite, which no value may be."""
+    """An integer; with more digits than Python accepts it is infinite, which every check refuses."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 

@@ -1,4 +1,4 @@
-"""Points and areas with a table each as KML 2.2, or zipped as KMZ."""
+"""KML 2.2 and KMZ writer: points and areas with attribute tables."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Placemark(NamedTuple):
-    """A name, a style (of `COLOURS`), a table, and a place: (longitude, latitude, height), an area, or None.
+    """A name, a style (of `COLOURS`), a table, and a geometry: (longitude, latitude, height), an area, or None.
 
-    Degrees on WGS 84, heights in m above EGM96, as the standard has it. An area lies on the ground.
+    Degrees on WGS 84, heights in m above EGM96, as in the standard. Areas are clamped to the ground.
     """
 
     name: str
@@ -34,9 +34,9 @@ class Placemark(NamedTuple):
 
 
 def kml(title: str, description: str, folders: Mapping[str, Sequence[Placemark]]) -> bytes:
-    """The document of folders of placemarks; their columns are typed, and stand in a readable table too.
+    """The document of folders of placemarks; columns are typed, and also in a readable table.
 
-    Folders are documents in it with a schema each, which GDAL would not find of a KMZ otherwise. Raises `ValueError`
+    Folders are documents with a schema each, since GDAL does not find schemas in a KMZ otherwise. Raises `ValueError`
     for a text with a character that XML cannot hold.
     """
     root = ET.Element("kml", xmlns=NAMESPACE)
@@ -59,7 +59,7 @@ def kmz(document: bytes) -> bytes:
     """A KML document zipped, as doc.kml."""
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(zipfile.ZipInfo("doc.kml"), document, zipfile.ZIP_DEFLATED)  # no clock: same in, same out
+        archive.writestr(zipfile.ZipInfo("doc.kml"), document, zipfile.ZIP_DEFLATED)  # no timestamp: reproducible
     return sink.getvalue()
 
 
@@ -96,7 +96,7 @@ def _polygon(parent: ET.Element, area: Any) -> None:
 
 
 def _coordinates(places: Any) -> str:
-    """Places as KML has them: ten decimals of a degree, four of a metre."""
+    """Coordinates in KML's format: ten decimals of a degree, four of a metre."""
     return " ".join(",".join([f"{x:.10f}", f"{y:.10f}", *(f"{z:.4f}" for z in height)]) for x, y, *height in places)
 
 
@@ -114,7 +114,7 @@ def _style(document: ET.Element, name: str, colour: str) -> None:
 
 
 def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, Any]]) -> None:
-    """The type of each column: that of what stands in it, a number with decimals if some do."""
+    """The type of each column from its values: float if any has decimals."""
     kinds: dict[str, set[type]] = {}
     for table in tables:
         for name, value in table.items():
@@ -126,7 +126,7 @@ def _schema(document: ET.Element, schema_id: str, tables: Sequence[Mapping[str, 
 
 
 def _shown(value: Any) -> str:
-    """A value as XML writes it."""
+    """A value in XML notation."""
     if isinstance(value, bool):
         return "1" if value else "0"
     if isinstance(value, float) and not math.isfinite(value):

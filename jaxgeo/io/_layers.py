@@ -1,4 +1,4 @@
-"""A GeoPackage of several layers, with what they have in common in its metadata."""
+"""GeoPackage writer for several layers, with common metadata."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxgeo.io._map_crs import code_of
 
 
 class Layer(NamedTuple):
-    """Features of one CRS, and the type that GDAL calls their geometries."""
+    """Features of one CRS, and GDAL's geometry type for them."""
 
     features: Sequence[Feature]
     crs: pyproj.CRS
@@ -26,12 +26,12 @@ class Layer(NamedTuple):
 
 
 def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metadata: Mapping[str, Any]) -> bytes:
-    """The bytes of a GeoPackage that is made at `path`; `name` is the file's, for messages.
+    """The bytes of a GeoPackage created at `path`; `name` is the file's, for messages.
 
-    Features of a layer have the same attributes, numbers, texts or bools, None where unknown. `metadata` is each
-    layer's, values that are no texts as JSON. Raises `OSError` where GDAL fails.
+    Features of a layer have the same attributes, numbers, texts or bools, None if unknown. `metadata` is stored with
+    each layer, values other than texts as JSON. Raises `OSError` if GDAL fails.
     """
-    from pyogrio import raw  # it imports pandas where that is installed, a quarter of a second
+    from pyogrio import raw  # imports pandas if installed: a quarter of a second
     from pyogrio.errors import DataLayerError, DataSourceError
 
     texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in metadata.items()}
@@ -51,7 +51,7 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
                 driver="GPKG",
                 geometry_type=geometry_type,
                 crs=crs.to_wkt() if authority is None else code_of(crs),
-                layer_metadata=texts,  # of the data set they make readers leave an .aux.xml beside it
+                layer_metadata=texts,  # on the data set, it would make readers write an .aux.xml beside it
                 nan_as_null=False,
             )
         _check_whole(path, layers)
@@ -61,7 +61,7 @@ def geopackage(name: str, path: pathlib.Path, layers: Mapping[str, Layer], metad
 
 
 def _check_whole(path: pathlib.Path, layers: Mapping[str, Layer]) -> None:
-    """Raises `OSError` where rows or the spatial index of a layer are missing, which GDAL does not tell."""
+    """Raises `OSError` if rows or the spatial index of a layer are missing, which GDAL does not report."""
     with contextlib.closing(sqlite3.connect(path)) as base:
         tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master")}
         for layer, (features, _, _) in layers.items():

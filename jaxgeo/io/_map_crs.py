@@ -1,4 +1,4 @@
-"""A CRS for points with heights: what it is called, what its heights are measured from, and the way there."""
+"""CRS of points with heights: name, vertical datum, and the transformation from WGS 84."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.vertical import HeightShift, height_shift, horizontal_part, vertical_part, vertical_unit
 
 ELLIPSOID = "WGS 84 ellipsoid"
-CLOSE = 1.0  # m between the semi-axes of ellipsoids that heights may be measured from alike: GRS 80 is one of them
+CLOSE = 1.0  # m: tolerance of semi-axes of ellipsoids with equivalent heights, such as GRS 80
 
 Area = tuple[float, float, float, float] | None
 
 
 class MapCRS(NamedTuple):
-    """The CRS of points, its two-dimensional part, what heights are measured from, and how WGS 84 is brought there."""
+    """The CRS of points, its horizontal part, the vertical datum, and the transformation from WGS 84."""
 
     crs: pyproj.CRS
     flat: pyproj.CRS
@@ -33,13 +33,13 @@ class MapCRS(NamedTuple):
 
     @property
     def turn(self) -> float | None:
-        """A full turn of longitude in the unit of the CRS; None if it is projected."""
+        """360 deg of longitude in the unit of the CRS; None if it is projected."""
         return 2.0 * np.pi / self.flat.axis_info[0].unit_conversion_factor if self.flat.is_geographic else None
 
     def points(self, name: str, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Coordinates (n, 3), x or longitude first, of places on WGS 84 with heights in m above its ellipsoid.
+        """Coordinates (n, 3), x or longitude first, of WGS 84 positions with heights in m above its ellipsoid.
 
-        NaN stays NaN. Raises `ValueError` for a place that the CRS, or its vertical datum, does not reach; `name` is
+        NaN stays NaN. Raises `ValueError` for a position outside the CRS or its vertical datum; `name` is
         the file's, for messages.
         """
         places = np.full((len(lon_deg), 3), np.nan)
@@ -63,10 +63,10 @@ class MapCRS(NamedTuple):
 
 
 def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
-    """A CRS that a caller asked for, with heights above its own vertical datum, or above the one asked for.
+    """The caller's CRS, with heights above its own vertical datum, or above `heights`.
 
-    `heights` is "ellipsoid", or a vertical CRS in any way that pyproj takes, such as "EPSG:5773"; None for what `crs`
-    says, and if it says nothing, for the ellipsoid. `area` is (west, south, east, north) in deg. Raises `ValueError`,
+    `heights` is "ellipsoid", or a vertical CRS in any form that pyproj takes, such as "EPSG:5773"; None for that of
+    `crs`, and if it has none, for the ellipsoid. `area` is (west, south, east, north) in deg. Raises `ValueError`,
     and `VerticalDatumError` where a grid is missing.
     """
     known = _known(name, "crs", crs)
@@ -92,7 +92,7 @@ def map_crs(name: str, crs: Any, heights: Any, area: Area) -> MapCRS:
 
 
 def code_of(crs: pyproj.CRS) -> str | None:
-    """A CRS in short: "EPSG:4979", "EPSG:25832+5773" of a compound one; None where an authority has no code for it."""
+    """Short code of a CRS: "EPSG:4979", "EPSG:25832+5773" for a compound one; None if it has no authority code."""
     authority = crs.to_authority()
     if authority is not None:
         return ":".join(authority)
@@ -103,13 +103,13 @@ def code_of(crs: pyproj.CRS) -> str | None:
 
 
 def coded(crs: pyproj.CRS) -> pyproj.CRS:
-    """The CRS that an authority keeps, with its code, where it is the same as one that was put together."""
+    """The authority's CRS, with its code, if equal to one composed of parts."""
     authority = crs.to_authority()
     return crs if authority is None else pyproj.CRS.from_authority(*authority)
 
 
 def described(chart: MapCRS) -> Mapping[str, Any]:
-    """What a file says of its CRS, in words and codes: those of a flat map where its heights have none."""
+    """Description of a file's CRS by names and codes; of the horizontal part if the heights have none."""
     return {
         "crs": code_of(chart.crs) or code_of(chart.flat) or chart.crs.name,
         "crs_name": chart.crs.name,
@@ -126,7 +126,7 @@ def _known(name: str, what: str, given: Any) -> pyproj.CRS:
 
 
 def _vertical(name: str, crs: pyproj.CRS, heights: Any) -> pyproj.CRS | None:
-    """The vertical CRS of heights; None for those above an ellipsoid."""
+    """The vertical CRS of heights; None for heights above an ellipsoid."""
     stated = vertical_part(crs)
     if heights is None:
         return None if stated is None or not stated.is_vertical else stated
@@ -147,7 +147,7 @@ def _vertical(name: str, crs: pyproj.CRS, heights: Any) -> pyproj.CRS | None:
 
 
 def _named(name: str, heights: Any) -> pyproj.CRS:
-    """A CRS that names heights; a number or the path of a grid converts them, but leaves a file without a name."""
+    """A CRS that names heights; a number or grid path could convert them, but cannot be named in the file."""
     try:
         return _known(name, "heights", heights)
     except (ValueError, TypeError) as error:
@@ -168,7 +168,7 @@ def _operation(name: str, source: str, target: pyproj.CRS, area: Area) -> Any:
 
 
 def _check_ellipsoid(name: str, flat: pyproj.CRS) -> None:
-    """On an older ellipsoid, heights above WGS 84's would be taken for others, up to hundreds of metres off."""
+    """Raises for an older ellipsoid, whose heights differ from those above WGS 84 by up to hundreds of metres."""
     own, wgs84 = flat.ellipsoid, pyproj.CRS("EPSG:4979").ellipsoid
     assert own is not None
     assert wgs84 is not None

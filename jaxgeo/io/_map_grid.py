@@ -1,4 +1,4 @@
-"""A map grid about a block of images: where its coordinates lie on the Earth, and how it is turned and scaled there."""
+"""Map grid of an image block: geographic positions, convergence and scale."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from jaxgeo.io.errors import DemError, TableError
 from jaxgeo.io.mapping import FileMap, file_map
 from jaxgeo.io.vertical import horizontal_part, vertical_part
 
-# Half the chord along which the grid's north is measured, m: its curvature then bends it by 1e-12 rad, and the rounding
-# of positions by 1e-11.
+# Half chord length for measuring grid north, m: the grid's curvature then causes 1e-12 rad, and the rounding
+# of positions 1e-11.
 HALF_CHORD = 30.0
 
 Pair = tuple[np.ndarray, np.ndarray]
@@ -24,15 +24,15 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class MapGrid:
-    """Easting and northing (or longitude and latitude) in the units of a CRS, and WGS 84 in deg."""
+    """Conversion between easting and northing (or longitude and latitude) in the units of a CRS, and WGS 84 in deg."""
 
     map: FileMap
 
     @classmethod
     def about(cls, where: Any, crs: pyproj.CRS, x: np.ndarray, y: np.ndarray) -> MapGrid:
-        """The grid of a CRS about some of its coordinates, which choose the operation to WGS 84.
+        """The grid of a CRS near given coordinates, which select the operation to WGS 84.
 
-        Raises `TableError`, with `where` in front, if PROJ has none but a ballpark one.
+        Raises `TableError`, prefixed by `where`, if PROJ has only a ballpark one.
         """
         known = np.isfinite(x) & np.isfinite(y)
         x, y = (u[known] if known.any() else np.zeros(1) for u in (x, y))
@@ -47,25 +47,25 @@ class MapGrid:
 
     @classmethod
     def about_lonlat(cls, where: Any, crs: pyproj.CRS, lon_deg: np.ndarray, lat_deg: np.ndarray) -> MapGrid:
-        """The same about places on the Earth."""
+        """The same for geographic positions."""
         rough = pyproj.Transformer.from_crs(crs.geodetic_crs, crs, always_xy=True)
         return cls.about(where, crs, *rough.transform(lon_deg, lat_deg))
 
     def to_lonlat(self, x: np.ndarray, y: np.ndarray) -> Pair:
-        """Longitude and latitude in deg; NaN where the map does not reach."""
+        """Longitude and latitude in deg; NaN outside the map's domain."""
         return _finite(*self.map.to_lonlat(x, y))
 
     def from_lonlat(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> Pair:
-        """Coordinates in the map; NaN where it does not reach."""
+        """Map coordinates; NaN outside its domain."""
         return _finite(*self.map.from_lonlat(lon_deg, lat_deg))
 
     def convergence(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """How far the grid's north lies clockwise of true north, rad; NaN where the map is that of a mirror."""
+        """Grid convergence: direction of grid north, rad clockwise from true north; NaN if the map is mirrored."""
         north, east = self._azimuth(x, y, 0.0, HALF_CHORD), self._azimuth(x, y, HALF_CHORD, 0.0)
         return np.where(np.sin(east - north) > 0.0, north, np.nan)
 
     def scale(self, lon_deg: np.ndarray, lat_deg: np.ndarray) -> np.ndarray:
-        """The scale of the map along the meridian, on the ellipsoid: in a conformal map that in any direction."""
+        """The map's scale along the meridian, on the ellipsoid: in a conformal map that in any direction."""
         return np.asarray(pyproj.Proj(self.map.crs).get_factors(lon_deg, lat_deg).meridional_scale)
 
     def _azimuth(self, x: np.ndarray, y: np.ndarray, dx: float, dy: float) -> np.ndarray:
@@ -78,9 +78,9 @@ class MapGrid:
 
 
 def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
-    """(the horizontal part, the vertical one if there is one) of a CRS as a caller or a file names it.
+    """(the horizontal part, the vertical one if any) of a CRS from the caller or a file.
 
-    Raises `TableError` for one that PROJ does not know or that has no plane or geographic coordinates.
+    Raises `TableError` for one that is unknown to PROJ or without plane or geographic coordinates.
     """
     try:
         whole = known_crs(crs)
@@ -93,7 +93,7 @@ def understood_crs(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]
 
 
 def metric_map(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
-    """As `understood_crs`, of a map in metres; raises `TableError` for anything else."""
+    """As `understood_crs`, for a map in metres; raises `TableError` for anything else."""
     horizontal, vertical = understood_crs(where, crs)
     if not horizontal.is_projected:
         raise TableError(f"{where}: crs = {crs!r} ({horizontal.name}) is no map; expected a projected CRS.")
@@ -105,7 +105,7 @@ def metric_map(where: Any, crs: Any) -> tuple[pyproj.CRS, pyproj.CRS | None]:
 
 
 def _finite(x: np.ndarray, y: np.ndarray) -> Pair:
-    """A pair with NaN for what is infinite, so that no cosine warns of it."""
+    """A pair with infinities replaced by NaN, to avoid warnings of trigonometric functions."""
     return np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan)
 
 

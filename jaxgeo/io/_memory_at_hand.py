@@ -1,4 +1,4 @@
-"""Memory that this process may still take, held against what a raster needs before it is read."""
+"""Available memory of the process, compared with a raster's needs before reading."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 import os
 import pathlib
 
-SMALL = 2**28  # bytes; nobody asks the system for less
+SMALL = 2**28  # bytes; smaller needs are not checked
 _CGROUP = pathlib.Path("/sys/fs/cgroup")
 
 
 def check_fits(need: int, error: type[ValueError], what: str, advice: str) -> None:
-    """Raise `error` where `need` bytes are more than memory at hand; `what` begins the message, `advice` ends it."""
+    """Raise `error` if `need` bytes exceed the available memory; `what` begins the message, `advice` ends it."""
     if need < SMALL:
         return
     free = memory_at_hand()
@@ -20,7 +20,7 @@ def check_fits(need: int, error: type[ValueError], what: str, advice: str) -> No
 
 
 def memory_at_hand() -> float:
-    """Bytes that may be taken without swapping, by the machine, the container and the process; infinite if unknown."""
+    """Bytes available without swapping, by machine, container and process; infinite if unknown."""
     return max(0.0, min(_of_machine(), _of_container(), _of_process()))
 
 
@@ -30,7 +30,7 @@ def gigabytes(count: float | int) -> str:
 
 
 def _of_machine() -> float:
-    """What Linux calls available; elsewhere all that there is, where the system says it."""
+    """Available memory by Linux; elsewhere all memory, if the system reports it."""
     for line in _lines("/proc/meminfo"):
         if line.startswith("MemAvailable:"):
             return 1024.0 * float(line.split()[1])
@@ -41,7 +41,7 @@ def _of_machine() -> float:
 
 
 def _of_container() -> float:
-    """What the control group leaves, and those above it; files that it holds in memory can make way."""
+    """Memory left by the control group and its parents; its page cache can be reclaimed."""
     least = math.inf
     for line in _lines("/proc/self/cgroup"):
         number, kinds, path = [*line.split(":", 2), "", ""][:3]
@@ -62,7 +62,7 @@ def _of_container() -> float:
 
 
 def _of_process() -> float:
-    """What a limit of the process's address space (`ulimit -v`) leaves."""
+    """Memory left by a limit of the process's address space (`ulimit -v`)."""
     try:
         import resource
     except ImportError:  # Windows
@@ -75,7 +75,7 @@ def _of_process() -> float:
 
 
 def _number(path: pathlib.Path, key: str = "", default: float = 0.0) -> float:
-    """The number in a file of the system, or the one after a key; `default` where there is none."""
+    """The number in a system file, or the one after a key; `default` if there is none."""
     for line in _lines(path):
         words = line.split()
         if (words and not key) or words[:1] == [key]:

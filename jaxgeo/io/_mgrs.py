@@ -1,4 +1,4 @@
-"""Places in the Military Grid Reference System, the polar zones included."""
+"""Military Grid Reference System references, including the polar zones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ DIGITS = 5  # of an easting and a northing: squares of a metre
 
 
 def mgrs_of(lat_deg: np.ndarray, lon_deg: np.ndarray) -> list[str | None]:
-    """The square metre of each place, such as "32TPT5204907105"; None where a coordinate is NaN.
+    """The MGRS reference to 1 m of each position, such as "32TPT5204907105"; None if a coordinate is NaN.
 
     Raises `ImportError` without the library mgrs.
     """

@@ -1,4 +1,4 @@
-"""The mistakes of a scene file in words: the key, its value, and the key, unit or range that is expected."""
+"""Messages for invalid scene files: the key, its value, and the expected key, unit or range."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from jaxgeo.io._schema import SceneTable, Unit
 
-_BRANCH = re.compile(r"(constrained-)?(str|float)|list\[.*\]")  # of a union, as pydantic calls it
+_BRANCH = re.compile(r"(constrained-)?(str|float)|list\[.*\]")  # pydantic's name of a union branch
 
 
 def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
@@ -22,13 +22,13 @@ def explain(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
     lines = []
     for mistake in mistakes:
         if mistake["type"] == "missing" and mistake["loc"] in suggested:
-            continue  # the misspelt key says it already
+            continue  # already reported with the misspelt key
         lines.append(_sentence(mistake, content))
     return lines
 
 
 def _without_branches(error: ValidationError) -> Iterator[dict[str, Any]]:
-    """Errors with the names of union branches taken out of their location, each location once."""
+    """Errors with the names of union branches removed from their location, each location once."""
     found = {}
     for entry in error.errors():
         loc = tuple(part for part in entry["loc"] if isinstance(part, int) or not _BRANCH.fullmatch(part))
@@ -81,7 +81,7 @@ def _value_at(content: Any, loc: tuple[Any, ...]) -> Any:
 
 
 def _table_at(loc: tuple[Any, ...]) -> type[BaseModel] | None:
-    """The model of the table at a location, if it is one."""
+    """The model of the table at a location, or None."""
     table: type[BaseModel] | None = SceneTable
     for part in loc:
         field = table.model_fields.get(part) if table and isinstance(part, str) else None
@@ -120,7 +120,7 @@ def _stem(key: str) -> str:
 
 
 def _meant(loc: tuple[Any, ...]) -> str | None:
-    """The known key that an unknown one stands for: the same word with another unit, or a near spelling."""
+    """The known key that an unknown one probably means: the same word with another unit, or a near spelling."""
     key, table = str(loc[-1]), _table_at(loc[:-1])
     known = list(table.model_fields) if table else []
     same_word = [name for name in known if _stem(name) == _stem(key)]

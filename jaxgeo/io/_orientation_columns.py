@@ -1,4 +1,4 @@
-"""Names of the columns of orientations, as programs write them, and what values they may hold."""
+"""Column aliases and value limits of orientation tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io._proj import UNKNOWN_CRS, known_crs
 from jaxgeo.io.errors import TableError
 
-# What columns may be called. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
+# Column aliases. IGN writes NOM X Y Z O P K CAMERA, OpenDroneMap's tools the words, Pix4D imageName,
 # Metashape PhotoID or Label and X/East, RealityCapture name and alt, MicMac #F=N Y X Z K W P.
 ALIASES = {
     "image": ("filename", "nom", "imagename", "photoid", "bildname", "bild", "f=n"),
@@ -31,9 +31,9 @@ ALIASES = {
     "pitch_deg": ("pitch", "nick"),
     "roll_deg": ("roll",),
 }
-WEAK = {"image": ("name", "label")}  # of a table that has no better name of the column
+WEAK = {"image": ("name", "label")}  # used if the table has no better column
 GON = 0.9  # deg
-# The same angles in gon, in place of those in deg: our name in deg, and what the column in gon may be called.
+# Angle columns in gon, as alternatives to deg: our name in deg, and the aliases in gon.
 IN_GON = {
     f"{angle}_deg": (f"{angle}_gon", f"{angle}[gon]", f"{angle} [gon]", f"{angle}(gon)", f"{angle} (gon)")
     for angle in ("omega", "phi", "kappa")
@@ -45,7 +45,7 @@ MAP_COLUMNS: dict[str, Limits] = {
 }
 OPK_COLUMNS: dict[str, Limits] = dict.fromkeys(("omega_deg", "phi_deg", "kappa_deg"), (-360.0, 360.0, "deg"))
 EARTH_COLUMNS: dict[str, Limits] = {name: POSE_COLUMNS[name] for name in ("lat_deg", "lon_deg", "height_m")}
-# As programs write them: headings from 0 to 360, pitches beyond a right angle where a camera looks up.
+# Limits as programs write: headings from 0 to 360, pitches beyond 90 deg if a camera looks up.
 HPR_COLUMNS: dict[str, Limits] = {
     "heading_deg": POSE_COLUMNS["heading_deg"],
     "pitch_deg": (-180.0, 180.0, "deg"),
@@ -64,7 +64,7 @@ METASHAPE_CRS = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 
 
 def read_orientation_columns(path: object, *, what: str = "table of orientations") -> Columns:
-    """The columns of a table of orientations, or of positions alone, by our names; z is a height and the reverse."""
+    """The columns of a table of orientations, or of positions alone, by our names; z and height are interchangeable."""
     in_gon = {gon: tuple(others) for gon, *others in IN_GON.values()}
     columns = read_columns(path, what, ALIASES | in_gon | dict.fromkeys(SIGMA_COLUMNS, ()), weak=WEAK)  # type: ignore[arg-type]
     for one, other in (("z_m", "height_m"), ("height_m", "z_m")):
@@ -74,13 +74,13 @@ def read_orientation_columns(path: object, *, what: str = "table of orientations
 
 
 def stated_crs(columns: Columns) -> pyproj.CRS | None:
-    """The CRS that Metashape writes in a comment; None where there is none, or PROJ does not know what is there."""
+    """The CRS in Metashape's comment; None if missing, or unknown to PROJ."""
     for comment in columns.table.comments:
         found = METASHAPE_CRS.fullmatch(comment)
         if found is None:
             continue
         name = re.search(r'"([^"]+)"', found[1])
-        for text in (found[1], name[1] if name else ""):  # the whole of it, else by its name
+        for text in (found[1], name[1] if name else ""):  # the full text, else its name
             check_crs(f"{columns.table.path}", text, TableError)
             try:
                 return known_crs(text)
@@ -90,7 +90,7 @@ def stated_crs(columns: Columns) -> pyproj.CRS | None:
 
 
 def angle_columns(columns: Columns, *, first: str) -> dict[str, Limits]:
-    """The columns of the angles that a table has: omega, phi, kappa ("opk") or heading, pitch, roll ("hpr")."""
+    """The columns of a table's angles: omega, phi, kappa ("opk") or heading, pitch, roll ("hpr")."""
     kinds = {"opk": OPK_COLUMNS, "hpr": HPR_COLUMNS}
     order = [first, *(kind for kind in kinds if kind != first)]
     gon = [name for name, *_ in IN_GON.values() if name in columns]
@@ -101,7 +101,7 @@ def angle_columns(columns: Columns, *, first: str) -> dict[str, Limits]:
 
 
 def _opk_units(columns: Columns, in_gon: list[str]) -> dict[str, Limits]:
-    """Omega, phi and kappa, in gon where the columns are called so."""
+    """Omega, phi and kappa, in gon if the columns are named so."""
     in_deg = [name for name in IN_GON if name in columns]
     if not in_gon:
         return OPK_COLUMNS

@@ -1,4 +1,4 @@
-"""Outlines and lines on the ground as geometries of a map: cut at its seam, turned as GeoJSON wants them."""
+"""Ground outlines and lines as map geometries: cut at the map's seam, oriented as in GeoJSON."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from shapely.geometry.polygon import orient
 
 
 def outline(places: np.ndarray, turn: float | None) -> BaseGeometry:
-    """The area within a ring of places (n, 2 or 3), x or longitude first: a polygon, or several where it is cut.
+    """The area within a ring of points (n, 2 or 3), x or longitude first: a polygon, or several if it is cut.
 
-    `turn` is a full turn of longitude in the unit of a geographic CRS: the area is cut where longitude jumps, and may
-    hold a pole. None for a projected CRS. Outer rings run anticlockwise on the map, as in RFC 7946. A ring that crosses
-    itself is cut there too.
+    `turn` is 360 deg of longitude in the unit of a geographic CRS: the area is cut at longitude jumps, and may
+    contain a pole. None for a projected CRS. Outer rings run anticlockwise on the map, as in RFC 7946.
+    Self-intersecting rings are split there.
     """
     area: BaseGeometry = shapely.Polygon(places if turn is None else _unwound(places, turn))
     if not area.is_valid:
@@ -30,7 +30,7 @@ def outline(places: np.ndarray, turn: float | None) -> BaseGeometry:
 
 
 def line(places: np.ndarray, turn: float | None) -> BaseGeometry:
-    """The line through places (n, 2 or 3), x or longitude first; several where longitude jumps. `turn` as above."""
+    """The line through points (n, 2 or 3), x or longitude first; several if longitude jumps. `turn` as above."""
     if turn is None:
         return shapely.LineString(places)
     unwrapped = np.concatenate([np.unwrap(places[:, :1], axis=0, period=turn), places[:, 1:]], axis=1)
@@ -38,9 +38,9 @@ def line(places: np.ndarray, turn: float | None) -> BaseGeometry:
 
 
 def runs(labels: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """(label, places) of the runs of one label around a ring; edge i goes from place i to the next.
+    """(label, points) of the runs of equal labels around a ring; edge i goes from point i to the next.
 
-    Places are indices along the run, its end included; zero is no label. One label all round makes a closed run.
+    Points are indices along the run, its end included; zero means no label. One label all around gives a closed run.
     """
     count = len(labels)
     changes = np.flatnonzero(labels != np.roll(labels, 1))
@@ -52,7 +52,7 @@ def runs(labels: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
 
 
 def _unwound(ring: np.ndarray, turn: float) -> np.ndarray:
-    """A ring without jumps of longitude; one that runs around a pole goes there and back along the meridian."""
+    """A ring without longitude jumps; one around a pole goes to it and back along the meridian."""
     x = np.unwrap(ring[:, 0], period=turn)
     unwound = np.concatenate([x[:, None], ring[:, 1:]], axis=1)
     end = x[-1] + math.remainder(x[0] - x[-1], turn)
@@ -65,7 +65,7 @@ def _unwound(ring: np.ndarray, turn: float) -> np.ndarray:
 
 
 def _within_a_turn(geometry: BaseGeometry, turn: float) -> BaseGeometry:
-    """A geometry cut at the seam and put within half a turn to either side of the prime meridian."""
+    """A geometry cut at the seam and shifted to within 180 deg of the prime meridian."""
     west, _, east, _ = geometry.bounds
     half = 0.5 * turn
     first, last = math.floor((west + half) / turn), math.ceil((east - half) / turn)
@@ -83,7 +83,7 @@ def _shifted(geometry: BaseGeometry, x: float) -> BaseGeometry:
 
 
 def _of_kind(kind: str, geometry: BaseGeometry) -> BaseGeometry:
-    """The polygons, or the lines, of a geometry, however nested; what touches a seam in a point is dropped."""
+    """The polygons, or the lines, of a nested geometry; parts that touch a seam in a point are dropped."""
     parts: list[Any] = [geometry]
     while any(hasattr(part, "geoms") for part in parts):
         parts = [inner for part in parts for inner in getattr(part, "geoms", [part])]

@@ -1,4 +1,4 @@
-"""PROJ as this package uses it: its own geoid grid found, no ballpark transformation, one fixed operation per file."""
+"""PROJ setup: bundled geoid grid, no ballpark transformations, one fixed operation per file."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from jaxgeo.io._quietly import quietly
 
 DATA = pathlib.Path(__file__).resolve().parents[1] / "data"
 
-# What pyproj raises over a CRS that it does not know; text that UTF-8 cannot hold it cannot even ask for.
+# pyproj's exceptions for an unknown CRS; the last one for text that UTF-8 cannot encode.
 UNKNOWN_CRS = (CRSError, UnicodeEncodeError)
 
-# The wheels of pyproj carry no grids and ignore PROJ_DATA. This adds the EGM96 grid of the package, and nothing else.
+# The pyproj wheels carry no grids and ignore PROJ_DATA. This adds only the EGM96 grid of the package.
 append_data_dir(str(DATA))
 
 
 @dataclasses.dataclass(frozen=True)
 class Operation:
-    """One coordinate operation of PROJ, the same for every point, with the name and accuracy that PROJ gives it."""
+    """One PROJ coordinate operation, the same for every point, with PROJ's name and accuracy."""
 
     transformer: Transformer
     name: str
     accuracy: float | None
-    """Accuracy in m; None where PROJ does not know it."""
+    """Accuracy in m; None if unknown to PROJ."""
     better: tuple[str, ...]
-    """What would have been preferred, had its grid been here."""
+    """Operations that would have been preferred, had their grids been available."""
 
     def __str__(self) -> str:
         accuracy = "unknown accuracy" if self.accuracy is None else f"accuracy {self.accuracy:g} m"
@@ -44,7 +44,7 @@ class Operation:
 
 @portable
 class NoOperation(ValueError):
-    """PROJ has no operation, or none whose grids are here: `missing` lists (operation, grid file, address)."""
+    """PROJ has no operation, or none whose grids are available: `missing` lists (operation, grid file, address)."""
 
     def __init__(self, source: str, target: str, missing: list[tuple[str, str, str]]) -> None:
         super().__init__(f"PROJ has no usable transformation from {source} to {target}")
@@ -52,7 +52,7 @@ class NoOperation(ValueError):
 
 
 def known_crs(given: Any) -> pyproj.CRS:
-    """The CRS of a text, a code or a `pyproj.CRS`, of whose parts PROJ can make CRSs too: damaged ones show only there.
+    """The CRS of a text, a code or a `pyproj.CRS`; its parts are validated too, since damage only shows there.
 
     Raises one of `UNKNOWN_CRS`.
     """
@@ -62,7 +62,7 @@ def known_crs(given: Any) -> pyproj.CRS:
 
 
 def operation(source: Any, target: Any, area: tuple[float, float, float, float] | None = None) -> Operation:
-    """The best operation from `source` to `target` (x or longitude first) that is available here; never a ballpark one.
+    """The best available operation from `source` to `target` (x or longitude first); never a ballpark one.
 
     `area` is (west, south, east, north) in deg. Raises `NoOperation`.
     """
@@ -85,7 +85,7 @@ def operation(source: Any, target: Any, area: tuple[float, float, float, float] 
 
 
 def _named(description: str) -> str:
-    """PROJ's name of an operation without the steps that move nothing."""
+    """PROJ's name of an operation, without null steps."""
     parts = description.split(" + ")
     moving = [part for part in parts if not part.startswith(("axis order change", "Null geographic offset"))]
     return " + ".join(moving) or "no change"
@@ -94,14 +94,14 @@ def _named(description: str) -> str:
 def _group(source: pyproj.CRS, target: pyproj.CRS, area: tuple[float, float, float, float] | None) -> TransformerGroup:
     aoi = None if area is None else AreaOfInterest(*area)
     try:
-        with quietly():  # "best transformation is not available": `operation` reports it itself
+        with quietly():  # "best transformation is not available": `operation` reports it
             return TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=aoi)  # pyright: ignore[reportArgumentType]
-    except ProjError as error:  # of a damaged definition
+    except ProjError as error:  # damaged definition
         raise NoOperation(source.name, target.name, []) from error
 
 
 def how_to_get(missing: list[tuple[str, str, str]]) -> str:
-    """Which grid files are missing, and how to put them where PROJ looks."""
+    """The missing grid files, and how to install them for PROJ."""
     files = list(dict.fromkeys(grid for _, grid, _ in missing))
     on_net = [grid for grid in files if any(g == grid and url for _, g, url in missing)]
     shown = ", ".join(files[:4]) + (f" and {len(files) - 4} more" if len(files) > 4 else "")

@@ -1,7 +1,7 @@
-"""Warnings of other packages, held back or looked at; safe to do in several threads at once.
+"""Thread-safe suppression and capture of other packages' warnings.
 
-Python keeps one list of filters for all threads: two that change it at the same time may leave it changed for good, and
-a filter that makes errors of warnings would make those of any other thread errors too.
+Python keeps one filter list for all threads: two threads that change it at the same time may corrupt it permanently,
+and a filter that turns warnings into errors would do so for all threads.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _lock = threading.RLock()
 
 @contextlib.contextmanager
 def quietly(category: type[Warning] = Warning) -> Iterator[None]:
-    """Hold back warnings of a category."""
+    """Suppress warnings of a category."""
     with _lock, warnings.catch_warnings():
         warnings.simplefilter("ignore", category)
         yield
@@ -24,7 +24,7 @@ def quietly(category: type[Warning] = Warning) -> Iterator[None]:
 
 @contextlib.contextmanager
 def heard(package: str, category: type[Warning] = Warning) -> Iterator[list[str]]:
-    """The texts of what a package warns of, complete when the block is left; nobody else sees these warnings."""
+    """Capture a package's warning texts, complete when the block is left; these warnings are not shown."""
     texts: list[str] = []
     with _lock:
         with warnings.catch_warnings(record=True) as found:

@@ -1,8 +1,8 @@
-"""Rasters opened for reading: by drivers that read local files, and nothing that those name beyond the caller's reach.
+"""Raster opening with an allow-list of local drivers and checked references.
 
-GDAL opens a document that names places on the network (WMS, WCS, WMTS, STAC), or other files of the machine, as readily
-as a TIFF file, whatever its name. So a file is opened by drivers of an allow-list only; a VRT, whose sources GDAL opens
-with any driver, is read as XML before.
+GDAL opens a document that refers to network locations (WMS, WCS, WMTS, STAC), or other local files, as readily
+as a TIFF file, whatever its name. So files are opened only with allow-listed drivers; a VRT, whose sources GDAL opens
+with any driver, is first parsed as XML.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from jaxgeo.io._vrt_names import check_vrt, check_vrt_text
 from jaxgeo.io._whole import mistake_of
 from jaxgeo.io.reach import ALLOW_OUTSIDE, ALLOW_REMOTE, HERE, Reach, file_in, is_beside, is_local, is_remote
 
-# Formats of one file, or of several with one name; none of them takes the names of other places from its content. Those
-# that GDAL was built without are passed over.
+# Formats of one file, or of several with one name; none of them follows references in its content. Formats missing in
+# the GDAL build are skipped.
 DRIVERS = (
     "GTiff", "HFA", "AIG", "AAIGrid", "GRASSASCIIGrid", "ISG", "DTED", "PNG", "JPEG", "JPEGXL", "GIF", "BIGGIF", "BMP",
     "PCRaster", "SRTMHGT", "Terragen", "netCDF", "JP2OpenJPEG", "JP2ECW", "JP2KAK", "JP2MrSID",
@@ -33,25 +33,25 @@ DRIVERS = (
     "NGSGEOID", "HF2", "LCP", "SIGDEM", "ZMap", "XYZ", "ENVI", "EHdr", "ROI_PAC", "PNM", "ACE2", "GXF",
 )  # fmt: skip
 GRIDS = ("GTiff", "GTX")  # that PROJ reads
-RAW_VALUES = "GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE"  # by which newer versions of GDAL refuse what is outside
-# By what the first bytes of a document hold, what it is. GDAL looks for some of them anywhere in there.
+RAW_VALUES = "GDAL_VRT_RAWRASTERBAND_ALLOWED_SOURCE"  # newer GDAL versions use it to refuse outside sources
+# Document types by their first bytes. GDAL searches some of them anywhere in the header.
 DOCUMENTS = {
     b"<GDAL_WMS": "WMS", b"<WMS_": "WMS", b"<WMT_MS_Capabilities": "WMS", b"<TileMap": "TMS", b"<WCS_GDAL": "WCS",
     b"<GDAL_WMTS": "WMTS", b"<Capabilities": "WMTS", b"stac_version": "STAC", b"<GDALTileIndexDataset": "tile index",
     b"<MRF_META": "MRF", b"PCIDSK": "PCIDSK", b"OziExplorer": "OziExplorer", b"<kml": "KML", b"SQLite format": "SQLite",
 }  # fmt: skip
-ARCHIVES = (b"PK\3\4", b"\x1f\x8b", b"BZh", b"7z\xbc\xaf")  # by which files of them begin
-OPENED = (*MAGICS, b"\x89PNG", b"\xff\xd8\xff", b"CDF", b"GIF8", b"NITF")  # of DRIVERS; such a file is damaged
+ARCHIVES = (b"PK\3\4", b"\x1f\x8b", b"BZh", b"7z\xbc\xaf")  # magic bytes
+OPENED = (*MAGICS, b"\x89PNG", b"\xff\xd8\xff", b"CDF", b"GIF8", b"NITF")  # of DRIVERS: unopened ones are damaged
 VRT = b"<VRTDataset"
-MOST_NESTED = 16  # VRTs in VRTs
+MOST_NESTED = 16  # nested VRTs
 
 
 def open_raster(
     name: str, reach: Reach, error: type[ValueError], what: str, drivers: tuple[str, ...] = DRIVERS
 ) -> DatasetReader:
-    """A raster file, open; `what` is expected, for messages, and `drivers` may open it, or that of VRTs.
+    """Open a raster file; `what` is expected, for messages, and `drivers` may open it, or that of VRTs.
 
-    Raises `error` for what is none, is damaged, or is out of reach; `FileNotFoundError`.
+    Raises `error` if it is not a raster, damaged, or out of reach; `FileNotFoundError`.
     """
     given = _checked(name, reach, error)
     chosen = ["VRT"] if _is_vrt(name, error) else None if reach.remote else list(drivers)
@@ -69,7 +69,7 @@ def open_raster(
 
 
 def check_name(name: str, reach: Reach, error: type[ValueError]) -> None:
-    """Raise `error` for the name of a place that only GDAL can reach, unless that is allowed; or of a pipe."""
+    """Raise `error` for a name that only GDAL can resolve, unless allowed; or for a pipe."""
     if "\0" in name or (os.path.exists(name) and not is_remote(name)):
         check_regular(name, error)
         return
@@ -82,7 +82,7 @@ def check_name(name: str, reach: Reach, error: type[ValueError]) -> None:
 
 
 def _checked(name: str, reach: Reach, error: type[ValueError]) -> str:
-    """The name as GDAL is given it: no local file's can be taken for one of GDAL's own names."""
+    """The name passed to GDAL: a local file's name cannot be mistaken for a GDAL name."""
     check_name(name, reach, error)
     file = name if is_local(name) or os.path.exists(name) else file_in(name)
     if file is None or is_remote(name):
@@ -97,7 +97,7 @@ def _checked(name: str, reach: Reach, error: type[ValueError]) -> str:
 
 
 def _check_file(path: str, reach: Reach, error: type[ValueError], depth: int) -> None:
-    """Raise `error` for a local raster that, or beside which anything, names what is out of reach."""
+    """Raise `error` for a local raster that refers, itself or by a sidecar, to something out of reach."""
     if depth > MOST_NESTED:
         raise error(f"{path}: VRTs in VRTs, more than {MOST_NESTED} deep; does one have itself among its sources?")
     for beside in check_beside(path, error):
@@ -107,7 +107,7 @@ def _check_file(path: str, reach: Reach, error: type[ValueError], depth: int) ->
 
 
 def _check_source(path: str, reach: Reach, error: type[ValueError], depth: int) -> None:
-    """A raster that GDAL will open by itself, with any of its drivers."""
+    """Check a raster that GDAL will open by itself, with any of its drivers."""
     if VRT in head_of(path, error):
         _check_file(path, reach, error, depth)
         return
@@ -117,7 +117,7 @@ def _check_source(path: str, reach: Reach, error: type[ValueError], depth: int) 
 
 @functools.lru_cache(maxsize=65_536)
 def _check_plain_source(path: str, reach: Reach, error: type[ValueError], stamp: tuple[int, int, int]) -> None:
-    """As `_check_source`, of no VRT; once for each file, while its time and size and the time of its folder stay."""
+    """As `_check_source`, for files other than VRTs; cached by time and size of the file and time of its folder."""
     del stamp
     _check_file(path, reach, error, 0)
     if reach.remote:
@@ -142,7 +142,7 @@ def _is_vrt(name: str, error: type[ValueError]) -> bool:
 
 
 def _check_opened(name: str, data: DatasetReader, reach: Reach, error: type[ValueError]) -> None:
-    """What an open file names, before anything else is asked of it: GDAL looks for overviews when asked for more."""
+    """Check the references of an open file before any other query: GDAL then searches for overviews."""
     if reach.remote and not reach.outside and data.driver == "VRT" and is_remote(name):
         xml = data.tags(ns="xml:VRT").get("xml:VRT", "").encode()
         check_vrt_text(name, xml, os.path.dirname(name), reach, error, lambda file: None)
@@ -163,7 +163,7 @@ def _check_opened(name: str, data: DatasetReader, reach: Reach, error: type[Valu
 
 
 def _check_blocks(name: str, data: DatasetReader, error: type[ValueError]) -> None:
-    """Raise `error` where one block of the file, of which GDAL reads all for any part of it, is too large."""
+    """Raise `error` if one block of the file, which GDAL reads as a whole, is too large."""
     together = data.count if data.interleaving is not None and data.interleaving.name == "pixel" else 1
     for (rows, cols), dtype in zip(data.block_shapes, data.dtypes, strict=True):
         size = together * rows * cols * (16 if dtype.startswith("complex") else np.dtype(dtype).itemsize)
@@ -176,7 +176,7 @@ def _check_blocks(name: str, data: DatasetReader, error: type[ValueError]) -> No
 
 
 def _why(name: str, reach: Reach, error: type[ValueError], what: str) -> str:
-    """Why a file cannot be opened, as the begin of a sentence that GDAL's own words end."""
+    """Why a file cannot be opened, as the beginning of a sentence that ends with GDAL's message."""
     if not reach.remote and is_local(name) and os.path.isfile(name):
         kind = _document(head_of(name, error))
         if kind is not None:
@@ -185,7 +185,7 @@ def _why(name: str, reach: Reach, error: type[ValueError], what: str) -> str:
 
 
 def _way_out(name: str, reach: Reach, error: type[ValueError]) -> str:
-    """What to do with a local file that none of the drivers opens, as a sentence of its own."""
+    """Remedy for a local file that no driver opens, as a sentence."""
     if not is_local(name) or not os.path.isfile(name):
         return ""
     head = head_of(name, error)
@@ -197,7 +197,7 @@ def _way_out(name: str, reach: Reach, error: type[ValueError]) -> str:
 
 
 def _document(head: bytes) -> str | None:
-    """What kind of a document it is by its first bytes."""
+    """The document type by its first bytes."""
     return next((kind for mark, kind in DOCUMENTS.items() if mark in head), None)
 
 

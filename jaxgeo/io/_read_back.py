@@ -1,4 +1,4 @@
-"""Rasters read back after they are written: GDAL does not tell where closing a file found no room on the disk."""
+"""Verification of written rasters: GDAL does not report a full disk on closing a file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import rasterio
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-BLOCK = 256  # cells on a side of what is known to be of one window or of several
-ROWS = 1024  # that are read back at a time
+BLOCK = 256  # cells per side of the blocks that track the last writing window
+ROWS = 1024  # rows read back at a time
 
 
 class _Part(NamedTuple):
@@ -22,14 +22,14 @@ class _Part(NamedTuple):
 
 
 class WrittenWindows:
-    """Checksums of the windows that were written to a raster of a `shape`, to be held against its file."""
+    """Checksums of the windows written to a raster of `shape`, for comparison with its file."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._parts: list[_Part] = []
-        self._last = np.full([-(-n // BLOCK) for n in shape], -1, np.int32)  # the part that was last written there
+        self._last = np.full([-(-n // BLOCK) for n in shape], -1, np.int32)  # index of the part last written there
 
     def add(self, row: int, col: int, values: np.ndarray, known: np.ndarray | None) -> None:
-        """A window that starts at (row, col): values (bands, rows, cols), and its mask (rows, cols) if it has one."""
+        """Register a window that starts at (row, col): values (bands, rows, cols), its optional mask (rows, cols)."""
         rows, cols = values.shape[1:]
         for start in range(0, rows, ROWS):
             stop = min(start + ROWS, rows)
@@ -39,7 +39,7 @@ class WrittenWindows:
             self._parts.append(_Part(window, mask is not None, _sums(values[:, start:stop], mask)))
 
     def mistake(self, path: pathlib.Path) -> str:
-        """Why a file does not hold what was written, empty if it does; windows that others lie over are passed over."""
+        """Why a file differs from what was written, empty if equal; overwritten windows are skipped."""
         try:
             with rasterio.open(path) as data:
                 for number, part in enumerate(self._parts):

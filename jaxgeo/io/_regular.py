@@ -1,4 +1,4 @@
-"""Plain files told from pipes, sockets and devices, which are never read: they may block or have no end."""
+"""Refusal of pipes, sockets and devices, which may block or never end."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _KINDS = (
 
 
 def check_regular(path: str | os.PathLike[str], error: type[ValueError]) -> None:
-    """Raise `error` for a pipe, a socket or a device, also behind a link, and for a name that no file can have.
+    """Raise `error` for a pipe, a socket or a device, also behind a link, and for an invalid file name.
 
-    What is not there is left to the reader.
+    Missing files are left to the reader.
     """
     if "\0" in os.fspath(path):
         raise error(f"{os.fspath(path)}: no file can have this name, which has a zero byte in it.")

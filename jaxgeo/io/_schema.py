@@ -1,4 +1,4 @@
-"""What a scene file may hold, field by field, with units and ranges."""
+"""Schema of scene files: fields with units and ranges."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class Unit(str):
-    """What a value is measured in, or what is expected of it, for messages."""
+    """The unit of a value, or its expected form, for messages."""
 
     __slots__ = ()
 
@@ -53,7 +53,7 @@ SigmasReadings = Annotated[_Sigma | _Some, Unit(f"{_SIGMA} in deg, or a list: on
 SigmasLever = Annotated[_Sigma | _Three, Unit(f"{_SIGMA} in m, or a list: forward, right, down")]
 SigmasPixel = Annotated[_Sigma | _Two, Unit(f"{_SIGMA} in pixels, or a list: column, row")]
 
-# Names of the readings of each kind of gimbal, from base to head; keys and columns are these with _deg.
+# Reading names of each kind of gimbal, from base to head; keys and columns are these with _deg.
 READINGS = {
     "two_axis": ("outer", "inner"),
     "mirror": ("depression", "azimuth"),
@@ -105,7 +105,7 @@ class CameraTable(_Table):
 
 
 class CameraFile(BaseModel):
-    """A file of which the table [camera] alone is used."""
+    """A file of which only the table [camera] is used."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -141,7 +141,7 @@ class GimbalTable(_Table):
 
 
 class MountTable(_Table):
-    """How gimbal and camera are fitted: turns of the gimbal's base in the body, the camera's place, lever arms."""
+    """Mounting of gimbal and camera: rotations of the gimbal's base in the body, the camera's position, lever arms."""
 
     base_heading_deg: Angle = 0.0
     base_pitch_deg: Angle = 0.0
@@ -152,7 +152,7 @@ class MountTable(_Table):
 
 
 class PoseTable(_Table):
-    """Where the aircraft is and how it lies.
+    """Position and attitude of the aircraft.
 
     The attitude is true heading, pitch and roll, or omega, phi and kappa in the grid of `map_crs`.
     """
@@ -184,13 +184,13 @@ class PoseTable(_Table):
 
 
 class ShotsTable(_Table):
-    """What a table of shots cannot say in its columns: the datum of its heights."""
+    """Properties of a table of shots that are not in its columns: the datum of its heights."""
 
     height_datum: Datum
 
 
 class AirTable(_Table):
-    """The air that bends lines of sight: the standard atmosphere, or what was measured at a height in it."""
+    """Atmosphere for refraction: the standard atmosphere, or measurements at a height."""
 
     pressure_hpa: Hectopascals | None = None
     temperature_c: Celsius | None = None
@@ -209,7 +209,7 @@ class AirTable(_Table):
 
 
 class ErrorsTable(_Table):
-    """Standard deviations of the independent errors of a scene, each where it is known."""
+    """Standard deviations of the independent errors of a scene, each optional."""
 
     position_m: SigmasNed | None = None
     attitude_deg: SigmasAttitude | None = None
@@ -233,7 +233,7 @@ class ErrorsTable(_Table):
 
 
 class SceneTable(_Table):
-    """A whole scene file: `pose` for one shot, `shots` where poses and readings come from a table of shots."""
+    """A whole scene file: `pose` for one shot, `shots` if poses and readings come from a table of shots."""
 
     title: Text = ""
     camera: CameraTable

@@ -1,4 +1,4 @@
-"""Text files as other programs save them: UTF-8 with or without a mark, UTF-16, or the old code page of Windows."""
+"""Text files in the encodings of other programs: UTF-8 with or without BOM, UTF-16, or Windows 1252."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ CONTROLS = frozenset(map(chr, range(32))) - set("\t\n\r\f\v") | {"\x7f"}
 
 
 def read_text(path: str | os.PathLike[str], what: str) -> str:
-    """What a text file holds, in whatever encoding; `what` it is, for messages.
+    """The content of a text file in any of these encodings; `what` describes it in messages.
 
-    Raises `TableError` in one line for a folder, a file that cannot be read, is empty, too long or no text;
+    Raises `TableError` in one line for a folder, a file that is unreadable, empty, too long or not text;
     `FileNotFoundError`.
     """
     check_regular(path, TableError)
@@ -36,14 +36,14 @@ def read_text(path: str | os.PathLike[str], what: str) -> str:
 
 
 def text_of(content: bytes, *, is_cut: bool = False) -> str | None:
-    """The text in some bytes, or None where they hold none; `is_cut` where they are the first of a longer file.
+    """Decode bytes to text, or None if they are not text; `is_cut` if they are the first of a longer file.
 
-    Tried in order: the mark at the beginning, UTF-16 without one, UTF-8, and the code page 1252 of Windows, which
-    Excel writes in western Europe (all of ISO 8859-1 that is printed is in it).
+    Tried in order: the BOM, UTF-16 without one, UTF-8, and Windows code page 1252, which
+    Excel writes in western Europe (it includes all printable characters of ISO 8859-1).
     """
     ways = ([MARKS[mark] for mark in MARKS if content.startswith(mark)] or _guessed(content))[:2]
     for encoding in ways:
-        for end in range(4 if is_cut else 1):  # of a character that is cut off
+        for end in range(4 if is_cut else 1):  # bytes of a truncated character
             try:
                 text = content[: len(content) - end].decode(encoding)
             except UnicodeDecodeError:
@@ -53,7 +53,7 @@ def text_of(content: bytes, *, is_cut: bool = False) -> str | None:
 
 
 def _guessed(content: bytes) -> list[str]:
-    """Encodings to be tried where no mark names one."""
+    """Encodings to try without a BOM."""
     head = content[:256]
     for encoding, zeros in (("utf-16-le", head[1::2]), ("utf-16-be", head[::2])):
         if len(zeros) > 1 and zeros.count(0) > 0.7 * len(zeros):

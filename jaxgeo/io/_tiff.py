@@ -1,7 +1,7 @@
-"""The tags of a TIFF file by which its pixels are found, checked before PROJ reads it: PROJ divides by them.
+"""Layout tags of a TIFF file, checked before PROJ reads it, because PROJ divides by them.
 
-PROJ's reader of grids does not look whether they are there and above zero; where they are not, the process may end. A
-TIFF file of one strip need not say how many rows it has: such a grid is refused, since GDAL writes none.
+PROJ's grid reader does not check that they are present and positive; otherwise the process may crash. A
+TIFF file of one strip may omit its rows per strip: such a grid is refused, since GDAL never writes one.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import struct
 
 from jaxgeo.io.limits import TAG_DIRECTORIES
 
-SIZES = {3: ("H", 2), 4: ("I", 4), 16: ("Q", 8)}  # types of TIFF that whole numbers have: SHORT, LONG, LONG8
+SIZES = {3: ("H", 2), 4: ("I", 4), 16: ("Q", 8)}  # TIFF integer types: SHORT, LONG, LONG8
 WIDTH, HEIGHT, STRIPS, ROWS_PER_STRIP, TILES, TILE_WIDTH, TILE_HEIGHT = 256, 257, 273, 278, 324, 322, 323
 NAMES = {WIDTH: "ImageWidth", HEIGHT: "ImageLength", ROWS_PER_STRIP: "RowsPerStrip", TILE_WIDTH: "TileWidth",
          TILE_HEIGHT: "TileLength"}  # fmt: skip
 
 
 def layout_mistake(path: pathlib.Path) -> str:
-    """What is wrong with the layout of a TIFF file, as the end of a sentence; empty if nothing is, or it is no TIFF."""
+    """A fault in the layout of a TIFF file, as the end of a sentence; empty if there is none, or it is not a TIFF."""
     if path.stat().st_size < 8:
         return ""
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -54,7 +54,7 @@ def _mistake(tags: dict[int, int | None]) -> str:
 
 
 def _directory(content: mmap.mmap, order: str, at: int, big: bool) -> tuple[dict[int, int | None], int]:
-    """(single whole numbers by tag, None for whatever else stands there, and where the next directory is)."""
+    """(single integers by tag, None for other values, and the offset of the next directory)."""
     count = _number(content, order, at, "Q" if big else "H")
     at += 8 if big else 2
     size = 20 if big else 12

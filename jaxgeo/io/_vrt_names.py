@@ -1,4 +1,4 @@
-"""What a VRT names, checked before GDAL opens it: kinds of sources that are known, and files beside or below it."""
+"""References of a VRT, checked before GDAL opens it: known source types, and files beside or below it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ KINDS = ("", "vrtwarpeddataset")
 BANDS = ("", "vrtrasterband", "vrtsourcedrasterband", "vrtrawrasterband", "vrtwarpedrasterband")
 SOURCES = ("source", "simplesource", "complexsource", "averagedsource", "nodatafrommasksource", "kernelfilteredsource")
 NAMING = ("sourcefilename", "sourcedataset", "dempath", "x_dataset", "y_dataset")
-OPENING = ("overview_level", "num_threads")  # options with which a source may be opened
+OPENING = ("overview_level", "num_threads")  # allowed open options of a source
 COMPUTING = ("pixelfunctiontype", "pixelfunctionlanguage", "pixelfunctioncode", "group", "processingsteps", "input")
 _SPLIT = re.compile(rb"<(?:" + "|".join(NAMING).encode() + rb")\b[^>]*>[^<]*<[^/]", re.IGNORECASE)
 
 
 def check_vrt(path: str, reach: Reach, error: type[ValueError], check: Callable[[str], None]) -> None:
-    """Raise `error` for a VRT of a kind that is not known, or that names what is out of reach.
+    """Raise `error` for a VRT of an unknown type, or one that refers to something out of reach.
 
-    `check` is called with each raster that it is put together from, once.
+    `check` is called once for each source raster.
     """
     content = head_of(path, error, MOST_XML + 1)
     if len(content) > MOST_XML:
@@ -37,7 +37,7 @@ def check_vrt(path: str, reach: Reach, error: type[ValueError], check: Callable[
 def check_vrt_text(
     path: str, content: bytes, folder: str, reach: Reach, error: type[ValueError], check: Callable[[str], None]
 ) -> None:
-    """As `check_vrt`, of the XML of a VRT that lies in `folder`."""
+    """As `check_vrt`, for the XML of a VRT in `folder`."""
     try:
         root = root_of(content)
     except ValueError as reason:
@@ -84,14 +84,14 @@ def _check_kind(path: str, element: Element, error: type[ValueError]) -> None:
 
 
 def _named(path: str, element: Element, error: type[ValueError]) -> list[tuple[str, bool, bool]]:
-    """(name, whether it is relative to the VRT, whether raw values are taken from it) of what an element names."""
+    """(name, whether it is relative to the VRT, whether it is a raw source) of an element's references."""
     tag, key = str(element.tag).lower(), entry(element, "key").lower()
     text = element.text or ""
     if OVERVIEWS in (tag, key):
         check_overviews_named(path, text.strip(), error)
     is_raw = entry(element, "subclass").lower() == "vrtrawrasterband"
     found = []
-    for child in element:  # an element here, or below in the turn of its parent
+    for child in element:  # children of children are visited with their parent
         if str(child.tag).lower() in NAMING:
             found.append((child.text or "", entry(child, "relativetovrt") not in ("", "0"), is_raw))
     found += [(value, False, is_raw) for name, value in element.attrib.items() if name.lower() in NAMING]
@@ -101,7 +101,7 @@ def _named(path: str, element: Element, error: type[ValueError]) -> list[tuple[s
 
 
 def _reached(path: str, name: str, base: str, folder: str, reach: Reach, error: type[ValueError]) -> str | None:
-    """The local file of a name; None for a remote one that is allowed. Raises `error` for what is out of reach."""
+    """The local file of a name; None for an allowed remote one. Raises `error` for one out of reach."""
     if "<" in name:
         raise error(f"{path}: this VRT holds another one in place of the name of a file. Write that to a file first.")
     if is_remote(name) or not is_local(name):

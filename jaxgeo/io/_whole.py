@@ -1,7 +1,7 @@
-"""Rasters of which GDAL reads more than is there: text grids with words that are no numbers, raw files cut short.
+"""Checks for rasters that GDAL misreads: text grids with invalid numbers, truncated raw files.
 
-GDAL takes the digits at the beginning of a word of a text grid for its value ("391.293.7" as 391.293, "3x3.6" as 3),
-and zero for the values that some raw files are too short for. Both would be heights.
+GDAL reads the leading digits of a word in a text grid as its value ("391.293.7" as 391.293, "3x3.6" as 3),
+and zeros for missing values of some truncated raw files. Both would become heights.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ import numpy as np
 from rasterio.io import DatasetReader
 
 TEXT_GRIDS = ("AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ")
-ARC = ("AAIGrid", "GRASSASCIIGrid")  # whose values begin with the first line that begins with no letter
-# Where GDAL takes those values to begin: at the first or the second character of a line, if that is no letter.
+ARC = ("AAIGrid", "GRASSASCIIGrid")  # values start at the first line that does not begin with a letter
+# Where GDAL starts reading those values: at the first or second character of a line, if that is not a letter.
 BEGIN_OF_GDAL = re.compile(rb"(?<=[\r\n])[A-Za-z]?(?=[^A-Za-z\r\n]|null |nan )", re.IGNORECASE)
-PLACES = ((b"xllcorner", b"yllcorner"), (b"xllcenter", b"yllcenter"))  # without a pair GDAL places a grid at (0, 0)
+PLACES = ((b"xllcorner", b"yllcorner"), (b"xllcenter", b"yllcenter"))  # without a pair GDAL uses the origin (0, 0)
 STATED = (b"ncols", b"nrows", b"cellsize", b"dx", b"dy", b"nodata_value", *PLACES[0], *PLACES[1],
           *(b"north:", b"south:", b"east:", b"west:", b"rows:", b"cols:", b"null:"))  # fmt: skip
-# Bytes of the header of files that hold their values as they are, at least.
+# Minimum header size in bytes of formats with uncompressed values.
 RAW = {"ACE2": 0, "BT": 256, "EHdr": 0, "ENVI": 0, "GS7BG": 100, "GSBG": 56, "GTX": 40, "LCP": 0,
        "NGSGEOID": 0, "RST": 0, "ROI_PAC": 0, "SAGA": 0, "SRTMHGT": 0}  # fmt: skip
-EXACT = ("BT", "GSBG", "GTX")  # nothing may come behind their values
+EXACT = ("BT", "GSBG", "GTX")  # no bytes may follow their values
 ARCHIVES = (".zip", ".sg-grd-z")
-PACKED = (".hgt", ".raw", ".sdat")  # raw files that GDAL takes from an archive
-CLASSIC = b"CDF"  # the first bytes of netCDF files that are never compressed
-# Without a way back, so that its time is linear.
+PACKED = (".hgt", ".raw", ".sdat")  # raw files that GDAL reads from an archive
+CLASSIC = b"CDF"  # magic bytes of netCDF files without compression
+# Without backtracking, so that its time is linear.
 NUMBER = rb"[+-]?(?:[0-9]++(?:[.,][0-9]*+)?+|[.,][0-9]++)(?:[eE][+-]?[0-9]++)?+"
 VALUE = rb"(?>" + NUMBER + rb"|[+-]?(?:nan|inf|1\.#(?:qnan|snan|ind|inf)0*+)|\*)"
 VALUES = re.compile(rb"\s*+(?:" + VALUE + rb"\s++)*+", re.IGNORECASE)
 ONE_VALUE = re.compile(VALUE, re.IGNORECASE)
-AS_GDAL_SPLITS = bytes.maketrans(b"\t\r\n", b"   ")  # the words of a header; a form feed is a part of one
+AS_GDAL_SPLITS = bytes.maketrans(b"\t\r\n", b"   ")  # splits header words; a form feed is part of a word
 TO_SPACES = bytes.maketrans(b",;", b"  ")  # separators of XYZ
-PART = 1 << 20  # bytes of a text that are looked at at a time
+PART = 1 << 20  # bytes of a text checked at a time
 SHOWN = 40  # characters of a word in a message
 
 
 def mistake_of(data: DatasetReader) -> str:
-    """What is wrong with the values of an open file, as the end of a sentence; empty if nothing is known to be."""
+    """A fault in the values of an open file, as the end of a sentence; empty if none is found."""
     path = data.name
     if not os.path.isfile(path):
         return ""
@@ -64,7 +64,7 @@ def mistake_of(data: DatasetReader) -> str:
 
 
 def _of_packed(path: str, needed: int) -> str:
-    """What is wrong with the raw file in an archive (an SRTM tile, .hgt.zip), whose checksum GDAL does not look at."""
+    """A fault in the raw file in an archive (an SRTM tile, .hgt.zip), whose checksum GDAL does not verify."""
     try:
         with zipfile.ZipFile(path) as archive:
             for member in archive.infolist():
@@ -73,7 +73,7 @@ def _of_packed(path: str, needed: int) -> str:
                 if member.file_size != needed:
                     return f"by its header it has {needed} bytes, and {member.file_size} are in the archive"
                 with archive.open(member) as file:
-                    while file.read(PART):  # at its end the checksum is compared
+                    while file.read(PART):  # the checksum is verified at the end
                         pass
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as reason:
         return f"the archive cannot be unpacked ({reason})"
@@ -87,8 +87,8 @@ def _begins(path: str, mark: bytes) -> bool:
 
 @functools.lru_cache(maxsize=1024)
 def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, int]) -> str:
-    """The first word of a text grid that should be a number and is none, or that there are not as many as posts."""
-    del stamp  # part of the key only: another time or size is another file
+    """The first invalid number of a text grid, or a count of numbers that differs from the posts."""
+    del stamp  # only part of the cache key: a changed time or size means a changed file
     count = 0
     with open(path, "rb") as file:
         if driver in ARC and (mistake := _of_header(file.read(PART), driver)):
@@ -106,7 +106,7 @@ def _of_text(path: str, driver: str, shape: tuple[int, int], stamp: tuple[int, i
 
 
 def _parts(file: BinaryIO, driver: str) -> Iterator[bytes]:
-    """The words that should be numbers, in parts that end between words, each with white space at its end."""
+    """The words that should be numbers, in chunks that end between words, each with trailing white space."""
     text = file.read(PART)
     rest = text[_begin(text) :]
     while True:
@@ -118,12 +118,12 @@ def _parts(file: BinaryIO, driver: str) -> Iterator[bytes]:
             return
         rest = text[cut:]
         if len(rest) > PART:
-            yield rest  # no word is that long
+            yield rest  # too long for a word
             return
 
 
 def _of_header(text: bytes, driver: str) -> str:
-    """What is wrong with the first lines of a text grid: GDAL takes others for values, or its place is not stated."""
+    """A fault in the header of a text grid: values that GDAL reads differently, or a missing position."""
     begin = _begin(text)
     found = BEGIN_OF_GDAL.search(text)
     begin_of_gdal = found.end() if found else len(text)
@@ -155,7 +155,7 @@ def _plain(name: bytes) -> str:
 
 
 def _begin(text: bytes) -> int:
-    """Where the values of a text grid begin: with the first line whose first word is a number, or begins as one."""
+    """Start of the values of a text grid: the first line whose first word is a number, or begins like one."""
     at = 0
     for line in text.splitlines(keepends=True):
         words = line.split()

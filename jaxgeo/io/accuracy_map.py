@@ -1,4 +1,4 @@
-"""Maps of accuracy as GeoTIFFs: a raster in any CRS over what an image, or a terrain, covers."""
+"""Accuracy maps as GeoTIFFs: a raster in any CRS over the footprint of an image or over a terrain."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ def write_accuracy_map(
     cog: bool = False,
     **how: Any,
 ) -> AccuracyMap:
-    """The `accuracy_map` of a raster's cells, made and written to a GeoTIFF.
+    """Compute the `accuracy_map` of a raster's cell centres and write it to a GeoTIFF.
 
-    Arguments and errors as for `accuracy_map`, whose others (`probability`, `count`, `time`, `progress`, ...) go
-    through. Each cell has the figures of its middle.
+    Arguments and errors as for `accuracy_map`; its other options (`probability`, `count`, `time`, `progress`, ...) are
+    passed on.
 
-    - `crs`: anything pyproj takes, such as "EPSG:25832"; by default the zone of UTM, or UPS, about the middle of the
-      area. Its horizontal part is used.
-    - `bounds`: (west, south, east, north) in the unit of that CRS; by default what the image sees of the ground, or
-      from a `Pose` all of the terrain. East and south are moved outwards to whole cells.
-    - `resolution`: the size of a cell, or (across, down), in the same unit; by default the spacing of the terrain.
-    - `cog`: whether to write a cloud-optimised GeoTIFF. Its overviews show the nearest cell, so that codes stay codes.
+    - `crs`: anything pyproj takes, such as "EPSG:25832"; by default the UTM zone, or UPS, at the centre of the area.
+      Its horizontal part is used.
+    - `bounds`: (west, south, east, north) in the unit of that CRS; by default the visible ground of the image, or for
+      a `Pose` all of the terrain. East and south are moved outwards to whole cells.
+    - `resolution`: cell size, or (across, down), in the same unit; by default the terrain's post spacing.
+    - `cog`: write a cloud-optimised GeoTIFF. Its overviews use nearest-neighbour resampling, which preserves codes.
 
-    Bands of 32-bit floats: circular error and linear error in m, NaN (the file's nodata) where there is none, infinite
-    where too many samples fail; the verdict, a code of `Method`, or -1 for no fix; and the `Status`. What the codes
-    mean, the probability and the number of samples are in the file's tags. The file appears when all is written.
-    Raises `ValueError` for a CRS, bounds or a resolution that make no sense, for an area that cannot be determined, and
-    as `accuracy_map`; `FileNotFoundError` for a folder that is not there; `OSError` where it cannot be written.
+    Bands (float32): circular error and linear error in m, NaN (the nodata value) where unknown, infinite where too many
+    samples fail; the method, a code of `Method`, or -1 for no fix; and the `Status`. The file's tags list the codes,
+    the probability and the number of samples. The file appears only when complete.
+    Raises `ValueError` for an invalid CRS, bounds or resolution, for an area that cannot be determined, and
+    as `accuracy_map`; `FileNotFoundError` for a missing folder; `OSError` where it cannot be written.
     """
     target = checked_target(path, "a map of accuracy")
     check_is(sensor, Sensor, "sensor")
@@ -68,7 +68,7 @@ def write_accuracy_map(
 
 
 def _cells(name: str, raster: MapRaster) -> Geodetic:
-    """Positions (rows, cols) of the middles of cells; NaN where the CRS maps nothing."""
+    """Positions (rows, cols) of cell centres; NaN outside the domain of the CRS."""
     mapping = map_of(name, raster)
     row, col = np.meshgrid(*(np.arange(float(n)) for n in raster.shape), indexing="ij")
     lon, lat = (x.reshape(raster.shape) for x in mapping.lonlat(row.ravel(), col.ravel()))

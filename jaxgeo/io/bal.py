@@ -1,4 +1,4 @@
-"""Problems of "Bundle Adjustment in the Large" (Agarwal et al., ECCV 2010) as text files, compressed or not."""
+"""Problem files of "Bundle Adjustment in the Large" (Agarwal et al., ECCV 2010), plain or compressed text."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from jaxgeo.io.errors import TableError
 class BalProblem:
     """n cameras, m points and k observations, in the conventions of the files.
 
-    A point X lies at P = R X + `translation` before a camera, R being the rotation about `rotation` (n, 3) by its
-    length in rad (Rodrigues). The camera looks along -z: p = -(P_x, P_y) / P_z, and the pixel that observes it is
-    `focal_px` (1 + `k1` |p|^2 + `k2` |p|^4) p, counted from the centre of the image to the right and up. `points` are
-    (m, 3), in a frame and a unit of their own; `image_index` and `point_index` (k,) say which camera saw which point
-    at `uv` (k, 2), in pixels.
+    A point X has the camera coordinates P = R X + `translation`, where R is the rotation about `rotation` (n, 3) by its
+    length in rad (Rodrigues). The camera looks along -z: p = -(P_x, P_y) / P_z, and the observed pixel is
+    `focal_px` (1 + `k1` |p|^2 + `k2` |p|^4) p, counted from the image centre to the right and up. `points` are
+    (m, 3), in an arbitrary frame and unit; `image_index` and `point_index` (k,) give the camera and the point of each
+    observation `uv` (k, 2), in pixels.
     """
 
     rotation: np.ndarray
@@ -41,7 +41,7 @@ class BalProblem:
     uv: np.ndarray
 
     def residuals(self) -> np.ndarray:
-        """Pixels of the model less those observed, (k, 2)."""
+        """Reprojection residuals, modelled minus observed, (k, 2) in pixels."""
         of_camera = (x[self.image_index] for x in (self.rotation, self.translation, self.focal_px, self.k1, self.k2))
         rotation, translation, focal, k1, k2 = of_camera
         P = _rotated(rotation, self.points[self.point_index]) + translation
@@ -55,10 +55,10 @@ class BalProblem:
 
 
 def read_bal(path: str | os.PathLike[str]) -> BalProblem:
-    """The problem in a file, compressed if its name ends in .bz2.
+    """Read a problem from a file, compressed if its name ends in .bz2.
 
-    Raises `TableError` for counts that the file does not hold, more bytes than `jaxgeo.io.limits` allows, words that
-    are no finite numbers, and observations of cameras or points that are not there; `FileNotFoundError`.
+    Raises `TableError` for a file shorter than its counts, one larger than `jaxgeo.io.limits` allows, words that are
+    not finite numbers, and observations of missing cameras or points; `FileNotFoundError`.
     """
     text = _text(path)
     header = text.partition("\n")[0].split()
@@ -88,9 +88,9 @@ def read_bal(path: str | os.PathLike[str]) -> BalProblem:
 
 
 def write_bal(path: str | os.PathLike[str], problem: BalProblem) -> None:
-    """A problem as a file that `read_bal` reads to the last bit, compressed if its name ends in .bz2.
+    """Write a problem to a file that `read_bal` reads without loss, compressed if its name ends in .bz2.
 
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to.
+    The file appears only when complete. Raises `ValueError` for a path that cannot be written to.
     """
     check_is(problem, BalProblem, "problem")
     target, text = pathlib.Path(path), io.StringIO()
@@ -117,8 +117,8 @@ def _text(path: str | os.PathLike[str]) -> str:
 
 
 def _numbers(path: str | os.PathLike[str], text: str) -> np.ndarray:
-    """All numbers of a file; a word that is none is looked for only where there is one."""
-    with heard("jaxgeo", DeprecationWarning) as stopped:  # NumPy's report that it stopped, of the line that asked
+    """All numbers of a file; invalid words are searched for only after NumPy has reported one."""
+    with heard("jaxgeo", DeprecationWarning) as stopped:  # NumPy warns at our line that it stopped
         try:
             values = np.fromstring(text, sep=" ")
         except ValueError:
@@ -141,7 +141,7 @@ def _indices(path: str | os.PathLike[str], values: np.ndarray, count: int, what:
 
 
 def _rotated(rotation: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors (k, 3) turned about `rotation` (k, 3) by its length: Rodrigues, smooth at zero."""
+    """Vectors (k, 3) rotated about `rotation` (k, 3) by its length: Rodrigues, smooth at zero."""
     angle = np.linalg.norm(rotation, axis=1, keepdims=True)
     sine, half = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
     once = np.cross(rotation, v)

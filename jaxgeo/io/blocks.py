@@ -1,4 +1,4 @@
-"""How high and how low the ground can be, block by block, over files that are too large to be held at once."""
+"""Min/max height bounds per block of DEM files that are too large for memory."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from jaxgeo.io.tiles import OpenFiles, stamp_of
 from jaxgeo.io.windows import Window
 
 BLOCK = 256  # cells on a side
-MOST_AT_ONCE = 16  # blocks read in one go: a million posts
-_reading = threading.RLock()  # of all at once, since a lock of each would keep it from being pickled
+MOST_AT_ONCE = 16  # blocks read at once: a million posts
+_reading = threading.RLock()  # one global lock, since a lock per instance could not be pickled
 FIELDS = ("low", "high", "has_void", "is_read")
-LATTICE = 9  # places on a block's side where the undulation of a geoid is looked up
-# What NumPy, and zipfile below it, raise over a file that is damaged, cut short, or none.
-HEADER = 4096  # bytes that NumPy writes about an array, at most
+LATTICE = 9  # samples per block side for the geoid undulation
+# Exceptions that NumPy and zipfile raise for damaged, truncated or invalid files.
+HEADER = 4096  # bytes: largest header that NumPy writes for an array
 _UNREADABLE = (
     OSError,
     EOFError,
@@ -40,13 +40,13 @@ _UNREADABLE = (
 
 
 class Blocks:
-    """Bounds of the ground over blocks of 256 x 256 cells of some files, read when first asked for and remembered.
+    """Height bounds over blocks of 256 x 256 cells of a mosaic, read on demand and cached.
 
-    Block (i, j) holds the cells from row 256 i and column 256 j on, so its posts are one more each way, shared with its
-    neighbours. `low` and `high` are bounds of the known posts in m above the ellipsoid (infinite, the wrong way round,
-    where none is known), `has_void` tells unknown posts, `is_read` which blocks have been looked at. The bounds are
-    exact but for a datum that varies from place to place: then they are wider by as much as its undulation, looked up
-    on a lattice, changes between neighbours of it, and 0.1 m.
+    Block (i, j) starts at row 256 i and column 256 j; it has one more post per axis than cells, shared with its
+    neighbours. `low` and `high` are bounds of the known posts in m above the ellipsoid (+inf and -inf where none is
+    known), `has_void` marks unknown posts, `is_read` the blocks read so far. The bounds are exact, except for datums
+    with a varying undulation: those are widened by the largest change of the undulation between neighbouring nodes of
+    a lattice, and by 0.1 m.
     """
 
     def __init__(self, source: Source, height_range: tuple[float, float] | None, cache: pathlib.Path | None) -> None:
@@ -57,7 +57,7 @@ class Blocks:
         rows, cols = source.window.shape
         turn = source.mosaic.first.cols_per_turn
         self.turn = turn if turn is not None and cols >= turn else None
-        """Columns of a mosaic that goes round the Earth, so that its last column is followed by its first."""
+        """Columns of a mosaic that spans all longitudes, where the first column follows the last."""
         self.cells = rows - 1, (cols - 1 if self.turn is None else self.turn)
         self.shape = -(-self.cells[0] // self.size), -(-self.cells[1] // self.size)
         self.low, self.high = np.full(self.shape, np.inf), np.full(self.shape, -np.inf)
@@ -68,7 +68,7 @@ class Blocks:
             self._load(cache)
 
     def read(self, wanted: np.ndarray | None = None) -> None:
-        """Look at the blocks of a mask (all by default) that have not been looked at, a million posts at a time."""
+        """Read the blocks of a mask (default: all) that are not read yet, a million posts at a time."""
         with _reading:
             self._read(~self.is_read if wanted is None else wanted & ~self.is_read)
             self._save(at_least=0.25)
@@ -84,25 +84,25 @@ class Blocks:
                         self._read_run(int(i), run[start : start + MOST_AT_ONCE], files)
 
     def bounds(self, rows: tuple[int, int], cols: tuple[int, int]) -> tuple[float, float, bool]:
-        """(lowest, highest, whether there are voids) over blocks of rows i0..i1 and columns j0..j1, ends included.
+        """(lowest, highest, whether there are voids) over blocks of rows i0..i1 and columns j0..j1, inclusive.
 
-        The columns may go on round the Earth.
+        Columns may wrap around the Earth.
         """
         here = self._index(rows, cols)
         return float(self.low[here].min()), float(self.high[here].max()), bool(self.has_void[here].any())
 
     def column_of(self, col: int) -> int:
-        """The column of blocks that a column of cells lies in, counted on beyond the seam of a mosaic that is round."""
+        """Block column of a cell column, counted on across the seam of a mosaic that spans all longitudes."""
         if self.turn is None or col < self.turn:
             return col // self.size
         return self.shape[1] + (col - self.turn) // self.size
 
     def mark(self, wanted: np.ndarray, rows: tuple[int, int], cols: tuple[int, int]) -> None:
-        """Add blocks to a mask of those wanted."""
+        """Mark blocks in a mask of wanted blocks."""
         wanted[self._index(rows, cols)] = True
 
     def save(self, at_least: float = 0.0) -> None:
-        """Write the file of bounds, if one was named, once the share of new blocks is more than `at_least`."""
+        """Write the cache file, if one was named, once the share of new blocks exceeds `at_least`."""
         with _reading:
             self._save(at_least)
 
@@ -121,11 +121,11 @@ class Blocks:
         self._saved = count
 
     def known(self) -> dict[str, np.ndarray]:
-        """The bounds that are known, and of which files, for `take`."""
+        """The known bounds and the identity of their files, for `take`."""
         return {"identity": np.array(self._identity()), **{name: getattr(self, name) for name in FIELDS}}
 
     def take(self, held: Mapping[str, np.ndarray]) -> bool:
-        """Take over what is `known` elsewhere, if it is of the same files in the same state; whether it was."""
+        """Adopt `known` bounds of another process if they are of the same, unchanged files; returns whether it did."""
         if str(held["identity"]) != self._identity():
             return False
         for name in FIELDS:
@@ -133,7 +133,7 @@ class Blocks:
         return True
 
     def _load(self, cache: pathlib.Path) -> None:
-        """Take the bounds that an earlier run wrote, if they are of the same files; else they are made anew."""
+        """Load the bounds of an earlier run if they are of the same files; otherwise they are recomputed."""
         check_regular(cache, DemError)
         try:
             with np.load(cache) as held:
@@ -150,7 +150,7 @@ class Blocks:
         self._saved = int(self.is_read.sum())
 
     def _identity(self) -> str:
-        """Says which files, of which time and size, and how they were understood."""
+        """Key of the files, their times and sizes, and the reading options."""
         source = self.source
         files = [
             (os.path.abspath(t.path), t.band, stamp_of(t.path), [stamp_of(s) for s in t.sources])
@@ -163,7 +163,7 @@ class Blocks:
         return np.arange(rows[0], rows[1] + 1)[:, None], np.arange(cols[0], cols[1] + 1)[None, :] % self.shape[1]
 
     def _read_run(self, i: int, run: np.ndarray, files: OpenFiles) -> None:
-        """Read neighbouring blocks of one row of blocks together."""
+        """Read adjacent blocks of one block row together."""
         row, stop_row = i * self.size, min((i + 1) * self.size, self.cells[0]) + 1
         col, stop_col = int(run[0]) * self.size, min((int(run[-1]) + 1) * self.size, self.cells[1]) + 1
         window = Window(row, col, stop_row, stop_col)
@@ -184,14 +184,14 @@ class Blocks:
             low, high = low + lowest, high + highest
             allowed = POSSIBLE_HEIGHTS if self.height_range is None else self.height_range
             if not allowed[0] <= low <= high <= allowed[1]:  # NaN too
-                heights = self.source.ellipsoidal(part, values, void, np.dtype(np.float64))  # may refuse them, in words
+                heights = self.source.ellipsoidal(part, values, void, np.dtype(np.float64))  # may raise `DemError`
                 low, high = float(heights[~void].min()), float(heights[~void].max())
                 self._check_range(part, low, high)
             self.low[i, j], self.high[i, j] = low, high
         self.has_void[i, j], self.is_read[i, j] = has_void, True
 
     def _undulation(self, part: Window) -> tuple[float, float]:
-        """Bounds in m of what is added to the stored heights of a block; NaN where the datum's grid does not reach."""
+        """Bounds in m of the height offset over a block; NaN outside the datum's grid."""
         shift = self.source.shift
         if shift.transformer is None:
             return shift.undulation, shift.undulation
@@ -214,7 +214,7 @@ class Blocks:
 
 
 def _check_size(held: Any, name: str, most: int) -> None:
-    """Raises `ValueError` for an array of a file that is larger than it may be once unpacked."""
+    """Raises `ValueError` for an array of a file whose unpacked size exceeds the limit."""
     size = held.zip.getinfo(f"{name}.npy").file_size
     if size > most:
         raise ValueError(f"unpacked, {name} has {size:,} bytes, and at most {most:,} belong here")

@@ -1,7 +1,7 @@
-"""Table of drone cameras: focal length and pixel size by the maker and model in EXIF, from data sheets or calibrations.
+"""Table of drone cameras: focal length and pixel size by EXIF make and model, from data sheets or calibrations.
 
-The table is `jaxgeo/data/cameras.toml`; each entry names its source. An entry with `zoom_mm` has no focal length of its
-own: that is the EXIF tag's.
+The table is `jaxgeo/data/cameras.toml`; each entry names its source. Entries with `zoom_mm` have no fixed focal length:
+it comes from the EXIF tag.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 FILE = pathlib.Path(__file__).parents[1] / "data" / "cameras.toml"
-SAME_FOCAL = 0.04  # by which EXIF's focal length, rounded as it is, may differ from that of an entry
-SAME_SHAPE = 0.005  # by which width over height may differ where an image was made smaller
+SAME_FOCAL = 0.04  # relative tolerance between EXIF's rounded focal length and the entry's
+SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio of resized images
 
 Positive = Annotated[float, Field(gt=0.0)]
 Share = Annotated[float, Field(gt=0.0, lt=0.2)]
@@ -25,12 +25,12 @@ Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
 class CameraModel(BaseModel):
     """One camera of the table.
 
-    - `makes`, `models`: EXIF's Make and Model as they stand there, several where firmware or drones differ.
+    - `makes`, `models`: EXIF's Make and Model verbatim, several where firmware or drones differ.
     - `focal_mm`, or `zoom_mm` (shortest, longest); `pitch_um`: pixel size on the detector in the modes of `sizes`,
-      (width, height) in pixels, some of them cropped. `binned_sizes`: modes that put pixels of the detector together
-      (or split them), with their own pixel size in um as a third number.
-    - `film_mm`: the focal length for 35 mm film by the maker's data sheet or EXIF.
-    - `focal_sigma`: standard deviation of the focal length in pixels, as a share of it.
+      (width, height) in pixels, some of them cropped. `binned_sizes`: modes that bin (or split) detector pixels, with
+      their own pixel size in um as a third number.
+    - `film_mm`: the 35 mm equivalent focal length by the maker's data sheet or EXIF.
+    - `focal_sigma`: relative standard deviation of the focal length in pixels.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,11 +56,11 @@ class CameraModel(BaseModel):
 
     @property
     def modes(self) -> tuple[tuple[int, int, float], ...]:
-        """(width, height, pixel size in um) of all its images."""
+        """(width, height, pixel size in um) of all image modes."""
         return (*((width, height, self.pitch_um) for width, height in self.sizes), *self.binned_sizes)
 
     def focal_for(self, exif_mm: float | None) -> float | None:
-        """Focal length in mm of an image with one in EXIF, or without; None if it is of another lens."""
+        """Focal length in mm, given EXIF's if there is one; None if it is of another lens."""
         if self.focal_mm is None:
             assert self.zoom_mm is not None
             low, high = self.zoom_mm
@@ -70,10 +70,10 @@ class CameraModel(BaseModel):
         return self.focal_mm if same else None
 
     def pitch_for(self, width: int, height: int) -> float | None:
-        """Pixel size in um of an image; of a copy made smaller, that of its larger pixels. None if it has no such mode.
+        """Pixel size in um of an image, for a resized copy that of its larger pixels; None for an unknown mode.
 
-        Copies are taken to be of the whole detector, and are known by its shape: those of cropped modes could as well
-        be another crop.
+        Copies are assumed to cover the whole detector and are matched by its aspect ratio: a cropped mode cannot be
+        told from another crop.
         """
         exact = next((pitch for w, h, pitch in self.modes if (w, h) == (width, height)), None)
         if exact is not None:
@@ -84,7 +84,7 @@ class CameraModel(BaseModel):
 
 
 class KnownCamera(NamedTuple):
-    """A camera of the table at the size of an image: focal length and pixel size in mm."""
+    """A camera of the table for one image size: focal length and pixel size in mm."""
 
     model: CameraModel
     focal_mm: float
@@ -93,13 +93,13 @@ class KnownCamera(NamedTuple):
 
 @functools.cache
 def camera_models() -> tuple[CameraModel, ...]:
-    """All entries of the table. Raises `pydantic.ValidationError` for a table that is not one."""
+    """All entries of the table. Raises `pydantic.ValidationError` for an invalid table."""
     entries: list[Any] = tomllib.loads(FILE.read_text(encoding="utf-8"))["camera"]
     return tuple(CameraModel.model_validate(entry) for entry in entries)
 
 
 def known_camera(make: str, model: str, width: int, height: int, focal_mm: float | None = None) -> KnownCamera | None:
-    """The camera of an image by its EXIF tags and its full size in pixels; None where the table has none, or two.
+    """The camera for EXIF tags and a full image size in pixels; None if the table has no match, or two.
 
     >>> from jaxgeo.io.camera_table import known_camera
     >>> found = known_camera("DJI", "FC6310", 5472, 3648, 8.8)
@@ -116,14 +116,14 @@ def known_camera(make: str, model: str, width: int, height: int, focal_mm: float
 
 
 def named_camera(name: str, width: int, height: int, focal_mm: float | None = None) -> KnownCamera | None:
-    """The camera of a name that people type: EXIF's model, with or without the make, or the table's own name."""
+    """The camera for a name as people type it: EXIF's model, with or without the make, or the table's own name."""
     asked = name.strip().lower()
     theirs = [one for one in camera_models() if asked in names_of(one)]
     return _only([_at(one, width, height, focal_mm) or _at(one, width, height, None) for one in theirs])
 
 
 def names_of(model: CameraModel) -> set[str]:
-    """Names by which a camera may be asked for, in small letters."""
+    """Accepted names of a camera, in lower case."""
     pairs = [f"{make} {one}" for make in model.makes for one in model.models]
     return {text.lower() for text in (model.name, *model.models, *pairs)}
 

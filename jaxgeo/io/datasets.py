@@ -1,4 +1,4 @@
-"""Maps of accuracy and samples of errors as datasets of xarray: dimensions, coordinates, units, and the CRS by CF."""
+"""Accuracy maps and error samples as xarray datasets with CF dimensions, coordinates, units and CRS."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ AXES = ["east", "north", "up"]
 
 
 def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) -> xarray.Dataset:
-    """A map of accuracy as a dataset: `circular_error`, `linear_error`, `spherical_error` in m, and why.
+    """An accuracy map as a dataset: `circular_error`, `linear_error`, `spherical_error` in m, with method and status.
 
-    NaN where there is none, infinite where too many samples fail, as in `AccuracyMap`; `trust` and `status` are codes
-    whose meanings stand in their attributes, as CF wants them; `failed` is a share, `u` and `v` the pixel in px.
+    NaN where unknown, infinite where too many samples fail, as in `AccuracyMap`. `trust` (the method) and `status` are
+    codes with CF flag attributes; `failed` is a share, `u` and `v` the pixel in px.
     `latitude`, `longitude` (deg, WGS 84) and `height` (m above its ellipsoid) are coordinates. With the `raster` of the
-    map its dimensions are those of the CRS, with coordinates of the middles of cells, and `crs` is its grid mapping;
-    without one they are `place`, or `row` and `col`. Raises `ValueError` for a raster of another shape, or a turned
-    one; `ImportError` without xarray.
+    map the dimensions are those of the CRS, with cell centres as coordinates, and `crs` is the grid mapping; without
+    it they are `place`, or `row` and `col`. Raises `ValueError` for a raster of another shape, or a rotated one;
+    `ImportError` without xarray.
     """
     check_is(found, AccuracyMap, "found")
     xr = _xarray()
@@ -54,11 +54,11 @@ def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) ->
 
 
 def samples_dataset(sampled: Sampled) -> xarray.Dataset:
-    """Samples of the errors of a fix as a dataset: `error` (sample, axis) in m, NaN without a fix, and the `status`.
+    """Error samples of a fix as a dataset: `error` (sample, axis) in m, NaN without a fix, and `status`.
 
     Axes are east, north, up at the fix, whose `latitude`, `longitude` (deg, WGS 84) and `height` (m above its
-    ellipsoid) are coordinates; errors are about `centre`. Beside them `mean` in m and `covariance` in m² of the samples
-    with a fix. Raises `ValueError` where the samples were not kept; `ImportError` without xarray.
+    ellipsoid) are coordinates; errors are relative to `centre`. `mean` in m and `covariance` in m² are those of the
+    samples with a fix. Raises `ValueError` if the samples were not kept; `ImportError` without xarray.
     """
     check_is(sampled, Sampled, "sampled")
     if sampled.errors_enu is None or sampled.codes is None:
@@ -85,7 +85,7 @@ def samples_dataset(sampled: Sampled) -> xarray.Dataset:
 def _dimensions(
     shape: tuple[int, ...], raster: MapRaster | None
 ) -> tuple[tuple[str, ...], dict[str, Any], dict[str, str]]:
-    """Names of the dimensions, their coordinates, and the attribute by which variables name the grid mapping."""
+    """Dimension names, their coordinates, and the grid-mapping attribute of variables."""
     if raster is None:
         usual = {0: (), 1: ("place",), 2: ("row", "col")}
         return usual.get(len(shape), tuple(f"axis_{k}" for k in range(len(shape)))), {}, {}
@@ -111,7 +111,7 @@ def _dimensions(
 
 
 def _units(raster: MapRaster) -> tuple[str, str]:
-    """Units of y and x as CF has them; PROJ's names where it has none."""
+    """CF units of y and x; PROJ's names where CF has none."""
     unit = raster.crs.axis_info[0].unit_name
     if unit == "degree":
         return "degrees_north", "degrees_east"

@@ -1,4 +1,4 @@
-"""Reading elevation models: any file that rasterio opens, on its own grid, with heights above the WGS 84 ellipsoid."""
+"""DEM reader: any rasterio format, on its own grid, with heights above the WGS 84 ellipsoid."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from jaxgeo.io.windows import Bounds, Window, padded_shape
 from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
-BESIDE_HEIGHTS = 5  # bytes a post: which are void, and bounds of the ground; measured, see the tests
+BESIDE_HEIGHTS = 5  # bytes per post for the void mask and height bounds; measured, see the tests
 
 
 @dataclasses.dataclass(frozen=True)
 class DemReport:
-    """What `read_dem` found and did: for people to look at, and for logs."""
+    """Report of `read_dem` for display and logs."""
 
     files: tuple[str, ...]
     crs: str
@@ -72,35 +72,33 @@ def read_dem(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> Dem:
-    """An elevation model on its file's own grid, with heights above the WGS 84 ellipsoid.
+    """A DEM on its file's own grid, with heights above the WGS 84 ellipsoid.
 
     `path_or_paths` is anything rasterio opens (a VRT too, if its sources are on its grid), or several tiles on one
-    grid (they are not resampled; where several hold a post, the first that knows it is taken): a list, a folder, which
-    stands for all rasters right inside it, or a pattern such as "tiles/**/*.tif". All of it comes into memory: for
-    more than that holds, see `open_dem`. Columns may be spaced differently from tile to tile, as those of Copernicus
-    DEM and DTED are by latitude: they are joined without a step (`jaxgeo.io.zones`). A file that goes all round the
-    Earth gets a column more at either end, so that rays may cross the line where its ends meet. What the sources of a
-    VRT state of unit, scale, voids and datum holds for the VRT. Keyword options, each optional:
+    grid (not resampled; where tiles overlap, the first known post is used): a list, a folder (all rasters directly in
+    it), or a pattern such as "tiles/**/*.tif". Everything is loaded into memory; for larger data see `open_dem`.
+    Column spacing may differ between tiles, as in Copernicus DEM and DTED by latitude: these are joined without a step
+    (`jaxgeo.io.zones`). A file that spans all longitudes gets one more column at either end, so that rays can cross
+    the seam. Unit, scale, voids and datum of a VRT's sources apply to the VRT. Keyword options, all optional:
 
-    - `vertical_datum`: what the file's heights are measured from: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
-      pyproj CRS, a constant undulation in m, or the path of a geoid grid. Needed unless the file's CRS says it.
+    - `vertical_datum`: the datum of the file's heights: "ellipsoid", an EPSG code (5773 or "EPSG:5773") or a
+      pyproj CRS, a constant undulation in m, or the path of a geoid grid. Required unless the file's CRS states it.
     - `bounds`: (west, south, east, north) in deg of WGS 84; west > east crosses the date line. The window is padded by
       a post, and its arrays to one of a few sizes, so that another window does not recompile.
-    - `band`: counted from 1. `nodata`: a further value that marks voids, or several in a list, where the file's own tag
-      is missing or wrong: as the file stores it, before scale, offset and unit. One that marks no post of the whole
-      file is refused.
-    - `height_unit`: "m", "ft", "us-ft", "dm" or "cm", where the file does not state it, or states it wrongly.
+    - `band`: counted from 1. `nodata`: a further void value, or a list of several, where the file's own tag is missing
+      or wrong: as stored, before scale, offset and unit. A value that marks no post of the whole file is refused.
+    - `height_unit`: "m", "ft", "us-ft", "dm" or "cm", where the file's own is missing or wrong.
       `void_ceiling`: as in `Dem.from_array`.
     - `dtype` of the posts in memory, float64 by default.
-    - `assume_wgs84=True`: take the file's latitudes and longitudes as WGS 84's, where PROJ knows no transformation.
-    - `allow_remote=True`: read URLs and other names that only GDAL resolves (`/vsi...`), and files that name such, like
-      a WMS. `allow_outside=True`: read a VRT that takes values from files outside its own folder.
+    - `assume_wgs84=True`: take the file's latitudes and longitudes as WGS 84, where PROJ has no transformation.
+    - `allow_remote=True`: read URLs and other GDAL names (`/vsi...`), and files that refer to such, like a WMS.
+      `allow_outside=True`: read a VRT with sources outside its own folder.
 
-    The file's horizontal datum may be any that PROJ can bring to WGS 84, null transformations of the EPSG registry
-    (ETRS89, NAD83) included; the report names the operation and its accuracy.
+    The file's horizontal datum may be any that PROJ can transform to WGS 84, including null transformations of the EPSG
+    registry (ETRS89, NAD83); the report names the operation and its accuracy.
 
     Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file and the reason; `RuntimeError`
-    with 64-bit floats off. `read_dem_and_report` also says what was done, with the map's measured error.
+    with 64-bit floats off. `read_dem_and_report` also returns a report, with the measured error of the map.
 
     >>> from jaxgeo.io.dem import DATA
     >>> ridge = jaxgeo.io.read_dem(DATA / "jacksboro.tif", bounds=(-84.25, 36.30, -84.20, 36.35))
@@ -136,7 +134,7 @@ def read_dem_and_report(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> tuple[Dem, DemReport]:
-    """`read_dem`, and a report of what it found and did."""
+    """`read_dem`, and a report of the file and its processing."""
     require_x64()
     source = open_source(
         path_or_paths,
@@ -183,7 +181,7 @@ def read_dem_and_report(
 
 
 def _check_fits(source: Source, dtype: np.dtype) -> None:
-    """Raises `DemError` where the posts of a source do not fit into memory: as stored, as heights, and their bounds."""
+    """Raises `DemError` if the posts do not fit into memory: as stored, as heights, and their bounds."""
     rows, cols = source.window.shape
     stored = max(tile.dtype.itemsize for tile in source.mosaic.tiles)
     check_fits(
@@ -195,7 +193,7 @@ def _check_fits(source: Source, dtype: np.dtype) -> None:
 
 
 def example_dem() -> Dem:
-    """Real ground inside the package: SRTM at 90 m about the Jacksboro Fault and Cross Mountain, Tennessee.
+    """Bundled example DEM: SRTM at 90 m around the Jacksboro Fault and Cross Mountain, Tennessee.
 
     >>> dem = jaxgeo.io.example_dem()
     >>> print(dem.posts.shape, f"{dem.height_at(jaxgeo.Geodetic.from_degrees(lat=36.3, lon=-84.2, height=0.0)):.1f} m")
@@ -212,11 +210,11 @@ def build_dem(
     void_ceiling: float | int | None,
     size: tuple[int, int],
 ) -> Dem:
-    """The record, its arrays padded at their end to `size` (rows, cols). Raises `DemError`."""
+    """A `Dem`, with its arrays padded at their end to `size` (rows, cols). Raises `DemError`."""
     extent = heights.shape
     if size != extent:
         wider = [(0, full - n) for full, n in zip(size, extent, strict=True)]
-        heights, void = np.pad(heights, wider), np.pad(void, wider)  # beyond `extent` all is void anyhow
+        heights, void = np.pad(heights, wider), np.pad(void, wider)  # beyond `extent` all posts are void
     try:
         return Dem.from_array(heights, grid, void=void, void_ceiling=void_ceiling, extent=extent)
     except ValueError as error:

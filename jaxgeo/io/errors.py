@@ -1,24 +1,24 @@
-"""What the readers of this package raise when they refuse a file."""
+"""Exceptions raised by the readers of this package."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
 
-LONGEST = 1000  # characters of a message; the middle of a longer one, that quotes a file at length, is left out
+LONGEST = 1000  # characters of a message; longer ones are cut in the middle
 
 _BREAK = re.compile(r"[ \t]*[\r\n\v\f\x1c-\x1e\x85\u2028\u2029]+[ \t]*")
 
 
 class RefusedFile(ValueError):
-    """Base of the errors that refuse a file: one line, however long or strange the words are that it quotes."""
+    """Base class of errors that reject a file: one line, whatever text of the file it quotes."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(message))
 
 
 def one_line(message: object) -> str:
-    """A message in one line of printable characters, the middle of a long one left out."""
+    """A message as one line of printable characters, long ones cut in the middle."""
     words = _BREAK.sub(" ", str(message).strip())
     if not words.isprintable():
         words = "".join(c if _is_shown(c) else ascii(c)[1:-1] for c in words)
@@ -30,15 +30,15 @@ def _is_shown(character: str) -> bool:
 
 
 class DemError(RefusedFile):
-    """An elevation file that cannot be used as it stands: the message names the file, the place and the reason."""
+    """An unusable elevation file; the message names the file, the position and the reason."""
 
 
 class VerticalDatumError(DemError):
-    """Heights whose vertical datum is unknown, contradictory, or not reachable with the grids that are here."""
+    """Heights whose vertical datum is unknown, contradictory, or needs a grid that is not installed."""
 
 
 class OutsideDatum(ValueError):
-    """A position that a vertical datum's grid does not reach; the readers that meet it name the file."""
+    """A position outside a vertical datum's grid; readers that catch it add the file's name."""
 
 
 class TableError(RefusedFile):
@@ -46,4 +46,4 @@ class TableError(RefusedFile):
 
 
 class ImageError(RefusedFile):
-    """An image or an orthoimage that cannot be used as it stands: the message names the file, the place, the reason."""
+    """An unusable image or orthoimage; the message names the file, the position and the reason."""

@@ -1,4 +1,4 @@
-"""Planned exposures as a table: CSV in degrees and metres, that `read_navigation` reads too."""
+"""Planned exposures as a CSV table in degrees and metres, readable by `read_navigation`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import Pose, Shot
 from jaxgeo.status import Status
 
-# Decimals that are written: a nanosecond, a hundredth of a millimetre on the ground, a nanoradian.
+# Decimals written: a nanosecond, a hundredth of a millimetre on the ground, a nanoradian.
 DECIMALS = {"time_s": 9, "lat_deg": 10, "lon_deg": 10, "height_m": 4}
 DECIMALS_OF_ANGLES, DECIMALS_OF_SHARES = 8, 6
 
@@ -32,14 +32,14 @@ def write_exposures(
     *,
     overlaps: Overlap | Any = None,
 ) -> None:
-    """A row for each of n shots (a `Shot` whose fields hold n entries), written to a CSV file.
+    """Write n shots (a `Shot` whose fields hold n entries) to a CSV file, one row each.
 
     Columns: `exposure` (from 0), `time_s`, `lat_deg`, `lon_deg`, `height_m` (above the WGS 84 ellipsoid), `heading_deg`
-    (0 to 360), `pitch_deg`, `roll_deg` (about the ellipsoid's normal), `gimbal_<name>_deg` for each of `readings`, the
-    gimbal's names. With `overlaps` (n - 1 entries, each with the shot before) also `overlap_near`, `overlap_far`, as
-    shares, and `status`, empty in the first row. `height_datum`, the last, says in each row what heights are above:
-    "ellipsoid", as `read_navigation` names it. What is NaN is an empty cell. The file appears when all is written.
-    Raises `ValueError` for a path that cannot be written to, and for numbers of entries that do not fit.
+    (0 to 360), `pitch_deg`, `roll_deg` (relative to the ellipsoid normal), `gimbal_<name>_deg` for each of `readings`,
+    the gimbal's names. With `overlaps` (n - 1 entries, each with the previous shot) also `overlap_near`,
+    `overlap_far`, as shares, and `status`, empty in the first row. `height_datum`, the last, is "ellipsoid" in each
+    row, as `read_navigation` names it. NaN is written as an empty cell. The file appears only when complete.
+    Raises `ValueError` for a path that cannot be written to, and for wrong numbers of entries.
     """
     target = pathlib.Path(path)
     check_is(shots, Shot, "shots", "One Shot, whose fields hold an entry for each exposure.")
@@ -67,7 +67,7 @@ def _columns(target: pathlib.Path, shots: Shot, readings: Sequence[str], count: 
 
 
 def _pose(pose: Pose, count: int) -> list[np.ndarray]:
-    """The numbers of `POSE_COLUMNS`; one number holds for all."""
+    """The numbers of `POSE_COLUMNS`; scalars are broadcast."""
     pose = jax.tree.map(lambda x: jnp.broadcast_to(x, (count,)), pose)
     attitude = pose.heading, pose.pitch, pose.roll
     if pose.deflection is not None:
@@ -78,7 +78,7 @@ def _pose(pose: Pose, count: int) -> list[np.ndarray]:
 
 
 def _shared(target: pathlib.Path, overlaps: Any, count: int) -> dict[str, list[Any]]:
-    """The columns of what is shared with the shot before."""
+    """The columns of the overlap with the previous shot."""
     if overlaps is None:
         return {}
     wrong = [np.shape(x) for x in (overlaps.near, overlaps.far, overlaps.status) if np.shape(x) != (count - 1,)]
@@ -93,5 +93,5 @@ def _shared(target: pathlib.Path, overlaps: Any, count: int) -> dict[str, list[A
 
 
 def _texts(values: np.ndarray, places: int) -> list[str | None]:
-    """Numbers as they are written, None for what is not finite."""
+    """Formatted numbers, None for values that are not finite."""
     return [f"{x:.{places}f}" if np.isfinite(x) else None for x in values]

@@ -1,4 +1,4 @@
-"""Where an elevation model lies, in words for who looks elsewhere."""
+"""Extent of a DEM, and messages for positions outside it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgeo.terrain import Dem, GeographicGrid
 
 
 def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
-    """(west, south, east, north) in deg of an elevation model's outline; east is not less than west."""
+    """(west, south, east, north) in deg of a DEM's outline; east is not less than west."""
     rows, cols = (int(posts) - 1 for posts in np.asarray(dem.extent))
     ways = np.linspace(0.0, 1.0, 9)
     edge = [(r * rows, c * cols) for r in ways for c in ways]
@@ -26,9 +26,9 @@ def extent_deg(dem: Dem) -> tuple[float, float, float, float]:
 
 
 def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the camera") -> str | None:
-    """How far beside an elevation model a place is, and where both are; None if it is within, or not finite.
+    """Message with the distance of a position outside a DEM and both locations; None if inside or not finite.
 
-    `what` names the place in the sentence.
+    `what` names the position in the message.
     """
     west, south, east, north = extent_deg(dem)
     lon = west + (lon_deg - west) % 360.0
@@ -46,5 +46,5 @@ def place_beside(dem: Dem, lat_deg: float, lon_deg: float, what: str = "the came
 
 
 def _kilometres(metres: float) -> str:
-    """Three digits, and no power of ten."""
+    """Kilometres with three digits, without an exponent."""
     return f"{metres / 1000.0:,.0f}" if metres >= 1e5 else f"{metres / 1000.0:.3g}"

@@ -1,4 +1,4 @@
-"""Terrain that stays on disk: what lies under rays is found block by block, and only that is loaded."""
+"""DEM on disk: locates the terrain under rays block by block and loads only that."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from jaxgeo.terrain.dem import Dem
 from jaxgeo.terrain.grid import AbstractGrid, GeographicGrid
 
 MAX_POSTS = 16_777_216  # 4096 x 4096: a quarter of a GB of heights and bounds
-PADDING = 2.25  # times a window's posts: what its arrays hold at most, beyond 1024 posts a side
-REUSE = 4  # times the posts needed: a size that programs are compiled for is taken up to here
+PADDING = 2.25  # times a window's posts: largest size of its arrays, beyond 1024 posts a side
+REUSE = 4  # times the posts needed: limit up to which an already compiled size is reused
 
 
 def open_dem(
@@ -51,20 +51,20 @@ def open_dem(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> DemFiles:
-    """Files of heights too many or too large to be held at once: only their headers are read here.
+    """Open a DEM of one or many files that is too large for memory; reads only the headers.
 
     `path_or_paths`, `vertical_datum`, `band`, `nodata`, `height_unit`, `dtype`, `assume_wgs84`, `allow_remote` and
     `allow_outside` are as in `read_dem`.
 
-    - `height_range`: (lowest, highest) in m above the ellipsoid, where you know that no post lies beyond; a post read
-      that does is refused. It spares the pass over all files that `DemFiles.highest` may need.
-    - `cache`: a file that keeps the bounds of the ground, block by block, for the next run; it is made anew when a
-      file's time or size, or how it is understood, has changed.
-    - `void_ceiling`: height in m up to which the ground over voids may rise, and over ground that no tile holds: that
-      of the highest post of all files unless you know better (0 beside a coast).
+    - `height_range`: (lowest, highest) in m above the ellipsoid, if you know bounds of all posts; a post outside them
+      is refused. It avoids the pass over all files that `DemFiles.highest` may need.
+    - `cache`: a file that stores the height bounds of blocks for the next run; it is rebuilt if a file's time or size,
+      or a reading option, has changed.
+    - `void_ceiling`: height in m up to which the ground may rise over voids and outside all tiles: by default that
+      of the highest post of all files (use 0 at a coast).
 
-    GDAL keeps a cache of its own beside what is held here, of 5 % of the machine's memory unless the environment's
-    GDAL_CACHEMAX says otherwise. Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file
+    GDAL has its own cache in addition, 5 % of the machine's memory unless the environment variable GDAL_CACHEMAX sets
+    another size. Raises `FileNotFoundError`, `VerticalDatumError` or another `DemError` with the file
     and the reason; `RuntimeError` with 64-bit floats off.
     """
     asked = dict(locals())
@@ -94,13 +94,12 @@ def open_dem(
 class DemFiles:
     """A mosaic of files on one grid, of any size; made by `open_dem`. Rows and columns count from its first post.
 
-    It answers first hits through `corridor`, or for batches of rays through `intersect_files` and `locate_files`: as
-    the whole mosaic in one `Dem` would, but only what the rays can touch is ever in memory. What it keeps is the lowest
-    and highest post of every block of 256 x 256 cells that was asked for, and the sizes of the windows it has made.
+    First hits are computed through `corridor`, or for batches of rays through `intersect_files` and `locate_files`:
+    the same as for the whole mosaic in one `Dem`, but only terrain that rays can touch is in memory. It keeps the
+    lowest and highest post of every requested block of 256 x 256 cells, and the sizes of the windows it has made.
 
-    In another process (it can be pickled, and so can be an argument of what a worker does) the files are opened again,
-    by their full names, with the bounds that are known here; so they must be there too, or loading raises
-    `FileNotFoundError`.
+    It can be pickled, for example as an argument of a worker process. The worker reopens the files by their full names
+    and reuses the known bounds; loading raises `FileNotFoundError` if the files are missing there.
     """
 
     _opened_by: Callable[[], DemFiles]
@@ -114,7 +113,7 @@ class DemFiles:
         self._void_ceiling = void_ceiling
         self._sizes: list[tuple[int, int]] = []
         self.grid: AbstractGrid | None = None
-        with contextlib.suppress(DemError):  # too large for one fitted map: every window gets its own
+        with contextlib.suppress(DemError):  # too large for one fitted map: fit one per window
             self.grid = make_grid(source.name, source.mapping)[0]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -135,15 +134,15 @@ class DemFiles:
 
     @property
     def highest(self) -> float:
-        """Height in m that no post exceeds: as stated, else by a pass over all files, once, block by block.
+        """Upper bound in m of all posts: `height_range` if given, else by one pass over all files, block by block.
 
-        That of the highest post, exactly, where the vertical datum is a constant; else at most some decimetres more.
+        Exact where the vertical datum is a constant offset; else at most some decimetres too high.
         """
         return self._range()[1]
 
     @property
     def lowest(self) -> float:
-        """Height in m that no post lies below; as `highest`."""
+        """Lower bound in m of all posts; as `highest`."""
         return self._range()[0]
 
     @property
@@ -153,27 +152,27 @@ class DemFiles:
 
     @property
     def ceiling(self) -> float:
-        """Height in m above which there is nothing, known or unknown."""
+        """Height in m above which there is no ground, known or unknown."""
         return max(self.highest, self.void_ceiling)
 
     @property
     def floor(self) -> float:
-        """Height in m below which no answer can lie."""
+        """Height in m below which no intersection can lie."""
         return min(self.lowest, self.void_ceiling)
 
     def corridor(self, rays: Ray, *, margin: int = 0, max_posts: int = MAX_POSTS) -> Dem:
-        """The part of the terrain that rays can touch: `intersect` answers as over the whole mosaic.
+        """The part of the terrain that rays can touch; `intersect` gives the same result as over the whole mosaic.
 
-        `rays` is one `Ray` or a batch, ECEF. The window holds every cell under each ray between its own ceiling and the
-        place where the ray must have met the ground, rises above all of it, or leaves the mosaic; so the edge of what
-        was loaded is never met on the way to the first hit. That holds for these rays and the first hit: other rays,
-        and searches that look elsewhere, see an edge there. Where a ray comes in over the mosaic's own edge or leaves
-        over it, the window has the whole mosaic's ceiling, and needs `highest`; so do voids, without a `void_ceiling`.
+        `rays` is one `Ray` or a batch, ECEF. The window holds every cell under each ray from its own ceiling to the
+        point where the ray has certainly hit the ground, is above all terrain, or leaves the mosaic; so no ray crosses
+        the window's edge before its first hit. This holds only for these rays and the first hit: other rays and
+        searches may meet the edge. Where a ray crosses the mosaic's own edge, the window has the whole mosaic's ceiling
+        and needs `highest`; so do voids, without a `void_ceiling`.
 
-        `margin` posts more on every side serve rays between these, such as those of an image of which the corners and
-        edges were given. Left over is one case: a ray that passes out of the mosaic above its ceiling leaves no window
-        to be in, and gets `ray_misses_terrain` (`intersect_files` gives `leaves_terrain`). On maps that no one
-        formula serves (fitted ones too large for one fit), windows differ from each other by up to 1 mm.
+        `margin` adds posts on every side for rays between the given ones, such as those of an image whose corners and
+        edges were given. One case differs: a ray that leaves the mosaic above its ceiling has no window and gets
+        `ray_misses_terrain` (`intersect_files` gives `leaves_terrain`). On maps without an exact grid (too large for
+        one fit), windows differ from each other by up to 1 mm.
 
         Raises `DemError` for rays too far apart for one window of `max_posts`; `intersect_files` makes several.
         """
@@ -190,7 +189,7 @@ class DemFiles:
         return self.load(self._wider(window, margin), whole_ceiling=ceiling, max_posts=max_posts)
 
     def follow(self, rays: Ray) -> Sightlines:
-        """Where rays pass over the mosaic and may meet its ground, by the bounds of its blocks."""
+        """Paths of rays over the mosaic and where they may hit the ground, from the block bounds."""
         origin, direction = (np.asarray(part, np.float64) for part in (rays.origin, rays.direction))
         if origin.shape != direction.shape or origin.shape[-1:] != (3,):
             raise ValueError(
@@ -201,10 +200,10 @@ class DemFiles:
         return sightlines(flat, self.source.mapping, self.grid, self.blocks, top, lambda: self.void_ceiling)
 
     def window_under(self, path: Sightlines) -> tuple[Window | None, bool]:
-        """The smallest window that serves all rays of `path`, and whether it needs the whole mosaic's ceiling.
+        """The smallest window for all rays of `path`, and whether it needs the whole mosaic's ceiling.
 
-        None where no ray passes over the mosaic. A window whose own highest ground serves as its ceiling must hold the
-        rays from that height down, and may meet higher ground by growing; hence the rounds.
+        None where no ray passes over the mosaic. If a window's own highest ground is its ceiling, it must hold the rays
+        from that height down; growing it may raise the ceiling, so this iterates.
         """
         if not path.is_simple[path.exists].all():
             return self._around(path, self.ceiling), True
@@ -217,12 +216,12 @@ class DemFiles:
         return window, False
 
     def load(self, window: Window, *, whole_ceiling: bool, max_posts: int = MAX_POSTS) -> Dem:
-        """One window as a `Dem`, its arrays padded to one of a few sizes."""
+        """Load one window as a `Dem`, its arrays padded to one of a few sizes."""
         with OpenFiles() as files:
             heights, void = self.source.heights(window, self.dtype, files)
         self.posts_loaded += heights.size
         ceiling = self.void_ceiling if void.any() else None
-        if void.all():  # nothing known here: one post alone makes no cell known
+        if void.all():  # no data here: a single post does not define a cell
             void[0, 0], heights[0, 0] = False, np.floor(self.void_ceiling)
         dem = build_dem(
             self.source.name, heights, void, self._grid_of(window), ceiling, self.size_for(window, max_posts)
@@ -233,7 +232,7 @@ class DemFiles:
         return eqx.tree_at(lambda d: (d.lowest, d.highest), dem, limits)
 
     def size_for(self, window: Window, max_posts: int = MAX_POSTS) -> tuple[int, int]:
-        """(rows, cols) of the arrays for a window: one used before if it is not far too large, else a new one."""
+        """(rows, cols) of the arrays for a window: a size used before if not much too large, else a new one."""
         size = padded_shape(window.shape)
         posts = size[0] * size[1]
         most = min(REUSE * posts, max(PADDING * max_posts, posts))
@@ -248,7 +247,7 @@ class DemFiles:
         return window is not None and window.shape[0] * window.shape[1] > max_posts
 
     def refuse(self, window: Window, max_posts: int, whose: str) -> DemError:
-        """Message for a window that is too large."""
+        """Error for a window that is too large."""
         return DemError(
             f"{self.source.name}: {whose} can touch {window.shape[0]} x {window.shape[1]} posts, more than "
             f"max_posts={max_posts}. Allow more posts, or give rays that are closer together or steeper."
@@ -262,7 +261,7 @@ class DemFiles:
             return self.blocks.height_range
         was_read = bool(self.blocks.is_read.any())
         self.blocks.read()
-        if not was_read:  # else some posts were looked at in an earlier run
+        if not was_read:  # else some posts were read in an earlier run
             check_nodata_used(self.source, None)
         low, high = float(self.blocks.low.min()), float(self.blocks.high.max())
         if not np.isfinite(low):
@@ -270,7 +269,7 @@ class DemFiles:
         return low, high
 
     def _ceiling_of(self, window: Window) -> float:
-        """Upper bound of the ceiling that a window will have."""
+        """Upper bound of a window's ceiling."""
         rows = window.row // self.blocks.size, (window.stop_row - 2) // self.blocks.size
         cols = window.col // self.blocks.size, self.blocks.column_of(window.stop_col - 2)
         wanted = np.zeros(self.blocks.shape, bool)
@@ -280,7 +279,7 @@ class DemFiles:
         return max(high, self.void_ceiling) if has_void else high
 
     def _around(self, path: Sightlines, ceiling: float) -> Window | None:
-        """The window that holds the stretches needed for a search from `ceiling`; None where there are none."""
+        """The window that holds the segments needed for a search from `ceiling`; None if there are none."""
         needed = path.needed(ceiling)
         rows, cols = self.shape
         low, high = path.low[needed] - BESIDE, path.high[needed] + BESIDE
@@ -302,7 +301,7 @@ class DemFiles:
         return Window(min(r0, rows - 2), c0 if self.blocks.turn else min(c0, cols - 2), max(r1, 2), max(c1, 2))
 
     def _wider(self, window: Window, margin: int) -> Window:
-        """A window with `margin` posts more on every side, as far as there are any."""
+        """A window enlarged by `margin` posts on every side, within the mosaic."""
         (rows, cols), turn = self.shape, self.blocks.turn
         col, stop_col = window.col - margin, window.stop_col + margin
         if turn is None:

@@ -1,4 +1,4 @@
-"""Fixes as files, with how sure they are: tables, maps, and what a globe shows, in any CRS that PROJ knows."""
+"""Fixes with their accuracy as files: tables, GIS layers and KML, in any CRS of PROJ."""
 
 from __future__ import annotations
 
@@ -43,33 +43,33 @@ def write_fixes(
     mgrs: bool = False,
     reasons: Sequence[str | None] | None = None,
 ) -> None:
-    """Fixes and how sure they are, written to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
+    """Write fixes and their accuracy to .csv, .geojson or .json, .gpkg, .parquet, .kml or .kmz.
 
-    `fixes` is one fix or a batch of n. A fix without coordinates is written too, with no geometry and its status. Each
-    has the columns of `jaxgeo.io.tables.FIX_COLUMNS` (on WGS 84, heights above its ellipsoid and above EGM96), and:
+    `fixes` is one fix or a batch of n. Fixes without coordinates are written too, without geometry, with their status.
+    Columns are those of `jaxgeo.io.tables.FIX_COLUMNS` (on WGS 84, heights above its ellipsoid and above EGM96), and:
 
-    - `accuracy`: the result of `accuracy` for each fix (a list with None where it is not known), or of
+    - `accuracy`: the result of `accuracy` for each fix (a list with None where unknown), or of
       `accuracy_of_each` or `accuracy_of_pixels` for all: radii such as `ce90_m`, `le90_m`, `se90_m`, infinite (in
-      GeoJSON null) where too many samples have no fix, and by which method.
-    - `cov_enu` (n, 3, 3) in m², east, north, up, and `bias_enu` (n, 3) in m, the mean of the errors: rows of NaN where
-      unknown. Radii and the semi-axes of the ellipse, which lies about the fix moved by the bias, are computed from
-      them, with the `probability` (0.9, or that of `accuracy`). By default those of `accuracy`, where it trusts a
-      propagation.
+      GeoJSON null) where too many samples have no fix, and the method.
+    - `cov_enu` (n, 3, 3) in m², east, north, up, and `bias_enu` (n, 3) in m, the mean error: rows of NaN where
+      unknown. Radii and the semi-axes of the ellipse (centred on the fix plus the bias) are computed from
+      them, for the `probability` (0.9, or that of `accuracy`). By default those of `accuracy`, where a linear
+      propagation is valid.
     - `crs`: anything pyproj takes. `heights`: "ellipsoid", or a vertical CRS such as "EPSG:5773" (EGM96), "EPSG:3855"
-      (EGM2008); by default those of the CRS, and of a flat one above the ellipsoid. Both are named in the file, in a
-      table beside `map_x`, `map_y`, `map_z` by the columns `crs` and `vertical_datum`. GeoJSON in another CRS than
-      EPSG:4979 names it in the way that came before RFC 7946, which not every reader knows. KML has its own: WGS 84,
+      (EGM2008); by default those of the CRS, and for a 2D one above the ellipsoid. The file names both; tables in the
+      columns `crs` and `vertical_datum` beside `map_x`, `map_y`, `map_z`. GeoJSON in another CRS than
+      EPSG:4979 names it with the pre-RFC 7946 member, which not every reader supports. KML is always in WGS 84 with
       heights above EGM96.
     - `attributes`: for each fix numbers, texts, bools or None by name, the same names for all. KML shows `name`.
-    - `ellipses`: also the outline on the ground that holds the truth with the probability, of a kind "ellipse", or
-      "circle" where only a radius is known; none for one without area. They lie in the horizontal CRS, in a layer
-      `ellipses` (.gpkg), a second column of geometries (.parquet), features or placemarks of their own.
-    - `mgrs`: also the square metre in the Military Grid Reference System (with the extra `gis`, as .parquet).
-    - `reasons`: for each fix None, or the sentence that stands in the column `status_text` in place of that of its
-      status: why there is none, such as that its file could not be read.
+    - `ellipses`: also the outline on the ground that contains the true point with the probability, of kind "ellipse",
+      or "circle" if only a radius is known; none if it has no area. Outlines are in the horizontal CRS, in a layer
+      `ellipses` (.gpkg), a second geometry column (.parquet), or features or placemarks of their own.
+    - `mgrs`: also the MGRS reference to 1 m (needs the extra `gis`, as .parquet does).
+    - `reasons`: for each fix None, or a text for the column `status_text` instead of that of its status, for example
+      that its file could not be read.
 
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
-    that is unknown, is no map or does not reach, heights that cannot be named, and what does not belong to the fixes;
+    The file appears only when complete. Raises `ValueError` for a path that cannot be written to, no fixes, a CRS
+    that is unknown, unsuitable or does not cover the fixes, unknown heights, and arguments that do not match the fixes;
     `VerticalDatumError` where a grid is missing; `ImportError` without the extra; `OSError` where writing fails.
 
     >>> import pathlib, tempfile
@@ -109,9 +109,9 @@ def check_fix_file(
     reasons: Sequence[str | None] | None = None,
     probability: float | None = None,
 ) -> None:
-    """Raises as `write_fixes` would for this name, CRS, vertical datum and attributes, before there are any fixes.
+    """Raises as `write_fixes` would for this name, CRS, vertical datum and attributes, before fixes are computed.
 
-    A file without coordinates is made in memory. `near` are n places about those of the fixes, `probability` is that of
+    Writes a file without coordinates in memory. `near` are n positions close to the fixes, `probability` is that of
     their accuracy, None without one.
     """
     target = pathlib.Path(path)
@@ -121,7 +121,7 @@ def check_fix_file(
     fixes = Fix(position, np.full((count, 3), np.nan), nothing, nothing, nothing, nothing, status)
     figures = None if probability is None else no_figures(count, probability)
     told = _told(target, chart, fixes, figures, attributes, mgrs=mgrs, reasons=reasons, ellipses=False)
-    one = slice(None) if write in KML_WRITERS else slice(1)  # texts that cannot be in KML may stand in any row
+    one = slice(None) if write in KML_WRITERS else slice(1)  # any row may have text that KML cannot hold
     write(told._replace(rows=told.rows[one], places=told.places[one], outlines=told.outlines[one]))
 
 
@@ -166,7 +166,7 @@ def _batch(target: pathlib.Path, fixes: Fix) -> Fix:
 
 
 def _extent(lon: np.ndarray, lat: np.ndarray) -> tuple[float, float, float, float] | None:
-    """(west, south, east, north) in deg, about the first place that is known."""
+    """(west, south, east, north) in deg, around the first known position."""
     known = np.isfinite(lon) & np.isfinite(lat)
     if not known.any():
         return None
@@ -177,7 +177,7 @@ def _extent(lon: np.ndarray, lat: np.ndarray) -> tuple[float, float, float, floa
 
 
 def _kml_crs(name: str, crs: Any, heights: Any, area: Any) -> MapCRS:
-    """The one CRS of KML; another cannot be asked for."""
+    """KML's fixed CRS; raises for any other."""
     own, asked = map_crs(name, "EPSG:4326", EGM96, area), map_crs(name, crs, heights, area)
     is_left_out = heights is None and code_of(asked.crs) in WGS84
     if not is_left_out and asked.crs != own.crs:
@@ -208,7 +208,7 @@ def _rows(
 def _outlines(
     name: str, chart: MapCRS, fixes: Fix, figures: Figures | None
 ) -> tuple[list[BaseGeometry | None], list[str]]:
-    """Of each fix its ellipse, or the circle of a radius that is known without one."""
+    """The ellipse of each fix, or a circle where only a radius is known."""
     count = len(fixes.status)
     if figures is None:
         return [None] * count, [""] * count
@@ -222,7 +222,7 @@ def _outlines(
 
 
 def _metadata(chart: MapCRS, figures: Figures | None) -> Mapping[str, Any]:
-    """What all fixes of a file have in common."""
+    """Metadata common to all fixes of a file."""
     try:
         software = f"jaxgeo {importlib.metadata.version('jaxgeo')}"
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Footprints as files: outlines of images on the ground, in GeoJSON or GeoPackage, in any CRS that PROJ knows."""
+"""Footprint files: image outlines on the ground as GeoJSON or GeoPackage, in any CRS of PROJ."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from jaxgeo.status import Status
 
 DRIVERS = {".geojson": "GeoJSON", ".json": "GeoJSON", ".gpkg": "GPKG"}
 OWN = ("index", "kind", "kind_of_edge", "status", "status_text", "hidden_share", "area_m2")
-TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are what GeoPackage and its readers call their own
+TAKEN = (*OWN, "fid", "geom", "geometry")  # the last three are reserved by GeoPackage and its readers
 WHOLE = "The whole edge of the image sees ground."
-FEWEST = 256  # places that are computed with; more go up by powers of two
+FEWEST = 256  # minimum padded number of points; larger sizes are powers of two
 SEEN, HIDDEN = 1, 2  # edges
-MOST_STRETCHED = 100.0  # lengths on the map to those on the ground; beyond, the map has a seam between two places
+MOST_STRETCHED = 100.0  # ratio of map to ground length; larger ones indicate a seam of the map
 
 
 class _Map(NamedTuple):
-    """A CRS, the way to it from WGS 84, and a full turn of longitude in its unit (None if it is projected)."""
+    """A CRS, the transformation from WGS 84, and 360 deg of longitude in its unit (None if it is projected)."""
 
     crs: pyproj.CRS
     way: Transformer
@@ -41,7 +41,7 @@ class _Map(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """A footprint in NumPy: n places (longitude and latitude in deg, height in m), the same in ECEF, and its status."""
+    """A footprint in NumPy: n points (longitude and latitude in deg, height in m), the same in ECEF, and its status."""
 
     places: np.ndarray
     ecef: np.ndarray
@@ -63,20 +63,20 @@ def write_footprints(
     attributes: Sequence[Mapping[str, Any]] | None = None,
     edges: bool = False,
 ) -> None:
-    """The outlines of images on the ground, written to a GeoJSON (.geojson, .json) or a GeoPackage (.gpkg).
+    """Write image outlines on the ground to GeoJSON (.geojson, .json) or GeoPackage (.gpkg).
 
-    Each footprint is a polygon with the attributes `index` (its place in `footprints`), `kind` "outline", `status` and
-    `status_text`, `hidden_share` (of the outline's length in space, what jumps over hidden ground) and `area_m2`. One
-    that is not whole has no geometry. Outer rings run anticlockwise; over the date line, polygons are cut there.
+    Each footprint is a polygon with the attributes `index` (position in `footprints`), `kind` "outline", `status` and
+    `status_text`, `hidden_share` (share of the outline's 3D length that crosses hidden ground) and `area_m2`.
+    Incomplete footprints have no geometry. Outer rings run anticlockwise; polygons are cut at the date line.
 
-    - `crs`: anything pyproj takes. Places have no heights, but in a geographic 3D CRS, such as "EPSG:4979". GeoJSON in
-      another CRS than WGS 84 names it in the way that came before RFC 7946, which not every reader knows.
+    - `crs`: anything pyproj takes. Points have no heights, except in a geographic 3D CRS, such as "EPSG:4979". GeoJSON
+      in another CRS than WGS 84 names it with the pre-RFC 7946 member, which not every reader supports.
     - `attributes`: for each footprint numbers, texts or None by name, the same names for all.
-    - `edges`: also lines, of `kind` "edge", along what is seen and where the outline jumps over hidden ground
-      (`kind_of_edge` "seen" or "hidden"); of a footprint that is not whole, too.
+    - `edges`: also lines, of `kind` "edge", along visible ground and where the outline crosses hidden ground
+      (`kind_of_edge` "seen" or "hidden"); for incomplete footprints, too.
 
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to, for no footprints,
-    for a CRS that is unknown, is no map or does not reach the footprints, and for attributes that do not fit;
+    The file appears only when complete. Raises `ValueError` for a path that cannot be written to, for no footprints,
+    for a CRS that is unknown, unsuitable or does not cover the footprints, and for attributes that do not match;
     `OSError` where writing fails.
     """
     target = pathlib.Path(path)
@@ -103,14 +103,14 @@ def write_footprints(
 def check_footprint_file(
     path: str | os.PathLike[str], crs: Any, attributes: Sequence[Mapping[str, Any]] | None, count: int
 ) -> None:
-    """Raises as `write_footprints` would for this name, CRS and attributes, before the footprints are made."""
+    """Raises as `write_footprints` would for this name, CRS and attributes, before the footprints are computed."""
     target = pathlib.Path(path)
     _checked_attributes(target, attributes, count)
     _checked_map(target, crs, _driver(target), [])
 
 
 def _seen(footprint: Footprint) -> _Seen:
-    """What is written of a footprint. The last place is repeated, so that few lengths are compiled."""
+    """The data of a footprint to write. The last point is repeated as padding, to limit recompilation."""
     count = len(np.asarray(footprint.uv))
     more = max(FEWEST, 1 << (count - 1).bit_length()) - count
 
@@ -179,7 +179,7 @@ def _checked_map(target: pathlib.Path, crs: Any, driver: str, seen: Sequence[_Se
 
 
 def _extent(seen: Sequence[_Seen]) -> tuple[float, float, float, float] | None:
-    """(west, south, east, north) in deg, about the first place that is seen."""
+    """(west, south, east, north) in deg, around the first visible point."""
     lon, lat, _ = np.concatenate([np.zeros((0, 3)), *(one.places[one.found] for one in seen)]).T
     if not lat.size:
         return None
@@ -189,7 +189,7 @@ def _extent(seen: Sequence[_Seen]) -> tuple[float, float, float, float] | None:
 
 
 def _on_map(target: pathlib.Path, chart: _Map, index: int, seen: _Seen) -> np.ndarray:
-    """Coordinates (n, 2 or 3) of the places; NaN where nothing is seen."""
+    """Coordinates (n, 2 or 3) of the points; NaN where no ground is visible."""
     axes = 3 if has_heights(chart.crs) else 2
     places = np.full((len(seen.found), axes), np.nan)
     given = seen.places[seen.found, :axes].T
@@ -199,7 +199,7 @@ def _on_map(target: pathlib.Path, chart: _Map, index: int, seen: _Seen) -> np.nd
     if chart.turn is None:
         unit = chart.crs.axis_info[0].unit_conversion_factor
         on_map, ground = (_steps(x) for x in (places * unit, seen.ecef))
-        if np.any(on_map > MOST_STRETCHED * np.maximum(ground, 1.0)):  # no step that is NaN
+        if np.any(on_map > MOST_STRETCHED * np.maximum(ground, 1.0)):  # NaN steps compare false
             raise ValueError(
                 f"{target}: {chart.crs.name!r} tears footprint {index} apart, or stretches it more than "
                 f"{MOST_STRETCHED:g} times; choose a crs that is made for the place."
@@ -208,7 +208,7 @@ def _on_map(target: pathlib.Path, chart: _Map, index: int, seen: _Seen) -> np.nd
 
 
 def _steps(places: np.ndarray) -> np.ndarray:
-    """From each place to the next around a ring."""
+    """Differences between consecutive points around a ring."""
     return np.linalg.norm(np.roll(places, -1, axis=0) - places, axis=1)
 
 
@@ -230,7 +230,7 @@ def _sentence(status: Status) -> str:
 
 
 def _edges(index: int, seen: _Seen, places: np.ndarray, chart: _Map, extra: dict[str, Any]) -> Iterator[Feature]:
-    """Lines along what is seen, and over what is hidden between."""
+    """Lines along visible ground, and across hidden ground between."""
     known = seen.found & np.roll(seen.found, -1)
     labels = np.where(known, np.where(seen.hidden, HIDDEN, SEEN), 0)
     for label, run in runs(labels):

@@ -1,4 +1,4 @@
-"""Ground control points and where they are seen: the `gcp_list.txt` of OpenDroneMap."""
+"""Ground control points and their image measurements: the `gcp_list.txt` of OpenDroneMap."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ LIMITS = {
     "im_x": PIXEL_COLUMNS["u"],
     "im_y": PIXEL_COLUMNS["v"],
 }
-OFFSETS = {"centre": 0.0, "corner": 0.5}  # of the first pixel's centre from the origin, pixels
+OFFSETS = {"centre": 0.0, "corner": 0.5}  # coordinates of the first pixel's centre, pixels
 
 
 @dataclass(frozen=True)
 class GroundControl:
-    """Points whose places are known, by name (n,), and where they are seen in images.
+    """Ground control points by name (n,), and their image measurements.
 
     `position` holds n entries; every point of `points` is one of `names`.
     """
@@ -68,22 +68,22 @@ class GroundControl:
 def read_gcp_list(
     path: str | os.PathLike[str], *, height_datum: str | float, pixel_origin: str = "centre"
 ) -> GroundControl:
-    """The ground control points of an OpenDroneMap file.
+    """Read ground control points from an OpenDroneMap file.
 
     Its first line is a projection: "EPSG:32651", a PROJ text "+proj=utm ...", "WGS84 UTM 51N", or "WGS84" (degrees).
-    In each other line stand, with white space between, `geo_x geo_y geo_z im_x im_y image_name [gcp_name] [extra ...]`:
-    easting and northing (longitude and latitude in deg) in the units of the projection, height in m (where the
-    projection has a vertical part, in its unit, and depth where it counts downwards), column and row in pixels.
-    Without names, lines with the same coordinates are of one point, as there; such points are called "unnamed-0",
-    "unnamed-1", in their order. Blank lines and those that begin with # are passed over.
+    Every other line is, separated by white space, `geo_x geo_y geo_z im_x im_y image_name [gcp_name] [extra ...]`:
+    easting and northing (longitude and latitude in deg) in the units of the projection, height in m (if the
+    projection has a vertical part, in its unit, and as depth if it counts downwards), column and row in pixels.
+    Without names, lines with the same coordinates are one point, as in OpenDroneMap; such points are called
+    "unnamed-0", "unnamed-1", in their order. Blank lines and those that begin with # are skipped.
 
-    - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
+    - `height_datum`: datum of the heights: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m; as in scene files.
-    - `pixel_origin`: where im_x and im_y are zero: in the "centre" of the first pixel, as OpenSfM takes them, or in its
-      outer "corner", as programs write that count the whole image from 0 to its width; then half a pixel is taken off.
+    - `pixel_origin`: origin of im_x and im_y: the "centre" of the first pixel, as in OpenSfM, or its outer "corner", as
+      in programs that count the image from 0 to its width; then half a pixel is subtracted.
 
-    Raises `TableError` with the line for a projection that is not understood, words that are missing or no numbers, a
-    height that is NaN, a name that stands for two places, a place with two names, a point measured twice in an image;
+    Raises `TableError` with the line for an unknown projection, words that are missing or not numbers, a NaN height, a
+    name with two positions, a position with two names, a point measured twice in an image;
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -107,7 +107,7 @@ def read_gcp_list(
 
 
 def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
-    """The lines that say something, with their numbers."""
+    """The lines with content, with their numbers."""
     text = read_text(path, "file of ground control points")
     lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), start=1)]
     lines = [(i, line) for i, line in lines if line and not line.startswith("#")]
@@ -117,7 +117,7 @@ def _lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
 
 
 def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTable:
-    """The words of each line, a name or an empty one last."""
+    """The words of each line, with the name, or an empty one, last."""
     cells = []
     for line, text in rows:
         words = words_of(text)
@@ -128,7 +128,7 @@ def _table(path: str | os.PathLike[str], rows: list[tuple[int, str]]) -> CsvTabl
 
 
 def projection_text(text: str) -> str:
-    """What PROJ calls the projection of the first line."""
+    """The projection of the first line in PROJ's notation."""
     if text.upper() in ("WGS84", "EPSG:4326"):
         return "EPSG:4326"
     utm = re.fullmatch(r"WGS84\s+UTM\s+([0-9]{1,2})\s*([NS]?)", text, re.IGNORECASE)
@@ -138,7 +138,7 @@ def projection_text(text: str) -> str:
 
 
 def _points(table: CsvTable, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(names of the points in the order of their first lines, index of the point of each line)."""
+    """(names of the points in the order of their first lines, point index of each line)."""
     keys = [tuple(place) for place in places.tolist()]
     name_at: dict[Any, str] = {}
     place_of: dict[str, Any] = {}
@@ -169,7 +169,7 @@ def _shown(place: tuple[float, ...]) -> str:
 def _positions(
     table: CsvTable, crs: pyproj.CRS, vertical: pyproj.CRS | None, places: np.ndarray, height_datum: str | float
 ) -> Geodetic:
-    """Places in a projection as positions on the Earth."""
+    """Map coordinates as geodetic positions."""
     x, y, z = places.T
     lon, lat = MapGrid.about(table.path, crs, x, y).to_lonlat(x, y)
     lost = ~(np.isfinite(lon) & np.isfinite(lat)) | (np.abs(lat) > 90.0)
@@ -177,7 +177,7 @@ def _positions(
         raise TableError(f"{table.path}: {_shown(tuple(places[np.argmax(lost)]))} has no place in {crs.name!r}.")
     try:
         height = ellipsoidal_heights(lon, lat, z * (vertical_unit(vertical) or 1.0), height_datum, vertical)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error

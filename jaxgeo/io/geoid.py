@@ -1,4 +1,4 @@
-"""Heights above mean sea level, and the undulation of a geoid, at positions on the Earth."""
+"""Geoid undulation and heights above mean sea level."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ EGM96 = "EPSG:5773"
 
 
 def undulation(lat_deg: ArrayLike, lon_deg: ArrayLike, datum: VerticalDatum = EGM96) -> np.ndarray:
-    """Height in m of a vertical datum's zero (its geoid) above the WGS 84 ellipsoid; shapes broadcast.
+    """Geoid undulation: height in m of a vertical datum's zero above the WGS 84 ellipsoid; shapes broadcast.
 
-    `datum` as in `read_dem`; EGM96 comes with the package. NaN where a coordinate is NaN or outside the datum's grid.
+    `datum` as in `read_dem`; EGM96 is bundled. NaN where a coordinate is NaN or outside the datum's grid.
     Raises `VerticalDatumError` for an unknown datum or one whose grid is missing, `ValueError` for a latitude out of
     range.
     """
@@ -39,7 +39,7 @@ def height_msl(position: Geodetic | Fix, datum: VerticalDatum = EGM96) -> np.nda
 
 
 def degrees_of(position: Geodetic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(lat, lon, height) in deg, deg, m, by NumPy: nothing is compiled for a batch of another length."""
+    """(lat, lon, height) in deg, deg, m, by NumPy: no compilation for a new batch length."""
     lat, lon, height = (np.asarray(part, np.float64) for part in (position.lat, position.lon, position.height))
     return np.asarray(np.rad2deg(lat)), np.asarray(np.rad2deg(lon)), height
 

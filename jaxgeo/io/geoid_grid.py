@@ -1,4 +1,4 @@
-"""Geoid grids in files: PROJ's bilinear look-up of a grid, held against the grid's own posts before it is used."""
+"""Geoid grid files: PROJ's bilinear interpolation, verified against the grid's own posts before use."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from jaxgeo.io._tiff import layout_mistake
 from jaxgeo.io.errors import VerticalDatumError
 from jaxgeo.io.reach import HERE
 
-WITHIN = 1e-3  # m; at a post a bilinear look-up gives the post's own value, but for rounding
+WITHIN = 1e-3  # m; at a post, interpolation returns the post's value except for rounding
 MOST_COLUMNS = 1_000_000  # 1.3 arc seconds around the Earth
-EDGE = 1e-9  # deg; a place on the western edge is inside
+EDGE = 1e-9  # deg; a position on the western edge is inside
 _HEIGHT_BANDS = ("geoid_undulation", "vertical_offset", "hydroid_height", "ellipsoidal_height_offset")
 _SHARES = np.array([0.02, 0.14, 0.26, 0.38, 0.49, 0.51, 0.62, 0.74, 0.86, 0.98])  # of rows and columns: all quadrants
 
@@ -32,10 +32,10 @@ Posts = tuple[np.ndarray, np.ndarray, np.ndarray]  # longitude and latitude in d
 
 
 def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
-    """Undulations of a geoid grid, added to heights (or taken from depths), and the longitude in deg that it starts at.
+    """Transformer that adds a geoid grid's undulations (subtracts, for depths), and the grid's first longitude in deg.
 
-    The transformer takes longitudes from there on, up to a turn more, and latitudes in deg, as WGS 84's. Raises
-    `VerticalDatumError` for a file that PROJ cannot read, or one whose own posts it does not give back.
+    Takes longitudes from there on, up to 360 deg more, and latitudes in deg, as of WGS 84. Raises
+    `VerticalDatumError` for a file that PROJ cannot read, or one whose posts PROJ does not reproduce.
     """
     check_regular(path, VerticalDatumError)
     if not path.is_file():
@@ -63,9 +63,9 @@ def grid_by_path(path: pathlib.Path, depths: bool) -> tuple[Transformer, float]:
 
 
 def check_grids_of(transformer: Transformer) -> None:
-    """Raises `VerticalDatumError` for an operation of PROJ with a geoid grid whose own posts PROJ does not give back.
+    """Raises `VerticalDatumError` for a PROJ operation with a geoid grid whose posts PROJ does not reproduce.
 
-    Such are global grids from 0 to 360 deg in which the first meridian stands again at the end: PROJ 9 reads them one
+    This affects global grids from 0 to 360 deg that repeat the first meridian at the end: PROJ 9 reads them one
     column off at west longitudes.
     """
     for path in _grids_of(transformer):
@@ -78,7 +78,7 @@ def check_grids_of(transformer: Transformer) -> None:
 
 
 def _grids_of(transformer: Transformer) -> list[pathlib.Path]:
-    """The files of vertical grids that an operation takes and that are not the package's own."""
+    """The vertical grid files that an operation uses, without the package's own."""
     names = {
         name.strip().lstrip("@")
         for listed in re.findall(r"proj=vgridshift\b[^+]*?\bgrids=(\S+)", transformer.definition.replace("+", ""))
@@ -89,7 +89,7 @@ def _grids_of(transformer: Transformer) -> list[pathlib.Path]:
 
 
 def _look_up(path: pathlib.Path, over: str, last: str = "") -> Transformer:
-    """The sum of a height and the grid's value there, from and to deg; `last` is a step that comes before it."""
+    """The sum of a height and the grid's value, from and to deg; `last` is a step that precedes it."""
     return Transformer.from_pipeline(
         f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {last}"
         f'+step +proj=vgridshift +grids="{path.resolve()}" +multiplier=1 {over} '
@@ -99,8 +99,8 @@ def _look_up(path: pathlib.Path, over: str, last: str = "") -> Transformer:
 
 @functools.lru_cache(maxsize=64)
 def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) -> str | None:
-    """Where PROJ is farthest from the grid's own posts, in words; None if it gives them back."""
-    del stamp  # part of the key only: another time or size is another file
+    """Message with the largest difference between PROJ and the grid's posts; None if they agree."""
+    del stamp  # only part of the cache key: a changed time or size means a changed file
     lon, lat, own = _posts(path)
     shown = _look_up(path, over).transform(wrapped(lon, west), lat, np.zeros(own.shape))[2]
     if not np.isfinite(shown).any():
@@ -114,7 +114,7 @@ def _largest_difference(path: pathlib.Path, stamp: Any, over: str, west: float) 
 
 
 def _posts(path: pathlib.Path) -> Posts:
-    """Posts of a grid all over it, those of the finest part where there are several. Raises `VerticalDatumError`."""
+    """Posts across a grid, of the finest part where there are several. Raises `VerticalDatumError`."""
     try:
         with _opened(str(path)) as data:
             parts = data.subdatasets or [str(path)]
@@ -125,7 +125,7 @@ def _posts(path: pathlib.Path) -> Posts:
         ) from error
     lon, lat, own = (np.concatenate(one) for one in zip(*(posts for posts, _ in found), strict=True))
     within = np.stack([_is_within(lon, lat, box) for _, box in found])
-    lon, lat, own = (one[within.sum(axis=0) <= 1] for one in (lon, lat, own))  # elsewhere PROJ takes the finer part
+    lon, lat, own = (one[within.sum(axis=0) <= 1] for one in (lon, lat, own))  # elsewhere PROJ uses the finer part
     if not own.size:
         raise VerticalDatumError(f"vertical_datum: the geoid grid {path} has no value at any of the posts looked at.")
     return lon, lat, own
@@ -158,7 +158,7 @@ def _posts_of(name: str) -> tuple[Posts, tuple[float, float, float, float]]:
 
 
 def _first_longitude(path: pathlib.Path) -> float:
-    """Of the grid's first column, deg; -180 where no header says it, which the check of its posts then refuses."""
+    """Longitude of the grid's first column, deg; -180 if no header states it, which the check of its posts refuses."""
     try:
         with _opened(str(path)) as data:
             step = abs(data.transform.a)
@@ -177,7 +177,7 @@ def _is_within(lon: np.ndarray, lat: np.ndarray, box: tuple[float, float, float,
 
 
 def wrapped(lon_deg: np.ndarray, west: float) -> np.ndarray:
-    """Longitudes in deg from `west` on, up to a turn more."""
+    """Longitudes in deg wrapped to [`west`, `west` + 360)."""
     return np.mod(lon_deg - (west - EDGE), 360.0) + (west - EDGE)
 
 

@@ -1,4 +1,4 @@
-"""A camera as a caller gives it: a lens in a few words, a camera file, a name, or a `FrameCamera`."""
+"""Camera arguments: a lens as text, a camera file, a table name, or a `FrameCamera`."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ FORMS = (
 UNITS = {"focal": ("mm", "px"), "pitch": ("um",), "sensor": ("mm",), "size": ("",)}
 AS_GIVEN = "The camera is taken as it is given, without error: interior orientation errs only if that is said too."
 AS_READ = "Cameras are taken as the file has them, without error: interior orientation errs only if that is said too."
-CLOSE = 0.005  # by which the scales along columns and rows may differ where an image was made smaller
+CLOSE = 0.005  # relative tolerance between the scales of columns and rows of resized images
 _VALUE = re.compile(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)\s*", re.ASCII)
 
 
 @dataclasses.dataclass(frozen=True)
 class Lens:
-    """Focal length in mm, with pixel size in um or sensor width in mm; or in pixels; perhaps an image size."""
+    """Focal length in mm, with pixel size in um or sensor width in mm; or in pixels; optionally an image size."""
 
     focal_mm: float | None = None
     focal_px: float | None = None
@@ -35,7 +35,7 @@ class Lens:
     size: tuple[int, int] | None = None
 
     def focal_at(self, width: int, full_width: int) -> float:
-        """Focal length in pixels of an image `width` pixels wide, as a copy of one of the camera's `full_width`."""
+        """Focal length in pixels of an image `width` pixels wide, resized from the camera's `full_width`."""
         if self.focal_px is not None:
             return self.focal_px
         assert self.focal_mm is not None
@@ -46,9 +46,9 @@ class Lens:
 
 
 def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | Lens | str:
-    """A lens from text with "=", a camera from a file that ends in .toml, else the text as a name.
+    """Parse a camera: a lens from text with "=", a camera from a .toml file, else a name.
 
-    Raises `TableError` for a lens that is none, `SceneError` for a file, `FileNotFoundError`.
+    Raises `TableError` for an invalid lens, `SceneError` for a file, `FileNotFoundError`.
 
     >>> from jaxgeo.io.given_camera import given_camera
     >>> lens = given_camera("focal=8.8mm,pitch=2.41um")
@@ -66,7 +66,7 @@ def given_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera | 
 
 
 def is_a_name(camera: Any) -> bool:
-    """Whether a camera is given by the name of one of several."""
+    """Whether a camera is given by a name."""
     return isinstance(camera, str) and "=" not in camera and not camera.lower().endswith(".toml")
 
 
@@ -108,13 +108,13 @@ def _wrong(text: str, reason: str) -> TableError:
 
 
 def frame_camera(lens: Lens, width: int, height: int, full_width: int | None = None) -> FrameCamera:
-    """The camera of a lens for images of a size, its principal point in their middle, free of distortion."""
+    """The camera of a lens for an image size: principal point at the centre, no distortion."""
     focal = lens.focal_at(width, full_width or width)
     return FrameCamera.from_pixels(focal_px=focal, width=width, height=height)
 
 
 def whole_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera:
-    """A camera with its image size, for files that do not state it. Raises `TableError` where a lens has none."""
+    """A camera with its image size, for files that lack it. Raises `TableError` if a lens has none."""
     given = given_camera(camera)
     if isinstance(given, FrameCamera):
         return given
@@ -127,7 +127,7 @@ def whole_camera(camera: FrameCamera | str | os.PathLike[str]) -> FrameCamera:
 
 
 def resized(camera: FrameCamera, width: int, height: int) -> FrameCamera | None:
-    """A camera for copies of its images at another size; None where these have another shape."""
+    """A camera for resized copies of its images; None if their aspect ratio differs."""
     across, down = width / camera.width, height / camera.height
     if abs(across / down - 1.0) > CLOSE:
         return None

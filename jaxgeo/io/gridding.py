@@ -1,4 +1,4 @@
-"""The grid of a file's map: exact where the map allows it, otherwise polynomials fitted to PROJ."""
+"""Grid of a file's map projection: exact if available, otherwise Chebyshev polynomials fitted to PROJ."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from jaxgeo.io.errors import DemError
 from jaxgeo.io.mapping import FileMap, MapError, measure
 from jaxgeo.terrain.grid import AbstractGrid, FittedGrid, GeographicGrid, TransverseMercatorGrid
 
-EXACT = 1e-4  # m; an exact grid must agree with PROJ to this, or it is not the file's map
+EXACT = 1e-4  # m; an exact grid must agree with PROJ to this, otherwise it is rejected
 FITTED = 1e-3  # m and cells; the largest error that a fitted grid may have
-DEGREES = (4, 8, 12, 16, 20)  # few, since each is a shape that JAX compiles for
-ROOM = 50_000.0  # m; a fit covers at least this much around the centre, so that rays come in over mapped ground
+DEGREES = (4, 8, 12, 16, 20)  # few, since JAX compiles for each
+ROOM = 50_000.0  # m; minimum half width of a fit around the centre, so that rays enter over mapped ground
 
 
 def make_grid(name: str, mapping: FileMap) -> tuple[AbstractGrid, MapError]:
-    """The grid of a file: exact where the map allows it, otherwise fitted, held against PROJ. Raises `DemError`."""
+    """The grid of a file: exact if available, otherwise fitted; verified against PROJ. Raises `DemError`."""
     for exact in _exact_candidates(mapping):
         error = measure(exact, mapping)
         if error.worst <= EXACT:
@@ -52,15 +52,15 @@ def _exact_candidates(mapping: FileMap) -> list[AbstractGrid]:
         ellipsoid=Ellipsoid(a=float(ellipsoid.semi_major_metre), f=float(f)),
     )
     unit = crs.axis_info[0].unit_conversion_factor
-    if conversion.method_code == "9808":  # south-orientated: westings and southings
+    if conversion.method_code == "9808":  # south-orientated: westing and southing axes
         unit = -unit
     return [TransverseMercatorGrid.from_affine(projection, tuple(unit * x for x in mapping.affine), mapping.shape)]
 
 
 def fit(name: str, mapping: FileMap) -> tuple[FittedGrid, MapError]:
-    """Chebyshev polynomials in the tangent plane, their degree raised until the error measured on fresh posts is small.
+    """Chebyshev polynomials in the tangent plane; the degree rises until the error on independent posts is small.
 
-    The area fitted is that of the file and `ROOM` around its centre, where PROJ maps that too. Raises `DemError`.
+    The fit covers the file and `ROOM` around its centre, where PROJ maps that too. Raises `DemError`.
     """
     smallest = np.inf
     for room in (ROOM, 0.0):
@@ -91,7 +91,7 @@ def fit(name: str, mapping: FileMap) -> tuple[FittedGrid, MapError]:
 
 @dataclasses.dataclass(frozen=True)
 class _Frame:
-    """Where a fit lives: the tangent frame, and half widths in the plane and in (row, col)."""
+    """Domain of a fit: the tangent frame, and half widths in the plane and in (row, col)."""
 
     rowcol0: np.ndarray
     R_enu_from_ecef: np.ndarray
@@ -99,7 +99,7 @@ class _Frame:
     rowcol_half: np.ndarray
 
     def plane_at(self, mapping: FileMap, rowcol: np.ndarray) -> np.ndarray:
-        """Plane coordinates (n, 2) of (row, col); not finite where PROJ has no place, or one beyond the horizon."""
+        """Plane coordinates (n, 2) of (row, col); not finite where PROJ fails or beyond the horizon."""
         enu = unit_normals(*mapping.lonlat(rowcol[:, 0], rowcol[:, 1])) @ self.R_enu_from_ecef.T
         return enu[:, :2] / np.where(enu[:, 2:] > 0.1, enu[:, 2:], np.nan)
 
@@ -130,7 +130,7 @@ def _frame(name: str, mapping: FileMap, room: float) -> _Frame:
 def _fitted(mapping: FileMap, frame: _Frame, degree: int) -> np.ndarray | None:
     """Coefficients (degree + 1, degree + 1, 4) of (row, col) in the plane and of the plane in (row, col).
 
-    By least squares on Chebyshev nodes, all in units of the half widths; None where PROJ does not map the whole area.
+    Least squares on Chebyshev nodes, in units of the half widths; None if PROJ does not map the whole area.
     """
     t = np.cos(np.pi * (np.arange(2 * degree + 2) + 0.5) / (2 * degree + 2))
     nodes = np.stack(np.meshgrid(t, t, indexing="ij"), -1).reshape(-1, 2)
@@ -147,7 +147,7 @@ def _fitted(mapping: FileMap, frame: _Frame, degree: int) -> np.ndarray | None:
 
 
 def _rough_error(mapping: FileMap, frame: _Frame, both: np.ndarray | None) -> float:
-    """Largest error in m of a fit over a lattice of posts between the nodes, both ways; infinite without a fit."""
+    """Largest error in m of a fit on a lattice of posts between the nodes, both ways; infinite without a fit."""
     if both is None:
         return np.inf
     u, v = np.meshgrid(np.linspace(0.0, 2.0, 38), np.linspace(0.0, 2.0, 38))

@@ -1,4 +1,4 @@
-"""Units of heights: how files and callers spell them, and what holds where several places state one."""
+"""Height units: spellings in files and options, and precedence where several are stated."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _SPELLINGS = {
     "footussurvey feetussurvey ftussurvey usft1893 sft",
 }
 UNITS = {word: metres for metres, words in _SPELLINGS.items() for word in words.split()}
-"""m per unit by its name, of which only letters and digits in lower case are kept."""
+"""m per unit by its name, reduced to letters and digits in lower case."""
 ALIKE = 1e-9  # relative; a US survey foot differs from the international one by 2e-6
 
 
 def metres_in(name: str) -> float | None:
-    """m per unit of height of that name, however it is spelt; None if the unit is not known."""
+    """m per unit of height for a name in any spelling; None if unknown."""
     return UNITS.get(re.sub(r"[^a-z0-9]", "", name.lower()))
 
 
 def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None) -> float:
-    """m per unit of a tile's heights: by the caller, the band, the file's vertical CRS or the datum asked for; else 1.
+    """m per unit of a tile's heights: by the caller, the band, the file's vertical CRS or the given datum; else 1.
 
-    A horizontal CRS in feet whose heights' unit nobody states is refused, as is a file that contradicts itself.
+    Raises for a horizontal CRS in feet without a stated height unit, and for a file that contradicts itself.
     """
     by_crs = unit_of_crs(tile.crs)
     if height_unit is not None:
@@ -54,7 +54,7 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
         return by_band
     if by_crs is not None:
         return by_crs
-    if by_datum is not None and by_datum != 1.0:  # a datum in metres does not determine a map in feet
+    if by_datum is not None and by_datum != 1.0:  # a datum in metres does not settle the unit of a map in feet
         return by_datum
     if not tile.is_geographic and tile.map_unit != 1.0:
         name = horizontal_part(tile.crs).axis_info[0].unit_name
@@ -65,12 +65,12 @@ def metres_per_unit(tile: Tile, height_unit: str | None, by_datum: float | None)
 
 
 def unit_of_crs(crs: pyproj.CRS) -> float | None:
-    """m per unit of a CRS's vertical axis, that of a system named "unknown" included; None without such an axis."""
+    """m per unit of a CRS's vertical axis, also of one named "unknown"; None without such an axis."""
     return vertical_unit(vertical_part(crs, unnamed=True))
 
 
 def stated_unit(tile: Tile) -> float | str | None:
-    """m per unit as a file states it for its heights, the band's word first; the word itself if it is not known."""
+    """m per unit of a file's heights as stated, by the band first; the text itself if the unit is unknown."""
     if tile.unit:
         known = metres_in(tile.unit)
         return tile.unit if known is None else known
@@ -78,14 +78,14 @@ def stated_unit(tile: Tile) -> float | str | None:
 
 
 def alike(a: float | str | None, b: float | str | None) -> bool:
-    """Whether two units, as `stated_unit` gives them, are the same."""
+    """Whether two units from `stated_unit` are equal."""
     if isinstance(a, float) and isinstance(b, float):
         return abs(a / b - 1.0) <= ALIKE
     return a == b
 
 
 def unit_shown(unit: float | str | None) -> str:
-    """A unit, as `stated_unit` gives it, for messages."""
+    """A unit from `stated_unit`, for messages."""
     if unit is None:
         return "no unit"
     if isinstance(unit, str):

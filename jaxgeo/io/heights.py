@@ -1,4 +1,4 @@
-"""From what a file stores to heights above the WGS 84 ellipsoid, post by post, and what is refused on the way."""
+"""Conversion of stored raster values to heights above the WGS 84 ellipsoid, with range checks."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ POSSIBLE_HEIGHTS = (-11_200.0, 9_100.0)  # m; from below the deepest trench to a
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """Files, and all that turns what they store into ellipsoidal heights; rows and columns count from `window`'s first.
+    """Files with their map and vertical datum; rows and columns count from the first post of `window`.
 
-    `window` is the part of the mosaic meant, counted from its first tile's first post; `mapping` is the map of that
+    `window` is the selected part of the mosaic, counted from its first tile's first post; `mapping` is the map of that
     part.
     """
 
@@ -47,7 +47,7 @@ class Source:
 
     @property
     def unused_nodata(self) -> tuple[float, ...]:
-        """Values given for voids that no post read so far holds, and no tag of a file names."""
+        """Given void values that no post read so far has, and no file tag names."""
         tags = {tile.nodata for tile in self.mosaic.tiles} | self.mosaic.marks_found
         return tuple(mark for mark in self.nodata if mark not in tags and not math.isnan(mark))
 
@@ -57,19 +57,19 @@ class Source:
         return self.mosaic.name
 
     def stored(self, part: Window, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What the files hold at a part of this source, in their unit, and which posts are void."""
+        """Stored values of a part of this source, in the file's unit, and the void mask."""
         place = part.moved(self.window.row, self.window.col)
         return self.mosaic.read(dataclasses.astuple(place), files)
 
     def heights(self, part: Window, dtype: np.dtype, files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Heights above the ellipsoid in m of a part of this source, zero over voids, and the voids."""
+        """Heights above the ellipsoid in m of a part of this source, zero over voids, and the void mask."""
         values, void = self.stored(part, files)
         return self.ellipsoidal(part, values, void, dtype), void
 
     def closed(self) -> Source:
-        """The same with a column more than a turn at either end, if its columns go all round the Earth.
+        """The source with one column beyond a full turn at either end, if its columns span all longitudes.
 
-        The seam of longitudes then lies within cells that both ends hold, and rays that cross it go on at the other.
+        The longitude seam is then within cells at both ends, and rays that cross it continue at the other end.
         """
         turn, (rows, cols) = self.mosaic.first.cols_per_turn, self.window.shape
         if turn is None or cols < turn:
@@ -96,7 +96,7 @@ def open_source(
     bounds: Bounds | None = None,
     reach: Reach = HERE,
 ) -> Source:
-    """The headers of files, the map and the vertical datum of the part within `bounds`; no post is read."""
+    """Open files: headers, map and vertical datum of the part within `bounds`; reads no posts."""
     mosaic = open_tiles(paths, band, reach)
     mapping, window = _part(mosaic, bounds, assume_wgs84)
     shift = _shift(mosaic, mapping, vertical_datum)
@@ -106,7 +106,7 @@ def open_source(
 
 
 def check_nodata_used(source: Source, known: tuple[float, float] | None) -> None:
-    """Raises `DemError` where a value given for voids marks no post of a source that was read as a whole.
+    """Raises `DemError` for a given void value that marks no post of a fully read source.
 
     `known` is the (lowest, highest) known height in m above the ellipsoid.
     """
@@ -122,7 +122,7 @@ def check_nodata_used(source: Source, known: tuple[float, float] | None) -> None
 
 
 def _part(mosaic: Mosaic | Zones, bounds: Bounds | None, assume_wgs84: bool) -> tuple[FileMap, Window]:
-    """The map and the window, counted from the first tile's first post, of what is to be read."""
+    """The map and the window to read, counted from the first tile's first post."""
     first, name, whole = mosaic.first, mosaic.name, Window(*mosaic.bounds())
     mapping = file_map(name, horizontal_part(first.crs), first.affine[:6], first.shape, assume_wgs84=assume_wgs84)
     mapping = mapping.window(whole.row, whole.col, whole.shape)
@@ -153,7 +153,7 @@ def _shift(mosaic: Mosaic | Zones, mapping: FileMap, asked: VerticalDatum) -> He
 def _ellipsoidal(
     name: str, values: np.ndarray, void: np.ndarray, mapping: FileMap, shift: HeightShift, dtype: np.dtype
 ) -> np.ndarray:
-    """Heights above the ellipsoid, post by post; zero over voids."""
+    """Heights above the ellipsoid for each post; zero over voids."""
     if dtype.kind not in "fiu" or dtype == np.float16:
         raise DemError(f"{name}: dtype={dtype} cannot hold heights; use float64, float32 or an integer type.")
     heights = np.zeros(values.shape, dtype)
@@ -176,7 +176,7 @@ def _ellipsoidal(
 
 
 def _shifted(name: str, height: np.ndarray, shifted: np.ndarray, shift: HeightShift) -> np.ndarray:
-    """Heights above the ellipsoid, unless those above the datum are farther off than any geoid."""
+    """Heights above the ellipsoid; refused if they differ from those above the datum by more than any geoid."""
     with np.errstate(invalid="ignore"):
         too_far = np.abs(shifted - height) > LARGEST_UNDULATION
     if too_far.any():

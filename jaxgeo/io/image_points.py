@@ -1,4 +1,4 @@
-"""Measured image points of a block as a table: CSV, in pixels."""
+"""Image point measurements of a block as a CSV table, in pixels."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from jaxgeo.io.tables import PIXEL_COLUMNS
 
 SIGMA: Limits = (1e-9, 1e6, "pixels")
 BOTH_AXES, EACH_AXIS = "sigma_px", ("sigma_u_px", "sigma_v_px")
-DECIMALS = 6  # of pixels
+DECIMALS = 6  # of coordinates in pixels
 
 
 class _Measurements(CsvTable):
-    """A table whose errors name image and point too."""
+    """A table whose errors also name image and point."""
 
     def wrong(self, index: int, name: str, reason: str) -> TableError:
         image, point = (self.cells[index][self.header.index(key)].strip() for key in ("image", "point"))
@@ -32,14 +32,14 @@ class _Measurements(CsvTable):
 
 
 def read_image_points(path: str | os.PathLike[str], *, images: Collection[str] | None = None) -> ImagePoints:
-    """The image points of a CSV file, one in each row.
+    """Read image points from a CSV file, one per row.
 
-    Columns: `image` and `point`, names; `u` and `v`, column and row in pixels with pixel centres at integers; where
-    they are known `sigma_px`, or `sigma_u_px` and `sigma_v_px`, standard deviations, else 1 pixel. Other columns are
-    passed over. `images` are the names of a block, if no other may stand in the file.
+    Columns: `image` and `point`, names; `u` and `v`, column and row in pixels with pixel centres at integers;
+    optionally `sigma_px`, or `sigma_u_px` and `sigma_v_px`, standard deviations, else 1 pixel. Other columns are
+    ignored. `images` are the names of a block, if no others are allowed.
 
-    Raises `TableError` (row, image and point named) for columns that are missing, cells that are unknown, no number or
-    out of range, names that are empty, a point that is measured twice in an image, an image that is none of `images`;
+    Raises `TableError` (row, image and point named) for missing columns, cells that are unknown, not numbers or
+    out of range, empty names, a point measured twice in an image, an image that is not in `images`;
     `FileNotFoundError`.
     """
     table = _Measurements(**vars(read_csv(path, "table of image points", ("image", "point", *PIXEL_COLUMNS))))
@@ -54,9 +54,9 @@ def read_image_points(path: str | os.PathLike[str], *, images: Collection[str] |
 
 
 def write_image_points(path: str | os.PathLike[str], points: ImagePoints) -> None:
-    """Image points as a CSV file that `read_image_points` reads, to 1e-6 pixels.
+    """Write image points to a CSV file that `read_image_points` reads, to 1e-6 pixels.
 
-    The file appears when all is written. Raises `ValueError` for a path that cannot be written to.
+    The file appears only when complete. Raises `ValueError` for a path that cannot be written to.
     """
     check_is(points, ImagePoints, "points")
     same = bool(np.all(points.sigma[:, 0] == points.sigma[:, 1]))
@@ -70,7 +70,7 @@ def write_image_points(path: str | os.PathLike[str], points: ImagePoints) -> Non
 
 
 def _sigma_columns(table: CsvTable) -> list[str]:
-    """The columns of standard deviations that a table has: none, one for both axes, or two."""
+    """The standard deviation columns of a table: none, one for both axes, or two."""
     both, each = BOTH_AXES in table.header, [name for name in EACH_AXIS if name in table.header]
     if both and each:
         raise TableError(f"{table.path}: columns {BOTH_AXES} and {each[0]} say the same; leave one out.")

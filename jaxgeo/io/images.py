@@ -1,4 +1,4 @@
-"""Images as arrays: bands of a raster file in the file's own type, and where there is an image at all."""
+"""Image reader: bands of a raster file in its own dtype, and the mask of known pixels."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.sensor.camera import AbstractCamera
 
 Bands = int | Sequence[int] | Any | None
-BESIDE_VALUES = 3  # bytes a pixel: whether it is known, by a mask and by its values
-CLOSE = 0.005  # by which the ratios of sides may differ where an image is the camera's at another size
+BESIDE_VALUES = 3  # bytes per pixel for the masks of known pixels
+CLOSE = 0.005  # relative tolerance of the aspect ratio of resized images
 
 
 def read_image(
     path: str | os.PathLike[str], bands: Bands = None, *, allow_remote: bool = False, allow_outside: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An image as the camera took it: values (bands, rows, cols) in the file's dtype, and where known (rows, cols).
+    """An image in sensor orientation: values (bands, rows, cols) in the file's dtype, and known pixels (rows, cols).
 
-    `bands` count from 1; by default all but an alpha band. A pixel is unknown where a mask or an alpha band says so,
-    where all colours have the nodata value of the file, and where a value is NaN or infinite, which is then read as
+    `bands` count from 1; by default all but an alpha band. A pixel is unknown where a mask or an alpha band marks it,
+    where all colours have the file's nodata value, and where a value is NaN or infinite, which is then read as
     zero. A dark pixel, zero in one band of several, is known.
 
-    What the file says of a map is passed over: frames often carry a rough or wrong geotransform. So is a flag of EXIF
-    or TIFF that the image is to be turned, since pixels are counted as the sensor has them.
+    Georeferencing in the file is ignored: frames often carry a rough or wrong geotransform. So is an orientation flag
+    of EXIF or TIFF, since pixels are counted in the sensor's axes.
 
     `allow_remote` and `allow_outside`: as in `read_dem`.
 
-    Raises `ImageError` for a folder, a file that is no image, or is damaged, bands that are not there, complex numbers,
-    a palette, and an image of which nothing is known; `FileNotFoundError`.
+    Raises `ImageError` for a folder, a file that is damaged or not an image, missing bands, complex numbers,
+    a palette, and an image without known pixels; `FileNotFoundError`.
     """
     name = os.fspath(path)
     with opened(name, Reach(allow_remote, allow_outside)) as data, refused_as(ImageError, name, "it"):
@@ -50,7 +50,7 @@ def read_image(
 def check_size(name: str, shape: Sequence[int], camera: AbstractCamera | Any) -> None:
     """Raises `ImageError` unless an image (..., rows, cols) has the size of a camera; `name` is the file's.
 
-    Cameras that have no size take any image.
+    Cameras without a size accept any image.
     """
     width, height = (getattr(camera, side, None) for side in ("width", "height"))
     rows, cols = shape[-2:]
@@ -69,14 +69,14 @@ def check_size(name: str, shape: Sequence[int], camera: AbstractCamera | Any) ->
 
 
 def opened(name: str, reach: Reach = HERE) -> DatasetReader:
-    """An image file, open. Raises as `read_image`."""
+    """Open an image file. Raises as `read_image`."""
     if os.path.isdir(name):
         raise ImageError(f"{name}: this is a folder; give the image in it.")
     return open_raster(name, reach, ImageError, "an image")
 
 
 def chosen_bands(name: str, data: DatasetReader, bands: Bands) -> list[int]:
-    """The numbers of the bands asked for, from 1. Raises `ImageError`."""
+    """The numbers of the requested bands, from 1. Raises `ImageError`."""
     if not data.count:
         inside = f"it holds {len(data.subdatasets)} images; name one: {data.subdatasets[0]}" if data.subdatasets else ""
         raise ImageError(f"{name}: there are no bands; {inside or 'it is no image'}.")
@@ -104,7 +104,7 @@ def chosen_bands(name: str, data: DatasetReader, bands: Bands) -> list[int]:
 def read_bands(
     name: str, data: DatasetReader, bands: Sequence[int], window: Window | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values and where they are known, as `read_image` has them, of a window of an open file. Raises `ImageError`."""
+    """Values and known mask, as in `read_image`, of a window of an open file. Raises `ImageError`."""
     part = _part(window) if window else "it"
     _check_fits(name, data, bands, window)
     with refused_as(ImageError, name, part):
@@ -128,7 +128,7 @@ def read_bands(
 
 
 def _check_fits(name: str, data: DatasetReader, bands: Sequence[int], window: Window | None) -> None:
-    """Raises `ImageError` where the values and where they are known do not fit into memory."""
+    """Raises `ImageError` where values and known mask do not fit into memory."""
     rows, cols = data.shape if window is None else (window.height, window.width)
     each = np.dtype(data.dtypes[bands[0] - 1])
     beside = BESIDE_VALUES + (len(bands) if each.kind == "f" else 0)
@@ -147,7 +147,7 @@ def _part(window: Window) -> str:
 
 
 def _check_bands(name: str, bands: Sequence[int], finite: np.ndarray) -> None:
-    """Raises `ImageError` where some bands, but not all, have no finite value: they would make all pixels unknown."""
+    """Raises `ImageError` if some bands, but not all, have no finite value: they would make all pixels unknown."""
     sound = [band for band, is_finite in zip(bands, finite, strict=True) if is_finite.any()]
     empty = [band for band in bands if band not in sound]
     if not (sound and empty):
@@ -176,12 +176,12 @@ def _numbers(name: str, data: DatasetReader, bands: Bands) -> list[int]:
 
 
 def _colours(data: DatasetReader) -> list[int]:
-    """The bands that are no alpha."""
+    """The bands that are not alpha."""
     return [band for band, kind in zip(data.indexes, data.colorinterp, strict=True) if kind != ColorInterp.alpha]
 
 
 def _known(data: DatasetReader, window: Window | None) -> np.ndarray:
-    """Where there is an image: nodata must be in all colours, whichever of them are read."""
+    """Known pixels: nodata must be in all colours, whichever of them are read."""
     shape = data.shape if window is None else (window.height, window.width)
     known = np.zeros(shape, bool)
     for band in _colours(data) or data.indexes:
@@ -189,6 +189,6 @@ def _known(data: DatasetReader, window: Window | None) -> np.ndarray:
         if MaskFlags.nodata not in data.mask_flag_enums[band - 1]:  # one mask for all, or none
             break
     for band, kind in zip(data.indexes, data.colorinterp, strict=True):
-        if kind == ColorInterp.alpha:  # GDAL's own mask heeds it for 8- and 16-bit files only
+        if kind == ColorInterp.alpha:  # GDAL's mask uses it for 8- and 16-bit files only
             known &= data.read(band, window=window) != 0
     return known

@@ -1,7 +1,7 @@
-"""Limits on what is read from one file: how much, how deep, how many. `docs/limits.md` lists them.
+"""Limits on the size, depth and counts read from one file. `docs/limits.md` lists them.
 
-Files come from cameras, other programs and strangers. Each limit lies far beyond what such files hold, and stops one
-that would take hours or all memory. A refusal names the limit, what the file has, and what to do.
+Input files are untrusted. Each limit is far above real data and stops files that would take hours or all memory. An
+error names the limit, the file's value, and the remedy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ MIB, GIB = 2**20, 2**30
 
 @dataclass(frozen=True)
 class Limit:
-    """The `most` of `what` that a file may have, `why`, and what to do with a file that has more (`remedy`)."""
+    """The maximum (`most`) of a quantity (`what`) in a file, `why`, and the `remedy` for a file that exceeds it."""
 
     name: str
     most: int
@@ -25,12 +25,12 @@ class Limit:
     remedy: str
 
     def refusal(self, where: object, found: Any, error: type[RefusedFile] = TableError) -> RefusedFile:
-        """The error of a file that has more; `found` is how many, or None where that is not known."""
+        """The error for a file that exceeds the limit; `found` is its value, or None if unknown."""
         has = f"more than {self.most:,}" if found is None else f"{found:,}"
         return error(f"{where}: {has} {self.what}, and at most {self.most:,} are read ({self.name}); {self.remedy}.")
 
     def check(self, where: object, found: int, error: type[RefusedFile] = TableError) -> None:
-        """Raises `error`, a kind of `RefusedFile`, where there are more."""
+        """Raises `error`, a subclass of `RefusedFile`, if the limit is exceeded."""
         if found > self.most:
             raise self.refusal(where, found, error)
 

@@ -1,4 +1,4 @@
-"""Crowds of rays over terrain that stays on disk: rays that lie close together share a window."""
+"""Batched ray intersection with a DEM on disk: nearby rays share one window."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
 from jaxgeo.terrain.search.base import CEILING_MARGIN
 
-WORTH_SPLITTING = 1_000_000  # posts: below, one window is as good as two
-SAVING = 0.6  # share of a window's posts that its two halves may hold, if it is to be split
+WORTH_SPLITTING = 1_000_000  # posts: smaller windows are not split
+SAVING = 0.6  # largest share of a window's posts in its two halves for a split
 
 Batch = tuple[np.ndarray, Window, bool]
-"""Which rays, their window, and whether it needs the whole mosaic's ceiling."""
+"""Ray indices, their window, and whether it needs the whole mosaic's ceiling."""
 
 
 def intersect_files(rays: Ray, files: DemFiles, *, max_posts: int = MAX_POSTS) -> Fix:
-    """Where rays first meet terrain that stays on disk: what `intersect` says over the whole mosaic, ray by ray.
+    """First intersections of rays with a DEM on disk, the same as `intersect` over the whole mosaic, ray by ray.
 
-    `rays` is one `Ray` or a batch of any shape, ECEF, with unit directions; the `Fix` has that shape, each ray its
-    status. Rays that lie close together are answered together, over windows of at most `max_posts`, one after another,
-    their arrays padded to at most 2.25 times that (or 1024 x 1024): memory is bounded by that and the rays. An answer
-    does not depend on which rays share its window, but for rounding.
+    `rays` is one `Ray` or a batch of any shape, ECEF, with unit directions; the `Fix` has that shape, and a status for
+    each ray. Nearby rays are computed together, over windows of at most `max_posts`, one after another,
+    their arrays padded to at most 2.25 times that (or 1024 x 1024): this and the rays bound the memory. Except for
+    rounding, a result does not depend on which rays share its window.
 
-    Not for use inside `jit` or for derivatives: for these take `files.corridor(rays)` and `intersect`.
+    Not for use inside `jit` or for derivatives: for these use `files.corridor(rays)` and `intersect`.
     Raises `DemError` if a single ray needs more than `max_posts`, or a file cannot be read; `ValueError` for shapes;
     `TypeError` on float32.
     """
@@ -71,7 +71,7 @@ def locate_files(
     time: ArrayLike | None = None,
     max_posts: int = MAX_POSTS,
 ) -> Fix:
-    """The ground points that pixels `uv` (..., 2) = (column, row) of one image see, over terrain that stays on disk.
+    """Ground points of pixels `uv` (..., 2) = (column, row) of one image, over a DEM on disk.
 
     As `locate` for each pixel, of a shot or of the image at `time` on a trajectory; with the limits and errors of
     `intersect_files`.
@@ -102,7 +102,7 @@ def _lines_of_sight(
 
 
 def _no_answers(count: int) -> Any:
-    """A fix of NumPy arrays to be filled in."""
+    """An unfilled fix of NumPy arrays."""
     nan = lambda *shape: np.full((count, *shape), np.nan)  # noqa: E731
     position = Geodetic(lat=nan(), lon=nan(), height=nan())
     status = np.full(count, Status.invalid_input.value, np.int8)
@@ -110,7 +110,7 @@ def _no_answers(count: int) -> Any:
 
 
 def _answer(rays: Ray, files: DemFiles, max_posts: int, first: int, answers: Fix) -> None:
-    """Fill in the answers of a part of the rays, which begins at `first`."""
+    """Compute the results for a part of the rays, which begins at `first`."""
     count = len(rays.origin)
     length = np.linalg.norm(rays.direction, axis=1)
     with np.errstate(invalid="ignore"):
@@ -140,7 +140,7 @@ def _put(answers: Fix, where: np.ndarray, fix: Fix) -> None:
 
 
 def _beside(rays: Ray, files: DemFiles, is_open: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of rays that cross the mosaic's own edge: which leave it above its ceiling, and which then may miss it."""
+    """Of rays that cross the mosaic's own edge: which leave it above its ceiling, and which of these may miss it."""
     index = np.flatnonzero(is_open)
     some = Ray(rays.origin[index], rays.direction[index])
     exists, is_over, was_over = comes_in(
@@ -152,7 +152,7 @@ def _beside(rays: Ray, files: DemFiles, is_open: np.ndarray) -> tuple[np.ndarray
 
 
 def _batches(which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: int, first: int) -> Iterator[Batch]:
-    """Rays in groups, each with a window that is not too large; rays that need none are left out."""
+    """Groups of rays, each with a window that is not too large; rays that need none are left out."""
     middles = _middles(path)
     waiting = [which] if which.size else []
     while waiting:
@@ -170,13 +170,13 @@ def _batches(which: np.ndarray, path: Sightlines, files: DemFiles, max_posts: in
 
 
 def _middles(path: Sightlines) -> np.ndarray:
-    """(row, col) of the middle of where each ray may meet the ground, (n, 2)."""
+    """(row, col) of the centre of the region where each ray may hit the ground, (n, 2)."""
     weight = path.touches[..., None] + 1e-9 * path.exists[:, None, None]
     return (weight * 0.5 * (path.low + path.high)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
 
 
 def _halves(index: np.ndarray, middles: np.ndarray) -> list[np.ndarray]:
-    """Rays cut in two groups of one size across the direction in which they spread farther."""
+    """Rays split in two groups of equal size across the direction of their larger spread."""
     axis = int(np.argmax(np.ptp(middles[index], axis=0)))
     order = index[np.argsort(middles[index, axis], kind="stable")]
     return [np.sort(half) for half in np.array_split(order, 2)]

@@ -1,4 +1,4 @@
-"""Rasters on a map: CRS, transform and shape as a caller asks for them, the rest derived from the visible area."""
+"""Map raster definition: CRS, transform and shape from the caller, or derived from the visible area."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
-LATTICE = 65  # pixels along a side of the image, or places along one of a terrain, by which its extent is found
-MARGIN = 0.01  # of the extent, by which it is widened: between the pixels of the lattice it may reach farther
-MOST_CELLS = 4_000_000  # of a raster at a terrain's spacing, where nobody named the resolution
-MOST_WRITTEN = 2**36  # cells of a file: hours of work; somewhat later GDAL gives up
+LATTICE = 65  # samples per side of the image or terrain, to find the extent
+MARGIN = 0.01  # of the extent: margin, since the edge between lattice pixels may reach farther
+MOST_CELLS = 4_000_000  # cells of a raster with the terrain's default resolution
+MOST_WRITTEN = 2**36  # cells of a file: hours of work, and close to GDAL's limit
 LONGEST = 2**31 - 1  # cells along a side of a file
-MOST_CELLS_A_PIXEL = 16.0  # the same at an image's sampling: far off, an oblique image covers much with few pixels
-MIDDLE = 64  # meshes of the lattice about the middle of an image whose median is its ground sampling
-DIGITS = 3  # of a resolution that nobody named
+MOST_CELLS_A_PIXEL = 16.0  # limit at an image's GSD: oblique images cover much ground per pixel
+MIDDLE = 64  # lattice meshes at the image centre whose median is the GSD
+DIGITS = 3  # significant digits of a default resolution
 
 
 class MapRaster(NamedTuple):
@@ -46,13 +46,13 @@ class MapRaster(NamedTuple):
 
 
 class Spacing(NamedTuple):
-    """The size in m of cells where nobody named one: its name in words, and how many cells may come of it."""
+    """Default cell size in m: its name as text, and the largest number of cells for it."""
 
     metres: float
     words: str
     most_cells: float
     digits: int | None = None
-    """Significant digits that are kept of the resolution; None for all."""
+    """Significant digits kept of the resolution; None for all."""
 
 
 def raster_of(
@@ -66,10 +66,10 @@ def raster_of(
     how: Mapping[str, Any],
     spacing: Callable[[], Spacing] | None = None,
 ) -> MapRaster:
-    """The raster asked for, with what was left out derived from the visible area.
+    """The requested raster, with missing parts derived from the visible area.
 
-    `how` are options of `locate`, others are passed over; `spacing` is asked where no resolution is named, by default
-    that of the terrain. `name` is the file's, for messages. Raises `ValueError` for what makes no sense.
+    `how` are options of `locate`, others are ignored; `spacing` is called if no resolution is given, by default that
+    of the terrain. `name` is the file's, for messages. Raises `ValueError` for invalid arguments.
     """
     if crs is None and bounds is not None:
         raise ValueError(f"{name}: bounds={bounds!r} are in the unit of a CRS; name it with crs=.")
@@ -100,27 +100,27 @@ def raster_of(
 
 
 def is_too_large(rows: float | int, cols: float | int) -> bool:
-    """Whether no file can be written of so many cells."""
+    """Whether this number of cells is too large for a file."""
     return max(rows, cols) > LONGEST or rows * cols > MOST_WRITTEN
 
 
 def map_of(name: str, raster: MapRaster, *, assume_wgs84: bool = False) -> FileMap:
-    """PROJ's view of a raster, with (row, col) counted from the middles of cells. Raises as `file_map`."""
+    """PROJ's mapping of a raster, with (row, col) counted from cell centres. Raises as `file_map`."""
     a, b, c, d, e, f = raster.transform[:6]
     centred = (a, b, c + (a + b) / 2.0, d, e, f + (d + e) / 2.0)
     return file_map(name, raster.crs, centred, raster.shape, assume_wgs84=assume_wgs84)
 
 
 def grid_of(raster: MapRaster, name: str = "raster") -> AbstractGrid:
-    """Where the middles of a raster's cells lie on the Earth; row and column 0 are those of the first cell's middle.
+    """The grid of a raster's cell centres on the Earth; row and column 0 are those of the first cell's centre.
 
-    Raises `DemError` where PROJ cannot map the raster, or no grid follows it to 1 mm.
+    Raises `DemError` where PROJ cannot map the raster, or no grid matches it to 1 mm.
     """
     return make_grid(name, map_of(name, raster))[0]
 
 
 def checked_target(path: str | os.PathLike[str], what: str) -> pathlib.Path:
-    """Path of the GeoTIFF to write, refused before the work if it cannot be written; `what` it is, for the message."""
+    """Path of the GeoTIFF to write, checked before the computation; `what` names the content in messages."""
     target = pathlib.Path(path)
     if target.suffix.lower() not in (".tif", ".tiff"):
         raise ValueError(f"{target}: {what} is written as a GeoTIFF; name a file that ends in .tif.")
@@ -132,7 +132,7 @@ def checked_target(path: str | os.PathLike[str], what: str) -> pathlib.Path:
 
 
 def terrain_spacing(name: str, terrain: Any) -> Spacing:
-    """The terrain's own."""
+    """The terrain's own post spacing."""
     if not isinstance(terrain, Dem):
         raise ValueError(
             f"{name}: a {type(terrain).__name__} has no spacing; name the size of a cell with resolution=."
@@ -142,9 +142,9 @@ def terrain_spacing(name: str, terrain: Any) -> Spacing:
 
 
 def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]) -> Spacing:
-    """The side of a square as large as what a pixel covers, seen from above, about the middle of the image.
+    """Ground sample distance at the image centre: side of a square with the area of a pixel's horizontal footprint.
 
-    The median over the meshes of a lattice that are nearest to the middle and see ground. Raises `ValueError`.
+    The median over the lattice meshes nearest to the centre that see ground. Raises `ValueError`.
     """
     uv, lon, lat, seen = _seen(sensor, shot, terrain, how)
     if not seen.any():
@@ -166,7 +166,7 @@ def image_spacing(name: str, sensor: Sensor, shot: Any, terrain: AbstractTerrain
 
 
 def checked_crs(name: str, crs: Any) -> pyproj.CRS:
-    """The horizontal part of a CRS that pyproj takes. Raises `ValueError` for one that is no map."""
+    """The horizontal part of a CRS that pyproj takes. Raises `ValueError` for one without map coordinates."""
     try:
         flat = horizontal_part(known_crs(crs))
     except UNKNOWN_CRS as error:
@@ -177,7 +177,7 @@ def checked_crs(name: str, crs: Any) -> pyproj.CRS:
 
 
 def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes and latitudes in deg that the map is to cover, no jump between them."""
+    """Longitudes and latitudes in deg of the area to cover, without a jump between them."""
     if isinstance(shot, Pose):
         if not isinstance(terrain, Dem):
             raise ValueError(f"{name}: a {type(terrain).__name__} has no edge; name the area with crs= and bounds=.")
@@ -197,8 +197,8 @@ def _area(name: str, sensor: Sensor, shot: Any, terrain: Any, how: Mapping[str, 
 def _seen(
     sensor: Sensor, shot: Any, terrain: AbstractTerrain, how: Mapping[str, Any]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels (n, 2) of a lattice over the image, row by row, the longitudes and latitudes in deg that they see, NaN
-    where there is none, and where there is one."""
+    """Pixels (n, 2) of a lattice over the image, row by row, the longitudes and latitudes in deg of their ground
+    points, NaN if there is none, and the mask of those with one."""
     width, height = (getattr(sensor.camera, side) for side in ("width", "height"))
     u, v = np.linspace(-0.5, width - 0.5, LATTICE), np.linspace(-0.5, height - 0.5, LATTICE)
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
@@ -270,7 +270,7 @@ def _check_resolution_is_not_too_fine(name: str, resolution: Any, rows: float, c
 
 
 def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, float, float]:
-    """(west, south, east, north) in a CRS of an area in deg, and a little more."""
+    """(west, south, east, north) in a CRS of an area in deg, slightly enlarged."""
     lon, lat = area
     turned = (lon + 180.0) % 360.0 - 180.0
     found = _operation(name, crs, (turned[0], lat.min(), turned[0], lat.max()))
@@ -288,7 +288,7 @@ def _bounds_of(name: str, crs: pyproj.CRS, area: Any) -> tuple[float, float, flo
 
 
 def _operation(name: str, crs: pyproj.CRS, area: tuple[float, float, float, float] | None) -> Operation:
-    """The way from a CRS to WGS 84 in an area in deg. Raises `DemError` where PROJ has none."""
+    """The transformation from a CRS to WGS 84 for an area in deg. Raises `DemError` if PROJ has none."""
     try:
         return operation(crs, "EPSG:4326", area)
     except NoOperation as error:

@@ -1,4 +1,4 @@
-"""From a file's map to a grid: which exact grid serves, a fit to PROJ where none does, and the error measured."""
+"""Mapping between a file's map and WGS 84 by PROJ, and the measured error of a grid against it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxgeo.io._proj import NoOperation, operation, unit_normals
 from jaxgeo.io.errors import DemError
 from jaxgeo.terrain.grid import AbstractGrid
 
-LEAST_DRIFT, MOST_DRIFT = 1e-6, 0.1  # m between a place on a map and what PROJ makes of it there and back
+LEAST_DRIFT, MOST_DRIFT = 1e-6, 0.1  # m: range of round-trip errors of PROJ's projections that are corrected
 Affine6 = tuple[float, float, float, float, float, float]
 OTHER_BODY = 0.01  # of the semi-axes; ellipsoids and spheres of the Earth lie within 0.4 % of each other
 XY = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -25,7 +25,7 @@ XY = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclasses.dataclass(frozen=True)
 class FileMap:
-    """A file's map as PROJ sees it: between longitude and latitude of WGS 84 in deg and (row, col)."""
+    """PROJ's mapping of a file: between longitude and latitude of WGS 84 in deg and (row, col)."""
 
     affine: Affine6
     shape: tuple[int, int]
@@ -35,12 +35,12 @@ class FileMap:
     horizontal: str
 
     def lonlat(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Longitude and latitude in deg at (row, col); infinite where the map does not reach."""
+        """Longitude and latitude in deg at (row, col); infinite outside the map's domain."""
         a, b, c, d, e, f = self.affine
         return self.to_lonlat(a * col + b * row + c, d * col + e * row + f)
 
     def rowcol(self, lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(row, col) at longitude and latitude in deg; on a geographic map within half a turn of the centre."""
+        """(row, col) at longitude and latitude in deg; on a geographic map within 180 deg of the centre."""
         a, b, c, d, e, f = self.affine
         x, y = self.from_lonlat(lon, lat)
         if self.crs.is_geographic:
@@ -49,17 +49,17 @@ class FileMap:
             with np.errstate(invalid="ignore"):
                 x = x - turn * np.round((x - centre) / turn)
         x, y, det = x - c, y - f, a * e - b * d
-        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+        with np.errstate(invalid="ignore"):  # infinite outside the map's domain
             return (a * y - d * x) / det, (e * x - b * y) / det
 
     def turn(self) -> np.ndarray:
-        """(rows, cols) that a turn of 360 degrees of longitude is long, on a geographic map."""
+        """(rows, cols) of 360 degrees of longitude, on a geographic map."""
         a, b, _, d, e, _ = self.affine
         turn = 2.0 * np.pi / self.crs.axis_info[0].unit_conversion_factor
         return turn * np.array([-d, e]) / (a * e - b * d)
 
     def window(self, row: int, col: int, shape: tuple[int, int]) -> FileMap:
-        """The map of a part that starts at (row, col)."""
+        """The mapping of a part that starts at (row, col)."""
         a, b, c, d, e, f = self.affine
         moved = (a, b, c + a * col + b * row, d, e, f + d * col + e * row)
         return dataclasses.replace(self, affine=moved, shape=shape)
@@ -67,10 +67,10 @@ class FileMap:
 
 @dataclasses.dataclass(frozen=True)
 class MapError:
-    """Largest differences between a grid and PROJ over a fresh set of posts: there in m and cells, and back in m.
+    """Largest differences between a grid and PROJ over independent posts: forward in m and cells, and inverse in m.
 
-    There is the worse of two: by the places that PROJ gives posts, and by the posts that PROJ gives those places, which
-    on some maps it does not bring back to where they were.
+    Forward is the worse of two: by PROJ's positions of posts, and by PROJ's posts of those positions, since on some
+    maps PROJ's round trip is not exact.
     """
 
     metres: float
@@ -79,19 +79,19 @@ class MapError:
 
     @property
     def worst(self) -> float:
-        """The larger of both ways, m."""
+        """The larger of both directions, m."""
         return max(self.metres, self.back_metres)
 
 
 def file_map(
     name: str, crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], *, assume_wgs84: bool = False
 ) -> FileMap:
-    """PROJ's view of a file's horizontal CRS.
+    """PROJ's mapping of a file's horizontal CRS.
 
-    One operation serves the whole file. A null transformation that the EPSG registry states (ETRS89, NAD83 or RGF93 to
-    WGS 84) is taken, with the accuracy it states; a ballpark one is refused with `DemError` unless `assume_wgs84`
-    says that the file's latitudes and longitudes are to be taken as those of WGS 84. Between two ellipsoids PROJ shifts
-    a position as if it lay at height zero: the shift of an old national datum is then off by a decimetre or two at
+    One operation serves the whole file. A null transformation in the EPSG registry (ETRS89, NAD83 or RGF93 to
+    WGS 84) is accepted, with its stated accuracy; a ballpark one is refused with `DemError` unless `assume_wgs84`
+    declares the file's latitudes and longitudes to be those of WGS 84. Between two ellipsoids PROJ shifts
+    a position as if at height zero: the shift of an old national datum is then off by a decimetre or two at
     3000 m, well within its stated accuracy.
     """
     geographic = crs.geodetic_crs
@@ -115,7 +115,7 @@ def file_map(
 
 
 def check_is_earth(name: str, crs: pyproj.CRS) -> None:
-    """Raise `DemError` for a map of another body than the Earth, by the size of its ellipsoid."""
+    """Raise `DemError` for a map of a body other than the Earth, by the size of its ellipsoid."""
     body = crs.ellipsoid
     if body is None:
         return
@@ -129,7 +129,7 @@ def check_is_earth(name: str, crs: pyproj.CRS) -> None:
 
 
 def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
-    """Largest error of a grid against PROJ, over a lattice of posts with the edges and as many random places."""
+    """Largest error of a grid against PROJ, over a lattice of posts including edges and as many random ones."""
     rows, cols = (np.asarray(n - 1.0) for n in mapping.shape)
     lattice = np.stack(np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41), indexing="ij"), -1).reshape(-1, 2)
     scattered = np.random.default_rng(20).uniform(size=lattice.shape)
@@ -139,7 +139,7 @@ def measure(grid: AbstractGrid, mapping: FileMap) -> MapError:
         return MapError(np.inf, np.inf, np.inf)
     found, back = _both_ways(grid, jnp.asarray(normals), jnp.asarray(rowcol))
     off = np.asarray(found) - rowcol
-    if mapping.crs.is_geographic:  # columns beyond a turn have the place of others
+    if mapping.crs.is_geographic:  # columns beyond 360 deg coincide with others
         off = off - mapping.turn() * np.round(off @ mapping.turn() / np.sum(mapping.turn() ** 2))[:, None]
     cells = np.abs(off)
     if not mapping.crs.is_geographic:
@@ -158,7 +158,7 @@ def _both_ways(grid: AbstractGrid, normals: jax.Array, rowcol: jax.Array) -> tup
 
 
 def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[float, float, float, float] | None:
-    """Rough (west, south, east, north) in deg, by which PROJ picks an operation; None where it cannot be told."""
+    """Rough (west, south, east, north) in deg, for PROJ's choice of an operation; None if unknown."""
     if crs.geodetic_crs is None:
         return None
     a, b, c, d, e, f = affine
@@ -167,7 +167,7 @@ def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[flo
     if not crs.is_geographic:
         try:
             x, y = pyproj.Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
-        except ProjError:  # of a damaged definition
+        except ProjError:  # damaged definition
             return None
     x, y = x[np.isfinite(x)], y[np.isfinite(y)]
     if not x.size or not y.size or np.ptp(x) > 180.0:
@@ -177,9 +177,9 @@ def _area(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int]) -> tuple[flo
 
 
 def _true_projection(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], to_lonlat: XY) -> XY:
-    """`to_lonlat`, mended where PROJ's way back from a map is off its way there, which is the map's formula.
+    """`to_lonlat`, corrected where PROJ's inverse projection differs from its forward formula, the reference.
 
-    By up to some mm in equal-area maps, whose inverse PROJ takes from a short series.
+    By up to some mm in equal-area maps, whose inverse PROJ computes from a short series.
     """
     if crs.is_geographic or crs.geodetic_crs is None:
         return to_lonlat
@@ -188,14 +188,14 @@ def _true_projection(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], t
 
     def drift(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         again = projection.transform(*projection.transform(x, y, direction="INVERSE"))
-        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+        with np.errstate(invalid="ignore"):  # infinite outside the map's domain
             off = np.stack([again[0] - x, again[1] - y])
         return tuple(np.where(np.isfinite(off), off, 0.0))
 
     a, b, c, d, e, f = affine
     row, col = (u.ravel() for u in np.meshgrid(np.linspace(0, shape[0] - 1, 9), np.linspace(0, shape[1] - 1, 9)))
     off = np.abs(drift(a * col + b * row + c, d * col + e * row + f)).max() * unit
-    if not LEAST_DRIFT < off < MOST_DRIFT:  # more is no matter of rounding: places that the map shows twice
+    if not LEAST_DRIFT < off < MOST_DRIFT:  # larger ones are not rounding but positions that the map shows twice
         return to_lonlat
 
     def mended(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,15 +206,15 @@ def _true_projection(crs: pyproj.CRS, affine: Affine6, shape: tuple[int, int], t
 
 
 def _true_inverse(transformer: pyproj.Transformer, forward: XY) -> XY:
-    """The inverse of `transformer.transform`, which PROJ's own is only to millimetres between two ellipsoids.
+    """The exact inverse of `transformer.transform`; between two ellipsoids PROJ's own is exact only to millimetres.
 
-    There PROJ takes the height as zero on either side; the posts lie where the way to WGS 84 puts them.
+    There PROJ assumes height zero on either side; the posts are defined by the forward transformation to WGS 84.
     """
 
     def inverse(lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y = transformer.transform(lon, lat, direction="INVERSE")
         again = forward(x, y)
-        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+        with np.errstate(invalid="ignore"):  # infinite outside the map's domain
             off_lon, off_lat = (lon - again[0] + 180.0) % 360.0 - 180.0, lat - again[1]
             off = np.maximum(np.abs(off_lon) * np.cos(np.radians(lat)), np.abs(off_lat))
         if not np.any((off > 1e-11) & np.isfinite(off)):

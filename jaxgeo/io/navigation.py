@@ -1,4 +1,4 @@
-"""Navigation records of a flight: a CSV file in degrees and metres, as a trajectory in radians."""
+"""Navigation records (CSV in degrees and metres) as a trajectory in radians."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TIME: dict[str, Limits] = {"time_s": (-1e11, 1e11, "s")}
 VELOCITY: dict[str, Limits] = {
     f"velocity_{axis}_mps": (-2e4, 2e4, "m/s") for axis in ("north", "east", "down")
 }  # over the ground
-WEEK = 604_800.0  # s, after which the time of GPS begins anew
+WEEK = 604_800.0  # s, period of the GPS time of week
 
 
 def read_navigation(
@@ -31,21 +31,21 @@ def read_navigation(
     gimbal_readings: Numbers | None = None,
     longest_gap: float | None = None,
 ) -> Trajectory:
-    """The trajectory through the navigation records of a CSV file, one in each row, in the order of their times.
+    """Read a trajectory from the navigation records of a CSV file, one per row, in order of time.
 
     Columns: `time_s`, `lat_deg`, `lon_deg`, `height_m`, `heading_deg`, `pitch_deg`, `roll_deg`, and
     `gimbal_<name>_deg` for each of `readings`, the gimbal's names (`sensor.gimbal.names`). Velocities over the ground
-    `velocity_north_mps`, `velocity_east_mps`, `velocity_down_mps` are used where the file has them. Other columns are
-    passed over. Headings may pass through north, and readings that wrap are unwrapped the short way.
+    `velocity_north_mps`, `velocity_east_mps`, `velocity_down_mps` are used if present. Other columns are
+    ignored. Headings may pass through north, and readings are unwrapped along the shorter arc.
 
-    - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
+    - `height_datum`: datum of the heights: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
       m; as in scene files.
-    - `gimbal_readings`: instead of columns, readings in rad: (axes,) held throughout, or (records, axes).
-    - `longest_gap`: in s, between two records; ten median intervals if left out.
+    - `gimbal_readings`: instead of columns, readings in rad: (axes,) constant, or (records, axes).
+    - `longest_gap`: in s, between two records; by default ten median intervals.
 
-    Raises `TableError` (row and column named) for columns that are missing, doubled or half there, for cells that are
-    unknown, no number or out of range, for times that do not increase, fewer than two records, gaps, and turns too
-    large to tell their direction; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    Raises `TableError` (row and column named) for columns that are missing, repeated or incomplete, for cells that are
+    unknown, not numbers or out of range, for times that do not increase, fewer than two records, gaps, and rotations
+    too large to be unambiguous; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
     columns = {} if gimbal_readings is not None else gimbal_columns(readings)
@@ -76,7 +76,7 @@ def _check_said_once(table: CsvTable, readings: Sequence[str]) -> None:
 
 
 def _velocity_columns(table: CsvTable) -> dict[str, Limits]:
-    """The columns of velocity, all or none."""
+    """The velocity columns, all or none."""
     missing = [name for name in VELOCITY if name not in table.header]
     if len(missing) == len(VELOCITY):
         return {}
@@ -130,13 +130,13 @@ def _angles(
 def _poses(table: CsvTable, numbers: Mapping[str, np.ndarray], height_datum: str | float) -> Pose:
     try:
         return poses_of(numbers, height_datum)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{table.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{table.path}: {error}") from error
 
 
 def _of_rows(message: str, lines: Sequence[int]) -> str:
-    """What a trajectory says of its knots, said of the rows of the file."""
+    """A trajectory's message about its knots, rewritten for the rows of the file."""
     message = re.sub(r"\bknot (\d+)", lambda knot: f"row {lines[int(knot[1])]}", message)
-    return message.replace("knots", "records").removesuffix(" Are the angles in rad?")  # in the file they are in deg
+    return message.replace("knots", "records").removesuffix(" Are the angles in rad?")  # the file has them in deg

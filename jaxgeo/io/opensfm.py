@@ -1,4 +1,4 @@
-"""Reconstructions of OpenSfM and OpenDroneMap: cameras, shots and points of a `reconstruction.json`."""
+"""OpenSfM and OpenDroneMap reconstructions: cameras, shots and points of a `reconstruction.json`."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR, R_ned_from_map
 
 TOPOCENTRIC = "topocentric"
 WHOLE_METRES = 1e-4  # m
-LARGEST_TURN, LARGEST_DISTANCE = 1e3, 1e9  # rad of a rotation vector, m in the world of a file
+LARGEST_TURN, LARGEST_DISTANCE = 1e3, 1e9  # limits of rotation vectors in rad and of coordinates in m
 
-# Keys of the focal lengths, the principal point and the coefficients of each projection, as OpenSfM writes them.
+# OpenSfM's keys of the focal lengths, the principal point and the coefficients of each projection.
 PROJECTIONS = {
     "perspective": (("focal", "focal"), (), ("k1", "k2")),
     "simple_radial": (("focal_x", "focal_y"), ("c_x", "c_y"), ("k1",)),
@@ -40,9 +40,9 @@ PROJECTIONS = {
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """Cameras by name, n shots and m points, in east-north-up about a reference, m; without one in a frame of its own.
+    """Cameras by name, n shots and m points, in m east-north-up about a reference, or without one in a local frame.
 
-    `names` of images and `camera`, which camera took each, are (n,); `centres` (n, 3) perspective centres and
+    `names` of images and `camera`, the camera of each, are (n,); `centres` (n, 3) perspective centres and
     `R_enu_from_camera` (n, 3, 3); `point_names` (m,) and `points` (m, 3). `reference` is a single position or None.
     """
 
@@ -59,7 +59,7 @@ class Reconstruction:
         return len(self.names)
 
     def poses(self) -> Pose:
-        """The poses of n shots on the Earth: each camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
+        """The poses of n shots on the Earth: of bodies that carry the camera in `Mount.nadir()`, `Gimbal.fixed()`.
 
         Raises `ValueError` without a reference.
         """
@@ -82,24 +82,24 @@ def read_opensfm(
     crs: str | int | pyproj.CRS | None = None,
     part: int | None = None,
 ) -> Reconstruction:
-    """The reconstruction in a `reconstruction.json` of OpenSfM or OpenDroneMap.
+    """Read the reconstruction in a `reconstruction.json` of OpenSfM or OpenDroneMap.
 
-    Shots are rotation vectors and translations from the world to the camera (right, down, forward). The world is, with
-    a `reference_lla` in the file, east-north-up about it: exact, by ECEF. OpenDroneMap turns its reconstruction.json
-    into a UTM grid, less the coordinates of the reference there (what it began with is reconstruction.topocentric.json
-    beside it): heights are then altitudes, and north is the grid's. Cameras are of the size that the file gives,
-    perhaps less than that of the images.
+    Shots are rotation vectors and translations from the world to the camera (right, down, forward). With a
+    `reference_lla` in the file, the world is east-north-up about it: exact, by ECEF. OpenDroneMap converts its
+    reconstruction.json to a UTM grid, minus the reference's coordinates there (the original is in
+    reconstruction.topocentric.json beside it): heights are then altitudes, and north is grid north. Camera sizes are
+    from the file; images may be larger.
 
-    - `height_datum`: what altitudes are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation
-      in m; as in scene files. Needed for a file with a reference: it depends on what the positions of its images are.
-    - `crs`: the map in which the world lies, such as "EPSG:32651", or "topocentric". Needed where the reference has
-      whole metres in UTM, as OpenDroneMap chooses it; else topocentric if left out.
-    - `part`: which of several reconstructions in the file, from 0; needed if there are more than one.
+    - `height_datum`: datum of the altitudes: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation
+      in m; as in scene files. Required for a file with a reference: it depends on the positions of its images.
+    - `crs`: the CRS of the world, such as "EPSG:32651", or "topocentric". Required if the reference has
+      whole metres in UTM, as OpenDroneMap chooses it; else topocentric by default.
+    - `part`: which of several reconstructions in the file, from 0; required if there are more than one.
 
-    Projections: perspective, simple_radial, radial, brown, the distortion being `BrownConrady` by the same formula.
-    Raises `TableError`, the key named, for what is missing, no number, doubled, of another projection, a shot of an
-    unknown camera, a file that is no JSON or cut off; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with
-    64-bit floats off.
+    Projections: perspective, simple_radial, radial, brown, with the distortion as `BrownConrady` by the same formula.
+    Raises `TableError`, the key named, for values that are missing, not numbers or repeated, another projection, a shot
+    of an unknown camera, a file that is truncated or not JSON; `VerticalDatumError`; `FileNotFoundError`;
+    `RuntimeError` with 64-bit floats off.
     """
     require_x64()
     content = _part(path, read_json(path, "reconstruction"), part)
@@ -129,7 +129,7 @@ def read_opensfm(
 
 
 def read_opensfm_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
-    """The cameras of a `cameras.json` of OpenSfM or OpenDroneMap, by name; raises as `read_opensfm`."""
+    """Read the cameras of a `cameras.json` of OpenSfM or OpenDroneMap, by name; raises as `read_opensfm`."""
     require_x64()
     content = read_json(path, "reconstruction")
     if not isinstance(content, dict) or not content:
@@ -155,7 +155,7 @@ def _cameras(where: str, table: Mapping[str, Any]) -> dict[str, FrameCamera]:
 
 
 def _camera(where: str, camera: Any) -> FrameCamera:
-    """A camera in pixels: OpenSfM divides by the longer side of the image, about the image's centre."""
+    """A camera in pixels: OpenSfM normalises by the longer side of the image, about the image centre."""
     kind = camera.get("projection_type", "perspective") if isinstance(camera, dict) else camera
     if not isinstance(kind, str) or kind not in PROJECTIONS:
         raise TableError(f"{where}: projection_type {shown(kind)} is not read; only {', '.join(PROJECTIONS)} are.")
@@ -214,7 +214,7 @@ def _placed(
 
 
 def _refuse_whole_metres(where: str, lat: float, lon: float) -> None:
-    """Raises `TableError` for a reference as OpenDroneMap makes it, whose world may be a grid or topocentric."""
+    """Raises `TableError` for a reference as OpenDroneMap writes it, whose world may be a grid or topocentric."""
     if abs(lat) > 84.0:
         return
     middle = math.floor((lon + 180.0) / 6.0)
@@ -256,7 +256,7 @@ def _heights(
 ) -> np.ndarray:
     try:
         return ellipsoidal_heights(lon, lat, z, datum, vertical)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{where}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{where}: {error}") from error
@@ -284,7 +284,7 @@ def _from_earth(reference: Geodetic, position: Geodetic) -> Any:
 
 @eqx.filter_jit
 def _turned(reference: Geodetic, position: Geodetic, convergence: Any, R_map_from_camera: Any) -> tuple[Any, Any]:
-    """(centres, R_enu_from_camera) about the reference of cameras turned against a map's grid at their positions."""
+    """(centres, R_enu_from_camera) about the reference, of cameras with attitudes in a map grid at their positions."""
 
     def turned(position: Geodetic, convergence: Any, R_map_from_camera: Any) -> Any:
         R_ecef_from_camera = R_ecef_from_ned(position) @ R_ned_from_map(convergence) @ R_map_from_camera

@@ -1,4 +1,4 @@
-"""Orientations of the images of a block as a table: CSV, in a map or on the Earth."""
+"""Orientation table writer: CSV, in a map or in geographic coordinates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jaxgeo.io.vertical import height_shift
 from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import Pose
 
-# Decimals that are written: a hundredth of a millimetre for latitudes, 1e-8 deg for angles, a nanosecond.
+# Decimals written: a hundredth of a millimetre for latitudes, 1e-8 deg for angles, a nanosecond.
 DECIMALS = {"x_m": 4, "y_m": 4, "z_m": 4, "height_m": 4, "lat_deg": 10, "lon_deg": 10, "time_s": 9}
 DECIMALS_OF_ANGLES = 8
 
@@ -35,12 +35,12 @@ def write_orientations(
     crs: str | int | pyproj.CRS | None = None,
     height_datum: str | float = "ellipsoid",
 ) -> None:
-    """Orientations as a CSV file that `read_orientations` reads: on the Earth, or with `crs` in that map.
+    """Write orientations to a CSV file that `read_orientations` reads: geographic, or with `crs` in that map.
 
-    Heights are written above `height_datum`, which must be that of `crs` where this has a vertical part. Digits end at
-    1e-4 m and 1e-8 deg; headings are written from 0 to 360. The file appears when all is written.
-    Raises `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for a map that
-    does not serve, `VerticalDatumError` for heights.
+    Heights are written above `height_datum`, which must be that of `crs` if this has a vertical part. Precision is
+    1e-4 m and 1e-8 deg; headings are from 0 to 360. The file appears only when complete.
+    Raises `ValueError` for a path that cannot be written to and poses that are not finite, `TableError` for an
+    unsuitable map, `VerticalDatumError` for heights.
     """
     check_is(orientations, Orientations, "orientations")
     target, pose = pathlib.Path(path), orientations.pose
@@ -87,7 +87,7 @@ def _to_omega_phi_kappa(pose: Pose, convergence: Any) -> tuple[Any, Any, Any]:
 
 
 def _heading_pitch_roll(pose: Pose) -> tuple[Any, Any, Any]:
-    """The attitude against the ellipsoid's normal."""
+    """The attitude relative to the ellipsoid normal."""
     if pose.deflection is None:
         return pose.heading, pose.pitch, pose.roll
     return eqx.filter_jit(jax.vmap(lambda one: heading_pitch_roll_from_R(one.R_ned_from_body)))(pose)

@@ -1,4 +1,4 @@
-"""Orientations of the images of a block: tables of positions and angles, in a map or on the Earth, as poses."""
+"""Exterior orientation tables of an image block: positions and angles, in a map or geographic, as poses."""
 
 from __future__ import annotations
 
@@ -37,14 +37,13 @@ from jaxgeo.sensor import Pose
 
 @dataclass(frozen=True)
 class Orientations:
-    """Where the cameras of n images were and how they were turned, by the images' names.
+    """Exterior orientations of n images, by image name.
 
-    `pose` holds n entries: geodetic positions of the perspective centres and attitudes of the body, that has the
+    `pose` holds n entries: geodetic positions of the perspective centres and attitudes of the body that carries the
     camera in `Mount.nadir()` with `Gimbal.fixed()`. `camera` are names of cameras (n,), `sigma` (n, 6) standard
     deviations of north, east and down in m and of heading, pitch and roll in rad, `time` (n,) in s; each None if
-    unknown. `assumed` are sentences about what a reader took for granted; `of_camera` says that the angles are the
-    camera's own, and no aircraft's. Raises `ValueError` for fields that do not fit each other and for an image that is
-    there twice.
+    unknown. `assumed` are sentences on the reader's assumptions; `of_camera`: the angles are the camera's
+    own, not an aircraft's. Raises `ValueError` for inconsistent fields and for a repeated image.
     """
 
     names: np.ndarray
@@ -82,7 +81,7 @@ class Orientations:
         return len(self.names)
 
     def of(self, rows: Any) -> Orientations:
-        """Some of the images, by index or flag."""
+        """A subset of the images, by index or mask."""
         camera, sigma, time = (None if x is None else x[rows] for x in (self.camera, self.sigma, self.time))
         pose = jax.tree.map(lambda x: x[rows], self.pose)
         return Orientations(self.names[rows], pose, camera, sigma, time, self.assumed, self.of_camera)
@@ -95,36 +94,36 @@ def read_orientations(
     crs: str | int | pyproj.CRS | None = None,
     linear_alteration_above: float | np.ndarray | None = None,
 ) -> Orientations:
-    """The orientations of a block of images: a row for each, in a table of any layout that `read_csv` detects.
+    """Read the orientations of an image block: one row per image, in a table of any layout that `read_csv` detects.
 
     Without `crs` the columns are `image`, `lat_deg`, `lon_deg`, `height_m`, `heading_deg` (from true north),
-    `pitch_deg`, `roll_deg`: the attitude of a body with the camera in `Mount.nadir()`. So does OpenDroneMap's
-    `odm_lla_rpy.csv` count them, a gimbal 60 deg below level being a pitch of 30 deg.
+    `pitch_deg`, `roll_deg`: the attitude of a body with the camera in `Mount.nadir()`. OpenDroneMap's
+    `odm_lla_rpy.csv` uses the same, so a gimbal 60 deg below level has a pitch of 30 deg.
     With `crs`, a map such as "EPSG:2154", they are `image`, `x_m`, `y_m`, `z_m`, `omega_deg`, `phi_deg`, `kappa_deg`:
     the photogrammetric angles of `Pose.from_omega_phi_kappa`, R_map_from_image = Rx(omega) Ry(phi) Rz(kappa), in the
-    grid of that map at the image. Positions are exact, and the grid's convergence is allowed for at each. Headings in
-    a map are from the grid's north: R_map_from_image = Rz(-heading) Rx(pitch) Ry(roll). In a `crs` of longitudes (x)
-    and latitudes (y) in deg, and on the Earth, omega, phi and kappa are against east, north and up at the image.
-    In all, `camera`, `time_s` and, all six or none, `sigma_north_m`, `sigma_east_m`, `sigma_down_m`,
-    `sigma_heading_deg`, `sigma_pitch_deg`, `sigma_roll_deg` are taken where they are there; others are passed over.
+    grid of that map at the image. Positions are exact, and the grid convergence is applied at each image. Headings in
+    a map are from grid north: R_map_from_image = Rz(-heading) Rx(pitch) Ry(roll). In a `crs` of longitudes (x)
+    and latitudes (y) in deg, and in geographic tables, omega, phi and kappa refer to east, north and up at the image.
+    The optional columns `camera`, `time_s` and, all six or none, `sigma_north_m`, `sigma_east_m`, `sigma_down_m`,
+    `sigma_heading_deg`, `sigma_pitch_deg`, `sigma_roll_deg` are used if present; others are ignored.
 
-    Also read, in any case of letters: `filename` or `nom` for the image; `x`, `y`, `z`, `omega` or `o`, `phi` or `p`,
+    Accepted aliases, in any case: `filename` or `nom` for the image; `x`, `y`, `z`, `omega` or `o`, `phi` or `p`,
     `kappa` or `k` (`odm_xyz_opk.csv`, and the OPK files of IGN, whose angles are the same: their world to camera,
     Rx(pi) times the extrinsic x-y-z rotation by (-omega, -phi, -kappa), is the inverse of the above); `latitude`,
     `longitude`, `altitude`, `yaw`, `pitch`, `roll`; angles in gon under `omega_gon`, `phi_gon` and `kappa_gon` (or
-    `omega[gon]` and so on), all three or none. Names of images are kept as they are written.
-    Exports of other programs are read as they are: Pix4D's external camera parameters, Metashape's cameras ("Omega Phi
+    `omega[gon]` and so on), all three or none. Image names are kept as written.
+    Exports of other programs are read directly: Pix4D's external camera parameters, Metashape's cameras ("Omega Phi
     Kappa") and reference (with the CRS in its comment), RealityCapture's internal and external parameters, MicMac's
     `#F=N X Y Z W P K`, in deg as OriConvert takes them.
 
-    - `height_datum`: what heights are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
-      m, the path of a geoid grid; as in scene files. None where the CRS has a vertical part that says it.
-    - `linear_alteration_above`: heights of the ground below in m above the same datum, one or one for each image,
-      where camera heights were stretched with the scale k of the map: z = Z + (k - 1) (Z - ground). Z is taken.
+    - `height_datum`: datum of the heights: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in
+      m, the path of a geoid grid; as in scene files. None if the CRS has a vertical part.
+    - `linear_alteration_above`: ground heights below in m above the same datum, one or one per image,
+      if camera heights were stretched by the scale k of the map: z = Z + (k - 1) (Z - ground). Z is used.
 
-    Raises `TableError` with row and column for columns that are missing, cells that are unknown, no number or out of
-    range, a position of latitude and longitude zero, an image that is there twice, a map that PROJ does not know, that
-    is not in metres or not that of the file; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit
+    Raises `TableError` with row and column for columns that are missing, cells that are unknown, not numbers or out of
+    range, a position of latitude and longitude zero, a repeated image, a map that is unknown to PROJ, not in metres or
+    not that of the file; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit
     floats off.
     """
     require_x64()
@@ -140,7 +139,7 @@ def read_orientations(
         raise TableError(f"{path}: linear_alteration_above= is of heights in a map; give its crs too.")
     try:
         pose, told = _poses(columns, numbers, crs, height_datum, linear_alteration_above)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
@@ -151,7 +150,7 @@ def read_orientations(
 
 
 def crs_of(columns: Columns, crs: Any) -> Any:
-    """The CRS of a table: the caller's, else that of the file. Raises `TableError` if they are not the same."""
+    """The CRS of a table: the caller's, else the file's. Raises `TableError` if both differ."""
     own = stated_crs(columns)
     if own is None or crs is None:
         return crs if own is None else own
@@ -163,7 +162,7 @@ def crs_of(columns: Columns, crs: Any) -> Any:
 
 
 def has_vertical(path: Any, crs: Any) -> bool:
-    """Whether a CRS says what heights are measured from."""
+    """Whether a CRS states the vertical datum."""
     vertical = None if crs is None else understood_crs(path, crs)[1]
     return vertical is not None and not is_unnamed(vertical)
 
@@ -173,7 +172,7 @@ def _is_geographic(path: Any, crs: Any) -> bool:
 
 
 def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
-    """The columns of the kind of table that a caller means; raises `TableError` where some are missing."""
+    """The required columns of the caller's kind of table; raises `TableError` if some are missing."""
     path = columns.table.path
     in_map, on_earth = ("x_m" in columns or "y_m" in columns), ("lat_deg" in columns or "lon_deg" in columns)
     is_geographic = _is_geographic(path, crs)
@@ -191,13 +190,13 @@ def check_columns(columns: Columns, crs: Any) -> dict[str, Limits]:
 
 
 def which_map(columns: Columns) -> str:
-    """That nobody says in which map a table is, with an example that fits its numbers."""
+    """Message that the CRS of a table is unstated, with an example that fits its numbers."""
     called = [columns.called[key] for key in ("x_m", "y_m") if key in columns]
     cells = [columns.table.numbers(one, (-1e12, 1e12, "m"), unknown_too=True) for one in called]
-    what, example = "of a map", "EPSG:32616"
+    what, example = "projected", "EPSG:32616"
     if len(cells) == 2 and _in_degrees(*cells):
         what, example = "in deg", "EPSG:4326"
-    told = f"{columns.table.path}: {called[0]} is {what}, and the file does not say in which CRS; give it: "
+    told = f"{columns.table.path}: {called[0]} is {what}, and the file states no CRS: pass "
     return f'{told}crs="{example}".'
 
 
@@ -218,7 +217,7 @@ def _sigma(columns: Columns) -> np.ndarray | None:
 def _poses(
     columns: Columns, numbers: dict[str, np.ndarray], crs: Any, height_datum: str | float | None, ground: Any
 ) -> tuple[Pose, list[str]]:
-    """(poses, what was taken for granted of their angles)."""
+    """(poses, assumptions about their angles)."""
     position, convergence = positions_of(columns, numbers, crs, height_datum, ground)
     is_map = crs is not None and not _is_geographic(columns.table.path, crs)
     if "omega_deg" in numbers:
@@ -236,7 +235,7 @@ def _poses(
 def positions_of(
     columns: Columns, numbers: dict[str, np.ndarray], crs: Any, height_datum: str | float | None, ground: Any = None
 ) -> tuple[Geodetic, np.ndarray]:
-    """(positions of the rows, convergence of the grid there in rad: zero but in a map)."""
+    """(positions of the rows, grid convergence there in rad: zero if not in a map)."""
     path = columns.table.path
     if "lat_deg" in numbers:
         refuse_nowhere(columns.table, columns.called["lat_deg"], numbers["lat_deg"], numbers["lon_deg"])
@@ -246,7 +245,7 @@ def positions_of(
         return Geodetic(lat=np.deg2rad(lat), lon=np.deg2rad(lon), height=height), np.zeros(len(lat))
     horizontal, vertical = understood_crs(path, crs)
     if not horizontal.is_geographic:
-        metric_map(path, crs)  # refuses other units
+        metric_map(path, crs)  # raises for other units
     in_map = "x_m" in numbers
     x, y, z = (numbers[name] for name in (("x_m", "y_m", "z_m") if in_map else ("lon_deg", "lat_deg", "height_m")))
     if horizontal.is_geographic:
@@ -274,7 +273,7 @@ def positions_of(
 
 
 def _check_degrees(columns: Columns, crs: pyproj.CRS, lon: np.ndarray, lat: np.ndarray) -> None:
-    """Raises `TableError` for what are no degrees, and for a position at zero."""
+    """Raises `TableError` for values that are not degrees, and for a position at zero."""
     name = columns.called.get("y_m", columns.called.get("lat_deg", ""))
     beyond = (np.abs(lat) > 90.0) | (np.abs(lon) > 360.0)
     if np.any(beyond):
@@ -287,12 +286,12 @@ def _check_degrees(columns: Columns, crs: pyproj.CRS, lon: np.ndarray, lat: np.n
 @eqx.filter_jit
 @jax.vmap
 def poses_of_opk(position: Geodetic, omega: Any, phi: Any, kappa: Any, convergence: Any) -> Pose:
-    """Poses (n,) of photogrammetric angles in a map, rad, at positions with that convergence of its grid."""
+    """Poses (n,) from omega, phi, kappa in a map, rad, at positions with that grid convergence."""
     return Pose.from_omega_phi_kappa(position, omega, phi, kappa, convergence=convergence)
 
 
 def _of_program(columns: Columns) -> list[str]:
-    """What was taken for granted of a program's columns."""
+    """Assumptions about a program's columns."""
     header = [name.lower() for name in columns.table.header]
     told = []
     if "f=n" in header:

@@ -1,4 +1,4 @@
-"""Orthoimages to files: GeoTIFFs and cloud-optimised ones, whole or window by window, that appear when all is there."""
+"""Orthoimage writer: GeoTIFF and cloud-optimised GeoTIFF, whole or window by window."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from jaxgeo.io.mapping import measure
 from jaxgeo.register.orthoimage import Orthoimage
 
 BLOCK = 256  # cells on a side of the tiles of a file
-QUICK = 1  # of nine levels of deflation: the others take three times as long for some percent
-OFF_RASTER = 0.01  # cells by which an orthoimage may lie beside the raster that it is written on
+QUICK = 1  # of nine deflate levels: the others take three times as long for a few percent
+OFF_RASTER = 0.01  # cells: largest offset between an orthoimage and its raster
 
 
 class OrthoWriter:
-    """A GeoTIFF that is written window by window, in any order, and appears under its name when the context ends well.
+    """A GeoTIFF written window by window, in any order; it appears under its name when the context exits normally.
 
-    Windows that start at multiples of `BLOCK` cells and are as large are written fastest. What is never written is
-    unknown, and so is what is said to be: it holds `nodata`, by default NaN for floats; whole numbers have a mask in
-    the file instead, unless a value is named, so that all their values are free to use. `cog` makes a cloud-optimised
-    GeoTIFF, with overviews. Raises `ValueError`, `FileNotFoundError` or `PermissionError` when made, for what cannot
-    be written, and `OSError` where writing fails.
+    Windows aligned to multiples of `BLOCK` cells and of that size are written fastest. Cells that are not written or
+    not known hold `nodata`, by default NaN for floats; integers have a mask in the file instead, unless a value is
+    given, so that all their values remain usable. `cog` makes a cloud-optimised GeoTIFF, with overviews. The
+    constructor raises `ValueError`, `FileNotFoundError` or `PermissionError` for files that cannot be written; writing
+    raises `OSError`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class OrthoWriter:
         self.nodata = _checked_nodata(f"{self.target}", self.dtype, nodata)
         self._tags = {"SOFTWARE": "jaxgeo"} | {key: f"{value}" for key, value in (tags or {}).items()}
         self._descriptions = None if descriptions is None else tuple(descriptions)
-        self._partial = self.target  # while it is open, the file that will take its place
+        self._partial = self.target  # while open, the file that will replace it
         self._opened = contextlib.ExitStack()
         self._sink: Any = None
         self._written = WrittenWindows(raster.shape)
@@ -84,10 +84,10 @@ class OrthoWriter:
         return self
 
     def write(self, row: int, col: int, values: np.ndarray, known: np.ndarray | None = None) -> None:
-        """A window that starts at (row, col): values (bands, rows, cols), and where they are known (rows, cols).
+        """Write a window that starts at (row, col): values (bands, rows, cols), and the known mask (rows, cols).
 
-        Known are all, by default, but what is not finite is not. Raises `ValueError` for another number of bands or
-        dtype, a window that reaches beyond the raster, and a known value that is the nodata value.
+        By default all finite values are known. Raises `ValueError` for another number of bands or
+        dtype, a window beyond the raster, and a known value that equals the nodata value.
         """
         if self._sink is None:
             raise ValueError(f"{self.target}: the file is not open; write inside `with OrthoWriter(...) as sink:`.")
@@ -108,7 +108,7 @@ class OrthoWriter:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if self._sink is not None:
-                self._sink.close()  # where what is left in GDAL's cache is written
+                self._sink.close()  # flushes GDAL's cache
             if kind is None:
                 self._check_written(self._partial)
                 self._finish()
@@ -193,10 +193,10 @@ def write_orthoimage(
     cog: bool = False,
     tags: Mapping[str, Any] | None = None,
 ) -> None:
-    """An orthoimage, or values (rows, cols) or (bands, rows, cols) with `known`, as a GeoTIFF in their own dtype.
+    """Write an orthoimage, or values (rows, cols) or (bands, rows, cols) with `known`, to a GeoTIFF in their own dtype.
 
-    `raster` says on which map: that of `read_orthoimage_and_report`, or of `rectify_file`. The rest, and errors, as for
-    `OrthoWriter`; `ValueError` too where an orthoimage's own grid lies elsewhere than the raster, or nothing is known.
+    `raster` is the map: that of `read_orthoimage_and_report`, or of `rectify_file`. Other options and errors as for
+    `OrthoWriter`; also `ValueError` if an orthoimage's own grid differs from the raster, or nothing is known.
     """
     target = checked_target(path, "an orthoimage")
     check_is(raster, MapRaster, "raster")
@@ -231,7 +231,7 @@ def _check_same_place(target: pathlib.Path, image: Orthoimage, raster: MapRaster
 
 
 def _checked_nodata(name: str, dtype: np.dtype, nodata: Any) -> float | int | None:
-    """A nodata value in a dtype; for floats NaN unless named, None where a mask is kept instead."""
+    """A nodata value in a dtype; for floats NaN by default, None if a mask is used instead."""
     if dtype.kind not in "uif" or not check_dtype(dtype.name):
         raise ValueError(f"{name}: a GeoTIFF holds no {dtype}; convert the values first, e.g. to float32.")
     if nodata is None:

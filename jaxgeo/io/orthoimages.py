@@ -1,4 +1,4 @@
-"""Orthoimages from files: an orthophoto, a satellite image or a rectified image, as it lies on the ground."""
+"""Orthoimage reader: orthophotos, satellite images and rectified images, georeferenced."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from jaxgeo.register.orthoimage import Orthoimage
 
 
 class OrthoimageReport(NamedTuple):
-    """How an orthoimage was read.
+    """Report on how an orthoimage was read.
 
-    `raster` is the CRS, transform and shape of the part that was read, by which another can be written onto the same
-    cells; `window` its (row, col) in the file; `bands` their numbers, from 1; `horizontal` the operation to WGS 84 in
-    words; `map_error` how far the grid is from PROJ.
+    `raster` is the CRS, transform and shape of the part read, for writing another onto the same
+    cells; `window` its (row, col) in the file; `bands` their numbers, from 1; `horizontal` the operation to WGS 84 as
+    text; `map_error` the difference between the grid and PROJ.
     """
 
     path: str
@@ -50,16 +50,16 @@ def read_orthoimage(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> Orthoimage:
-    """An image that lies on the ground, from any file that GDAL opens, in any CRS that PROJ knows, not resampled.
+    """Read a georeferenced image from any file that GDAL opens, in any CRS of PROJ, not resampled.
 
     - `bands` count from 1; by default all but an alpha band.
-    - `bounds`: (west, south, east, north) in deg of WGS 84, if only a part is wanted.
-    - `assume_wgs84`: take latitudes and longitudes of the file's datum as those of WGS 84, where PROJ knows none but a
+    - `bounds`: (west, south, east, north) in deg of WGS 84, to read a part.
+    - `assume_wgs84`: take the latitudes and longitudes of the file's datum as WGS 84, if PROJ has only a
       ballpark transformation between them.
     - `allow_remote`, `allow_outside`: as in `read_dem`.
 
-    Known cells are found as by `read_image`. Raises `ImageError` as that, and for a file without a CRS or a
-    geotransform, with a map that cannot be followed, or that the bounds do not meet; `FileNotFoundError`;
+    Known cells are as in `read_image`. Raises `ImageError` as `read_image`, and for a file without a CRS or a
+    geotransform, with a map that cannot be followed, or outside the bounds; `FileNotFoundError`;
     `RuntimeError` with 64-bit floats off.
     """
     return read_orthoimage_and_report(
@@ -76,7 +76,7 @@ def read_orthoimage_and_report(
     allow_remote: bool = False,
     allow_outside: bool = False,
 ) -> tuple[Orthoimage, OrthoimageReport]:
-    """An orthoimage, and how it was read; arguments and errors as for `read_orthoimage`."""
+    """An orthoimage, and a report on reading it; arguments and errors as for `read_orthoimage`."""
     require_x64()
     name = os.fspath(path)
     reach = Reach(allow_remote, allow_outside)
@@ -102,7 +102,7 @@ def read_orthoimage_and_report(
 
 
 def raster_of_file(path: str | os.PathLike[str], reach: Reach = HERE) -> MapRaster:
-    """The raster of a file on a map. Raises `ImageError` for one that is on none; `FileNotFoundError`."""
+    """The map raster of a file. Raises `ImageError` for one without a map; `FileNotFoundError`."""
     name = os.fspath(path)
     with opened(name, reach) as data, refused_as(ImageError, name, "its header"):
         return _raster_of_file(name, data, reach)
@@ -135,5 +135,5 @@ def _raster_of_file(name: str, data: DatasetReader, reach: Reach) -> MapRaster:
 
 
 def _about_images(refusal: DemError) -> str:
-    """The message, where it is about heights: about the cells of an image."""
+    """A DEM reader's message, reworded for image cells."""
     return str(refusal).replace("hold no posts of the file", "hold nothing of the file")

@@ -1,4 +1,4 @@
-"""Which files a caller means: one, several, a folder of tiles, or a pattern."""
+"""Expansion of path arguments: one file, several, a folder of tiles, or a pattern."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ RASTERS = (
 
 
 def expanded(paths: Paths) -> list[str]:
-    """The files meant, those of a folder and of a pattern in the order of their names.
+    """The files of a path argument, those of a folder and of a pattern sorted by name.
 
-    A folder stands for every raster right inside it (known by its ending; a VRT only if nothing else is there), a
-    pattern such as "tiles/**/*.tif" for what it matches. Raises `FileNotFoundError` or `DemError`.
+    A folder means every raster directly in it (by extension; a VRT only if there is nothing else), a
+    pattern such as "tiles/**/*.tif" all its matches. Raises `FileNotFoundError` or `DemError`.
     """
     names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not names:
@@ -38,9 +38,9 @@ def expanded(paths: Paths) -> list[str]:
 
 
 def with_full_names(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """What was asked for, with the names of files, folders and patterns such that they serve in any working folder.
+    """Arguments with absolute names of files, folders and patterns, valid in any working folder.
 
-    Of what `open_dem` takes: `path_or_paths`, `cache`, and a `vertical_datum` that is the path of a grid.
+    For arguments of `open_dem`: `path_or_paths`, `cache`, and a `vertical_datum` that is the path of a grid.
     """
     paths, datum, cache = asked["path_or_paths"], asked["vertical_datum"], asked["cache"]
     names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
@@ -67,11 +67,11 @@ def files_behind(path: str | os.PathLike[str], reach: Reach = HERE) -> list[str]
         with open_raster(name, reach, DemError, "a raster") as data:
             return [name, *data.files]
     except (DemError, *GDAL_ERRORS, OSError):
-        return [name]  # whoever reads it says why
+        return [name]  # the reader raises the reason
 
 
 def are_all_named(paths: Paths) -> bool:
-    """Whether the caller named each file, in place of a folder or a pattern."""
+    """Whether the caller named each file, instead of a folder or a pattern."""
     names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     return len(expanded(names)) == len(names)
 

@@ -1,4 +1,4 @@
-"""One array of values and voids from one raster file or from any number of tiles on one grid."""
+"""Raster mosaic: values and voids from one raster file or any number of tiles on one grid."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from jaxgeo.terrain.pyramid import check_size
 class Mosaic:
     """Tiles placed on the grid of the first; `offsets` are the (row, col) of each tile's first post on it.
 
-    `unit` is m per unit of height; `nodata` are further stored values that mark voids, of which `marks_found` gathers
-    those that a post read so far held.
+    `unit` is m per unit of height; `nodata` are further stored void values; `marks_found` collects
+    those found in the posts read so far.
     """
 
     tiles: tuple[Tile, ...]
@@ -32,7 +32,7 @@ class Mosaic:
 
     @property
     def first(self) -> Tile:
-        """The tile whose grid it is."""
+        """The tile that defines the grid."""
         return self.tiles[0]
 
     @property
@@ -49,7 +49,7 @@ class Mosaic:
 
     @functools.cached_property
     def dtype(self) -> np.dtype:
-        """One that holds the values of every tile."""
+        """A dtype that holds the values of every tile."""
         kinds = {np.dtype(np.float64) if (t.scale, t.offset) != (1.0, 0.0) else t.dtype for t in self.tiles}
         return np.result_type(*kinds)
 
@@ -59,7 +59,7 @@ class Mosaic:
         return int(r0.min()), int(c0.min()), int(r1.max()), int(c1.max())
 
     def read_as(self, unit: float, nodata: tuple[float, ...]) -> Mosaic:
-        """The same, with m per unit of height and further values for voids."""
+        """A copy with m per unit of height and further void values."""
         return dataclasses.replace(self, unit=unit, nodata=nodata, marks_found=set())
 
     def read(self, window: tuple[int, int, int, int], files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +67,7 @@ class Mosaic:
         return read_window(self, window, files)
 
     def under(self, window: tuple[int, int, int, int]) -> Iterator[tuple[Tile, int, int]]:
-        """The tiles that reach into a window, in their order, with the row and column of their first post there."""
+        """The tiles that overlap a window, in their order, with the row and column of their first post there."""
         r0, c0, r1, c1 = window
         turn = self.first.cols_per_turn
         shifts = (0,) if turn is None else (0, -turn, turn)
@@ -81,10 +81,10 @@ class Mosaic:
 def read_window(
     mosaic: Mosaic, window: tuple[int, int, int, int], files: OpenFiles | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values in the unit that files state, and voids, of a window of the mosaic's grid.
+    """Values in the unit of the files, and voids, of a window of the mosaic's grid.
 
-    `window` is (first row, first col, last row + 1, last col + 1). Where several tiles hold a post, the first that
-    knows it is taken; what none holds is void. `files` are kept open for the next window.
+    `window` is (first row, first col, last row + 1, last col + 1). Where tiles overlap, the first known value is used;
+    posts outside all tiles are void. `files` are kept open for the next window.
     """
     if files is None:
         with OpenFiles() as files:
@@ -122,7 +122,7 @@ def _read_part(mosaic: Mosaic, tile: Tile, inner: Window, files: OpenFiles) -> t
 
 
 def check_no_two_are_alike(mosaic: Mosaic) -> None:
-    """Refuse two files over the same posts where nobody named them: one may hold something else than heights."""
+    """Refuse two files over the same posts unless the caller named them: one may not be heights."""
     seen: dict[tuple[int, ...], Tile] = {}
     for tile, corners in zip(mosaic.tiles, map(tuple, mosaic.corners), strict=True):
         if corners in seen:
@@ -166,7 +166,7 @@ def offset_on(first: Tile, tile: Tile) -> tuple[int, int]:
 
 
 def _unit_or_metre(tile: Tile) -> float | str | None:
-    """The unit that a tile states; the metre where it states none, unless its map is in another unit."""
+    """The unit that a tile states; metres if it states none, unless its map is in another unit."""
     stated = stated_unit(tile)
     return 1.0 if stated is None and (tile.is_geographic or tile.map_unit == 1.0) else stated
 

@@ -1,4 +1,4 @@
-"""Images from files rectified into files: tile by tile, so that the result may be larger than memory."""
+"""Orthorectification from file to file, tile by tile, for results larger than memory."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from jaxgeo.uncertainty.map_cells import with_bar
 
 
 class RectifiedFile(NamedTuple):
-    """What was written: on which raster, how many of its cells show the image, and how many have each `Status`."""
+    """Result of `rectify_file`: the raster, the number of cells with image data, and the count of each `Status`."""
 
     path: str
     raster: MapRaster
@@ -37,7 +37,7 @@ class RectifiedFile(NamedTuple):
 
 
 class _Counts:
-    """Cells by status, and those that are known."""
+    """Counts of cells by status, and of known cells."""
 
     def __init__(self) -> None:
         self.known, self.codes = 0, np.zeros(256, np.int64)
@@ -51,7 +51,7 @@ class _Counts:
 
 
 def status_file(target: pathlib.Path) -> pathlib.Path:
-    """The file beside an orthoimage that has the codes of its cells."""
+    """The status file beside an orthoimage, with the codes of its cells."""
     return target.with_name(f"{target.stem}_status{target.suffix}")
 
 
@@ -75,22 +75,22 @@ def rectify_file(
     allow_outside: bool = False,
     **how: Any,
 ) -> RectifiedFile:
-    """An image file brought onto the ground and written to a GeoTIFF, in the image's dtype.
+    """Orthorectify an image file and write it to a GeoTIFF, in the image's dtype.
 
-    - `crs`: anything pyproj takes; by default the zone of UTM, or UPS, about the middle of what the image sees.
-    - `bounds`: (west, south, east, north) in the unit of that CRS; by default what the image sees of the ground.
-    - `resolution`: the size of a cell, or (across, down), in the same unit; by default the ground sampling in the
-      middle of the image.
-    - `like`: another orthoimage's file, or raster, to be written onto the very cells of that, instead of the three.
+    - `crs`: anything pyproj takes; by default the UTM zone, or UPS, at the centre of the visible ground.
+    - `bounds`: (west, south, east, north) in the unit of that CRS; by default the visible ground of the image.
+    - `resolution`: cell size, or (across, down), in the same unit; by default the GSD at the
+      image centre.
+    - `like`: the file or raster of another orthoimage, whose cells to use instead of the three.
     - `bands` of the image, by default all but alpha; `cog` makes a cloud-optimised GeoTIFF.
     - `status`: also a file `*_status.tif` beside it, with the code of the `Status` of each cell: `hit` where the image
-      shows it (unless the image is unknown there), or why not. Its tags say what the codes mean.
+      shows it (unless the image is unknown there), or the reason why not. Its tags list the codes.
     - `progress` shows a bar, on a terminal. `allow_remote`, `allow_outside`: of the rasters read, as in `read_dem`.
 
-    Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Where
-    ground is hidden and where the image does not reach, cells are unknown. Files appear when all is written.
-    Raises `ImageError` for the image, also where it has another size than the camera; `ValueError` for a raster that
-    makes no sense, shows nothing of the image, or is too large for a file, and where the image or `like` would be
+    Others (`hidden_tolerance`, `mask_hidden`, `time`, `atmosphere`) and errors as for `jaxgeo.register.rectify`. Cells
+    on hidden ground and outside the image are unknown. Files appear only when complete.
+    Raises `ImageError` for the image, also if its size is not the camera's; `ValueError` for a raster that
+    is invalid, contains nothing of the image, or is too large for a file, and if the image or `like` would be
     overwritten; `FileNotFoundError`, `OSError` where it cannot be written.
     """
     target = checked_target(path, "an orthoimage")
@@ -141,7 +141,7 @@ def _raster(
 def _written(
     rectifier: Rectifier, raster: MapRaster, progress: bool, sink: OrthoWriter, codes_sink: OrthoWriter | None
 ) -> _Counts:
-    """All tiles, written. Raises `ValueError` if none shows anything of the image."""
+    """Write all tiles. Raises `ValueError` if none contains anything of the image."""
     counts = _Counts()
     total = int(np.prod([-(-n // TILE) for n in raster.shape]))
     tiles = tiles_of(rectifier, raster.shape)

@@ -1,4 +1,4 @@
-"""A registration as a file to read by machines, and its blocks as rows of a file of tie points."""
+"""Registration results as machine-readable JSON, and blocks as rows of a tie-point file."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ PACKAGES = ("jaxgeo", "jax", "numpy", "scipy", "rasterio", "pyproj")
 
 
 def tie_rows(registration: Registration, places: BlockPlaces) -> list[TieRow]:
-    """A row for each block of the last pass, also for those left out; none for blocks of which the ground is unknown.
+    """A row for each block of the last pass, including rejected ones; blocks with unknown ground have none.
 
-    `places` are those of `jaxgeo.register.places.places_of_blocks`. A tie lies where the reference shows it, in the
-    height that it has in the update: that point less the map's shift to the east and north is imaged by the updated
-    sensor and shot at the tie's pixel less its residual. Another block lies where the shot puts it.
+    `places` come from `jaxgeo.register.places.places_of_blocks`. A tie is at its position on the reference, with its
+    height in the update: that point minus the map's east and north shift is imaged by the updated
+    sensor and shot at the tie's pixel minus its residual. Other blocks are at their position by the shot.
     """
     check_is(places, BlockPlaces, "places", "Make them with jaxgeo.register.places.places_of_blocks.")
     if not registration.passes:
@@ -54,7 +54,7 @@ def tie_rows(registration: Registration, places: BlockPlaces) -> list[TieRow]:
 
 
 def tie_heights(ties: TiePoints, update: Update | None) -> np.ndarray:
-    """Ellipsoidal heights in m of ties (n,): their own, or as an update by them has the ground, the map's shift off."""
+    """Ellipsoidal heights in m of ties (n,): their own, or from an update's ground, corrected for the map's shift."""
     if update is None:
         return np.asarray(ties.ground.height)
     time = jnp.zeros(()) if update.time is None else update.time
@@ -108,7 +108,7 @@ def _row(registration: Registration, places: BlockPlaces, heights: np.ndarray | 
 
 
 def report_of(registration: Registration) -> dict[str, Any]:
-    """All figures of a registration by name, angles in deg, for a file or a screen; numbers may be NaN."""
+    """All results of a registration by name, angles in deg, for a file or display; numbers may be NaN."""
     check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register_image.")
     errors, update = registration.tie_errors, registration.update
     found: dict[str, Any] = {
@@ -155,7 +155,7 @@ def _ties(registration: Registration, update: Update) -> dict[str, Any]:
 
 
 def _unknowns(update: Update) -> list[dict[str, Any]]:
-    """Every error with its correction and its standard deviations before and after; angles in deg."""
+    """Every parameter with its correction and standard deviations before and after; angles in deg."""
     units = [source.unit for source in update.errors.sources for _ in source.axes] + ["m", "m"]
     found = np.concatenate([np.asarray(update.error), np.asarray(update.shift)])
     before, after = (np.sqrt(np.diagonal(np.asarray(cov))) for cov in (update.prior.covariance, update.covariance))
@@ -168,7 +168,7 @@ def _unknowns(update: Update) -> list[dict[str, Any]]:
 
 
 def fix_report(one: Propagation | None) -> dict[str, Any]:
-    """A fix with its errors: CE and LE of 50, 90 and 95 %, and its covariance in m2 of east, north, up."""
+    """A fix with its accuracy: CE and LE at 50, 90 and 95 %, and the covariance in m2, east, north, up."""
     if one is None:
         return {"status": None}
     status = Status(int(np.asarray(one.fix.status)))
@@ -183,7 +183,7 @@ def fix_report(one: Propagation | None) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of what computes here; packages that are not installed as such are left out."""
+    """Versions of Python and the numerical packages; packages without installed metadata are left out."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -194,14 +194,14 @@ def versions() -> dict[str, str]:
 
 
 def as_json(content: Mapping[str, Any]) -> str:
-    """Text of a JSON file; NaN and infinities, which JSON does not have, are null."""
+    """JSON text; NaN and infinities, which JSON lacks, are null."""
     return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_registration_report(path: str | os.PathLike[str], content: Mapping[str, Any]) -> None:
-    """A report, `report_of` with whatever else is to be kept, as a JSON file that appears when all is written.
+    """Write a report (`report_of` and any further content) to a JSON file, which appears only when complete.
 
-    Raises `ValueError` for a path that cannot be written to, and `TypeError` for what JSON cannot hold.
+    Raises `ValueError` for a path that cannot be written to, and `TypeError` for content that JSON cannot hold.
     """
     text = as_json(content)
     with destination("report", pathlib.Path(path)) as stream:

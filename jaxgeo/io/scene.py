@@ -1,6 +1,6 @@
-"""Scene files: a camera, its gimbal and mount, and one shot, in degrees and metres, as records in radians.
+"""Scene files (TOML): camera, gimbal, mount and one shot in degrees and metres, as records in radians.
 
-The keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example.
+Keys carry their units; `jaxgeo/data/demo_scene.toml` is a commented example.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor
 from jaxgeo.sensor.platform import boresight_from_degrees
 from jaxgeo.uncertainty.model import ErrorModel
 
-MOST_LINES = 20  # mistakes of a file that are reported
+MOST_LINES = 20  # reported mistakes of a file
 _Numbers = np.ndarray | list[float]
 
 
 class SceneError(RefusedFile):
-    """A scene file that cannot be read; the message names the file and every key that is wrong, a line for each."""
+    """An invalid scene file; the message names the file and every wrong key, one line each."""
 
     def __init__(self, message: str = "") -> None:
         lines = str(message).split("\n")
@@ -52,10 +52,10 @@ class SceneError(RefusedFile):
 
 
 class Scene(Record):
-    """What a scene file holds: a sensor, and a shot unless poses come from a table of shots.
+    """Content of a scene file: a sensor, and a shot unless poses come from a table of shots.
 
-    `height_datum` is what the file says the heights of a table of shots, or else of its pose, are measured from;
-    `atmosphere` the air that bends lines of sight, and `errors` the standard deviations, if the file has them.
+    `height_datum` is the file's datum of heights in a table of shots, or else of its pose;
+    `atmosphere` is used for refraction, and `errors` are the standard deviations, if the file has them.
     """
 
     sensor: Sensor
@@ -67,9 +67,9 @@ class Scene(Record):
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
-    """The scene in a TOML file, every field checked.
+    """Read a scene from a TOML file and validate every field.
 
-    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    Raises `SceneError` naming the key, the value and the expected value; `FileNotFoundError`; `RuntimeError` with
     64-bit floats off.
     """
     require_x64()
@@ -97,9 +97,9 @@ def load_scene(path: str | os.PathLike[str]) -> tuple[Sensor, Shot]:
 
 
 def read_camera(path: str | os.PathLike[str]) -> FrameCamera:
-    """The camera of a scene file, or of a file that has nothing but the table [camera].
+    """Read the camera of a scene file, or of a file with only the table [camera].
 
-    Raises `SceneError` naming the key, the value and what is expected; `FileNotFoundError`; `RuntimeError` with
+    Raises `SceneError` naming the key, the value and the expected value; `FileNotFoundError`; `RuntimeError` with
     64-bit floats off.
     """
     require_x64()
@@ -117,7 +117,7 @@ def read_camera(path: str | os.PathLike[str]) -> FrameCamera:
 
 
 def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
-    """(what the file holds as written, the same checked)."""
+    """(content of the file as written, the same validated)."""
     content = _read_toml(path)
     try:
         return content, SceneTable.model_validate(content)
@@ -126,7 +126,7 @@ def _read_table(path: pathlib.Path) -> tuple[dict[str, Any], SceneTable]:
 
 
 def _read_toml(path: pathlib.Path) -> dict[str, Any]:
-    """What a TOML file holds; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
+    """The content of a TOML file; a byte order mark is skipped. Raises `SceneError`, `FileNotFoundError`."""
     check_regular(path, SceneError)
     try:
         text = read_bytes(path, PARAMETER_BYTES).decode("utf-8-sig")
@@ -144,12 +144,12 @@ def _read_toml(path: pathlib.Path) -> dict[str, Any]:
         raise SceneError(f"{path}: the scene file cannot be read: {error.strerror}.") from error
     except RecursionError:
         raise SceneError(str(NESTING.refusal(path, None))) from None
-    except ValueError as error:  # tomllib's own, of UTF-8, of numbers too long
+    except ValueError as error:  # tomllib's own, invalid UTF-8, too long numbers
         raise SceneError(f"{path}: not a TOML file: {error}.") from error
 
 
 def _check_datum(table: str, datum: str | float, written: Any) -> None:
-    """Raises `ValueError` with the key and its value as written for a vertical datum that cannot be used."""
+    """Raises `ValueError` with the key and its value as written for an unusable vertical datum."""
     shown = f"[{table}] height_datum = {json.dumps(written, ensure_ascii=False)}"
     if isinstance(datum, float) and abs(datum) > LARGEST_UNDULATION:
         raise ValueError(
@@ -257,12 +257,12 @@ def _radians(*angles_deg: float | None) -> list[float]:
 def ellipsoidal_heights(
     lon_deg: _Numbers, lat_deg: _Numbers, height: _Numbers, datum: str | float | None, stated: pyproj.CRS | None = None
 ) -> np.ndarray:
-    """Heights in m above the WGS 84 ellipsoid of heights in m above a vertical datum; arrays of one shape.
+    """Convert heights in m above a vertical datum to heights in m above the WGS 84 ellipsoid; arrays of one shape.
 
-    `stated` is the vertical CRS of the file that the heights are from, if it names one: the datum must agree with it,
-    and where its heights are depths, so are these. NaN stays NaN.
-    Raises `VerticalDatumError` for a datum that is unknown or needs a grid that is missing, and
-    `OutsideDatum`, a `ValueError`, where the datum's grid does not reach.
+    `stated` is the vertical CRS that the file of the heights states, if any: the datum must agree with it,
+    and if it counts depths, so do the heights. NaN stays NaN.
+    Raises `VerticalDatumError` for a datum that is unknown or needs a missing grid, and
+    `OutsideDatum`, a `ValueError`, outside the datum's grid.
     """
     lon, lat, height = (np.asarray(x, np.float64) for x in (lon_deg, lat_deg, height))
     known = np.isfinite(lon) & np.isfinite(lat) & np.isfinite(height)
@@ -279,7 +279,7 @@ def ellipsoidal_heights(
 
 
 def _shift(datum: str | float) -> HeightShift:
-    """The shift of a datum; of one that is no file it is found once, which takes PROJ longer than many points."""
+    """The shift of a datum; cached unless it is a file, since PROJ's search is slower than converting many points."""
     if isinstance(datum, str) and not os.path.exists(datum):
         return _shift_of(datum, threading.get_ident())  # a transformer belongs to its thread
     return height_shift(datum)
@@ -291,7 +291,7 @@ def _shift_of(datum: str, thread: int) -> HeightShift:
 
 
 def grid_convergence(map_crs: str, lon_deg: float, lat_deg: float) -> float:
-    """Direction of a map's grid north at a position in rad, clockwise from true north."""
+    """Grid convergence: direction of a map's grid north at a position in rad, clockwise from true north."""
     try:
         crs = known_crs(map_crs)
     except UNKNOWN_CRS as error:

@@ -1,4 +1,4 @@
-"""The table [errors] of a scene file as an error model."""
+"""Error model from the table [errors] of a scene file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Given = float | list[float]
 
 
 def model_of_table(table: ErrorsTable, gimbal: Gimbal) -> ErrorModel:
-    """The error model of a table; raises `ValueError` for what does not fit the gimbal."""
+    """The error model of a table; raises `ValueError` if it does not match the gimbal."""
     found: list[Any] = []
     if table.position_m is not None:
         north, east, down = _each(table.position_m, 3)
@@ -71,7 +71,7 @@ def _boresight(given: Given, gimbal: Gimbal) -> Any:
 
 
 def _each(given: Given, count: int, key: str = "") -> Sequence[float]:
-    """One number for each axis."""
+    """One number per axis."""
     values = [given] * count if isinstance(given, float | int) else list(given)
     if len(values) != count:
         raise ValueError(f"[errors] {key} = {given!r}: expected {count} numbers, one for each reading, or one for all.")

@@ -1,4 +1,4 @@
-"""Updated scenes: a scene file with another pose, and other constants of its sensor, all else as it was written."""
+"""Scene update writer: a scene file with a new pose and sensor constants, everything else unchanged."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from jaxgeo.rotations import heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Pose, Sensor, Shot
 from jaxgeo.sensor.distortion import NoDistortion
 
-# Decimals that are written: about 1e-7 m for latitudes, 1e-11 rad for angles, 1e-7 m and 1e-9 pixels for lengths.
+# Decimals written: about 1e-7 m for latitudes, 1e-11 rad for angles, 1e-7 m and 1e-9 pixels for lengths.
 DECIMALS = {"lat_deg": 12, "lon_deg": 12, "height_m": 7}
 DECIMALS_OF_ANGLES, DECIMALS_OF_LENGTHS = 10, 9
-SAME = 1e-12  # parts of a sensor that differ by less, in rad, or relative to their size, are the same
+SAME = 1e-12  # in rad, or relative: smaller differences of sensor parts count as equal
 
 Changes = dict[tuple[str, ...], Any]
 
@@ -37,16 +37,16 @@ def write_updated_scene(
     shot: Shot,
     sensor: Sensor | None = None,
 ) -> None:
-    """The scene file `scene` with its pose and gimbal readings replaced by those of `shot`, comments kept.
+    """Write the scene file `scene` with its pose and gimbal readings replaced by those of `shot`; comments are kept.
 
-    The pose is written as the scene has it: its height above the same datum, its attitude as heading, pitch and roll
-    or as omega, phi and kappa in the same map. `sensor` is the updated sensor, if that changed: focal length, principal
-    point, distortion (Brown-Conrady), the turn of the gimbal's base and lever arms are written where they differ.
-    `read_scene` reads the result back to 1e-6 m and 1e-9 rad. The file appears when all is written.
+    The pose has the scene's form: height above the same datum, attitude as heading, pitch and roll
+    or as omega, phi and kappa in the same map. `sensor` is the updated sensor, if it changed: focal length, principal
+    point, distortion (Brown-Conrady), the rotation of the gimbal's base and lever arms are written where they differ.
+    `read_scene` reads the result back to 1e-6 m and 1e-9 rad. The file appears only when complete.
 
-    Raises `SceneError` for a scene without a pose, for numbers that a scene file cannot hold, and by its name for a
-    part of the sensor that no key of a scene file is for; as `read_scene`; `ValueError` for a path that cannot be
-    written to, or a shot that is none of the scene's; `VerticalDatumError`.
+    Raises `SceneError` for a scene without a pose, for numbers that a scene file cannot hold, and for a changed
+    part of the sensor that has no key in scene files (named); as `read_scene`; `ValueError` for a path that cannot be
+    written to, or a shot that does not match the scene; `VerticalDatumError`.
     """
     source = pathlib.Path(scene)
     check_is(shot, Shot, "shot", "One shot of the scene.")
@@ -66,8 +66,8 @@ def write_updated_scene(
 
 
 def _with_changes(source: pathlib.Path, text: str, changes: Changes) -> str:
-    """The scene's text with values replaced, checked as that of a scene."""
-    import tomlkit  # only who writes scenes needs it
+    """The scene's text with values replaced, validated as a scene."""
+    import tomlkit  # only needed for writing scenes
     from tomlkit.items import InlineTable
 
     document = tomlkit.parse(text)
@@ -108,7 +108,7 @@ def _pose_changes(source: pathlib.Path, table: PoseTable, shot: Shot) -> Changes
 
 
 def _attitude(table: PoseTable, pose: Pose, lon: float, lat: float) -> dict[str, float]:
-    """The angles in deg that the scene's pose has."""
+    """The angles in deg in the form of the scene's pose."""
     if table.map_crs is not None:
         angles = pose.to_omega_phi_kappa(convergence=grid_convergence(table.map_crs, lon, lat))
         names = ("omega_deg", "phi_deg", "kappa_deg")
@@ -134,7 +134,7 @@ def _reading_changes(source: pathlib.Path, gimbal: Gimbal, shot: Shot) -> Change
 def _sensor_changes(
     source: pathlib.Path, table: SceneTable, before: Sensor, after: Sensor
 ) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """What differs, by key. Raises `SceneError` for what has none."""
+    """Differences, by key. Raises `SceneError` for those without a key."""
     if not _same(before.gimbal, after.gimbal):
         raise _no_key(
             source, "the gimbal's axes, signs, gains, offsets and limits", "[gimbal] has its kind and readings"
@@ -196,7 +196,7 @@ def _lengths(values: Any) -> list[float]:
 
 
 def _same(before: Any, after: Any) -> bool:
-    """Whether two records, or arrays, are of one kind and hold the same numbers."""
+    """Whether two records, or arrays, have the same type and values."""
     if jax.tree.structure(before) != jax.tree.structure(after):
         return False
     pairs = zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True)

@@ -1,6 +1,6 @@
-"""Values that mean "unknown", by file format: one tuple of `Sentinel` for each, each row held by a test.
+"""Sentinel values that mean "unknown", by file format: one tuple of `Sentinel` each, every row covered by a test.
 
-A reader asks `sentinel_of(ROWS, quantity, values)` before it takes a quantity as a measurement. To add a format, add
+A reader calls `sentinel_of(ROWS, quantity, values)` before it uses a quantity as a measurement. To add a format, add
 one tuple (`KLV = (Sentinel(...), ...)`) and its entry in `SENTINELS`; readers import only their own tuple.
 """
 
@@ -11,17 +11,17 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-UNDEFINED = re.compile(r"[+-]?0+(\.0*)?/0+(\.0*)?")  # a fraction of which nothing is said, as EXIF writes it
+UNDEFINED = re.compile(r"[+-]?0+(\.0*)?/0+(\.0*)?")  # EXIF's undefined fraction
 NO_TIME = re.compile(r"[\s0:.-]*")  # a date and time of zeros or blanks
 
 
 class Sentinel(NamedTuple):
     """Fields of a file whose values together mean that a quantity is unknown.
 
-    - `quantity`: what is unknown, such as "position", "height", "camera angles".
-    - `fields`: the names of the fields, as the reader of the format calls them.
-    - `is_unknown`: whether their values, in that order and as the reader has them, mean that.
-    - `reason`: what the values mean, as the end of a sentence that begins with the fields and their values.
+    - `quantity`: the unknown quantity, such as "position", "height", "camera angles".
+    - `fields`: the field names used by the format's reader.
+    - `is_unknown`: a test of their values, in that order and as read.
+    - `reason`: the meaning of the values, as the end of a sentence that begins with the fields and their values.
     """
 
     quantity: str
@@ -30,12 +30,12 @@ class Sentinel(NamedTuple):
     reason: str
 
     def holds(self, values: Mapping[str, Any]) -> bool:
-        """Whether all fields are there and mean "unknown"."""
+        """Whether all fields are present and mean "unknown"."""
         return all(name in values for name in self.fields) and self.is_unknown(*(values[name] for name in self.fields))
 
 
 def sentinel_of(rows: tuple[Sentinel, ...], quantity: str, values: Mapping[str, Any]) -> Sentinel | None:
-    """The first row of a format by which a quantity is unknown; None if its values are measurements."""
+    """The first row of a format that marks a quantity as unknown; None if its values are measurements."""
     return next((row for row in rows if row.quantity == quantity and row.holds(values)), None)
 
 
@@ -54,7 +54,7 @@ def all_zero(*values: Any) -> bool:
 
 
 def begins_with(*words: str) -> Callable[[Any], bool]:
-    """A test of a text, whatever its case."""
+    """A case-insensitive test of a text's beginning."""
     return lambda value: str(value).strip().lower().startswith(tuple(word.lower() for word in words))
 
 
@@ -66,7 +66,7 @@ _ANGLES = "a gimbal that reports no angles writes zeros"
 _POSITION = "a receiver without a fix writes zeros"
 _RATIONAL = "0/0 is the fraction of an unknown value"
 
-# Tags of images by the names of `ImageTags`.
+# Image tags by the names of `ImageTags`.
 IMAGE = (
     Sentinel("position", ("EXIF:GPSStatus",), begins_with("V"), "the receiver had no fix"),
     Sentinel("position", ("drone-dji:GpsStatus",), begins_with("invalid"), "the receiver had no fix"),
@@ -133,13 +133,13 @@ def is_blank(*values: Any) -> bool:
     return all(isinstance(value, str) and not value.strip() for value in values)
 
 
-# Fields of DJI's video subtitles (SRT), in small letters.
+# Fields of DJI's video subtitles (SRT), in lower case.
 SUBTITLES = (
     Sentinel("position", ("latitude", "longitude"), all_zero, _POSITION),
     Sentinel("height", ("abs_alt",), all_zero, "a receiver without a height writes zero"),
     Sentinel("camera angles", ("gb_yaw", "gb_pitch", "gb_roll"), all_zero, _ANGLES),
 )
-# Columns of AirData's flight logs, in small letters and without their units.
+# Columns of AirData's flight logs, in lower case and without units.
 AIRDATA = (
     Sentinel("position", ("latitude", "longitude"), all_zero, _POSITION),
     Sentinel("position", ("latitude", "longitude"), is_blank, "the cells are empty"),
@@ -147,14 +147,14 @@ AIRDATA = (
     Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), all_zero, _ANGLES),
     Sentinel("camera angles", ("gimbal_heading", "gimbal_pitch", "gimbal_roll"), is_blank, "the cells are empty"),
 )
-# Fields of DJI's marks of photos (Timestamp.MRK).
+# Fields of DJI's photo marks (Timestamp.MRK).
 MARKS = (
     Sentinel("position", ("Q",), all_zero, "0 is no solution"),
     Sentinel("position", ("Lat", "Lon"), all_zero, _POSITION),
     Sentinel("position errors", ("sigma north", "sigma east", "sigma up"), all_zero, "they were not estimated"),
     Sentinel("time", ("week", "time of week"), all_zero, "a receiver without time writes zeros"),
 )
-# Fields of records of an SBET.
+# Fields of SBET records.
 SBET = (Sentinel("position", ("lat", "lon"), all_zero, "records that were never written are zeros"),)
 
 
@@ -166,7 +166,7 @@ def _is_nan(value: Any) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-# Items of MISB ST 0601, by their names and units in `st0601`; a reserved code is NaN when it has been read.
+# Items of MISB ST 0601, by their names and units in `st0601`; reserved codes are read as NaN.
 KLV = (
     Sentinel("time", ("Precision Time Stamp (us)",), all_zero, "a clock that is not set writes zero"),
     Sentinel("position", ("Sensor Latitude (deg)", "Sensor Longitude (deg)"), all_zero, _POSITION),

@@ -1,4 +1,4 @@
-"""Where rays pass over a mosaic, how high, and where they must have met the ground: conservative boxes, no posts."""
+"""Conservative bounds of ray paths over a mosaic, from block bounds without reading posts."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from jaxgeo.io.mapping import FileMap
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.terrain.search.base import CEILING_MARGIN
 
-USUAL_FLOOR = -500.0  # m: below nearly all dry land, so that a path is cut finely above it and coarsely below
-FINE, COARSE = 16, 2  # stretches of a path above and below it
+USUAL_FLOOR = -500.0  # m: below nearly all dry land, so paths have short segments above it and long ones below
+FINE, COARSE = 16, 2  # segments of a path above and below it
 NODES = 2 * (FINE + COARSE) + 1
-PLACES = 33  # on the way from a ray's origin to where its path begins
+PLACES = 33  # samples from a ray's origin to the start of its path
 RAYS_AT_ONCE = 16_384
-BATCHES = (256, 2048, RAYS_AT_ONCE)  # numbers of rays that programs are compiled for
-CLEARLY = 0.01  # m by which a ray must be below the lowest ground to have met it
+BATCHES = (256, 2048, RAYS_AT_ONCE)  # numbers of rays that are compiled for
+CLEARLY = 0.01  # m: depth below the lowest ground that proves a hit
 BESIDE = 1.0  # cells added around each box
-ON_THE_EDGE = 1e-6  # cells: on the outer line of posts in spite of rounding
-FAR_AWAY = 1e15  # where the map does not reach
+ON_THE_EDGE = 1e-6  # cells: tolerance for rounding on the outermost posts
+FAR_AWAY = 1e15  # outside the map's domain
 
 
 @dataclasses.dataclass(frozen=True)
 class Sightlines:
-    """Paths of n rays cut into stretches, each with a box that surely holds it.
+    """Paths of n rays as segments, each with a conservative bounding box.
 
-    `low` and `high` (n, stretches, 2) are (row, col) bounds without any margin, `bottom` and `top` (n, stretches) those
-    of height in m. `exists` (n,) is false for rays that never come below the height from which paths begin. `last` (n,)
-    is the stretch in which the ray has met the ground, if it surely has; `touches` (n, stretches) where it may meet it.
-    `is_simple` rays begin over the mosaic and end over it, by meeting the ground or by rising above all of it.
+    `low` and `high` (n, segments, 2) are (row, col) bounds without any margin, `bottom` and `top` (n, segments) those
+    of height in m. `exists` (n,) is false for rays that never get below the start height of paths. `last` (n,)
+    is the segment in which the ray has certainly hit the ground, if any; `touches` (n, segments) where it may hit it.
+    `is_simple` rays start over the mosaic and end over it, by hitting the ground or by rising above all of it.
     """
 
     low: np.ndarray
@@ -52,11 +52,11 @@ class Sightlines:
     is_simple: np.ndarray
 
     def take(self, rays: np.ndarray) -> Sightlines:
-        """Those of some rays."""
+        """The paths of some rays."""
         return Sightlines(*(getattr(self, field.name)[rays] for field in dataclasses.fields(self)))
 
     def needed(self, ceiling: float) -> np.ndarray:
-        """Which stretches (n, stretches) must be loaded for a search that begins at `ceiling`."""
+        """Mask (n, segments) of segments to load for a search that starts at `ceiling`."""
         reached = np.arange(self.low.shape[1])[None, :] <= self.last[:, None]
         below = self.bottom <= ceiling + 2.0 * CEILING_MARGIN
         return self.exists[:, None] & reached & (below | self.touches)
@@ -70,10 +70,10 @@ def sightlines(
     ceiling: float,
     void_ceiling: Callable[[], float],
 ) -> Sightlines:
-    """Follow rays (n, 3) from `ceiling` until they must have met the ground or are above `ceiling` again.
+    """Follow rays (n, 3) from `ceiling` until they have certainly hit the ground or are above `ceiling` again.
 
-    `grid` is the mosaic's, or None where only PROJ (`mapping`) can follow its map; `void_ceiling` a function that gives
-    it, asked only if there are voids on the way.
+    `grid` is the mosaic's, or None if only PROJ (`mapping`) can compute its map; `void_ceiling` is a function, called
+    only if there are voids on the path.
     """
     normals, heights, exists = _nodes(rays, ceiling)
     rowcol = _rowcols(normals, mapping, grid)
@@ -90,17 +90,17 @@ def sightlines(
 
 
 def block_range(low: np.ndarray, high: np.ndarray, blocks: Blocks) -> np.ndarray:
-    """First and last row and column of the blocks under boxes, (n, 4), where they overlap the mosaic at all."""
+    """First and last row and column of the blocks under boxes, (n, 4), if they overlap the mosaic."""
     cells = np.array(blocks.cells)
     first, last = np.floor(low - BESIDE), np.floor(high + BESIDE)
     limit = cells - 1.0
-    if blocks.turn is not None:  # around the Earth at most once
+    if blocks.turn is not None:  # at most once around the Earth
         shift = blocks.turn * np.floor(first[:, 1] / blocks.turn)
         first[:, 1], last[:, 1] = first[:, 1] - shift, last[:, 1] - shift
         limit = np.stack([np.full(len(low), limit[0]), first[:, 1] + blocks.turn - 1.0], axis=1)
     first, last = np.clip(first, 0.0, limit), np.clip(last, 0.0, limit)
     ranges = np.concatenate([first, last], axis=1).astype(np.int64) // blocks.size
-    if blocks.turn is not None:  # a part of a block at the seam shifts what follows it
+    if blocks.turn is not None:  # a partial block at the seam shifts later blocks
         wraps = last[:, 1] >= blocks.turn
         ends = ((last[:, 1] - blocks.turn).astype(np.int64) // blocks.size) + blocks.shape[1]
         ranges[:, 3] = np.where(wraps, ends, ranges[:, 3])
@@ -109,7 +109,7 @@ def block_range(low: np.ndarray, high: np.ndarray, blocks: Blocks) -> np.ndarray
 
 
 def _walk(path: Sightlines, blocks: Blocks, void_ceiling: Callable[[], float]) -> None:
-    """Fill in where each ray may meet the ground, and where it surely has: stretch by stretch, all rays together."""
+    """Mark where each ray may hit the ground, and where it certainly has: segment by segment, all rays together."""
     active = path.exists.copy()
     for k in range(path.low.shape[1]):
         low, high = path.low[:, k], path.high[:, k]
@@ -128,7 +128,7 @@ def _walk(path: Sightlines, blocks: Blocks, void_ceiling: Callable[[], float]) -
 
 
 def _distinct(ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The different ones of integer rows (n, 4), and which of them each row is."""
+    """Unique integer rows (n, 4), and the inverse index."""
     sizes = ranges.max(axis=0) + 1
     keys = np.ravel_multi_index(tuple(ranges.T), tuple(sizes.tolist()))
     _, first, which = np.unique(keys, return_index=True, return_inverse=True)
@@ -152,13 +152,13 @@ def _bounds(ranges: np.ndarray, blocks: Blocks, void_ceiling: Callable[[], float
 
 
 def _is_within(low: np.ndarray, high: np.ndarray, blocks: Blocks) -> np.ndarray:
-    """Whether boxes lie over the mosaic entirely."""
+    """Whether boxes are entirely over the mosaic."""
     rows = (low[:, 0] >= 0.0) & (high[:, 0] <= blocks.cells[0])
     return rows if blocks.turn is not None else rows & (low[:, 1] >= 0.0) & (high[:, 1] <= blocks.cells[1])
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, blocks: Blocks) -> np.ndarray:
-    """Whether boxes, with the margin, lie over the mosaic in part."""
+    """Whether boxes, with the margin, overlap the mosaic."""
     rows = (low[:, 0] - BESIDE <= blocks.cells[0]) & (high[:, 0] + BESIDE >= 0.0)
     if blocks.turn is not None:
         return rows
@@ -168,10 +168,10 @@ def _overlaps(low: np.ndarray, high: np.ndarray, blocks: Blocks) -> np.ndarray:
 def comes_in(
     rays: Ray, mapping: FileMap, grid: AbstractGrid | None, blocks: Blocks, ceiling: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of rays (n, 3): which come below `ceiling` at all, which are over the mosaic there, and which were before.
+    """Of rays (n, 3): which get below `ceiling` at all, which are over the mosaic there, and which were before.
 
-    The way to there is taken as straight between 33 places; so it is only known to some metres whether a ray passes the
-    very corner of a mosaic.
+    The path to there is interpolated linearly between 33 points, so whether a ray passes the very corner of a
+    mosaic is only known to some metres.
     """
     found = [_ways(padded_rays(part), jnp.asarray(ceiling)) for part in in_parts(rays)]
     normals, exists = (np.concatenate(leaves)[: len(rays.origin)] for leaves in zip(*found, strict=True))
@@ -180,7 +180,7 @@ def comes_in(
 
 
 def _passes_over(rowcol: np.ndarray, blocks: Blocks) -> np.ndarray:
-    """Whether any of the straight pieces between places (n, places, 2) has a part over the mosaic."""
+    """Whether any of the line segments between points (n, points, 2) overlaps the mosaic."""
     a, run = rowcol[:, :-1], np.diff(rowcol, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([(-ON_THE_EDGE - a) / run, (np.array(blocks.cells) + ON_THE_EDGE - a) / run])
@@ -194,7 +194,7 @@ def _passes_over(rowcol: np.ndarray, blocks: Blocks) -> np.ndarray:
 
 
 def in_parts(rays: Ray) -> Iterator[Ray]:
-    """Rays (n, 3) in parts of at most `RAYS_AT_ONCE`."""
+    """Rays (n, 3) in chunks of at most `RAYS_AT_ONCE`."""
     for start in range(0, len(rays.origin), RAYS_AT_ONCE):
         yield Ray(rays.origin[start : start + RAYS_AT_ONCE], rays.direction[start : start + RAYS_AT_ONCE])
 
@@ -219,7 +219,7 @@ def _nodes(rays: Ray, ceiling: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def padded_rays(rays: Ray) -> Ray:
-    """Rays (n, 3) filled up to one of a few numbers by rays that look away from the Earth."""
+    """Rays (n, 3) padded to one of a few numbers by rays that point away from the Earth."""
     count = len(rays.origin)
     size = next((size for size in BATCHES if size >= count), count)
     away = np.tile([3e7, 0.0, 0.0], (size - count, 1))
@@ -238,7 +238,7 @@ def _paths(
 def _path(
     ray: Ray, ceiling: Float[Array, ""]
 ) -> tuple[Float[Array, "nodes 3"], Float[Array, " nodes"], Bool[Array, ""]]:
-    """Nodes from the ceiling down, and up again where the ray does not sink for good."""
+    """Nodes from the ceiling down, and up again where the ray starts to rise."""
     heights = jnp.stack([ceiling, ceiling, jnp.minimum(USUAL_FLOOR, ceiling - 1.0), jnp.asarray(POSSIBLE_HEIGHTS[0])])
     (entry, exit_, floor, deepest), meets = WGS84.crossings(
         ray.origin, ray.direction, heights, jnp.array([-1.0, 1.0, -1.0, -1.0])
@@ -253,9 +253,9 @@ def _path(
 
 
 def _rowcols(normals: np.ndarray, mapping: FileMap, grid: AbstractGrid | None) -> np.ndarray:
-    """(row, col) (n, nodes, 2) under normals (n, nodes, 3); not finite where the map does not reach.
+    """(row, col) (n, nodes, 2) under normals (n, nodes, 3); not finite outside the map's domain.
 
-    On a map in longitude and latitude each path's columns go on across the seam opposite to the mosaic's centre.
+    On a geographic map the columns of each path continue across the seam opposite to the mosaic's centre.
     """
     shape, flat = normals.shape[:-1], normals.reshape(-1, 3)
     if grid is not None:
@@ -287,10 +287,10 @@ def _by_grid(grid: AbstractGrid, normals: jax.Array) -> jax.Array:
 
 
 def _boxes(rowcol: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Bounds of (row, col) and of height over the stretches between every second node.
+    """Bounds of (row, col) and of height over the segments between every second node.
 
-    Row and column are taken as parabolas whose bend is counted eightfold, for what is left of higher order; height
-    along a straight line is convex, so chords bound it from above, and from below where they are continued.
+    Rows and columns are modelled as parabolas whose curvature is multiplied by eight, to cover higher orders; height
+    along a straight line is convex, so chords bound it from above, and their extensions from below.
     """
     a, m, b = rowcol[:, 0:-1:2], rowcol[:, 1::2], rowcol[:, 2::2]
     bend = np.abs(a + b - 2.0 * m)

@@ -1,4 +1,4 @@
-"""Tables of shots in, tables of fixes out: CSV and GeoJSON, in degrees and metres."""
+"""Shot table reader and fix table writer: CSV and GeoJSON, in degrees and metres."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from jaxgeo.status import Status
 
 PIXEL_COLUMNS: dict[str, Limits] = {"u": (-1e7, 1e7, "pixels"), "v": (-1e7, 1e7, "pixels")}
 
-GIMBAL_REFERENCE = "gimbal_reference"  # column that says what readings are against: "body" or "level"
+GIMBAL_REFERENCE = "gimbal_reference"  # column with the reference of readings: "body" or "level"
 
-# Column of a fix: decimals that are written. Ten of a degree are a hundredth of a millimetre.
+# Decimals written by column of a fix. Ten decimals of a degree are a hundredth of a millimetre.
 FIX_COLUMNS = {
     "fix_lat_deg": 10,
     "fix_lon_deg": 10,
@@ -41,7 +41,7 @@ FIX_COLUMNS = {
 
 @dataclass(frozen=True)
 class ShotTable:
-    """Shots of a CSV file, with a pixel or without: the numbers by column, and every row as it was written, to be
+    """Shots of a CSV file, with or without a pixel: the numbers by column, and every row as written, to be
     carried through."""
 
     numbers: dict[str, np.ndarray]
@@ -51,18 +51,18 @@ class ShotTable:
         return len(self.rows)
 
     def as_records(self, readings: Sequence[str], height_datum: str | float) -> tuple[Shot, np.ndarray]:
-        """(shots, pixels): a batch of n shots and their pixels (n, 2), heights made ellipsoidal."""
+        """(shots, pixels): a batch of n shots with ellipsoidal heights, and their pixels (n, 2)."""
         pixels = np.stack([self.numbers[name] for name in PIXEL_COLUMNS], axis=-1)
         return self.shots(readings, height_datum), pixels
 
     def shots(self, readings: Sequence[str], height_datum: str | float) -> Shot:
-        """A batch of n shots, heights made ellipsoidal."""
+        """A batch of n shots with ellipsoidal heights."""
         angles = readings_of(self.numbers, readings, len(self))
         return Shot(poses_of(self.numbers, height_datum), angles, np.zeros(len(self)))
 
 
 def poses_of(numbers: Mapping[str, np.ndarray], height_datum: str | float) -> Pose:
-    """A batch of poses from the columns of `POSE_COLUMNS`, heights made ellipsoidal.
+    """A batch of poses from the columns of `POSE_COLUMNS`, with ellipsoidal heights.
 
     Raises as `ellipsoidal_heights`.
     """
@@ -80,7 +80,7 @@ def readings_of(numbers: Mapping[str, np.ndarray], readings: Sequence[str], coun
 
 
 def number_columns(readings: Iterable[str], *, pixels: bool = True) -> dict[str, Limits]:
-    """(lowest value, highest value, unit) of every column that a table of shots must have, with pixels or without.
+    """(lowest value, highest value, unit) of every required column of a table of shots, with or without pixels.
 
     `readings` are the gimbal's names; their columns are `gimbal_<name>_deg`.
     """
@@ -88,18 +88,18 @@ def number_columns(readings: Iterable[str], *, pixels: bool = True) -> dict[str,
 
 
 def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels: bool = True) -> ShotTable:
-    """One shot and pixel for each row of a CSV file; `readings` are the gimbal's names (columns `gimbal_<name>_deg`).
+    """Read one shot and pixel per row of a CSV file; `readings` are the gimbal's names (columns `gimbal_<name>_deg`).
 
-    Without `pixels`, of whole images, columns `u` and `v` need not be there, and names of columns are not reserved for
-    fixes. Other columns are carried through. What is not known (`nan`, an empty cell, -9999, latitude and longitude
-    both zero) is NaN, in `rows` "nan": its fix is `invalid_input`. Raises `TableError` for a missing or doubled column,
-    a row of another length, and a cell that is no number or out of range, and a file that cannot be opened;
+    Without `pixels`, for whole images, columns `u` and `v` are optional, and column names are not reserved for
+    fixes. Other columns are carried through. Unknown values (`nan`, an empty cell, -9999, latitude and longitude
+    both zero) are NaN, in `rows` "nan": their fix is `invalid_input`. Raises `TableError` for a missing or repeated
+    column, a row of another length, a cell that is not a number or out of range, and a file that cannot be opened;
     `FileNotFoundError`.
     """
     wanted = number_columns(readings, pixels=pixels)
     table = read_csv(path, "table of shots", wanted, taken=FIX_COLUMNS if pixels else ())
     numbers = {name: table.numbers(name, limits, unknown_too=True) for name, limits in wanted.items()}
-    nowhere = (numbers["lat_deg"] == 0.0) & (numbers["lon_deg"] == 0.0)  # as GPS without a position is written
+    nowhere = (numbers["lat_deg"] == 0.0) & (numbers["lon_deg"] == 0.0)  # written by GPS without a position
     for name in ("lat_deg", "lon_deg"):
         numbers[name] = np.where(nowhere, np.nan, numbers[name])
     rows = table.rows
@@ -110,7 +110,7 @@ def read_shots(path: str | os.PathLike[str], readings: Sequence[str], *, pixels:
 
 
 def fix_rows(fix: Fix, height_msl: np.ndarray | None = None) -> Iterator[Row]:
-    """One row of `FIX_COLUMNS` for each fix of a batch (n,); unknown numbers are None, the status is a word.
+    """One row of `FIX_COLUMNS` for each fix of a batch (n,); unknown numbers are None, the status is its name.
 
     `height_msl` are heights above mean sea level in m, if known.
     """
@@ -129,7 +129,7 @@ def _rounded(value: Any, places: int | None) -> float | None:
 
 
 def write_csv(rows: Iterable[Row], stream: TextIO) -> None:
-    """Rows as CSV, in the order of the first row's keys; None is an empty cell, and no text is run (`safe_cell`)."""
+    """Write rows as CSV, columns in the order of the first row; None is an empty cell, texts use `safe_cell`."""
     writer = None
     for row in rows:
         if writer is None:
@@ -145,10 +145,10 @@ def _text(value: Any, places: int | None) -> Any:
 
 
 def write_geojson(rows: Iterable[Row], stream: TextIO, numbers: Collection[str] = ()) -> None:
-    """Rows as GeoJSON points [lon, lat, ellipsoidal height], everything else as properties.
+    """Write rows as GeoJSON points [lon, lat, ellipsoidal height], everything else as properties.
 
-    A fix without coordinates is a feature whose geometry is null, so that none is lost. Columns named in `numbers` are
-    written as numbers where rows hold their text. NaN and infinities, which JSON does not have, are null.
+    A fix without coordinates is a feature with a null geometry. Columns named in `numbers` are
+    written as numbers where rows have them as text. NaN and infinities, which JSON lacks, are null.
     """
     stream.write('{"type": "FeatureCollection", "features": [')
     for i, row in enumerate(rows):
@@ -161,7 +161,7 @@ def write_geojson(rows: Iterable[Row], stream: TextIO, numbers: Collection[str] 
 
 
 def _typed(value: Any, is_number: bool) -> Any:
-    """A value for JSON: the text of a number as that number, and None for a number that is not finite."""
+    """A value for JSON: numeric text as a number, None for a number that is not finite."""
     if is_number and isinstance(value, str):
         value = float(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""Tie points between an image and a reference as a file to look at: GeoJSON, with why each was taken or left out."""
+"""Tie points between an image and a reference as GeoJSON, with the reason why each was used or rejected."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ PLACE = ("lat_deg", "lon_deg", "height_m")
 
 @dataclass(frozen=True)
 class TieRow:
-    """A place on the ground and the pixel that shows it, for a file.
+    """A ground point and its pixel, for a file.
 
-    Latitude and longitude in deg of WGS 84, ellipsoidal height in m where it is known; `column` and `row` in pixels of
-    the image, pixel centres at integers; the `score` of the match, the standard deviation in m of its place on the
-    ground; residuals in pixels (image less prediction) and the weight after the update; whether it was `chosen`, and
-    else the `reason` in words. What is unknown is None or NaN.
+    Latitude and longitude in deg of WGS 84, ellipsoidal height in m if known; `column` and `row` in pixels of
+    the image, pixel centres at integers; the `score` of the match, the standard deviation in m of its position on the
+    ground; residuals in pixels (image minus prediction) and the weight after the update; whether it was `chosen`,
+    else the `reason` as text. Unknown values are None or NaN.
     """
 
     lat_deg: float
@@ -47,11 +47,11 @@ NAMES = [name for name in TieRow.__dataclass_fields__ if name not in PLACE]
 
 
 def write_tie_points(path: str | os.PathLike[str], rows: Sequence[TieRow]) -> None:
-    """Tie points as the points of a GeoJSON of RFC 7946: [lon, lat], or [lon, lat, height] where all have a height.
+    """Write tie points as RFC 7946 GeoJSON points: [lon, lat], or [lon, lat, height] if all have a height.
 
-    Everything else is a property; NaN and infinities, which JSON does not have, are null. The file appears when all is
-    written. Raises `ValueError` for a path that cannot be written to, no tie points, a place that is not finite or not
-    on the Earth, and one that was left out without a reason.
+    Everything else is a property; NaN and infinities, which JSON lacks, are null. The file appears only when
+    complete. Raises `ValueError` for a path that cannot be written to, no tie points, a position that is not finite or
+    not on the Earth, and a rejected one without a reason.
     """
     target = pathlib.Path(path)
     if target.suffix.lower() not in (".geojson", ".json"):

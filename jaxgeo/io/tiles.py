@@ -1,4 +1,4 @@
-"""Raster files as rasterio opens them: their headers, read once, and windows of their values."""
+"""Raster tiles opened with rasterio: cached headers and windowed reads."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from jaxgeo.io.vrt_facts import inherit
 
 _INSIDE: contextvars.ContextVar[tuple[str, ...]] = contextvars.ContextVar("VRTs that are being read", default=())
 MISALIGNED = 1e-3  # cells; tiles farther than this from a common grid would need resampling
-MOST_PER_TURN = 2**31  # columns in 360 degrees; a spacing of less than 2 cm in longitude goes round nowhere
-MOST_OPEN = 8  # datasets held open at once while a mosaic is read piece by piece
+MOST_PER_TURN = 2**31  # columns in 360 degrees; no file with a spacing below 2 cm spans all longitudes
+MOST_OPEN = 8  # datasets kept open at once while a mosaic is read in parts
 _NOT_HEIGHTS = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha, ColorInterp.palette)
 
 
 @dataclasses.dataclass(frozen=True)
 class Tile:
-    """One file's header. `affine` maps (col, row) of post centres, not of corners, to map coordinates."""
+    """Header of one file. `affine` maps (col, row) of post centres, not of corners, to map coordinates."""
 
     path: str
     band: int
@@ -49,15 +49,15 @@ class Tile:
     offset: float
     unit: str | None
     sources: tuple[str, ...] = ()
-    """The files that a VRT is put together from."""
+    """The source files of a VRT."""
     nodata: float | None = None
     has_mask: bool = False
     marks: tuple[float, ...] = ()
-    """Stored values that mark voids beside `nodata`: those of a VRT's sources."""
+    """Stored void values besides `nodata`: those of a VRT's sources."""
     datum_field: str | None = None
-    """What a DTED file has in its field of the vertical datum."""
+    """Content of a DTED file's vertical datum field."""
     reach: Reach = HERE
-    """What may be touched when the file is opened."""
+    """Access permissions for opening the file."""
 
     @functools.cached_property
     def is_geographic(self) -> bool:
@@ -71,7 +71,7 @@ class Tile:
 
     @functools.cached_property
     def cols_per_turn(self) -> int | None:
-        """Columns in 360 degrees of longitude, where that is a whole number of them."""
+        """Columns in 360 degrees of longitude, if a whole number."""
         if not self.is_geographic or self.affine.a == 0.0 or self.affine.b or self.affine.d:
             return None
         turn = 2.0 * np.pi / self.map_unit
@@ -80,7 +80,7 @@ class Tile:
 
 
 class OpenFiles:
-    """Datasets kept open between reads, the last few used; close it, or use it as a context manager."""
+    """Cache of the last few open datasets; close it, or use it as a context manager."""
 
     def __init__(self) -> None:
         self._open: collections.OrderedDict[str, DatasetReader] = collections.OrderedDict()
@@ -102,17 +102,17 @@ class OpenFiles:
         return self._open[tile.path]
 
     def sound_blocks(self, tile: Tile) -> set[Block]:
-        """The compressed blocks of a file that have been held against their checksums."""
+        """The compressed blocks of a file whose checksums have been verified."""
         return self._sound.setdefault(tile.path, set())
 
 
 def read_header(path: str, band: int, reach: Reach = HERE) -> Tile:
-    """The header of a raster file, remembered while the file's time and size stay. Raises as `read_dem` does."""
+    """The header of a raster file, cached until the file's time or size changes. Raises as `read_dem` does."""
     return _header(path, band, reach, stamp_of(path))
 
 
 def stamp_of(path: str) -> tuple[int, int] | None:
-    """Time of change in ns and size of a plain file; None for anything else that GDAL opens."""
+    """Modification time in ns and size of a plain file; None for anything else that GDAL opens."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -129,7 +129,7 @@ def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray,
             raise DemError(f"{tile.path}: the file is damaged: {damaged}.")
         values = data.read(tile.band, window=window)
         unknown = data.read_masks(tile.band, window=window) == 0
-        if ColorInterp.alpha in data.colorinterp:  # GDAL's own mask heeds it for 8- and 16-bit files only
+        if ColorInterp.alpha in data.colorinterp:  # GDAL's mask uses it for 8- and 16-bit files only
             unknown |= data.read(data.colorinterp.index(ColorInterp.alpha) + 1, window=window) == 0
     for mark in tile.marks:
         unknown |= values == mark
@@ -140,13 +140,13 @@ def read_tile(tile: Tile, window: Window, files: OpenFiles) -> tuple[np.ndarray,
 
 
 def _opened(path: str, reach: Reach) -> DatasetReader:
-    """An open dataset; GDAL is asked not to drop the vertical part of a GeoTIFF's CRS."""
+    """Open a dataset; GDAL is configured to keep the vertical part of a GeoTIFF's CRS."""
     return open_raster(path, reach, DemError, "a raster")
 
 
 @functools.lru_cache(maxsize=65_536)
 def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -> Tile:
-    del stamp  # part of the key only: another time or size is another file
+    del stamp  # only part of the cache key: a changed time or size means a changed file
     with _opened(path, reach) as data, refused_as(DemError, path, "its header"):
         if not 1 <= band <= data.count:
             told = f"{path}: there is no band {band}; the file has {data.count}"
@@ -182,7 +182,7 @@ def _header(path: str, band: int, reach: Reach, stamp: tuple[int, int] | None) -
 
 
 def _check_scale(tile: Tile) -> None:
-    """Raises `DemError` where scale and offset of the file give every post one height, or none."""
+    """Raises `DemError` if the file's scale and offset give every post the same height, or none."""
     if math.isfinite(tile.scale) and math.isfinite(tile.offset) and tile.scale != 0.0:
         return
     raise DemError(
@@ -192,7 +192,7 @@ def _check_scale(tile: Tile) -> None:
 
 
 def _with_sources(tile: Tile, xml: str) -> Tile:
-    """The header of a VRT with what its sources state. Raises `DemError` where they are not on its grid or differ."""
+    """The header of a VRT completed from its sources. Raises `DemError` if they are not on its grid or differ."""
     vrt = read_vrt(tile.path, xml, tile.band)
     if vrt is None:
         return tile

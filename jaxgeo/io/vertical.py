@@ -1,4 +1,4 @@
-"""Vertical datums: what the heights of a file are measured from, and the way to heights above the WGS 84 ellipsoid."""
+"""Vertical datums: conversion between a file's heights and heights above the WGS 84 ellipsoid."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ VerticalDatum = str | int | float | pathlib.Path | pyproj.CRS | None
 
 @dataclasses.dataclass(frozen=True)
 class HeightShift:
-    """The way between heights of a vertical datum and heights above the WGS 84 ellipsoid, both in m.
+    """Conversion between heights of a vertical datum and heights above the WGS 84 ellipsoid, both in m.
 
-    Either a constant `undulation` or an operation of PROJ on (lon_deg, lat_deg, height). Heights of a depth system are
-    depths in m: they count downwards.
+    Either a constant `undulation` or a PROJ operation on (lon_deg, lat_deg, height). Heights of a depth system are
+    depths in m, positive downwards.
     """
 
     name: str
@@ -42,9 +42,9 @@ class HeightShift:
     unit: float = 1.0
     """m per unit of the heights that the operation takes: foot datums exist."""
     is_depth: bool = False
-    """Whether heights count downwards, in the datum and for the operation."""
+    """Whether heights are positive downwards, in the datum and for the operation."""
     west: float = -180.0
-    """Where the longitudes in deg begin that the operation takes."""
+    """Lowest longitude in deg that the operation takes."""
 
     @property
     def sign(self) -> float:
@@ -53,15 +53,15 @@ class HeightShift:
 
     @property
     def is_identity(self) -> bool:
-        """Whether heights are ellipsoidal already."""
+        """Whether heights are already ellipsoidal."""
         return self.transformer is None and self.undulation == 0.0 and not self.is_depth
 
     def to_ellipsoid(self, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Ellipsoidal heights in m of the datum's heights in m; NaN outside the grid that the datum needs."""
+        """Convert the datum's heights in m to ellipsoidal heights in m; NaN outside the datum's grid."""
         return self._shifted(lon_deg, lat_deg, height, inverse=False)
 
     def from_ellipsoid(self, lon_deg: np.ndarray, lat_deg: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """The datum's heights in m of ellipsoidal heights in m; NaN outside the grid that the datum needs."""
+        """Convert ellipsoidal heights in m to the datum's heights in m; NaN outside the datum's grid."""
         return self._shifted(lon_deg, lat_deg, height, inverse=True)
 
     def _shifted(self, lon: np.ndarray, lat: np.ndarray, height: np.ndarray, inverse: bool) -> np.ndarray:
@@ -79,10 +79,10 @@ class HeightShift:
 def height_shift(
     asked: VerticalDatum, stated: pyproj.CRS | None = None, area: tuple[float, float, float, float] | None = None
 ) -> HeightShift:
-    """The shift for the datum a caller asked for and the one a file states (a vertical or a 3D CRS), where it does.
+    """The conversion for the caller's datum and the one that a file states (a vertical or a 3D CRS), if any.
 
-    One that is stated without a name says only in which direction heights count.
-    Raises `VerticalDatumError` if neither says it, if they disagree, or if PROJ cannot do it with the grids at hand.
+    A stated one without a name defines only the direction of heights.
+    Raises `VerticalDatumError` if neither is known, if they disagree, or if PROJ lacks a grid for it.
     """
     named = None if stated is None or is_unnamed(stated) else stated
     depths = is_depth(stated)
@@ -113,9 +113,9 @@ def height_shift(
 
 
 def vertical_part(crs: pyproj.CRS, *, unnamed: bool = False) -> pyproj.CRS | None:
-    """The part of a CRS that says what heights are measured from: a vertical or a 3D CRS, or None.
+    """The part of a CRS that defines the vertical datum: a vertical or a 3D CRS, or None.
 
-    With `unnamed`, a vertical CRS without a name too: it says in which unit and in which direction heights count.
+    With `unnamed`, also a vertical CRS without a name: it defines the unit and direction of heights.
     """
     crs = _unbound(crs)
     if crs.is_compound:
@@ -138,7 +138,7 @@ def _unbound(crs: pyproj.CRS) -> pyproj.CRS:
 
 
 def is_unnamed(crs: pyproj.CRS) -> bool:
-    """Whether a vertical CRS says only how heights count, and not what they are measured from."""
+    """Whether a vertical CRS defines only the direction of heights, and not the datum."""
     return crs.name.strip().lower() in ("", "unknown", "unnamed")
 
 
@@ -148,12 +148,12 @@ def vertical_unit(crs: pyproj.CRS | None) -> float | None:
 
 
 def is_depth(crs: pyproj.CRS | None) -> bool:
-    """Whether the heights of a vertical or 3D CRS count downwards."""
+    """Whether the heights of a vertical or 3D CRS are positive downwards."""
     return crs is not None and crs.axis_info[-1].direction.lower() == "down"
 
 
 def _understood(asked: Any) -> str | float | pathlib.Path | pyproj.CRS:
-    """A caller's datum as "ellipsoid", an undulation, a path or a vertical CRS."""
+    """The caller's datum as "ellipsoid", an undulation, a path or a vertical CRS."""
     if isinstance(asked, pathlib.Path):
         return asked
     if isinstance(asked, str) and asked.strip().lower() == "ellipsoid":
@@ -190,7 +190,7 @@ def _looks_like_path(text: str) -> bool:
 
 
 def _check_agreement(asked: str | float | pathlib.Path | pyproj.CRS, stated: pyproj.CRS | None) -> None:
-    """A number or a grid may stand in for the geoid that a file names; a datum must be the one that it names."""
+    """A number or a grid may replace the geoid that a file names; a datum must equal it."""
     if stated is None:
         return
     says_ellipsoid = _is_ellipsoidal(stated)
@@ -226,7 +226,7 @@ def _is_ellipsoidal(crs: pyproj.CRS) -> bool:
 def _of_crs(
     crs: pyproj.CRS, area: tuple[float, float, float, float] | None, by: str, is_alone: bool = False
 ) -> HeightShift:
-    """The way from heights above a CRS; `is_alone` where nothing but the caller names it."""
+    """The conversion for a CRS; `is_alone` if only the caller names it."""
     unit, depths = vertical_unit(crs) or 1.0, is_depth(crs)
     if _is_ellipsoidal(crs) and (crs.is_vertical or _is_wgs84(crs)):
         return HeightShift(f"WGS 84 ellipsoid, {by}" + (", depths below it" if depths else ""), is_depth=depths)
@@ -249,12 +249,12 @@ def _of_crs(
 
 
 def _is_wgs84(crs: pyproj.CRS) -> bool:
-    """Whether a 3D CRS is that of WGS 84."""
+    """Whether a 3D CRS is WGS 84's."""
     return crs.geodetic_crs.to_2d().to_3d().to_epsg() == 4979  # pyright: ignore[reportOptionalMemberAccess]
 
 
 def _unreachable(crs: pyproj.CRS, is_alone: bool, error: NoOperation) -> VerticalDatumError:
-    """What to do about a datum that PROJ does not bring to the ellipsoid, and nothing that takes depths for heights."""
+    """Error with the remedy for a datum that PROJ cannot convert; never suggests taking depths as heights."""
     if is_alone and is_depth(crs):
         other = (
             "A constant undulation or a geoid grid alone would take these depths for heights: let the CRS of the file "

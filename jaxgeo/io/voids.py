@@ -1,8 +1,7 @@
-"""Voids that no tag marks, found among the values as a file stores them, before scale and unit.
+"""Detection of untagged voids among stored raster values, before scale and unit.
 
-A value is taken for a void, and refused, where it is one of those that the field uses as marks and lies far from all
-others; where single posts or whole patches lie far below or above every post around them; and where no place on the
-Earth is so high or so deep.
+A value counts as a void, and is refused, if it is a usual void marker far from all other values; if single posts or
+whole patches are far below or above every post around them; or if it is outside the range of heights on Earth.
 """
 
 from __future__ import annotations
@@ -20,26 +19,26 @@ if TYPE_CHECKING:
     from jaxgeo.io.tiles import Tile
 
 Stored = Any
-"""A number of the type of an array of stored values."""
+"""A number of the dtype of the stored values."""
 Nodata = float | int | Sequence[float | int] | None
 
 USUAL_MARKS = (
     -32768, -32767, -9999, -9999.9, -9999.99, -9998, -10000, -999, -999.9, -99999, -99999.9, -999999, -8888,
     32767, 65535, 9999, 99999, 999999, -2147483648, -2147483647, 2147483647, 4294967295,
 )  # fmt: skip
-APART = 50.0  # m, and `ROUGH` times the usual step between neighbours: a usual mark so far from all others is one
+APART = 50.0  # m, and `ROUGH` times the usual step between neighbours: usual markers this far from others are voids
 ROUGH = 3.0
-PIT = 500.0  # m, and `STEEP` times the spacing of posts: what lies so far below all around it is no ground
+PIT = 500.0  # m, and `STEEP` times the spacing of posts: posts this far below all neighbours are not ground
 STEEP = 3.0
-FARTHEST = 11_400.0  # m; no height is farther from zero, measured up or down, with room for the geoid's undulation
-LEAST_AROUND = 3  # known neighbours of a post that may be called a pit
+FARTHEST = 11_400.0  # m; limit of any height or depth, including the geoid undulation
+LEAST_AROUND = 3  # minimum known neighbours of a pit
 MOST_NAMED = 20
 EARTH = 6.4e6  # m
 ROWS = 256  # at once
 
 
 def marks_of(name: str, nodata: Nodata) -> tuple[float, ...]:
-    """The values that a caller gives for voids. Raises `DemError` for anything but numbers."""
+    """The caller's void values. Raises `DemError` for anything but numbers."""
     given: Any = () if nodata is None else nodata if isinstance(nodata, list | tuple) else (nodata,)
     wrong = [one for one in given if isinstance(one, bool | str) or not isinstance(one, float | int | np.number)]
     if wrong:
@@ -48,7 +47,7 @@ def marks_of(name: str, nodata: Nodata) -> tuple[float, ...]:
 
 
 def marked(values: np.ndarray, nodata: float) -> np.ndarray:
-    """Which values are `nodata`, rounded as their type rounds it."""
+    """Mask of values equal to `nodata`, rounded to their dtype."""
     if math.isnan(nodata):
         return np.isnan(values)
     mark = _as_stored(nodata, values.dtype)
@@ -56,7 +55,7 @@ def marked(values: np.ndarray, nodata: float) -> np.ndarray:
 
 
 def check_untagged(tile: Tile, values: np.ndarray, void: np.ndarray, first: tuple[int, int], unit: float) -> None:
-    """Raises `DemError` where stored values that are not `void` can be no heights.
+    """Raises `DemError` if stored values that are not `void` cannot be heights.
 
     `first` is the (row, col) of the first value in the file, `unit` m per unit of height.
     """
@@ -76,14 +75,14 @@ def check_untagged(tile: Tile, values: np.ndarray, void: np.ndarray, first: tupl
 
 
 def as_typed(value: Stored) -> str:
-    """A stored value in the fewest digits that stand for it."""
+    """A stored value in its shortest decimal representation."""
     number = value.item() if isinstance(value, np.integer) else value
     text = str(np.asarray(number)[()]) if isinstance(number, np.floating) else repr(number)
     return text.removesuffix(".0")
 
 
 def _as_stored(mark: float | int, dtype: np.dtype) -> Stored:
-    """A number as an array of that type holds it; None where it cannot."""
+    """A number in the array's dtype; None if it cannot hold it."""
     if dtype.kind == "f":
         with np.errstate(over="ignore"):
             return dtype.type(mark)
@@ -92,9 +91,9 @@ def _as_stored(mark: float | int, dtype: np.dtype) -> Stored:
 
 
 def _extremes(values: np.ndarray, known: np.ndarray) -> tuple[Stored, Stored]:
-    """The lowest and the highest known value, of which there is one."""
+    """The lowest and the highest known value, of which there is at least one."""
     found = []
-    for top in range(0, len(values), ROWS):  # in parts, since a copy is many times as quick as `where=`
+    for top in range(0, len(values), ROWS):  # in chunks, since copying is many times faster than `where=`
         part, here = values[top : top + ROWS], known[top : top + ROWS]
         part = part if here.all() else part[here]
         if part.size:
@@ -103,7 +102,7 @@ def _extremes(values: np.ndarray, known: np.ndarray) -> tuple[Stored, Stored]:
 
 
 def _usual_marks(values: np.ndarray, known: np.ndarray, metres: float) -> list[Stored]:
-    """Stored values that are usual marks of voids and lie far from all others, from the farthest on."""
+    """Stored values that are usual void markers far from all others, the farthest first."""
     usual = {mark for mark in (_as_stored(one, values.dtype) for one in USUAL_MARKS) if mark is not None}
     found: list[Stored] = []
     while True:
@@ -129,7 +128,7 @@ def _is_apart(values: np.ndarray, known: np.ndarray, end: Stored, metres: float)
 
 
 def _usual_step(values: np.ndarray, known: np.ndarray) -> float:
-    """The median difference between neighbours in a row, of at most some thousands of rows."""
+    """The median difference between row neighbours, over at most some thousands of rows."""
     rows = slice(None, None, max(1, len(values) // 4000))
     some, both = values[rows].astype(np.float64), known[rows, 1:] & known[rows, :-1]
     steps = np.abs(np.diff(some, axis=1))[both]
@@ -152,7 +151,7 @@ def _check_possible(tile: Tile, values: np.ndarray, known: np.ndarray, first: tu
 
 
 def _single_pits(values: np.ndarray, known: np.ndarray, depth: float) -> np.ndarray:
-    """Posts at least `depth` stored units below, or above, each known post around them, of which there are three."""
+    """Posts at least `depth` stored units below, or above, each known neighbour, of which there are at least three."""
     pits = np.zeros(values.shape, bool)
     for top in range(0, len(values), ROWS):
         part = np.s_[top : top + ROWS]
@@ -165,7 +164,7 @@ def _single_pits(values: np.ndarray, known: np.ndarray, depth: float) -> np.ndar
 
 
 def _alone(steps: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """(row, col) of posts that are far from their neighbours in the row, on the same side of both; (n, 2)."""
+    """(row, col) of posts far from both row neighbours, on the same side; (n, 2)."""
     none = np.zeros((len(far), 1), bool)
     before, after = np.hstack([none, far]), np.hstack([far, none])
     sides = np.hstack([none, steps > 0.0]), np.hstack([steps < 0.0, none])
@@ -183,7 +182,7 @@ def _is_pit(values: np.ndarray, known: np.ndarray, row: int, col: int, depth: fl
 
 
 def _patch(values: np.ndarray, known: np.ndarray, depth: float, *, lowest: bool) -> np.ndarray:
-    """The posts that all hold the lowest (highest) value, where that is far from all others and no edge is touched."""
+    """The posts that share the lowest (highest) value, if it is far from all others and they touch no edge."""
     low, high = _extremes(values, known)
     end = low if lowest else high
     none = np.zeros(values.shape, bool)
@@ -198,7 +197,7 @@ def _patch(values: np.ndarray, known: np.ndarray, depth: float, *, lowest: bool)
 
 
 def _spacing(tile: Tile) -> float:
-    """m between posts, the larger of both ways."""
+    """m between posts, the larger of both directions."""
     a, b, _, d, e, _ = tile.affine[:6]
     step = max(math.hypot(a, d), math.hypot(b, e))
     return step * tile.map_unit * (EARTH if tile.is_geographic else 1.0)

@@ -1,4 +1,4 @@
-"""Virtual rasters: the files that one is put together from, and whether it only places them on its own grid."""
+"""VRT parser: source files, and whether they are placed on the VRT's grid without resampling."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from jaxgeo.io.errors import DemError
 from jaxgeo.io.reach import is_local
 
-OFF_GRID = 1e-3  # posts; a source farther off is resampled
-MOST_CELLS = 100_000_000  # of a lattice on which rectangles are compared
+OFF_GRID = 1e-3  # posts; a source with a larger offset would be resampled
+MOST_CELLS = 100_000_000  # of a lattice for comparing rectangles
 NAME_TILES = "Name the files that it is put together from (or their folder) in its place"
 _MOSAIC = {None, "VRTRasterBand", "VRTSourcedRasterBand"}
 _COPYING = ("SimpleSource", "ComplexSource", "NoDataFromMaskSource")
@@ -24,8 +24,8 @@ _ALTERING = ("LUT", "ColorTableComponent", "Exponent", "SrcMin", "DstMin")
 class VrtSource:
     """One source of a band: `taken` and `put` are (column, row, columns, rows) in the source and in the VRT.
 
-    None stands for the whole. `scaling` is (ratio, offset) applied to its values on the way, `nodata` the value that
-    is left out.
+    None stands for the whole. `scaling` is (ratio, offset) applied to its values, `nodata` the value that
+    is skipped.
     """
 
     file: str
@@ -39,7 +39,7 @@ class VrtSource:
 
 @dataclasses.dataclass(frozen=True)
 class VrtBand:
-    """What the VRT itself states of one band; `shape` is (rows, cols) of the VRT, `sources` at least one."""
+    """One band of a VRT as the VRT states it; `shape` is (rows, cols) of the VRT, `sources` at least one."""
 
     shape: tuple[int, int]
     sources: tuple[VrtSource, ...]
@@ -47,17 +47,17 @@ class VrtBand:
 
     @property
     def local_files(self) -> tuple[str, ...]:
-        """The sources that lie in the file system, each once."""
+        """The source files in the file system, without repetition."""
         return tuple(dict.fromkeys(source.file for source in self.sources if is_local(source.file)))
 
 
 def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
-    """One band of a VRT, from the XML that GDAL gives of it; None for raw values, which have no source.
+    """Parse one band of a VRT from GDAL's XML; None for raw values, which have no source.
 
-    Raises `DemError` where heights are computed or resampled as they are read.
+    Raises `DemError` if heights are computed or resampled on reading.
 
-    GDAL would fail at the first read of a missing source, and move the posts of one that is off the VRT's grid to the
-    nearest in silence: both are refused. Where sources overlap, GDAL takes the last in the VRT.
+    GDAL would fail only at the first read of a missing source, and would silently shift the posts of an off-grid
+    source to the nearest: both are refused. Where sources overlap, GDAL uses the last in the VRT.
     """
     root = ElementTree.fromstring(xml)
     if root.get("subClass") is not None:
@@ -71,7 +71,7 @@ def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
     if element is None or element.get("subClass") == "VRTRawRasterBand":
         return None
     _check_copies(path, band, element)
-    folder = os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path)  # as GDAL has it
+    folder = os.path.dirname(os.path.realpath(path) if os.path.islink(path) else path)  # as in GDAL
     found = tuple(_source(path, one, folder) for one in element if one.tag in _COPYING)
     if not found:
         raise DemError(f"{path}: band {band} of this VRT has no source, so that it holds no heights.")
@@ -79,7 +79,7 @@ def read_vrt(path: str, xml: str, band: int) -> VrtBand | None:
 
 
 def check_files_exist(path: str, sources: VrtBand) -> None:
-    """Raises `DemError` where a file that a VRT is put together from is missing."""
+    """Raises `DemError` if a source file of a VRT is missing."""
     missing = [file for file in sources.local_files if not os.path.exists(file)]
     if missing:
         count = len({source.file for source in sources.sources})
@@ -90,7 +90,7 @@ def check_files_exist(path: str, sources: VrtBand) -> None:
 
 
 def check_on_grid(path: str, vrt: VrtBand, source: VrtSource, shape: tuple[int, int]) -> None:
-    """Raises `DemError` where GDAL would resample a source of `shape` (rows, cols) in whatever way."""
+    """Raises `DemError` if GDAL would resample a source of `shape` (rows, cols)."""
     x0, y0, w0, h0 = source.taken or (0.0, 0.0, float(shape[1]), float(shape[0]))
     x1, y1, w1, h1 = source.put or (0.0, 0.0, float(vrt.shape[1]), float(vrt.shape[0]))
     stretch = max(abs(w1 - w0), abs(h1 - h0))
@@ -104,7 +104,7 @@ def check_on_grid(path: str, vrt: VrtBand, source: VrtSource, shape: tuple[int, 
 
 
 def holes(vrt: VrtBand) -> bool:
-    """Whether some posts of a VRT are covered by no source: without a nodata value GDAL gives zero there."""
+    """Whether some posts of a VRT are outside all sources: without a nodata value GDAL gives zero there."""
     rects = [source.put for source in vrt.sources]
     if any(rect is None for rect in rects):
         return False
@@ -121,7 +121,7 @@ def holes(vrt: VrtBand) -> bool:
 
 
 def _check_copies(path: str, band: int, element: ElementTree.Element) -> None:
-    """Raises `DemError` where a band holds anything but values copied or scaled from its sources."""
+    """Raises `DemError` if a band holds anything but values copied or scaled from its sources."""
     kind = element.get("subClass")
     computed = kind if kind not in _MOSAIC else None
     for source in element:
@@ -162,7 +162,7 @@ def _rect(path: str, element: ElementTree.Element | None) -> tuple[float, ...] |
 
 
 def _number(path: str, name: str, text: str, *, finite: bool = True) -> float:
-    """A number in the XML of a VRT. Raises `DemError` for what is none, or is to be finite and is not."""
+    """A number in the XML of a VRT. Raises `DemError` if it is invalid, or not finite where it must be."""
     try:
         number = float(text)
         if math.isfinite(number) or not finite:

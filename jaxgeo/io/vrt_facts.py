@@ -1,6 +1,6 @@
-"""What the sources of a VRT state of their heights, taken over by the VRT that drops it, compared where both state it.
+"""Height metadata (unit, scale, voids, vertical CRS) inherited by a VRT from its sources, with consistency checks.
 
-`gdalbuildvrt` drops units and vertical CRS, and GDAL copies stored values without the scale of the source: a mosaic in
+`gdalbuildvrt` drops units and vertical CRS, and GDAL copies stored values without the source's scale: a mosaic in
 feet would be read in metres.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class _Facts:
-    """What a file states of the values that the VRT takes from it."""
+    """Metadata of the values that a VRT takes from a file."""
 
     path: str
     unit: float | str | None
@@ -36,9 +36,9 @@ class _Facts:
 
 
 def inherit(tile: Tile, vrt: VrtBand, headers: list[Tile]) -> Tile:
-    """The header of a VRT with what it drops of its sources', whose headers stand in the order of `vrt.sources`.
+    """The header of a VRT completed with its sources' metadata; `headers` are in the order of `vrt.sources`.
 
-    Raises `DemError` where sources differ from each other or from the VRT, and where voids would become heights.
+    Raises `DemError` if sources differ from each other or from the VRT, or if voids would become heights.
     """
     pairs = list(zip(vrt.sources, headers, strict=True))
     for source, header in pairs:
@@ -59,7 +59,7 @@ def inherit(tile: Tile, vrt: VrtBand, headers: list[Tile]) -> Tile:
 
 
 def _check_type(tile: Tile, source: VrtSource, header: Tile) -> None:
-    """Raises `DemError` where a VRT of whole numbers would round the heights of a source."""
+    """Raises `DemError` if a VRT with an integer dtype would round the heights of a source."""
     is_rounded = tile.dtype.kind != "f" and not np.can_cast(header.dtype, tile.dtype, "safe")
     is_rounded |= tile.dtype.kind != "f" and any(number % 1.0 for number in source.scaling or ())
     if is_rounded:
@@ -89,7 +89,7 @@ def _facts(tile: Tile, source: VrtSource, header: Tile, vertical: pyproj.CRS | N
 
 
 def _unit(tile: Tile, own: _Facts, sources: list[_Facts]) -> str | None:
-    """The band's unit of a VRT: its own word, else that of all its sources."""
+    """The unit of a VRT's band: its own, else that of all its sources."""
     rescaled = next((source for source in sources if source.is_rescaled), None)
     if rescaled is not None and own.unit is None:
         raise DemError(
@@ -116,7 +116,7 @@ def _unit(tile: Tile, own: _Facts, sources: list[_Facts]) -> str | None:
 
 
 def _word(others: list[_Facts], stated: dict[int, float | str | None]) -> str | None:
-    """A unit as a band would state it; None if the vertical CRS, which is taken over too, does so."""
+    """A unit as a band would state it; None if the inherited vertical CRS states it."""
     unit = stated[id(others[0])]
     if unit is None or all(s.unit is None for s in others):
         return None
@@ -128,7 +128,7 @@ def _word(others: list[_Facts], stated: dict[int, float | str | None]) -> str | 
 
 
 def _crs(tile: Tile, own: _Facts, sources: list[_Facts]) -> pyproj.CRS:
-    """The CRS of a VRT with the vertical part that its sources state, if it has none itself."""
+    """The CRS of a VRT with the vertical part of its sources, if it has none itself."""
     stating = [source for source in sources if source.vertical is not None]
     if not stating:
         return tile.crs
@@ -163,7 +163,7 @@ def _scale(vrt: VrtBand, own: _Facts, sources: list[_Facts]) -> tuple[float, flo
 
 
 def _voids(tile: Tile, vrt: VrtBand, pairs: list[tuple[VrtSource, Tile]]) -> tuple[float, ...]:
-    """Further values that mark voids: those of sources whose voids are copied as they are."""
+    """Further void values: those of sources whose voids are copied unchanged."""
     if tile.nodata is None and not tile.has_mask:
         masked = next((s for s, h in pairs if s.nodata is not None or s.uses_mask or h.has_mask), None)
         if masked is not None or holes(vrt):

@@ -1,4 +1,4 @@
-"""Windows of a raster: which posts lie within bounds in degrees, and the few sizes that windows are padded to."""
+"""Raster windows: posts within geographic bounds, and padding to a few sizes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LARGEST_SQUARE = 1024
 
 @dataclasses.dataclass(frozen=True)
 class Window:
-    """Rows `row` to `stop_row` and columns `col` to `stop_col`, the ends not included."""
+    """Rows `row` to `stop_row` and columns `col` to `stop_col`, ends excluded."""
 
     row: int
     col: int
@@ -34,15 +34,15 @@ class Window:
         return self.stop_row - self.row, self.stop_col - self.col
 
     def moved(self, row: int, col: int) -> Window:
-        """The same window counted from a post `row`, `col` before."""
+        """The same window, counted from a post `row`, `col` earlier."""
         return Window(self.row + row, self.col + col, self.stop_row + row, self.stop_col + col)
 
 
 def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn: int | None) -> Window:
-    """Posts within (west, south, east, north) in deg and one more on each side, as far as the file has them.
+    """Posts within (west, south, east, north) in deg and one more on each side, within the file.
 
-    A global file with `cols_per_turn` columns may be cut across its own edge. Raises `DemError` for bounds that make
-    no sense or hold no posts.
+    In a global file with `cols_per_turn` columns the window may cross the file's edge. Raises `DemError` for bounds
+    that are invalid or contain no posts.
     """
     west, south, east, north = _checked(name, bounds)
     lon, lat = _places(west, south, east, north)
@@ -53,7 +53,7 @@ def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn:
     turn = None
     if mapping.crs.is_geographic and b == 0.0 and d == 0.0:
         turn = 2.0 * np.pi / mapping.crs.axis_info[0].unit_conversion_factor / abs(a)
-        col = col - turn * np.round((col - col[0]) / turn)  # the first place is the centre of the bounds
+        col = col - turn * np.round((col - col[0]) / turn)  # the first point is the centre of the bounds
     if not known.any():
         raise DemError(f"{name}: {_shown(bounds)} lie outside the area that {mapping.crs.name!r} maps.")
     r0, r1 = math.floor(row[known].min()) - 1, math.ceil(row[known].max()) + 2
@@ -70,7 +70,7 @@ def window_of_bounds(name: str, mapping: FileMap, bounds: Bounds, cols_per_turn:
 
 
 def _held(first: int, stop: int, cols: int, turn: float | None) -> tuple[int, int]:
-    """The columns of a file from the first to the last within bounds; a turn away are the same places."""
+    """The columns of a file within bounds; columns 360 deg apart coincide."""
     shifts = (0,) if turn is None else (0, round(turn), -round(turn))
     parts = [(max(first + shift, 0), min(stop + shift, cols)) for shift in shifts]
     parts = [part for part in parts if part[1] - part[0] >= 2] or parts[:1]
@@ -78,10 +78,10 @@ def _held(first: int, stop: int, cols: int, turn: float | None) -> tuple[int, in
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """The size of the arrays that hold a window: few sizes, since each is one that programs are compiled for.
+    """The padded array size for a window; few sizes, since each is compiled for.
 
-    Windows of up to 1024 posts a side get a square of 256, 512 or 1024; a longer side is one of 1024, 1536, 2048,
-    3072, 4096, ... of its own. One that would then be too large for a terrain stays as it is.
+    Windows of up to 1024 posts a side get a square of 256, 512 or 1024; a longer side is padded to 1024, 1536, 2048,
+    3072, 4096, ... by itself. A window that would then be too large for a terrain keeps its size.
     """
     padded = _padded_shape(shape)
     try:
@@ -125,7 +125,7 @@ def _checked(name: str, bounds: Bounds) -> tuple[float, float, float, float]:
 
 
 def _places(west: float, south: float, east: float, north: float) -> tuple[np.ndarray, np.ndarray]:
-    """Longitudes and latitudes of the bounds' centre, their edges and a lattice inside (a pole may be there)."""
+    """Longitudes and latitudes of the bounds' centre, edges and a lattice inside (which may contain a pole)."""
     t, i = np.linspace(0.0, 1.0, _ALONG_EDGE), np.linspace(0.0, 1.0, _INSIDE)
     zero, one = np.zeros_like(t), np.ones_like(t)
     u, v = (grid.ravel() for grid in np.meshgrid(i, i))

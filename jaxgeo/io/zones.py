@@ -1,10 +1,10 @@
-"""Tiles whose columns are spaced differently, as Copernicus DEM and DTED have them by latitude, as one terrain.
+"""Tiles with different column spacing by latitude (Copernicus DEM, DTED) as one terrain.
 
-All zones are put on columns fine enough for each: a whole number of them for every column of a zone. Between two posts
-of a row new ones lie on the straight line, and the surface between posts is bilinear; so the surface of a zone stays
-exactly what its own posts say. Where two zones meet, the cells between the last row of one and the first of the next
-join both rows: the surface is continuous there, with no post moved. A row of posts that both zones hold is taken from
-the zone whose columns are closer together.
+All zones are refined to common columns: an integer number of them per column of a zone. New posts are interpolated
+linearly between two posts of a row, and the surface between posts is bilinear, so the surface of a zone
+is exactly that of its own posts. Where two zones meet, the cells between the last row of one and the first of the next
+join both rows: the surface is continuous there, and no post is moved. A row of posts in both zones is taken from
+the zone with the closer columns.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from jaxgeo.io.reach import HERE, Reach
 from jaxgeo.io.tiles import MISALIGNED, OpenFiles, Tile, read_header
 from jaxgeo.terrain.pyramid import check_size
 
-MOST_COLUMNS = 60  # of the common grid for one of a zone
+MOST_COLUMNS = 60  # common columns per column of a zone
 
 
 @dataclasses.dataclass(frozen=True)
 class Zones:
-    """Mosaics on one common grid, `grid`; each with how many of its columns make one of theirs, and where they begin.
+    """Mosaics on one common grid, `grid`; each with the number of common columns per own column, and its offset.
 
     `offsets` are the (row, col) of each mosaic's own first post on the common grid.
     """
@@ -40,12 +40,12 @@ class Zones:
 
     @property
     def first(self) -> Tile:
-        """The header of the common grid: the first tile's, but for its columns."""
+        """The header of the common grid: the first tile's, except for its columns."""
         return self.grid
 
     @property
     def tiles(self) -> tuple[Tile, ...]:
-        """All tiles, as they are in their files."""
+        """All tiles, as in their files."""
         return tuple(tile for part in self.parts for tile in part.tiles)
 
     @property
@@ -55,7 +55,7 @@ class Zones:
 
     @property
     def marks_found(self) -> set[float]:
-        """Values given for voids that a post read so far held."""
+        """Given void values that a post read so far had."""
         return set().union(*(part.marks_found for part in self.parts))
 
     @functools.cached_property
@@ -73,7 +73,7 @@ class Zones:
         return int(r0.min()), int(c0.min()), int(r1.max()), int(c1.max())
 
     def read_as(self, unit: float, nodata: tuple[float, ...]) -> Zones:
-        """The same, with m per unit of height and further values for voids."""
+        """A copy with m per unit of height and further void values."""
         return dataclasses.replace(self, parts=tuple(part.read_as(unit, nodata) for part in self.parts))
 
     def read(self, window: tuple[int, int, int, int], files: OpenFiles | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +102,7 @@ class Zones:
 
 
 def open_tiles(paths: Paths, band: int, reach: Reach = HERE) -> Mosaic | Zones:
-    """Headers of one file, or of several tiles on one grid but for the spacing of their columns.
+    """Headers of one file, or of several tiles on one grid except for their column spacing.
 
     Raises `FileNotFoundError` or `DemError`.
     """
@@ -124,7 +124,7 @@ def _one(tiles: list[Tile]) -> Mosaic:
 
 
 def _several(first: Tile, zones: list[list[Tile]], steps: list[int]) -> Zones:
-    """Zones with the finest columns first; the common grid begins where the very first tile does."""
+    """Zones with the finest columns first; the common grid starts at the very first tile."""
     order = sorted(range(len(zones)), key=lambda index: steps[index])
     parts, factors = tuple(_one(zones[index]) for index in order), tuple(steps[index] for index in order)
     factor = steps[next(index for index, zone in enumerate(zones) if zone[0] is first)]
@@ -138,9 +138,9 @@ def _have_like_columns(a: Tile, b: Tile) -> bool:
 
 
 def _columns_in_common(firsts: list[Tile]) -> list[int] | None:
-    """How many columns of a common grid make one of each tile's; None where that is no small whole number.
+    """The number of common columns per column of each tile; None if that is not a small integer.
 
-    Only rows that go along parallels can be refined so; others are left to the checks of one grid.
+    Only rows along parallels can be refined so; others are left to the checks of one grid.
     """
     if any(tile.affine.b or tile.affine.d or not tile.is_geographic for tile in firsts):
         return None
@@ -153,7 +153,7 @@ def _columns_in_common(firsts: list[Tile]) -> list[int] | None:
 
 
 def _with_columns(tile: Tile, factor: int) -> Tile:
-    """A header with so many columns for each of its own, the first post where it was."""
+    """A header with `factor` columns for each of its own, and the same first post."""
     a, b, c, d, e, f = tile.affine[:6]
     rows, cols = tile.shape
     affine = type(tile.affine)(a / factor, b, c, d / factor, e, f)
@@ -163,7 +163,7 @@ def _with_columns(tile: Tile, factor: int) -> Tile:
 def _refined(
     part: Mosaic, factor: int, window: tuple[int, int, int, int], files: OpenFiles
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values and voids of rows and fine columns, counted from a mosaic's first post; new posts on straight lines."""
+    """Values and voids of rows and fine columns, from a mosaic's first post; new posts are interpolated linearly."""
     r0, c0, r1, c1 = window
     first, last = c0 // factor, -((1 - c1) // factor)
     values, void = read_window(part, (r0, first, r1, last + 1), files)

@@ -1,20 +1,21 @@
-"""Pictures: what is known, drawn on matplotlib's axes.
+"""Figures of results on matplotlib axes.
 
-One rule for all: a drawing is named by a noun, takes what it draws first and then the axes, `ax`, all else by keyword,
-draws on these axes and returns them. Without `ax` it makes a figure of its own, in the style of the house:
-`budget_bars(shares).figure.savefig("budget.pdf")`. Nothing here keeps a state, changes matplotlib's settings or opens a
+Every function has the same form: a noun as its name, the data first, then the axes `ax`, everything else by keyword. It
+draws on these axes and returns them. Without `ax` it makes a new figure in the package's style:
+`budget_bars(shares).figure.savefig("budget.pdf")`. No function keeps state, changes matplotlib's settings or opens a
 window.
 
-- On a map, in degrees of longitude and latitude, drawings lie on each other: `map_axes`, `hillshade`, `hidden_ground`,
-  `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`, `method_map`,
-  `scale_bar`, `north_arrow`. What they draw has labels: `legend(ax)` tells them, `colour_bar(ax, "CE90, m")` the
-  colours.
-- Charts stand alone and have their legend, `legend=False` leaves it out: `budget_bars`, `error_cloud`, `sight_section`,
-  `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`; `overlap_along`, `checkerboard`
-  and `convention` need none by themselves.
+- Map layers, in degrees of longitude and latitude, can be drawn over each other: `map_axes`, `hillshade`,
+  `hidden_ground`, `footprints`, `camera`, `sight_lines`, `fixes`, `ellipses_on_map`, `cloud_on_map`, `accuracy_map`,
+  `method_map`, `scale_bar`, `north_arrow`. Layers are labelled: `legend(ax)` lists the labels, and
+  `colour_bar(ax, "CE90, m")` the colours.
+- Charts stand alone and include a legend (`legend=False` omits it): `budget_bars`, `error_cloud`, `sight_section`,
+  `residual_arrows`, `residual_histogram`, `shifts`, `ties_on_map`, `circles_on_map`. `overlap_along`, `checkerboard`
+  and `convention` need no legend.
 - `conventions_figure` and `registration_figure` are whole pages, and return the figure.
 
-`style.style(width)` has the settings of a figure for print, `style` the colours and what each stands for.
+`style.style(width)` returns matplotlib settings for a figure in print; `style` also defines the colours and their
+meanings.
 """
 
 try:

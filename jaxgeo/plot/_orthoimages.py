@@ -1,4 +1,4 @@
-"""Orthoimages as grounds of pictures: in grey, on axes in km of their own map, or in m about a fix."""
+"""Orthoimages as greyscale backgrounds, on axes in km of their own map or in m about a fix."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from jaxgeo.register.orthoimage import Orthoimage
 from jaxgeo.terrain.grid import AbstractGrid
 from jaxgeo.uncertainty import Propagation
 
-MOST_CELLS = 900  # along one side of a picture; finer maps are thinned
-CHUNK = 128  # places at once: one size, which is compiled once
-DRAPED = 240  # places from side to side of a picture about a fix
+MOST_CELLS = 900  # per side of a figure; finer maps are subsampled
+CHUNK = 128  # points per batch: one fixed size, compiled once
+DRAPED = 240  # samples across a figure about a fix
 
 
 def over(reference: Orthoimage, rectified: Orthoimage) -> Orthoimage:
-    """The rectified image where it is known, and the reference, paler, about it."""
+    """The rectified image where it is known, surrounded by a paler version of the reference."""
     seen, known = np.asarray(rectified.known), np.asarray(reference.known)
     grey = np.where(seen, stretched(rectified), 0.5 + 0.5 * stretched(reference))
     return Orthoimage(grey[None], seen | known, reference.grid)
 
 
 def draw_map(reference: Orthoimage, ax: Axes) -> None:
-    """The reference in grey, on axes in km; large ones are thinned."""
+    """Draw the reference in grey on axes in km; large ones are subsampled."""
     step = max(1, math.ceil(max(reference.shape) / MOST_CELLS))
     shown = reference.coarser(step)
     show(np.where(np.asarray(shown.known), stretched(shown), np.nan), shown.grid, ax)
 
 
 def show(grey: np.ndarray, grid: AbstractGrid, ax: Axes) -> None:
-    """Grey values between 0 and 1 on axes in km from the lower left corner."""
+    """Draw grey values between 0 and 1 on axes in km from the lower left corner."""
     tall, wide = (1e-3 * n * side for n, side in zip(grey.shape, np.asarray(cell_size(grid)), strict=True))
     ax.imshow(grey, cmap="gray", vmin=0.0, vmax=1.0, extent=(0.0, wide, 0.0, tall), interpolation="nearest", zorder=0)
     ax.set(xlim=(0.0, wide), ylim=(0.0, tall), aspect="equal", xlabel="across the map, km", ylabel="up the map, km")
@@ -44,7 +44,7 @@ def show(grey: np.ndarray, grid: AbstractGrid, ax: Axes) -> None:
 
 
 def drape(image: Orthoimage, about: Propagation, reach: float, ax: Axes) -> None:
-    """The part of an image within `reach` m of a fix, on axes in m east and north of it."""
+    """Draw the part of an image within `reach` m of a fix, on axes in m east and north of it."""
     edges = np.linspace(-reach, reach, DRAPED + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
     east, north = np.meshgrid(middles, middles)
@@ -60,7 +60,7 @@ def drape(image: Orthoimage, about: Propagation, reach: float, ax: Axes) -> None
 
 
 def stretched(image: Orthoimage) -> np.ndarray:
-    """Grey values from 0 to 1, between their 1st and 99th percentile."""
+    """Grey values from 0 to 1, stretched between their 1st and 99th percentile."""
     grey, known = np.asarray(image.values, np.float64).mean(axis=0), np.asarray(image.known)
     if not known.any():
         return np.zeros(grey.shape)
@@ -69,7 +69,7 @@ def stretched(image: Orthoimage) -> np.ndarray:
 
 
 def on_map(reference: Orthoimage, position: Geodetic) -> np.ndarray:
-    """(n, 2) km across and up from the lower left corner of positions (n,)."""
+    """Positions (n,) as km right and up from the lower left corner, (n, 2)."""
     lat, lon = (np.asarray(x, np.float64) for x in (position.lat, position.lon))
     count = len(lat)
     padded = [np.resize(x, max(-(-count // CHUNK), 1) * CHUNK) for x in (lat, lon)]
@@ -80,7 +80,7 @@ def on_map(reference: Orthoimage, position: Geodetic) -> np.ndarray:
 
 
 def turned(grid: AbstractGrid, east_north: np.ndarray) -> np.ndarray:
-    """Vectors (n, 2) in m east and north as m across and up the map, whose north is not quite the true one."""
+    """Vectors (n, 2) in m east and north, rotated to m right and up on the map (grid convergence)."""
     per_metre, size = np.asarray(_cells_per_metre(grid)), np.asarray(cell_size(grid))
     cells = east_north @ per_metre.T * size
     return np.stack([cells[:, 1], -cells[:, 0]], axis=1)
@@ -110,7 +110,7 @@ def _rowcol_about(grid: AbstractGrid, frame: jax.Array, origin: jax.Array, east:
 
 @eqx.filter_jit
 def _cells_per_metre(grid: AbstractGrid) -> jax.Array:
-    """(rows, cols) by m to the east and north, in the middle of a grid."""
+    """(rows, cols) per metre east and north, at the centre of a grid."""
     normal = grid.normal(jnp.asarray(grid.rowcol0, jnp.float64))
     lat, lon = jnp.arcsin(normal[2]), jnp.arctan2(normal[1], normal[0])
 

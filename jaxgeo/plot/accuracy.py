@@ -1,4 +1,4 @@
-"""Maps of accuracy: how large errors are from place to place, and which method can be trusted where."""
+"""Accuracy maps: error radii and the cheapest valid propagation method at each map cell."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from jaxgeo.status import Status
 from jaxgeo.uncertainty import AccuracyMap, Method
 
 COLOURS = "cividis"
-SEEN_THROUGH = 0.85  # of the colours: the relief below shines through
-MARK = 14.0  # points2, of places that lie on no lattice
+SEEN_THROUGH = 0.85  # opacity of the colours, so that the relief below stays visible
+MARK = 14.0  # points2, of points that are not on a lattice
 
 
 def accuracy_map(
@@ -28,12 +28,12 @@ def accuracy_map(
     limits: tuple[float, float] | None = None,
     hidden: str = "hidden by terrain",
 ) -> Axes:
-    """Radii of error in m at the places of a map, by colour, on a logarithmic scale; hidden ground in its own colour.
+    """Error radii in m at the points of a map, colour-coded on a logarithmic scale; hidden ground has its own colour.
 
-    `values` are those to draw, of the shape of `found`, by default its `circular`; an infinite one has the last colour,
-    one that is not known none. `limits` are those of the colours in m, by default the 2nd and 98th percentile of what
-    is finite: `colour_bar(ax, "CE90, m")` tells them. Places that lie on a lattice are cells, others marks. Raises
-    `TypeError` for another record, `ValueError` for another shape and where there is nothing to draw.
+    `values` are the radii to draw, of the shape of `found`, by default its `circular`. Infinite values get the last
+    colour; unknown ones are not drawn. `limits` of the colours are in m, by default the 2nd and 98th percentile of the
+    finite values; `colour_bar(ax, "CE90, m")` shows them. Points on a lattice are drawn as cells, others as markers.
+    Raises `TypeError` for another record, `ValueError` for another shape and where there is nothing to draw.
     """
     check_is(found, AccuracyMap, "found", "Make one with jaxgeo.uncertainty.accuracy_map.")
     error = np.asarray(found.circular if values is None else values, float)
@@ -52,7 +52,7 @@ def accuracy_map(
 
 
 def method_map(found: AccuracyMap, ax: Axes | None = None, *, hidden: str = "hidden by terrain") -> Axes:
-    """Which is the cheapest method that can be trusted at the places of a map, and on what share of them with a fix.
+    """Cheapest valid propagation method at the points of a map, with its share of the points that have a fix.
 
     Raises `TypeError` for another record, `ValueError` where there is no fix.
     """
@@ -83,7 +83,7 @@ def _one_colour(found: AccuracyMap, ax: Axes, here: np.ndarray, colour: str, lab
 
 
 def _cells(found: AccuracyMap, ax: Axes, values: np.ndarray, **look: Any) -> Any:
-    """Places of a lattice as cells, others as marks, where their values are known."""
+    """Draw known values: lattice points as cells, others as markers."""
     lon, lat = lonlat_deg(found.position)
     degrees(ax, float(np.nanmean(lat)))
     style: dict[str, Any] = {"alpha": SEEN_THROUGH, "rasterized": True, "label": "_places", **look}

@@ -1,4 +1,4 @@
-"""Residuals of an adjustment: as vectors over the image, and as a histogram against what their sigmas promise."""
+"""Residuals of an adjustment: vectors over the image, and a histogram against the normal distribution."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxgeo.adjust import Adjustment, Reliability, reliability
 from jaxgeo.plot.legends import keyed, legend_of
 from jaxgeo.plot.style import BLUE, INK, MUTED, ORANGE, VERMILLION, grid_behind, house_axes, round_length
 
-LONG = 0.06  # of the image's width: how long most residuals are at most, drawn by themselves
+LONG = 0.06  # of the image's width: default limit on the drawn length of most residuals
 WIDEST = 5.0  # standard deviations on either side of a histogram
 BINS = 40
 SHAFT = 0.010  # inches: the width of an arrow
@@ -30,13 +30,13 @@ def residual_arrows(
     checked: Reliability | None = None,
     legend: bool = True,
 ) -> Axes:
-    """Residuals of image points, adjusted less measured, as arrows over the image plane, many times as long.
+    """Image residuals (adjusted minus measured) as exaggerated arrows over the image plane.
 
-    Axes are columns to the right and rows downwards, px, as the image is seen. Of one `image`, or of all together,
-    where what they have in common shows: a lens that is not as it was modelled. `exaggeration` is how many times
-    longer than true arrows are; by default a round number that makes most of them visible. With `checked`
-    (`jaxgeo.adjust.reliability`) residuals that exceed its critical value are drawn in another colour. Raises
-    `TypeError` for other records, `ValueError` for an image that was not measured in, for all images of more than one
+    Axes are columns to the right and rows downwards, px. With `image` only its residuals are drawn; by default those of
+    all images together, which shows common systematic errors such as a mismodelled lens. `exaggeration` is the ratio
+    of drawn to true length, by default a round number that makes most arrows visible. With `checked`
+    (`jaxgeo.adjust.reliability`) residuals that exceed the critical value are drawn in another colour. Raises
+    `TypeError` for other records, `ValueError` for an image without measurements, for all images of more than one
     camera, and an exaggeration that is not positive.
     """
     check_is(adjustment, Adjustment, "adjustment", "Make one with jaxgeo.adjust.adjust.")
@@ -71,12 +71,12 @@ def residual_arrows(
 def residual_histogram(
     adjustment: Adjustment, ax: Axes | None = None, *, checked: Reliability | None = None, legend: bool = True
 ) -> Axes:
-    """Standardised residuals of image points, of columns and rows, and how many there would be if sigmas were right.
+    """Histogram of standardised image residuals (columns and rows) and the distribution expected from their sigmas.
 
-    A residual is divided by its own standard deviation, which is smaller than that of the measurement by the root of
-    its redundancy number: by `checked`, made here if left out. The curve is the normal distribution of as many. What
-    nothing checks, and what lies beyond five standard deviations, is counted in words. Raises `TypeError` for other
-    records, `ValueError` where nothing is checked.
+    Each residual is divided by its own standard deviation, which is that of the measurement times the root of its
+    redundancy number; `checked` gives it, and is computed if left out. The curve is the normal distribution scaled to
+    the same count. Uncontrolled residuals and those beyond five standard deviations are counted in a note. Raises
+    `TypeError` for other records, `ValueError` where no residual is controlled.
     """
     check_is(adjustment, Adjustment, "adjustment", "Make one with jaxgeo.adjust.adjust.")
     checked = reliability(adjustment) if checked is None else checked
@@ -124,13 +124,13 @@ def _measured(adjustment: Adjustment, image: str | None) -> tuple[np.ndarray, st
 
 
 def _exceeds(checked: Reliability) -> np.ndarray:
-    """Of each image point, whether its residual is larger than the test lets be, along columns or rows."""
+    """For each image point, whether its residual along columns or rows exceeds the critical value."""
     with np.errstate(invalid="ignore"):
         return np.any(np.abs(checked.standardised) > checked.critical, axis=1)
 
 
 def _times(residuals: np.ndarray, width: int) -> float:
-    """A round number by which most residuals become visible, and few long."""
+    """A round exaggeration at which most residuals are visible and few are long."""
     longest = float(np.quantile(np.linalg.norm(residuals, axis=1), 0.95))
     return round_length(LONG * width / longest) if longest > 0.0 else 1.0
 
@@ -138,7 +138,7 @@ def _times(residuals: np.ndarray, width: int) -> float:
 def _arrows(
     uv: np.ndarray, residuals: np.ndarray, wrong: np.ndarray, times: float, checked: Reliability | None, ax: Axes
 ) -> list[Artist]:
-    """Arrows from where points were measured; handles that say how many there are."""
+    """Draw arrows from the measured points; returns handles with their counts."""
     handles: list[Artist] = []
     words = "residuals" if checked is None else "residuals within the test"
     for which, colour, label in ((~wrong, BLUE, words), (wrong, VERMILLION, "beyond it")):
@@ -155,7 +155,7 @@ def _arrows(
 
 
 def _key(times: float, width: int, ax: Axes) -> Artist:
-    """A bar above the image, as long as a residual of a round number of px, and its handle."""
+    """A scale bar above the image, as long as a residual of a round number of px, and its handle."""
     length = round_length(0.15 * width / times)
     bar: dict[str, Any] = {"color": INK, "linewidth": 2.0, "solid_capstyle": "butt", "clip_on": False, "zorder": 5}
     x = width - 0.5 - np.array([length * times, 0.0])
@@ -164,12 +164,12 @@ def _key(times: float, width: int, ax: Axes) -> Artist:
 
 
 def _bins(count: int) -> int:
-    """Bins of a histogram, an even number: fewer for few residuals."""
+    """Even number of histogram bins: fewer for few residuals."""
     return int(np.clip(2 * round(0.5 * WIDEST * count ** (1.0 / 3.0) / 1.5), 10, BINS))
 
 
 def _steps(count: np.ndarray, edges: np.ndarray, label: str, filled: bool, ax: Axes) -> Artist:
-    """One histogram: an area, or an outline over it."""
+    """Draw one histogram, filled or as an outline."""
     if filled:
         look: dict[str, Any] = {"facecolor": "#a9cbe3", "edgecolor": BLUE, "linewidth": 0.8}
         ax.stairs(count, edges, fill=True, zorder=2, label=f"_{label}", **look)
@@ -180,19 +180,19 @@ def _steps(count: np.ndarray, edges: np.ndarray, label: str, filled: bool, ax: A
 
 
 def _spread(values: np.ndarray) -> str:
-    """Root mean square, about the zero that residuals should have."""
+    """Root mean square about zero."""
     return f"{math.sqrt(float(np.mean(values**2))):.2f}" if len(values) else "unknown"
 
 
 def _limits(checked: Reliability, ax: Axes) -> None:
-    """Lines at the critical value of the test on either side."""
+    """Draw lines at the critical value of the test on either side."""
     for side in (-1.0, 1.0):
         if checked.critical < WIDEST:
             ax.axvline(side * checked.critical, color=MUTED, linewidth=0.9, linestyle="--", zorder=1)
 
 
 def _remark(checked: Reliability, values: np.ndarray) -> str:
-    """What the histogram does not show, and how many exceed the test's limit, against how many should."""
+    """Note: values outside the histogram, and the observed and expected counts beyond the critical value."""
     known = values[np.isfinite(values)]
     size = np.abs(known)
     beyond, chance = int(np.count_nonzero(size > checked.critical)), checked.alpha * len(known)

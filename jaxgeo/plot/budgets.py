@@ -1,4 +1,4 @@
-"""An error budget as bars: what each error has in the variance of a fix, and what would be gained without it."""
+"""Error budgets as bar charts: the share of each error source in the variance, and the CE without it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from jaxgeo.uncertainty import Budget
 from jaxgeo.uncertainty.budget import SigmaShare
 
 MOST = 10
-ROOM = 1.14  # of the longest bar, for the figures behind it
-TALL, THIN = 0.46, 0.22  # of a row: the bar of the horizontal variance, that of the vertical below it
-HEADER = 7.0  # points: the line above the bars that names the figures beside them
+ROOM = 1.14  # times the longest bar: axis limit, leaves space for the numbers
+TALL, THIN = 0.46, 0.22  # of a row's height: the bar of the horizontal variance, and the vertical one below it
+HEADER = 7.0  # points: the header of the column of numbers
 DEGREES = 180.0 / math.pi
 
 
@@ -31,11 +31,11 @@ class _Row(NamedTuple):
 
 
 def budget_bars(budget: Budget, ax: Axes | None = None, *, most: int = MOST, legend: bool = True) -> Axes:
-    """Shares of each error in the horizontal and in the vertical variance, %, the largest first.
+    """Share of each error source in the horizontal and the vertical variance, %, the largest first.
 
-    Beside the bars stands the circular error in m that would be left without the error, all others as they are. The
-    `most` largest have bars, all others one together. Raises `TypeError` for another record, `ValueError` for a `most`
-    below 2 and for a budget without horizontal variance.
+    Beside each bar is the circular error in m that would remain without this source, all others unchanged. The `most`
+    largest have bars of their own; the rest are summed in one. Raises `TypeError` for another record, `ValueError` for
+    a `most` below 2 and for a budget without horizontal variance.
     """
     check_is(budget, Budget, "budget", "Make one with jaxgeo.uncertainty.budget.")
     if most < 2:
@@ -61,7 +61,7 @@ def budget_bars(budget: Budget, ax: Axes | None = None, *, most: int = MOST, leg
 
 
 def _rows(budget: Budget) -> list[_Row]:
-    """All that has a share of its own: each independent standard deviation, each block of correlated ones."""
+    """One row for each independent standard deviation and each block of correlated ones."""
     rows = []
     for source in budget.sources:
         lines = [] if source.is_block else source.sigmas
@@ -74,14 +74,14 @@ def _rows(budget: Budget) -> list[_Row]:
 
 
 def _sigma(line: SigmaShare) -> str:
-    """A standard deviation as people read it."""
+    """A standard deviation as display text."""
     if line.unit == "rad":
         return f"{DEGREES * line.sigma:.3g}°"
     return f"{line.sigma:.3g} {line.unit}"
 
 
 def _shown(rows: list[_Row], most: int) -> list[_Row]:
-    """The largest rows, and all others as one, without which nothing is said."""
+    """The largest rows, with the others summed in one row if there are more than `most`."""
     if len(rows) <= most:
         return rows
     rest = rows[most - 1 :]
@@ -94,7 +94,7 @@ def _label(row: _Row) -> str:
 
 
 def _bars(rows: list[_Row], ax: Axes) -> list[Any]:
-    """Bars of both variances and how long they are."""
+    """Draw the bars of both variances with their values."""
     place = np.arange(len(rows))
     across, up = (100.0 * np.array([getattr(row, name) for row in rows]) for name in ("horizontal", "vertical"))
     wide = ax.barh(place - 0.5 * THIN, across, TALL, color=HORIZONTAL, label="horizontal variance", zorder=2)
@@ -104,7 +104,7 @@ def _bars(rows: list[_Row], ax: Axes) -> list[Any]:
 
 
 def _figures(rows: list[_Row], budget: Budget, ax: Axes) -> None:
-    """A column right of the axes: the circular error without each, m."""
+    """Draw a column right of the axes: the circular error without each source, m."""
     figure = ax.get_figure(root=False)
     assert figure is not None
     right = ScaledTranslation(30.0 / 72.0, 0.0, figure.dpi_scale_trans)

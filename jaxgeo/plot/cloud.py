@@ -1,4 +1,4 @@
-"""The cloud of a fix's sampled errors beside what linear propagation says, over the ground that it lies on."""
+"""Sampled errors of a fix compared with linear propagation, over the surrounding terrain."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import surface_point
 from jaxgeo.uncertainty import Comparison, Propagation, Sampled
 
-MOST_POINTS = 5000  # of a cloud; more make it no clearer
-ACROSS = 240  # places from side to side at which the ground of a picture is drawn, at least
+MOST_POINTS = 5000  # drawn of a cloud; more do not make it clearer
+ACROSS = 240  # minimum samples across the drawn terrain
 INTERVALS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # m, between contour lines
-SHOWN = ("linear, facet", "linear, footprint")  # of a comparison; level ground would only be in the way
-MOST = 0.99  # of the samples, and of those that jumped, which a picture holds that is not told its reach
-FAR = 8.0  # times the largest circle: no picture goes farther by itself
-JUDGED = 0.9, 1  # the circular error whose methods a comparison judges, and where it stands among its figures
+SHOWN = ("linear, facet", "linear, footprint")  # of a comparison; level ground would clutter the figure
+MOST = 0.99  # of the samples, and of those that jumped, within the default reach
+FAR = 8.0  # times the largest circle: limit of the default reach
+JUDGED = 0.9, 1  # probability of the CE by which a comparison rates methods, and its index
 DASHES = (0, (4, 2))
 GREYS = matplotlib.colors.LinearSegmentedColormap.from_list("greys", ["#b4b4b4", "#fdfdfd"])
 
@@ -45,17 +45,16 @@ def error_cloud(
     reach: float | None = None,
     legend: bool = True,
 ) -> Axes:
-    """Sampled errors of one fix in m east and north of it, and what linear propagation says of them.
+    """Sampled errors of one fix in m east and north of it, and the ellipses of linear propagation.
 
-    `errors` are samples that were kept; `jumped` (count,) marks those on other ground, as crosses. Full lines are
-    ellipses of the covariances, dashed ones circles that hold the truth with a `probability`: where samples are normal
-    an ellipse holds as many as its circle. `propagations`, up to three by name, are drawn beside the samples. A
-    `Comparison` knows both, linear propagation over facet and footprint, and its verdict stands in the legend. With a
-    `dem` the ground about the fix is drawn below. `reach` is half the side in m, by default such that 99 % of the
-    samples, of those that jumped too, and all circles are inside, or eight times the largest circle; what is outside
-    is counted in words. Raises `TypeError` for other records, `ValueError` for samples that were not kept or have no
-    fix, marks of another number, a probability outside (0, 1), more than three propagations and a reach that is not
-    positive.
+    `errors` are samples that were kept; `jumped` (count,) marks those on other ground, drawn as crosses. Full lines are
+    covariance ellipses, dashed ones circles, both of `probability`; they agree in content for normal samples.
+    `propagations`, up to three by name, are drawn beside the samples. A `Comparison` provides samples and linear
+    propagation over facet and footprint, and its verdict is in the legend. With a `dem` the terrain about the fix is
+    drawn below. `reach` is half the side in m. By default it holds 99 % of the samples, 99 % of those that jumped,
+    and all circles, but at most eight times the largest circle; samples outside are counted in a note. Raises
+    `TypeError` for other records, `ValueError` for samples that were not kept or have no fix, marks of another number,
+    a probability outside (0, 1), more than three propagations and a reach that is not positive.
     """
     compared = errors if isinstance(errors, Comparison) else None
     sampled = compared.sampled if compared is not None else errors
@@ -101,7 +100,7 @@ def _checked(propagations: Mapping[str, Propagation]) -> dict[str, Propagation]:
 
 
 def _kept(sampled: Sampled, jumped: Any) -> tuple[np.ndarray, np.ndarray]:
-    """(errors east and north of the samples with a fix, which of them are marked)."""
+    """(errors east and north of the samples with a fix, mask of the marked ones)."""
     if sampled.errors_enu is None:
         raise ValueError("the samples were not kept: sample again with keep=True.")
     marked = np.zeros(sampled.count, bool) if jumped is None else np.asarray(jumped, bool)
@@ -114,7 +113,7 @@ def _kept(sampled: Sampled, jumped: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _reach(points: np.ndarray, marked: np.ndarray, circles: list[float], reach: float | None) -> float:
-    """Half the side of the picture, m."""
+    """Half the side of the figure, m."""
     if reach is None:
         away = np.abs(points).max(axis=1)
         far = [float(np.quantile(away[kind], MOST)) for kind in (~marked, marked) if kind.any()]
@@ -126,7 +125,7 @@ def _reach(points: np.ndarray, marked: np.ndarray, circles: list[float], reach: 
 
 
 def _points(points: np.ndarray, marked: np.ndarray, sampled: Sampled, ax: Axes) -> list[Any]:
-    """The cloud, thinned to what can be seen, and handles that say how many samples there are."""
+    """Draw the cloud, subsampled; returns handles with the sample counts."""
     share = float(np.count_nonzero(marked)) / sampled.count
     step = -(-len(points) // MOST_POINTS)
     points, marked = points[::step], marked[::step]
@@ -142,7 +141,7 @@ def _points(points: np.ndarray, marked: np.ndarray, sampled: Sampled, ax: Axes) 
 
 
 def _sampled(sampled: Sampled, probability: float, ax: Axes) -> Any:
-    """Ellipse and circle of the samples."""
+    """Draw the ellipse and circle of the samples."""
     figure = sampled.circular_error(probability)
     style: dict[str, Any] = {"color": SAMPLED, "linewidth": 1.8}
     mean, centre = np.asarray(sampled.mean_enu)[:2], np.asarray(sampled.centre_enu)[:2]
@@ -153,7 +152,7 @@ def _sampled(sampled: Sampled, probability: float, ax: Axes) -> Any:
 
 
 def _linear(name: str, one: Propagation, probability: float, colour: str, judged: str, ax: Axes) -> Any:
-    """Ellipse and circle of one linear method, and whether the samples bear its circular error out."""
+    """Draw the ellipse and circle of one linear method; the label tells whether the samples confirm its CE."""
     radius = float(one.circular_error(probability))
     style: dict[str, Any] = {"color": colour, "linewidth": 1.4}
     mean, cov = np.asarray(one.bias_enu)[:2], np.asarray(one.cov_enu)[:2, :2]
@@ -168,7 +167,7 @@ def _judged(compared: Comparison | None, name: str) -> str:
 
 
 def _ellipse(name: str, mean: np.ndarray, cov: np.ndarray, probability: float, ax: Axes, style: dict[str, Any]) -> None:
-    """The ellipse that holds a share of a normal distribution."""
+    """Draw the ellipse that contains a share of a normal distribution."""
     values, vectors = np.linalg.eigh(cov)
     root = vectors * np.sqrt(np.maximum(values, 0.0)) * math.sqrt(-2.0 * math.log1p(-probability))
     edge = halo(style["linewidth"] + 1.0)
@@ -176,7 +175,7 @@ def _ellipse(name: str, mean: np.ndarray, cov: np.ndarray, probability: float, a
 
 
 def _circle(name: str, centre: np.ndarray, radius: float, ax: Axes, style: dict[str, Any]) -> None:
-    """A circle; none where its radius has no end."""
+    """Draw a circle, unless its radius is infinite."""
     if math.isfinite(radius):
         ring = centre[:, None] + radius * unit_circle()
         ax.plot(*ring, linestyle=DASHES, label=f"_circle, {name}", **style)
@@ -188,7 +187,7 @@ def unit_circle() -> np.ndarray:
 
 
 def _remark(sampled: Sampled, compared: Comparison | None, points: np.ndarray, reach: float) -> str:
-    """The verdict, and what the picture does not show: samples outside it, and those without a fix."""
+    """Note: the verdict, samples outside the figure, and samples without a fix."""
     outside = float(np.mean(np.abs(points).max(axis=1) > reach)) * sampled.found / sampled.count
     said = [] if compared is None or not compared.verdict else [compared.verdict]
     said += [f"Outside the picture: {percent(outside)}."] if outside > 0.0 else []
@@ -198,7 +197,7 @@ def _remark(sampled: Sampled, compared: Comparison | None, points: np.ndarray, r
 
 
 def _ground(dem: Dem, fix: Fix, reach: float, ax: Axes) -> None:
-    """The surface about a fix, as rays meet it: grey under an oblique light, with contour lines of height."""
+    """Draw the terrain about a fix as rays intersect it: grey relief with height contours."""
     (east, north), heights = ground_about(dem, fix, reach)
     slope_east, slope_north = slopes(heights, east, north)
     shade = (0.64 + 0.54 * (slope_east - slope_north)) / np.sqrt(1.0 + slope_east**2 + slope_north**2)
@@ -217,9 +216,9 @@ def _ground(dem: Dem, fix: Fix, reach: float, ax: Axes) -> None:
 
 
 def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """(east and north (2, rows, cols), height above WGS 84) in m of places on a terrain within `reach` of a fix.
+    """(east and north (2, rows, cols), height above WGS 84) in m of points on a terrain within `reach` of a fix.
 
-    Voids are NaN. Raises `ValueError` where no post is near enough.
+    Voids are NaN. Raises `ValueError` where no post is within reach.
     """
     rowcol = np.asarray(dem.over(jnp.asarray(fix.ecef))[0])
     cells = np.ceil(1.5 * reach / np.asarray(dem.grid.cell_size())).astype(int) + 1
@@ -240,7 +239,7 @@ def ground_about(dem: Dem, fix: Fix, reach: float) -> tuple[np.ndarray, np.ndarr
 
 
 def _offsets(dem: Dem, fix: Fix, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-    """East, north, up of posts from a fix, m; of voids as if they lay at the fix's height."""
+    """East, north, up of posts from a fix, m; voids are placed at the fix's height."""
     R = R_ecef_from_enu(fix.position)
     height = jnp.asarray(fix.position.height)
 
@@ -253,7 +252,7 @@ def _offsets(dem: Dem, fix: Fix, row: np.ndarray, col: np.ndarray) -> np.ndarray
 
 
 def _between(posts: np.ndarray, finer: int) -> np.ndarray:
-    """Bilinear between posts, `finer` steps from one to the next."""
+    """Bilinear interpolation between posts, in `finer` steps per cell."""
     for axis in (0, 1):
         count = posts.shape[axis]
         place = np.arange((count - 1) * finer + 1) / finer

@@ -1,7 +1,6 @@
-"""The frames, the signs of angles and the axes of an image, drawn.
+"""Figures of the coordinate frames, the signs of angles and the image axes.
 
-Whatever turns in the drawing is turned by the package's own rotations, so that the figure cannot tell another story
-than the code.
+All rotations in the figures are computed by the package's own code, so the figures agree with it.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from jaxgeo._checks import require_x64
 from jaxgeo.plot.style import BLUE, COLUMN, INK, MUTED, PAGE, house_axes, style
 from jaxgeo.sensor import Gimbal, Mount, Pose
 
-NED, BODY, HEAD, CAMERA = "#3f7a3a", BLUE, "#b26a00", "#b3293f"  # a colour for each frame, light ones in no text
+NED, BODY, HEAD, CAMERA = "#3f7a3a", BLUE, "#b26a00", "#b3293f"  # one colour per frame; light ones not for text
 PLANE, OUTLINE = "#e4ecf3", "#8fa3b3"
 N, E, D = np.eye(3)
-WIDE = (-1.75, 2.05)  # of all drawings, from left to right
-TURN = 60  # places along an arc
+WIDE = (-1.75, 2.05)  # horizontal limits of all panels
+TURN = 60  # points along an arc
 HEADING_NOTE = "clockwise from true north;\nRz(heading) Ry(pitch) Rx(roll)"
-SLOT = 0.92  # height of a drawing's place over its width
-WIDE_FIGURE = 5.0  # inches from which on there are three drawings beside each other
+SLOT = 0.92  # aspect ratio (height / width) of a panel
+WIDE_FIGURE = 5.0  # inches: minimum width for three panels per row
 
 # Each view: the directions (north-east-down, with the aircraft flying north) that lie to the right and up on paper.
 FROM_ABOVE, FROM_RIGHT, FROM_BEHIND = np.stack([E, N]), np.stack([N, -D]), np.stack([E, -D])
@@ -58,7 +57,7 @@ PARTS: dict[str, list[list[tuple[float, float, float]]]] = {  # in body axes (fo
         [(0.1, 0, -0.13), (0.1, 0, -0.16), (0.75, 0, -0.16), (0.75, 0, -0.13)],
     ],
 }
-FRAMES = (  # name, colour, what leads to the next, and how that reads in code
+FRAMES = (  # name, colour, transformation to the next frame, the same in code
     ("pixel", INK, "camera.ray", "ray_camera = camera.ray(uv)"),
     ("camera", CAMERA, "R_head_from_camera", "ray_head = R_head_from_camera @ ray_camera"),
     ("head", HEAD, "gimbal readings", "ray_base = R_base_from_head @ ray_head  # gimbal readings"),
@@ -70,7 +69,7 @@ FRAMES = (  # name, colour, what leads to the next, and how that reads in code
 
 
 def convention(name: str, ax: Axes | None = None) -> Axes:
-    """One drawing of the conventions by its name, one of `PANELS`; raises `ValueError` for another."""
+    """One panel of the conventions by its name in `PANELS`. Raises `ValueError` for another name."""
     require_x64()
     if name not in PANELS:
         raise ValueError(f"name must be one of {', '.join(PANELS)}; got {name!r}.")
@@ -80,7 +79,7 @@ def convention(name: str, ax: Axes | None = None) -> Axes:
 
 
 def conventions_figure(width: float = PAGE) -> Figure:
-    """All drawings in one figure `width` inches wide: three beside each other on a page, two in a column."""
+    """All panels in one figure `width` inches wide: three per row on a page, two in a column."""
     columns = 3 if width > WIDE_FIGURE else 2
     rows = -(-len(PANELS) // columns)
     with mpl.rc_context(style(width)):
@@ -195,7 +194,7 @@ def _image(axes: Axes) -> None:
 
 
 def _frames(axes: Axes) -> None:
-    """The way from a pixel to the Earth, frame by frame; where there is room, as lines of code too."""
+    """The chain of frames from a pixel to the Earth; with lines of code where space allows."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     wide = figure.get_figwidth() > WIDE_FIGURE
@@ -223,7 +222,7 @@ def _frames(axes: Axes) -> None:
 
 
 def _arrow_in_axes(axes: Axes, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """A short arrow, in shares of the axes."""
+    """A short arrow, in fractions of the axes."""
     look: dict[str, Any] = {"arrowstyle": "-|>", "mutation_scale": 6, "lw": 0.9, "color": MUTED}
     axes.add_patch(FancyArrowPatch(start, end, transform=axes.transAxes, shrinkA=0, shrinkB=0, **look))
 
@@ -241,7 +240,7 @@ PANELS: dict[str, Callable[[Axes], None]] = {
 
 
 def _panel(axes: Axes, title: str, note: str, tall: tuple[float, float] | None = None) -> None:
-    """Axes without lines, in units of half a wing's span; a title above and a note below."""
+    """Blank axes in units of half a wing span, with a title above and a note below."""
     if tall is not None:
         axes.set(xlim=WIDE, ylim=tall, aspect="equal")
     axes.axis("off")
@@ -251,13 +250,13 @@ def _panel(axes: Axes, title: str, note: str, tall: tuple[float, float] | None =
 
 
 def _attitude(heading: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
-    """R_ned_from_body of angles in deg."""
+    """R_ned_from_body for angles in deg."""
     here = Pose.from_degrees(lat=0.0, lon=0.0, height=0.0).position
     return np.asarray(Pose(here, *np.deg2rad([heading, pitch, roll])).R_ned_from_body)
 
 
 def _sight(gimbal: Gimbal, mount: Mount, **readings: float) -> np.ndarray:
-    """Line of sight in the gimbal's base, of readings in deg."""
+    """Line of sight in the gimbal's base for gimbal readings in deg."""
     R = np.asarray(gimbal.R_base_from_head(gimbal.readings_from_degrees(**readings)))
     return R @ np.asarray(mount.R_head_from_camera) @ D
 
@@ -279,7 +278,7 @@ def _arrow(
     thin: bool = False,
     side: str = "beyond",
 ) -> None:
-    """An arrow with its name: beyond its tip, or above, below, left or right of it."""
+    """A labelled arrow; the label is beyond its tip, or above, below, left or right of it."""
     tail, tip = np.asarray(start, float), np.asarray(end, float)
     width = 0.9 if dashed or thin else 1.5
     along = (tip - tail) / np.linalg.norm(tip - tail)
@@ -302,7 +301,7 @@ def _head(axes: Axes, start: Place, end: Place, colour: str, width: float) -> No
 def _into_page(
     axes: Axes, at: Place, colour: str, label: str, *, out: bool = False, offset: tuple[float, float]
 ) -> None:
-    """An axis that goes into the page (a cross) or comes out of it (a dot)."""
+    """An axis into the page (cross) or out of the page (dot)."""
     axes.add_patch(Circle(at, 0.085, fc="white", ec=colour, lw=1.1, zorder=6))
     if out:
         axes.add_patch(Circle(at, 0.026, color=colour, zorder=7))
@@ -332,7 +331,7 @@ def _turn(
     label: tuple[float, float],
     ha: str,
 ) -> None:
-    """A curved arrow about the origin from one direction of the drawing to another, the short way."""
+    """A curved arrow about the origin between two directions, along the shorter arc."""
     a, b = math.atan2(first[1], first[0]), math.atan2(second[1], second[0])
     b = a + math.remainder(b - a, 2.0 * math.pi)
     t = np.linspace(a, b, TURN)

@@ -1,4 +1,4 @@
-"""What images cover of the ground, and what they share along the flight."""
+"""Image footprints and along-track overlap."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def footprints(
     origin: Geodetic | None = None,
     colours: Sequence[Any] = OUTLINES,
 ) -> Axes:
-    """Outlines of images on a map: full lines where ground is seen, dashed over ground that nearer ground hides, dotted
-    from where the outline leaves the ground to where it comes back.
+    """Image outlines on a map: full lines on visible ground, dashed across hidden ground, dotted across gaps where the
+    outline leaves the ground.
 
     `seen` are footprints, or outlines as positions (n,) in order, NaN where no ground is seen. Axes are in deg of
     longitude and latitude, or with an `origin` in km east and north of it, on the Gauss-Krueger map about its meridian.
-    A `dem` is drawn below, as a relief. Axes that nothing lies on yet get limits around what is seen. The legend's
-    words are `labels`, or numbers. Raises `TypeError` for other records, `ValueError` for no footprints, for another
-    number of labels, and where none sees any ground.
+    A `dem` is drawn below as a relief. Empty axes get limits around the footprints. `labels` are the legend's texts, by
+    default numbers. Raises `TypeError` for other records, `ValueError` for no footprints, for a wrong number of labels,
+    and where no footprint has ground.
     """
     rows = [seen] if isinstance(seen, Footprint | Geodetic) else list(seen)
     if not rows or (labels is not None and len(labels) != len(rows)):
@@ -83,10 +83,10 @@ def overlap_along(
     label: str = "overlap",
     colour: Any = SIGHT,
 ) -> Axes:
-    """Overlap along the flight over the distance across it, from the near end to the far end; gaps are shaded.
+    """Along-track overlap over the across-track distance, from the near edge to the far edge; gaps are shaded.
 
-    `found` holds one overlap, or with a leading axis a row of them, drawn as one bundle; what is not `ok` has no line.
-    Raises `ValueError` where there is nothing to draw.
+    `found` holds one overlap, or with a leading axis several, drawn as a bundle of lines. Those that are not `ok` are
+    left out. Raises `ValueError` where there is nothing to draw.
     """
     check_is(found, Overlap, "found", "Make one with jaxgeo.coverage.overlap.")
     along, across = (np.atleast_2d(np.asarray(x)) for x in (found.along, found.across))
@@ -112,7 +112,7 @@ def overlap_along(
 
 
 def _parts(found: np.ndarray, hidden: np.ndarray, places: np.ndarray) -> dict[str, np.ndarray]:
-    """Lines of each kind around a ring of places (n, 2), parted by rows of NaN."""
+    """Lines of each kind along a ring of points (n, 2), separated by rows of NaN."""
     following = np.roll(places, -1, axis=0)
     known = found & np.roll(found, -1)
     ring = np.concatenate([places, places[:1]])
@@ -128,7 +128,7 @@ def _parts(found: np.ndarray, hidden: np.ndarray, places: np.ndarray) -> dict[st
 
 
 def _pieces(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Straight pieces as one line, parted by rows of NaN."""
+    """Line segments as one array, separated by rows of NaN."""
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, 2)
 
 
@@ -149,14 +149,14 @@ def _forward(projection: TransverseMercator, lat: jax.Array, lon: jax.Array) -> 
 
 
 def _relief(dem: Dem, origin: Geodetic | None, ax: Axes) -> None:
-    """As `hillshade`, on axes in deg or in km."""
+    """`hillshade` on axes in deg or in km."""
     step = max(1, math.ceil(int(np.max(np.asarray(dem.extent))) / MOST_POSTS))
     x, y = np.moveaxis(_on_axes(post_positions(dem, step), origin), -1, 0)
     ax.pcolormesh(x, y, shaded_relief(dem, step), shading="nearest", rasterized=True, zorder=0)
 
 
 def _prepare(ax: Axes, origin: Geodetic | None, places: np.ndarray, is_empty: bool) -> None:
-    """Labels, equal lengths north and east, and limits around what is seen."""
+    """Set labels, equal scale north and east, and limits around the footprints."""
     low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
     margin = 0.08 * (high - low)
     if is_empty:

@@ -1,4 +1,4 @@
-"""How sure fixes are, on the map: error ellipses and clouds of samples, true in size or larger by a stated factor."""
+"""Error ellipses and sample clouds of fixes on the map, true to scale or enlarged by a stated factor."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from jaxgeo.plot.maps import degrees, lonlat_deg
 from jaxgeo.plot.style import FIX, JUMPED, SAMPLE, halo, house_axes, round_length
 from jaxgeo.uncertainty import Accuracy, AccuracyOfEach, Comparison, Method, Propagation, Sampled
 
-SEEN = 0.05  # of the map's width: ellipses that are enlarged have half of their longer axes above this
-ENOUGH = 0.01  # of the map's width: longer axes above this are seen as they are
-MOST_POINTS = 2000  # of a cloud; more make it no clearer
+SEEN = 0.05  # of the map's width: target for the median major axis of enlarged ellipses
+ENOUGH = 0.01  # of the map's width: larger major axes need no enlargement
+MOST_POINTS = 2000  # drawn of a cloud; more do not make it clearer
 RING = np.stack([np.cos(turn := np.linspace(0.0, 2.0 * np.pi, 121)), np.sin(turn)])
 
 
@@ -33,15 +33,14 @@ def ellipses_on_map(
     times: float | None = None,
     label: str = "error ellipses",
 ) -> Axes:
-    """Error ellipses of fixes on a map: where the point on the ground lies with a `probability`.
+    """Error ellipses of fixes on a map: regions that contain the ground point with a `probability`.
 
-    `found` is one record, several, or one with a leading axis; the `probability` is theirs if left out, 0.9 of a
-    `Propagation`. Where linear propagation is not to be trusted, a dashed circle of the samples' circular error stands
-    in the place of the ellipse. Both are drawn `times` as large as they are, 1 for their true size; by default in
-    their true size where that can be seen on the map as it is, and else by a round factor. The legend names it. Fixes
-    of which nothing is known have none. Raises `TypeError` for other records, `ValueError` for a probability outside
-    (0, 1), or another than that of records of accuracy, for a factor that is not positive, and where there is nothing
-    to draw.
+    `found` is one record, several, or one with a leading axis. `probability` defaults to that of the records, 0.9 for a
+    `Propagation`. Where linear propagation is not valid, a dashed circle with the CE of the samples replaces the
+    ellipse. Both are enlarged `times`, 1 for true scale; by default 1 where they are visible at true scale, else a
+    round factor, named in the legend. Fixes of unknown accuracy are left out. Raises `TypeError` for other records,
+    `ValueError` for a probability outside (0, 1), or one that differs from that of accuracy records, for a factor that
+    is not positive, and where there is nothing to draw.
     """
     parts = [_normal(one) for one in ([found] if isinstance(found, _RECORDS) else found)]
     if not parts:
@@ -79,10 +78,10 @@ def cloud_on_map(
     times: float | None = None,
     label: str = "samples",
 ) -> Axes:
-    """Sampled errors of one fix, or of several, on a map about the fixes they are of.
+    """Sampled errors of one or several fixes, on a map about these fixes.
 
-    Offsets are `times` as long as they are, as in `ellipses_on_map`; samples that jumped to other ground, which a
-    `Comparison` knows, are crosses. Raises `TypeError` for other records, `ValueError` for samples that were not kept.
+    Offsets are enlarged `times`, as in `ellipses_on_map`. Samples that jumped to other ground, as marked in a
+    `Comparison`, are crosses. Raises `TypeError` for other records, `ValueError` for samples that were not kept.
     """
     clouds = [_kept(one) for one in ([errors] if isinstance(errors, Comparison | Sampled) else errors)]
     if not clouds:
@@ -110,8 +109,8 @@ def cloud_on_map(
 
 
 class _Normal(NamedTuple):
-    """Of n fixes: positions, means (n, 2) and covariances (n, 2, 2) on the level plane in m and m2, NaN where none is
-    to be trusted, and radii of the circles in their place, m; the probability of these."""
+    """n fixes: positions, means (n, 2) and covariances (n, 2, 2) on the level plane in m and m2 (NaN where linear
+    propagation is not valid), radii in m of the circles drawn instead, and their probability."""
 
     position: Geodetic
     mean: np.ndarray
@@ -121,7 +120,7 @@ class _Normal(NamedTuple):
 
 
 def _normal(one: Any) -> _Normal:
-    """What a record says of its fixes."""
+    """Convert a record to `_Normal`."""
     if isinstance(one, Accuracy):
         linear, by_samples = one.propagation, one.trust is Method.samples
         position, mean, cov = linear.fix.position, linear.bias_enu, np.asarray(linear.cov_enu)
@@ -141,7 +140,7 @@ _RECORDS = (Propagation, Accuracy, AccuracyOfEach)
 
 
 def _share(parts: Sequence[_Normal], probability: float | None) -> float:
-    """The one probability of all ellipses and circles."""
+    """The common probability of all ellipses and circles."""
     own = {one.probability for one in parts if one.probability is not None}
     share = probability if probability is not None else min(own, default=0.9)
     if not 0.0 < share < 1.0:
@@ -156,7 +155,7 @@ def _joined(positions: Sequence[Geodetic]) -> Geodetic:
 
 
 def _kept(one: Comparison | Sampled) -> tuple[Geodetic, np.ndarray, np.ndarray]:
-    """(position of the fix, errors (n, 2) east and north of it, which of them jumped), thinned."""
+    """(position of the fix, errors (n, 2) east and north of it, mask of those that jumped), subsampled."""
     sampled = one.sampled if isinstance(one, Comparison) else one
     check_is(sampled, Sampled, "errors", "Make them with jaxgeo.uncertainty.sample or compare.")
     if sampled.errors_enu is None:
@@ -170,7 +169,7 @@ def _kept(one: Comparison | Sampled) -> tuple[Geodetic, np.ndarray, np.ndarray]:
 
 
 def _around(ax: Axes, position: Geodetic, known: np.ndarray) -> None:
-    """Limits about the fixes, where nothing lies on the axes yet."""
+    """Set limits about the fixes if the axes are empty."""
     lon, lat = (x[known] for x in lonlat_deg(position))
     degrees(ax, float(lat.mean()) if len(lat) else 0.0)
     if len(lat) and ax.get_autoscale_on() and not ax.has_data():
@@ -179,7 +178,7 @@ def _around(ax: Axes, position: Geodetic, known: np.ndarray) -> None:
 
 
 def _times(ax: Axes, position: Geodetic, across: np.ndarray, times: float | None) -> float:
-    """By how much what is `across` m is enlarged."""
+    """Enlargement factor for features `across` m wide."""
     if times is not None:
         if not (math.isfinite(times) and times > 0.0):
             raise ValueError(f"times must be a positive number; got {times!r}.")

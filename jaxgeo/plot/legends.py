@@ -1,4 +1,4 @@
-"""Legends that cover no data, and colour bars: gathered from the labels of what lies on the axes."""
+"""Legends outside the data area, and colour bars, built from the labels on the axes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator
 from matplotlib.transforms import ScaledTranslation
 
-BESIDE = 5.0  # inches from which on a legend may stand beside square axes
+BESIDE = 5.0  # inches: minimum width for a legend beside square axes
 MARGIN = 0.5  # inches left of the axes, of tick labels and the axis's name
-LETTER = 0.54  # of the size of type: the mean width of a letter
-HANDLE = 4.2  # of the size of type: what stands before a letter, and between columns
-RIGHT = 0.36  # of the room: how much of it a legend beside square axes has
-GRID_SHARE = 0.775  # of a figure's width, which matplotlib's grid fills before it is laid out
-COLOURED = "jaxgeo: colours"  # the name of what a colour bar tells
+LETTER = 0.54  # mean width of a letter, in font sizes
+HANDLE = 4.2  # width of the handle and column gap, in font sizes
+RIGHT = 0.36  # share of the width for a legend beside square axes
+GRID_SHARE = 0.775  # of a figure's width: matplotlib's default subplot area before layout
+COLOURED = "jaxgeo: colours"  # label of the artist that a colour bar refers to
 
 
 def legend(ax: Axes, *, title: str = "", beside: bool = False, **given: Any) -> Axes:
-    """A legend of all that has a label, under the labels of the axes, where it covers no data.
+    """A legend of all labelled artists, below the axis labels, outside the data area.
 
-    It has as many columns as there is room for. The `title` is words that belong to it, broken into lines. With
-    `beside` it stands right of the axes where their place in the figure is as wide as a page. `given` go to
-    `Axes.legend`, such as `loc="upper left"` for one inside. Returns the axes.
+    The number of columns depends on the available width. `title` is wrapped. With `beside` the legend is right of the
+    axes if their part of the figure is as wide as a page. `given` are passed to `Axes.legend`, such as
+    `loc="upper left"` for a legend inside. Returns the axes.
     """
     handles = {str(one.get_label()): one for one in ax.get_legend_handles_labels()[0]}
     legend_of(ax, list(handles.values()), title=title, beside=beside, **given)
@@ -39,7 +39,7 @@ def legend(ax: Axes, *, title: str = "", beside: bool = False, **given: Any) -> 
 
 
 def legend_of(ax: Axes, handles: Sequence[Any], *, title: str = "", beside: bool = False, **given: Any) -> Legend:
-    """As `legend`, of chosen handles."""
+    """As `legend`, for chosen handles."""
     figure = ax.get_figure(root=False)
     assert figure is not None
     if "loc" in given and "bbox_to_anchor" not in given:
@@ -64,9 +64,9 @@ def legend_of(ax: Axes, handles: Sequence[Any], *, title: str = "", beside: bool
 
 
 def colour_bar(ax: Axes, label: str, *, beside: Any = None, **given: Any) -> Colorbar:
-    """A bar of the colours of `accuracy_map` on the axes; its `label` names the unit.
+    """A colour bar for `accuracy_map` on the axes; its `label` names the unit.
 
-    It stands right of the axes, as high as they are, or takes its room from those named by `beside`. `given` go to
+    It is right of the axes and as high as they are, or takes its space from the axes in `beside`. `given` are passed to
     `Figure.colorbar`. Raises `ValueError` for axes without such colours.
     """
     found = [one for one in ax.get_children() if one.get_gid() == COLOURED]
@@ -83,7 +83,7 @@ def colour_bar(ax: Axes, label: str, *, beside: Any = None, **given: Any) -> Col
 
 
 def keyed(ax: Axes, label: str, *, area: bool = False, **look: Any) -> Artist:
-    """An entry of the legend for what has none of its own: a line or mark, or an `area`, that is drawn nowhere else."""
+    """A proxy legend entry: a line, marker or `area` that is not drawn on the axes."""
     one: Artist = Rectangle((0.0, 0.0), 0.0, 0.0, label=label, **look) if area else Line2D([], [], label=label, **look)
     if area:
         one.set_transform(ax.transAxes)
@@ -93,7 +93,7 @@ def keyed(ax: Axes, label: str, *, area: bool = False, **look: Any) -> Artist:
 
 
 def _room(ax: Axes) -> float:
-    """Width of the place that the axes have in their figure, or in its part that they are in, inches."""
+    """Width in inches of the axes' subplot area in their figure or subfigure."""
     figure: Any = ax.get_figure(root=False)
     spec = ax.get_subplotspec()
     share = ax.get_position().width if spec is None else spec.get_position(figure).width / GRID_SHARE
@@ -101,7 +101,7 @@ def _room(ax: Axes) -> float:
 
 
 def _points(size: Any) -> float:
-    """The size of type in points, of a number or one of matplotlib's words."""
+    """Font size in points, from a number or a matplotlib name."""
     from matplotlib.font_manager import FontProperties
 
     return float(FontProperties(size=size).get_size_in_points())

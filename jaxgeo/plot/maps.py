@@ -23,12 +23,12 @@ from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.style import CAMERA, FIX, HIDDEN, INK, SIGHT, halo, house_axes, round_length
 from jaxgeo.terrain import Dem
 
-MOST_POSTS = 1200  # along one side of a picture; larger terrain is thinned
-ALONE = 0.02  # deg, about what lies alone on a map
+MOST_POSTS = 1200  # per side of a figure; larger terrain is subsampled
+ALONE = 0.02  # deg: margin about an isolated point
 STEPS = [1, 2, 5, 10]  # of ticks, times a power of ten
 ARROWHEAD = Path([(0.0, 1.0), (-0.62, -0.8), (0.0, -0.45), (0.62, -0.8), (0.0, 1.0)], closed=True)  # to the north
-TICK = 60.0  # points that a label of degrees takes of an axis
-# Valleys green, slopes tan, summits light: quiet, so that what is drawn on top is seen.
+TICK = 60.0  # points: width of a degree label
+# Green valleys, tan slopes, light summits: muted, so that layers on top stand out.
 RELIEF = matplotlib.colors.LinearSegmentedColormap.from_list(
     "relief", ["#93b48b", "#c5cf9f", "#e6dcb4", "#d3b78f", "#c09a80", "#efe9e4"]
 )
@@ -56,7 +56,7 @@ def post_positions(dem: Dem, step: int = 1) -> Geodetic:
 
 
 def map_axes(dem: Dem, ax: Axes | None = None) -> Axes:
-    """Axes of a map: limits of the terrain, equal lengths north and east, and degrees as labels."""
+    """Map axes: limits of the terrain, equal scale north and east, tick labels in degrees."""
     check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
     with house_axes(ax, tall=0.8) as ax:
         lon, lat = lonlat_deg(post_positions(dem, step=max(1, int(np.min(np.asarray(dem.extent))) // 32)))
@@ -66,7 +66,7 @@ def map_axes(dem: Dem, ax: Axes | None = None) -> Axes:
 
 
 def degrees(ax: Axes, lat_deg: float) -> None:
-    """Equal lengths north and east about a latitude, and degrees as labels."""
+    """Set equal scale north and east at a latitude, and tick labels in degrees."""
     if ax.get_gid() == "jaxgeo: degrees":
         return
     ax.set_gid("jaxgeo: degrees")
@@ -82,7 +82,7 @@ def degrees(ax: Axes, lat_deg: float) -> None:
 
 
 def _named(axis: Any, value: float, signs: str) -> str:
-    """A label of degrees, with as many decimals as all ticks need."""
+    """A tick label in degrees, with the decimals that all ticks need."""
     ticks = np.asarray(axis.get_majorticklocs(), float)
     step = float(np.min(np.diff(ticks), initial=1.0))
     decimals = next((n for n in range(8) if np.all(np.abs(np.round(ticks, n) - ticks) < 0.05 * step)), 8)
@@ -91,7 +91,7 @@ def _named(axis: Any, value: float, signs: str) -> str:
 
 
 def hillshade(dem: Dem, ax: Axes | None = None, **light: float) -> Axes:
-    """Terrain in quiet colours under an oblique light, as `shaded_relief` makes it; voids stay blank."""
+    """Terrain in muted colours under an oblique light, as computed by `shaded_relief`; voids stay blank."""
     check_is(dem, Dem, "dem", "Read one with jaxgeo.io.read_dem.")
     step = max(1, math.ceil(int(np.max(np.asarray(dem.extent))) / MOST_POSTS))
     rgba = shaded_relief(dem, step, **light)
@@ -127,10 +127,10 @@ def relief_colours(
     exaggeration: float = 1.5,
     between: tuple[float, float] | None = None,
 ) -> np.ndarray:
-    """Colours (rows, cols, red green blue alpha) of heights in m at places in m; what is NaN is transparent.
+    """Colours (rows, cols, red green blue alpha) of heights in m at points in m; NaN is transparent.
 
-    `light` is the azimuth and the elevation of the light in rad; colours go from the lower to the higher height of
-    `between`, by default those of these places.
+    `light` is the azimuth and the elevation of the light in rad; the colour scale spans `between`, by default the
+    lowest and highest of these heights.
     """
     slope_east, slope_north = slopes(height, east, north)
     normal = np.stack([-exaggeration * slope_east, -exaggeration * slope_north, np.ones_like(height)])
@@ -149,7 +149,7 @@ def relief_colours(
 def hidden_ground(
     dem: Dem, hidden: np.ndarray, ax: Axes | None = None, *, label: str = "hidden from the camera"
 ) -> Axes:
-    """Marks posts (rows, cols) that terrain hides. Raises `ValueError` for flags of another shape."""
+    """Mark posts (rows, cols) hidden by terrain. Raises `ValueError` for a mask of another shape."""
     shape = tuple(int(n) for n in np.asarray(dem.extent))
     if np.shape(hidden) != shape:
         raise ValueError(f"hidden must flag each post, {shape}; got the shape {np.shape(hidden)}.")
@@ -164,7 +164,7 @@ def hidden_ground(
 
 
 def sight_lines(origin: Geodetic, fix: Fix, ax: Axes | None = None, *, label: str = "lines of sight") -> Axes:
-    """A line on the map from the camera to each fix of a batch (n,) that has coordinates."""
+    """Map lines from the camera to each fix of a batch (n,) that has coordinates."""
     check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
     lon0, lat0 = (float(x) for x in lonlat_deg(origin))
@@ -180,7 +180,7 @@ def sight_lines(origin: Geodetic, fix: Fix, ax: Axes | None = None, *, label: st
 
 
 def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
-    """A point for each fix of a batch that has coordinates: full where it is ok, open where it is not."""
+    """A marker for each fix of a batch that has coordinates: filled if its status is ok, else open."""
     check_is(fix, Fix, "fix", "Make one with jaxgeo.locate.")
     lon, lat = (np.ravel(x) for x in lonlat_deg(fix.position))
     known, ok = np.isfinite(lon), np.ravel(np.asarray(fix.ok))
@@ -202,7 +202,7 @@ def fixes(fix: Fix, ax: Axes | None = None, *, label: str = "fixes") -> Axes:
 
 
 def camera(position: Geodetic, heading: float, ax: Axes | None = None, *, label: str = "camera") -> Axes:
-    """Where the camera is, as an arrowhead along its heading in rad; where outside the axes, an arrow at their edge."""
+    """The camera as an arrowhead along its heading in rad; if outside the axes, an arrow at their edge."""
     lon, lat = (float(x) for x in lonlat_deg(position))
     marker = MarkerStyle(ARROWHEAD, transform=Affine2D().rotate(-heading))
     style: dict[str, Any] = {"color": CAMERA, "markersize": 13.0, "markeredgecolor": "white", "zorder": 6}
@@ -222,7 +222,7 @@ def camera(position: Geodetic, heading: float, ax: Axes | None = None, *, label:
 
 
 def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, float] = (0.05, 0.05)) -> Axes:
-    """A bar of a round length, about a fifth of the map, at a place given in fractions of the axes."""
+    """A scale bar of a round length, about a fifth of the map, at `anchor` in fractions of the axes."""
     (west, east), (south, north) = ax.get_xlim(), ax.get_ylim()
     lat = math.radians(south + anchor[1] * (north - south))
     metres_per_degree = math.radians(1.0) * float(WGS84.prime_vertical_radius(jnp.asarray(lat))) * math.cos(lat)
@@ -238,7 +238,7 @@ def scale_bar(ax: Axes, length_m: float | None = None, *, anchor: tuple[float, f
 
 
 def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
-    """An arrow to true north, at a place given in fractions of the axes."""
+    """An arrow to true north, at `anchor` in fractions of the axes."""
     x, y = anchor
     arrow = {"arrowstyle": "-|>", "linewidth": 1.6, "color": INK, "path_effects": halo(3.0)}
     ax.annotate("", (x, y + 0.06), (x, y - 0.02), xycoords="axes fraction", arrowprops=arrow, zorder=7)
@@ -248,7 +248,7 @@ def north_arrow(ax: Axes, *, anchor: tuple[float, float] = (0.94, 0.9)) -> Axes:
 
 
 def plane(position: Geodetic) -> tuple[np.ndarray, np.ndarray]:
-    """(east, north) in m about the middle, good enough for a slope."""
+    """(east, north) in m about the centre, accurate enough for slopes."""
     lat, lon = np.asarray(position.lat), np.asarray(position.lon)
     middle = jnp.asarray(lat.mean())
     M, N = float(WGS84.meridian_radius(middle)), float(WGS84.prime_vertical_radius(middle))

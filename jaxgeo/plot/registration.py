@@ -1,4 +1,4 @@
-"""What a registration found: shifts of blocks, tie points on the map, fixes with their circles, boards."""
+"""Registration figures: block shifts, tie points on the map, fixes with error circles, checkerboards."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.registration import Registration
 from jaxgeo.uncertainty import Propagation
 
-CLOSEST = 60  # cells from side to side of a picture, at least
+CLOSEST = 60  # minimum cells across a figure
 SQUARES = 6  # of a checkerboard, along its longer side
-SMALL = 0.15  # of a picture's half side: a smaller circle is drawn once more, closer
+SMALL = 0.15  # of a figure's half side: smaller circles get an enlarged inset
 
 
 def shifts(
@@ -37,13 +37,13 @@ def shifts(
     reach: float | None = None,
     legend: bool = True,
 ) -> Axes:
-    """By how many cells, to the right and upwards, blocks of an image lie elsewhere in the reference.
+    """Shifts of image blocks against the reference, in cells to the right and upwards.
 
     After Fig. 2 of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation": all candidates
-    as small marks, those that agree ringed. With the `covariance` of the errors and the map's shift that a first pass
-    starts from (`Prior.covariance`) the part that was searched, with `probability`, is drawn for the block nearest to
-    the middle. `reach` is half the side in cells; if left out, all is shown. Raises `ValueError` where no
-    block has a candidate.
+    are small markers, those that agree are ringed. With the prior `covariance` of the errors and the map's shift for
+    the first pass (`Prior.covariance`), the search region with `probability` is drawn for the block nearest to the
+    centre. `reach` is half the side in cells; by default everything is shown. Raises `ValueError` where no block has a
+    candidate.
     """
     check_is(done, Pass, "done", "One of the passes of a Registration.")
     candidates = _upwards(np.asarray(done.matches.shift)[done.matches.is_candidate])
@@ -80,11 +80,11 @@ def ties_on_map(
     exaggeration: float | None = None,
     legend: bool = True,
 ) -> Axes:
-    """Blocks of the last pass on the reference: ties with what is left between image and map, and those left out.
+    """Blocks of the last pass on the reference: tie points with residuals between image and map, and rejected blocks.
 
-    `places` are those of `jaxgeo.register.places.places_of_blocks`. Arrows go from where the map shows a block, its
-    shift taken off, to where the image has it, `exaggeration` times as long; by default a round number that makes most
-    of them visible. Axes are in km from the lower left corner of the reference.
+    `places` come from `jaxgeo.register.places.places_of_blocks`. Arrows go from the block's position on the map,
+    corrected for the map's shift, to its position by the image, enlarged by `exaggeration`; by default a round number
+    that makes most of them visible. Axes are in km from the lower left corner of the reference.
     """
     check_is(registration, Registration, "registration", "Make one with jaxgeo.register.register_image.")
     check_is(places, BlockPlaces, "places", "Make them with jaxgeo.register.places.places_of_blocks.")
@@ -125,9 +125,9 @@ def circles_on_map(
     """Fixes of one pixel with their circles and ellipses, over the rectified image on the reference.
 
     After Fig. 5 of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation": the outer
-    circle, of the navigation alone, and the inner one, of the registration, with the `probability` that each holds the
-    point. `rectified` lies on the cells of the reference. Axes are in m east and north of the direct fix, labels have
-    the coordinates. Raises `ValueError` where a fix is none.
+    circle is from the navigation alone, the inner one from the registration; each contains the point with
+    `probability`. `rectified` is on the cells of the reference. Axes are in m east and north of the direct fix; labels
+    give the coordinates. Raises `ValueError` where a fix has no coordinates.
     """
     fixes = [("by the navigation", direct, FIX)]
     fixes += [] if updated is None else [("registered", updated, REGISTERED)]
@@ -160,9 +160,9 @@ def circles_on_map(
 def checkerboard(
     reference: Orthoimage, rectified: Orthoimage, ax: Axes | None = None, *, squares: int = SQUARES
 ) -> Axes:
-    """The rectified image and the reference in turn, as the squares of a board: roads and rivers go on over the edges
-    where both agree. Both lie on the same cells; axes are in km from the lower left corner. Raises `ValueError` for
-    other shapes.
+    """Checkerboard of the rectified image and the reference: roads and rivers continue across squares where they agree.
+
+    Both are on the same cells; axes are in km from the lower left corner. Raises `ValueError` for other shapes.
     """
     if rectified.shape != reference.shape:
         raise ValueError(f"both must lie on the same cells; got shapes {rectified.shape} and {reference.shape}.")
@@ -181,12 +181,12 @@ def checkerboard(
 
 
 def _upwards(shift: np.ndarray) -> np.ndarray:
-    """(n, 2) cells to the right and upwards of shifts (n, 2) = (rows, cols)."""
+    """Shifts (n, 2) = (rows, cols) as (n, 2) cells to the right and upwards."""
     return np.stack([shift[:, 1], -shift[:, 0]], axis=1)
 
 
 def _searched(done: Pass, covariance: np.ndarray, probability: float) -> np.ndarray:
-    """The ellipse (2, n), cells to the right and upwards, in which the block nearest to the middle was sought."""
+    """Search ellipse (2, n) of the block nearest to the centre, in cells to the right and upwards."""
     centre = np.asarray(done.matches.centre)
     was_searched = (np.asarray(done.matches.searched) > 0) & np.asarray(done.shifts.seen)
     off = np.linalg.norm(centre - centre.mean(axis=0), axis=1)
@@ -199,7 +199,7 @@ def _searched(done: Pass, covariance: np.ndarray, probability: float) -> np.ndar
 def _arrows(
     reference: Orthoimage, places: BlockPlaces, spots: np.ndarray, tied: np.ndarray, times: float | None, ax: Axes
 ) -> Artist:
-    """What is left at ties, on axes in km; a handle that says how much longer than true."""
+    """Draw residuals at tie points on axes in km; returns a handle that states the exaggeration."""
     offset = turned(reference.grid, np.asarray(places.residual)[tied])
     width = ax.get_xlim()[1] - ax.get_xlim()[0]
     longest = 1e-3 * float(np.quantile(np.linalg.norm(offset, axis=1), 0.9))
@@ -221,7 +221,7 @@ def _arrows(
 
 
 def _circle(name: str, one: Propagation, middle: np.ndarray, probability: float, colour: Any, ax: Axes) -> Artist:
-    """A fix, its circle and the ellipse of its covariance that holds the same share; a handle."""
+    """Draw a fix, its circle and the covariance ellipse of the same probability; returns a handle."""
     values, vectors = np.linalg.eigh(np.asarray(one.cov_enu)[:2, :2])
     style: dict[str, Any] = {"color": colour, "zorder": 4}
     radius = float(one.circular_error(probability))
@@ -238,7 +238,7 @@ def _circle(name: str, one: Propagation, middle: np.ndarray, probability: float,
 
 
 def _closer(ground: Orthoimage, updated: Propagation, reach: float, probability: float, ax: Axes) -> None:
-    """A small circle once more, in a corner, where it can be seen."""
+    """Draw an enlarged inset of a small circle in a corner."""
     radius = float(updated.circular_error(probability))
     if radius > SMALL * reach:
         return

@@ -1,4 +1,4 @@
-"""All that a registration found, on one page."""
+"""One-page summary figure of a registration."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.registration import LIMITS, Registration
 from jaxgeo.uncertainty import Propagation
 
-SIZE = (11.7, 8.3)  # inches: an A4 page on its side
+SIZE = (11.7, 8.3)  # inches: A4 landscape
 COLUMN = 62  # characters of a line of text
-DETAIL = 210  # cells on a side of the part that shows before and after
+DETAIL = 210  # cells per side of the before/after detail
 
 
 def registration_figure(
@@ -38,12 +38,12 @@ def registration_figure(
     updated: Propagation | None = None,
     covariance: Any = None,
 ) -> Figure:
-    """One page of a registration: its figures in words, shifts, ties, fixes of one pixel, before and after.
+    """One-page summary of a registration: results as text, shifts, tie points, fixes of one pixel, before and after.
 
-    `places` are those of `places_of_blocks`, `before` and `after` the image rectified onto the cells of `reference`
-    from the navigation and as registered, `direct` and `updated` fixes of one pixel, `covariance` that of the errors
-    before (`Prior.covariance`). What is left out, or never came to be, has no picture: of an image that is not
-    registered the page shows what was tried, and says what became of it.
+    `places` come from `places_of_blocks`; `before` and `after` are the image rectified onto the cells of `reference`
+    with the navigation and with the registration; `direct` and `updated` are fixes of one pixel; `covariance` is that
+    of the errors before (`Prior.covariance`). Missing inputs have no panel. For an image that is not registered the
+    page shows the attempted passes and the outcome.
     """
     with mpl.rc_context(style(PAGE)):
         figure = Figure(figsize=SIZE, layout="constrained")
@@ -71,7 +71,7 @@ def registration_figure(
 
 
 def telling_pass(registration: Registration) -> Pass | None:
-    """The first pass whose agreement is no chance, which searched farthest; else the last; None where there is none."""
+    """The first pass with significant agreement (the widest search); else the last; None if there is no pass."""
     sure = [one for one in registration.passes if one.false_alarms <= LIMITS.false_alarms]
     return (sure or [*registration.passes[-1:]] or [None])[0]
 
@@ -89,9 +89,9 @@ def _boards(reference: Orthoimage, before: Orthoimage | None, after: Orthoimage 
 
 
 def _before_after(reference: Orthoimage, before: Orthoimage, after: Orthoimage, axes: Sequence[Axes]) -> None:
-    """Checkerboards of the reference with the image as the navigation has it, and as the registration has it.
+    """Checkerboards of the reference with the image, before and after registration.
 
-    Of large images a part of the middle, `DETAIL` cells on a side.
+    For large images only a central part, `DETAIL` cells per side.
     """
     names = ("Before: by the navigation", "After: registered")
     both = np.asarray(before.known) & np.asarray(after.known) & np.asarray(reference.known)
@@ -105,13 +105,13 @@ def _before_after(reference: Orthoimage, before: Orthoimage, after: Orthoimage, 
 
 
 def _framed(title: str, ax: Axes) -> None:
-    """A title above, a legend below the axes."""
+    """Add a title above and a legend below the axes."""
     ax.set_title(title)
     legend(ax)
 
 
 def _words(registration: Registration, ax: Axes) -> None:
-    """What became of it: the outcome, the passes, and the standard deviations before and after."""
+    """Print the outcome, the passes, and the standard deviations before and after."""
     ax.set_axis_off()
     lines = textwrap.wrap(registration.outcome.message, COLUMN)
     for number, one in enumerate(registration.passes, 1):
@@ -122,7 +122,7 @@ def _words(registration: Registration, ax: Axes) -> None:
 
 
 def _table(registration: Registration) -> list[str]:
-    """Each error's correction and standard deviations, as lines of one width."""
+    """The correction and standard deviations of each parameter, as lines of equal width."""
     update = registration.update
     if update is None:
         return []

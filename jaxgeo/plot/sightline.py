@@ -1,4 +1,4 @@
-"""The ground under a line of sight, and where the line meets it: first, and farther on."""
+"""Terrain profile under a line of sight, with its intersections."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from jaxgeo.plot.style import FIX, INK, MUTED, SHADE, SIGHT, TERRAIN, grid_behin
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem
 
-SAMPLES = 4096  # along a line of sight; what the ground does between two of them is not seen
-FARTHEST = 600_000.0  # m along a line of sight that are looked through
-PLUMB = 1e-4  # level part of a direction, below which there is no section
-BEYOND = 1.06  # of the way to where the line is below all ground
+SAMPLES = 4096  # along a line of sight; terrain between two samples is not resolved
+FARTHEST = 600_000.0  # m: maximum range searched along a line of sight
+PLUMB = 1e-4  # horizontal component of a direction, below which there is no profile
+BEYOND = 1.06  # times the range at which the line is below all terrain
 
 
 @dataclass(frozen=True)
 class Section:
-    """A line of sight and the ground under it, all in m, at places (n,) in order.
+    """Profile of a line of sight and the terrain below it, in m, at samples (n,) in order.
 
-    `distance` is along the ellipsoid from below the camera; `sight`, `ground` and `flat` are heights above WGS 84: of
-    the line, of the ground (NaN where none is known), and of the line as it would be if the Earth were flat at the
-    camera. `void` marks places on the terrain where it has no height. `hits` (k, 2) are (distance, height) of the
-    places where the line goes into known ground, in order; the first is the fix if `status` says that there is one.
+    `distance` is along the ellipsoid from the point below the camera; `sight`, `ground` and `flat` are heights above
+    WGS 84 of the line, of the terrain (NaN where unknown), and of the line over a flat Earth at the camera. `void`
+    marks samples over terrain voids. `hits` (k, 2) are (distance, height) of the points where the line enters known
+    terrain, in order; the first is the fix if `status` is a hit.
     """
 
     distance: np.ndarray
@@ -50,18 +50,17 @@ class Section:
 
     @property
     def curved(self) -> float:
-        """How far above the flat Earth's line the true one is at the last hit, or at the end if there is none, m."""
+        """Height of the line above that over a flat Earth at the last hit, or at the end if there is none, m."""
         at = self.hits[-1, 0] if len(self.hits) else self.distance[-1]
         return float(np.interp(at, self.distance, self.sight - self.flat))
 
 
 def section_under(ray: Ray, dem: Dem, *, atmosphere: Atmosphere | None = None, reach: float | None = None) -> Section:
-    """The section of a terrain under one line of sight (ECEF, m; `Ray(*sensor.ray_ecef(shot, uv)[:2])`).
+    """The terrain profile under one line of sight (ECEF, m; `Ray(*sensor.ray_ecef(shot, uv)[:2])`).
 
-    It goes to where the line leaves the terrain or is below all of it, or to `reach` m along it. The first hit is that
-    of `intersect`, with the same `atmosphere`; farther ones are found between 4096 samples. Raises `TypeError` for
-    other records, `ValueError` for a ray that is not finite or never over the terrain, and a reach that is not
-    positive.
+    It ends where the line leaves the terrain or is below all of it, or at `reach` m along it. The first hit is that of
+    `intersect` with the same `atmosphere`; later ones are found between 4096 samples. Raises `TypeError` for other
+    records, `ValueError` for a ray that is not finite or never over the terrain, and a reach that is not positive.
     """
     require_x64()
     check_is(ray, Ray, "ray", "Make one with Ray(*sensor.ray_ecef(shot, uv)[:2]).")
@@ -94,12 +93,11 @@ def section_under(ray: Ray, dem: Dem, *, atmosphere: Atmosphere | None = None, r
 def sight_section(
     section: Section, ax: Axes | None = None, *, window: tuple[float, float] | None = None, legend: bool = True
 ) -> Axes:
-    """A line of sight over the section of the ground under it, with its first hit and those farther on.
+    """A line of sight over its terrain profile, with the first hit and later ones.
 
-    The line is full up to the first hit and dashed behind it; thin dots are the line over a flat Earth, below which
-    the ground falls away. Voids are hatched. `window` are the first and the last distance shown, in m; without a
-    `legend` below, as beside other axes that have it. Raises `TypeError` for another record, `ValueError` for a window
-    without any of the section.
+    The line is full up to the first hit and dashed beyond; thin dots show the line over a flat Earth. Voids are
+    hatched. `window` is the first and the last distance shown, in m; `legend=False` omits the legend below. Raises
+    `TypeError` for another record, `ValueError` for a window outside the profile.
     """
     if not isinstance(section, Section):
         raise TypeError(f"section must be a Section; got {type(section).__name__}. Make one with section_under.")
@@ -123,7 +121,7 @@ def sight_section(
 
 
 def _limits(section: Section, shown: np.ndarray) -> tuple[float, float]:
-    """Lowest and highest height of a picture, m: of the ground and of the line over it, with some room."""
+    """Lowest and highest height of the figure, m: those of the terrain and the line, with a margin."""
     ground, sight = section.ground[shown], section.sight[shown]
     known = ground[np.isfinite(ground)]
     line = sight if not len(known) else sight[sight >= known.min()]
@@ -153,7 +151,7 @@ def _over_flat(section: Section, km: np.ndarray, ax: Axes) -> Line2D:
 
 
 def _ground(section: Section, km: np.ndarray, bottom: float, ax: Axes) -> list[Artist]:
-    """The ground as an area, voids as hatched bands."""
+    """Draw the terrain as an area and voids as hatched bands."""
     known = np.isfinite(section.ground)
     ground = np.where(known, section.ground, bottom)
     area = ax.fill_between(km, bottom, ground, where=known, color=TERRAIN, linewidth=0.0, zorder=1)
@@ -170,7 +168,7 @@ def _ground(section: Section, km: np.ndarray, bottom: float, ax: Axes) -> list[A
 
 
 def _hits(section: Section, ax: Axes) -> list[Artist]:
-    """The first hit as a full mark, farther ones open; without a fix a line of the legend says why."""
+    """Draw the first hit as a filled marker and later ones open; without a fix the legend gives the reason."""
     handles: list[Artist] = []
     style: dict[str, Any] = {"linestyle": "none", "marker": "o", "zorder": 6}
     found = section.status in (Status.hit, Status.near_tangent, Status.enters_from_side, Status.hits_void)
@@ -202,7 +200,7 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _entered(distance: np.ndarray, sight: np.ndarray, ground: np.ndarray) -> np.ndarray:
-    """(k, 2) distance and height of the places at which the line goes below known ground."""
+    """(k, 2) distance and height of the points where the line enters known terrain."""
     above = sight - ground
     here = np.flatnonzero((above[:-1] > 0.0) & (above[1:] <= 0.0))
     share = above[here] / (above[here] - above[here + 1])
@@ -211,10 +209,10 @@ def _entered(distance: np.ndarray, sight: np.ndarray, ground: np.ndarray) -> np.
 
 
 def _reach(ray: Ray, dem: Dem) -> float:
-    """How far along the line, m, the last place is that lies over the terrain and above its lowest ground."""
+    """Range in m of the last point over the terrain and above its lowest height."""
     lowest = float(dem.known_heights[0])
     reach = FARTHEST
-    for _ in range(2):  # the second time with samples as dense as the terrain's size needs
+    for _ in range(2):  # the second pass samples at the density that the terrain's size needs
         along = np.linspace(0.0, reach, SAMPLES)
         _, sight, _, inside, _ = (np.asarray(x) for x in _sampled(ray, dem, jnp.asarray(along)))
         within = np.flatnonzero(inside & (sight >= lowest))
@@ -246,7 +244,7 @@ def _sampled(ray: Ray, dem: Dem, along: jax.Array) -> tuple[jax.Array, ...]:
 
 @jax.jit
 def _climb(ray: Ray) -> jax.Array:
-    """Rise of the line over the level at the camera, m for each m ahead on the ellipsoid below."""
+    """Rise of the line above the camera's horizontal plane, m per m of distance along the ellipsoid."""
     up, height = WGS84.normal_and_height(ray.origin)
     rise = ray.direction @ up
     level = safe_norm(ray.direction - rise * up)

@@ -1,4 +1,4 @@
-"""One look for all figures: colours with a meaning that all eyes tell apart, sizes of type, axes of its own."""
+"""Figure style: colour-blind safe colours with fixed meanings, font sizes, axes of new figures."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from matplotlib.figure import Figure
 
 COLUMN, PAGE = 80.0 / 25.4, 7.0  # inches: a column of 80 mm, and both columns of a page
 
-# Okabe and Ito (2008), "Color universal design". What one figure has beside each other is told apart by all eyes
-# (tests/test_plot_style.py), and by its mark, width or dashes too, which is what is left in grey.
+# Okabe and Ito (2008), "Color universal design". Colours that occur together in a figure stay distinct under all colour
+# vision types (tests/test_plot_style.py); markers, widths or dashes differ too, for print in grey.
 INK, MUTED, HAIR = "#1a1a1a", "#5f5f5f", "#d0d0d0"
 BLUE, SKY, GREEN = "#0072b2", "#56b4e9", "#009e73"
 ORANGE, VERMILLION, PURPLE = "#e69f00", "#d55e00", "#8f3f71"
 EARTH, SHADE = "#cdb896", "#eeeeee"
 
-# What a colour stands for, in every figure.
-FIX = VERMILLION  # where a line of sight first meets the ground, and what is wrong
+# Meaning of each colour, in every figure.
+FIX = VERMILLION  # first intersection of a line of sight; errors
 SIGHT = CAMERA = BLUE  # the camera and its lines of sight
-HIDDEN = PURPLE  # ground that nearer ground hides
+HIDDEN = PURPLE  # ground hidden by terrain
 EDGE = INK  # edges of images
-TERRAIN = EARTH  # ground in a section
-SAMPLE, SAMPLED = SKY, BLUE  # drawn errors, and what is told by them
-JUMPED = VERMILLION  # drawn errors on other ground
+TERRAIN = EARTH  # terrain in a profile
+SAMPLE, SAMPLED = SKY, BLUE  # sampled errors, and their statistics
+JUMPED = VERMILLION  # sampled errors on other ground
 LINEAR = (INK, ORANGE, PURPLE)  # linear propagation: over the facet, over the footprint, any other
-METHODS = ("#cfe6f6", GREEN, ORANGE)  # that can be trusted: over the facet, over the footprint, samples
+METHODS = ("#cfe6f6", GREEN, ORANGE)  # cheapest valid one: over the facet, over the footprint, samples
 HORIZONTAL, VERTICAL = BLUE, ORANGE  # variances
-REGISTERED = ORANGE  # what a registration found
+REGISTERED = ORANGE  # results of a registration
 OUTLINES = (INK, BLUE, ORANGE, PURPLE, GREEN, SKY)  # of images, in turn
 
 
 def style(width: float = PAGE) -> dict[Any, Any]:
-    """Settings of matplotlib for a figure `width` inches wide: `with matplotlib.rc_context(style(3.3)): ...`.
+    """Matplotlib settings for a figure `width` inches wide: `with matplotlib.rc_context(style(3.3)): ...`.
 
-    Type is 7 pt in a column and 8.5 pt over a page, as read and not as drawn: put figures into print unscaled. Raises
+    Text is 7 pt in a column and 8.5 pt over a page at the printed size: do not rescale figures in print. Raises
     `ValueError` for a width that is not a positive length.
     """
     if not (math.isfinite(width) and width > 0.0):
@@ -90,9 +90,9 @@ def style(width: float = PAGE) -> dict[Any, Any]:
 
 @contextmanager
 def house_axes(ax: Axes | None, *, width: float = PAGE, tall: float = 0.62) -> Iterator[Axes]:
-    """The axes to draw on: those given as they are, or the only ones of a new figure in this style.
+    """The given axes, or the only axes of a new figure in this style.
 
-    A new figure is `width` inches wide and `tall` times as high, and hangs on no window.
+    A new figure is `width` inches wide and `tall` times as high, and has no window.
     """
     if ax is not None:
         yield ax
@@ -104,12 +104,12 @@ def house_axes(ax: Axes | None, *, width: float = PAGE, tall: float = 0.62) -> I
 
 
 def halo(width: float) -> list[Any]:
-    """A light edge about lines and words on a picture, `width` points wide."""
+    """A light outline `width` points wide, for lines and text over an image."""
     return [matplotlib.patheffects.withStroke(linewidth=width, foreground="white", alpha=0.9)]
 
 
 def grid_behind(ax: Axes) -> None:
-    """Hairlines at the ticks, behind all that is drawn."""
+    """Draw thin grid lines at the ticks, behind all artists."""
     ax.grid(True)
     ax.set_axisbelow(True)
 
@@ -130,6 +130,6 @@ def metres(length: float) -> str:
 
 
 def round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is no more than a positive length."""
+    """The largest of 1, 2, 5 times a power of ten that does not exceed a positive length."""
     power = 10.0 ** math.floor(math.log10(length))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length * (1.0 + 1e-12))

@@ -183,7 +183,7 @@ REFUSED = {
     "some heights": (GEO + "DJI_0002.JPG -84.2 36.3\n", {}, "some rows have a height and some do not"),
     "crs": (GEO, {"crs": "EPSG:32616"}, "its first line says that it is in 'EPSG:4326'; leave crs= out"),
     "unknown crs": (GEO.replace("4326", "1"), {}, "crs = 'EPSG:1' is unknown to PROJ"),
-    "map": ("image x y z\nDJI_0001.JPG 751000 4020000 900\n", {}, 'x is of a map.*crs="EPSG:32616"'),
+    "map": ("image x y z\nDJI_0001.JPG 751000 4020000 900\n", {}, 'x is projected.*crs="EPSG:32616"'),
     "no names": ("lat lon alt\n36.3 -84.2 900\n", {}, "no column image"),
     "mark": (MARK.format(1, 36.3, -84.2, 50) + "\n2 cut", {"height_datum": None}, "row 2: not a mark of a photo"),
     "datum of marks": (MARK.format(1, 36.3, -84.2, 50), {"height_datum": 30.0}, r"above the ellipsoid \(Ellh\)"),

@@ -144,7 +144,7 @@ def test_a_crs_with_a_vertical_part_says_what_heights_are_above(tmp_path: pathli
 @pytest.mark.parametrize(
     "header, row, options, words",
     [
-        ("imageName X Y Z Omega Phi Kappa", "a 751000 4020000 3 0 0 0", {}, 'X is of a map.*crs="EPSG:32616"'),
+        ("imageName X Y Z Omega Phi Kappa", "a 751000 4020000 3 0 0 0", {}, 'X is projected.*crs="EPSG:32616"'),
         ("#F=N Y X Z K W P", "a 36.3 -84.2 900.0 30 -60 0", {}, 'X is in deg.*crs="EPSG:4326"'),
         ("#F=N Y X Z K W P", "a 36.3 -84.2 900.0 30 -60 0", {"crs": UTM}, "look like longitude and latitude in deg"),
         (LAYOUTS["metashape reference"][0], "a,751000,4020000,9,0,0,0", {"crs": "EPSG:32617"}, "the file says that"),

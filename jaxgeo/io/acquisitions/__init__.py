@@ -1,4 +1,4 @@
-"""Files of cameras and aircraft as exposures: drone images, telemetry, navigation, orientations, reconstructions."""
+"""Readers of exposures: drone images, telemetry, navigation, orientations, reconstructions."""
 
 from __future__ import annotations
 

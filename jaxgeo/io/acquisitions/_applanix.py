@@ -1,4 +1,4 @@
-"""Records of Applanix's files: float64 after float64, without a header; their clock and their ranges."""
+"""Records of Applanix files: headerless float64 arrays, with clock and range checks."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.navigation import WEEK
 from jaxgeo.io.sentinels import SBET
 
-# Numbers of a record, all float64, little-endian. Velocities are along the axes of the wander frame (`_wander`);
-# accelerations and rates are not used: the file does not say whether rates are against the Earth or the stars.
+# Fields of a record, all float64, little-endian. Velocities are along the axes of the wander frame (`_wander`).
+# Accelerations and rates are unused: the file does not state whether rates are relative to the Earth or inertial.
 FIELDS = (
     "time", "lat", "lon", "height", "velocity_x", "velocity_y", "velocity_z", "roll", "pitch", "platform_heading",
     "wander", "acceleration_x", "acceleration_y", "acceleration_z", "rate_x", "rate_y", "rate_z",
@@ -23,7 +23,7 @@ ERROR_FIELDS = (
 )  # fmt: skip
 TURN = 2.0 * np.pi
 _HEIGHTS = POSE_COLUMNS["height_m"][:2]
-# Lowest and highest value of what is used, and its unit; a heading or a wander angle may have gone round twice.
+# Lowest and highest value of the fields in use, and the unit; a heading or a wander angle may have wrapped twice.
 LIMITS = {
     "lat": (-np.pi / 2, np.pi / 2, "rad"),
     "lon": (-TURN, TURN, "rad"),
@@ -36,12 +36,12 @@ LIMITS = {
     "platform_heading": (-2.0 * TURN, 2.0 * TURN, "rad"),
     "wander": (-2.0 * TURN, 2.0 * TURN, "rad"),
 }
-NEW_WEEK = 60.0  # s of the end of a week that may be missing where a clock begins anew
+NEW_WEEK = 60.0  # s: longest part missing at the end of a week where the clock restarts
 Fields = dict[str, np.ndarray]
 
 
 def mapped(path: str, what: str, fields: tuple[str, ...]) -> np.ndarray:
-    """The records of a file (n, fields), that stay on disk."""
+    """Memory-mapped records of a file (n, fields)."""
     width = 8 * len(fields)
     check_regular(path, TableError)
     try:
@@ -66,7 +66,7 @@ def mapped(path: str, what: str, fields: tuple[str, ...]) -> np.ndarray:
 
 
 def clock_of(path: str, records: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The times of all records in s, and whether a new week was carried on."""
+    """The times of all records in s, and whether a week rollover was unwrapped."""
     times = np.array(records[:, 0])
     known = np.isfinite(times) & (np.abs(times) <= 1e11)
     if not np.all(known):
@@ -88,7 +88,7 @@ def clock_of(path: str, records: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def numbers_of(path: str, records: np.ndarray, picked: np.ndarray) -> Fields:
-    """The fields in use of some records, in range and at a known place."""
+    """The fields in use of the picked records, checked for range and a known position."""
     rows = np.asarray(records[picked])
     numbers = {name: np.array(rows[:, FIELDS.index(name)], np.float64) for name in LIMITS}
     for name, (low, high, unit) in LIMITS.items():
@@ -109,5 +109,5 @@ def numbers_of(path: str, records: np.ndarray, picked: np.ndarray) -> Fields:
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
-    """An angle in rad brought into [-pi, pi]."""
+    """An angle in rad wrapped to [-pi, pi]."""
     return angle - TURN * np.round(angle / TURN)

@@ -1,6 +1,6 @@
-"""What the tags of a drone's image say of its camera, from the most to the least trustworthy, in pixels of the file.
+"""Camera calibration from a drone image's tags, in pixels of the file, in order of reliability.
 
-First a calibration in the image, then the table of cameras of the package, then EXIF.
+A calibration in the image first, then the package's table of cameras, then EXIF.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxgeo.io.camera_table import KnownCamera, known_camera
 from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import CLOSE, FORMS
 
-OFF_CENTRE = 0.1  # of half the image, by which a principal point may be off its middle
+OFF_CENTRE = 0.1  # of half the image: largest offset of the principal point from the centre
 LONGEST_FOCAL = 50.0  # widths of the image: 1800 mm on 35 mm film, more than twice what drones zoom to
 FILM_DIAGONAL = math.hypot(36.0, 24.0)  # mm
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # mm, of FocalPlaneResolutionUnit
@@ -26,22 +26,22 @@ UNDISTORTED = (
     "The lens is taken to be free of distortion, since nothing is said of it: what it bends at the corners counts as "
     "an error of the focal length."
 )
-# Standard deviations of the focal length as shares of it: of a calibration of this very camera, of a design value, of
-# lengths in mm rounded by EXIF, and of what a lens that is said nothing of may bend at the corners, which acts there as
-# a wrong focal length does. By the rule of 35 mm film: against calibrations of 15 models it was wrong by -10 to +2 %,
-# which 1.645 times 6 % holds; of an image cut to the shape of videos by 9 % over the package's table of cameras.
+# Relative standard deviations of the focal length: of a calibration of this very camera, of a design value, of lengths
+# in mm rounded by EXIF, and of an unknown lens distortion, whose displacement at the corners acts there like a wrong
+# focal length. From 35 mm equivalents: against calibrations of 15 models the error was -10 to +2 %, which 1.645 times
+# 6 % covers; for images cropped to a video aspect ratio it was 9 % over the package's table of cameras.
 CALIBRATED, DESIGNED, ROUNDED, BENT, FILM, FILM_CUT = 0.003, 0.01, 0.02, 0.02, 0.06, 0.09
-# Of the principal point, as shares of the width: calibrated, and taken as the middle of the image or by design.
+# Of the principal point, relative to the width: calibrated, and assumed at the image centre or from the design.
 CALIBRATED_POINT, MIDDLE = 0.001, 0.005
-WIDE = 1.6  # width over height above which an image was cut from a detector of 4:3 or 3:2
+WIDE = 1.6  # aspect ratio above which an image was cropped from a 4:3 or 3:2 detector
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Focal length and principal point in pixels (columns, rows), pixel centres at integers, and how they were found.
+    """Focal length and principal point in pixels (columns, rows), pixel centres at integers, and their source.
 
-    `coefficients` are the eight of `BrownConrady`, in its order; `focal_sigma` is the standard deviation of the focal
-    length as a share of it, `principal_sigma` that of the principal point as a share of the width.
+    `coefficients` are the eight of `BrownConrady`, in its order; `focal_sigma` is the relative standard deviation of
+    the focal length, `principal_sigma` that of the principal point relative to the width.
     """
 
     focal: tuple[float, float]
@@ -53,20 +53,20 @@ class Calibration:
     principal_sigma: float = CALIBRATED_POINT
 
     def scaled(self, across: float, down: float) -> Calibration:
-        """Of the same image at another size; its edges, not its pixel centres, stay at the same place."""
+        """The calibration of a resized image; the image edges, not the pixel centres, are kept in place."""
         focal = self.focal[0] * across, self.focal[1] * down
         principal = (self.principal[0] + 0.5) * across - 0.5, (self.principal[1] + 0.5) * down - 0.5
         return replace(self, focal=focal, principal=principal)
 
     def undistorted(self) -> Calibration:
-        """Of a lens that is said nothing of: what it may bend counts as an error of the focal length."""
+        """The calibration without known distortion: its effect is added to the focal length error."""
         return replace(self, assumed=(*self.assumed, UNDISTORTED), focal_sigma=math.hypot(self.focal_sigma, BENT))
 
 
 def calibration_of(tags: ImageTags) -> Calibration:
-    """The camera by the maker's calibration, else by the table of cameras, else by EXIF, of an image as it was exposed.
+    """The camera of an image at its full size: the maker's calibration, else the table of cameras, else EXIF.
 
-    Raises `TableError` where there is none of them, and for an image that was cut.
+    Raises `TableError` if none of them is available, and for a cropped image.
     """
     width, height = full_size(tags)
     check_whole(tags, width, height)
@@ -85,7 +85,7 @@ def calibration_of(tags: ImageTags) -> Calibration:
 
 
 def check_whole(tags: ImageTags, width: int, height: int) -> None:
-    """Raises `TableError` for a file of another shape than the image of so many pixels that the camera made."""
+    """Raises `TableError` for a file whose aspect ratio differs from the camera's full image."""
     if abs(tags.width / width / (tags.height / height) - 1.0) > CLOSE:
         raise TableError(
             f"{tags.path}: the image has {tags.width} x {tags.height} pixels, its tags speak of {width} x {height}: it "
@@ -94,13 +94,13 @@ def check_whole(tags: ImageTags, width: int, height: int) -> None:
 
 
 def in_file(tags: ImageTags, found: Calibration, width: int, height: int) -> Calibration:
-    """The calibration of an image of its full size, in pixels of a file that may be a smaller copy."""
+    """The calibration of a full-size image, in pixels of a file that may be a smaller copy."""
     across, down = tags.width / width, tags.height / height
     if across == 1.0 and down == 1.0:
         return found
     told = (
-        f"The file has {tags.width} x {tags.height} pixels and its tags speak of {width} x {height}: it is taken as "
-        f"the whole image made smaller, and focal length and principal point are scaled by {across:.6g}."
+        f"Image was resized ({tags.width} x {tags.height} of {width} x {height}): focal length and principal point "
+        f"scaled by {across:.6g}."
     )
     return replace(found.scaled(across, down), assumed=(*found.assumed, told))
 
@@ -110,7 +110,7 @@ def camera_shown(tags: ImageTags) -> str:
 
 
 def full_size(tags: ImageTags) -> tuple[int, int]:
-    """Columns and rows of the image as the camera made it, which its calibration is of."""
+    """Columns and rows of the camera's full image, to which its calibration refers."""
     sides = [tags.number(f"EXIF:Pixel{axis}Dimension", (0.0, 1e6, "pixels")) for axis in "XY"]
     if not all(sides):
         return tags.width, tags.height
@@ -139,10 +139,10 @@ def _middle(width: int, height: int) -> tuple[float, float]:
 
 
 def _dji_dewarp(tags: ImageTags, width: int, height: int) -> Calibration | None:
-    """Focal lengths, offsets of the principal point from the middle, and k1 k2 p1 p2 k3, perhaps k4 k5 k6."""
+    """Focal lengths, offsets of the principal point from the centre, and k1 k2 p1 p2 k3, optionally k4 k5 k6."""
     for name, count in (("drone-dji:DewarpData", 9), ("drone-dji:DewarpDataK6", 12)):
         numbers = tags.numbers(name)
-        if not numbers or numbers[0] == 0.0:  # what stands there before the camera was calibrated
+        if not numbers or numbers[0] == 0.0:  # the value of an uncalibrated camera
             continue
         if len(numbers) != count:
             raise tags.wrong(name, f"{len(numbers)} numbers; expected {count}: fx, fy, cx, cy and the distortion.")
@@ -156,7 +156,7 @@ def _dji_dewarp(tags: ImageTags, width: int, height: int) -> Calibration | None:
 
 
 def _dji_designed(tags: ImageTags, width: int, height: int) -> Calibration | None:
-    """The focal length of the design in pixels; some cameras write it in mm, and no centre."""
+    """The design focal length in pixels; some cameras write it in mm, and no centre."""
     name = "drone-dji:CalibratedFocalLength"
     focal = None if tags.unknown("calibration") else tags.number(name, PIXELS)
     if focal is None:
@@ -181,17 +181,17 @@ def _table(tags: ImageTags, width: int, height: int) -> Calibration | None:
 
 
 def known_of(tags: ImageTags, width: int, height: int) -> KnownCamera | None:
-    """The camera of an image in the table of cameras, by its maker, model, focal length in EXIF and size."""
+    """The table entry for an image's make, model, EXIF focal length and size."""
     return known_camera(*tags.camera, width, height, exif_focal(tags))
 
 
 def exif_focal(tags: ImageTags) -> float | None:
-    """EXIF's focal length in mm, None where it is unknown."""
+    """EXIF's focal length in mm, None if unknown."""
     return None if tags.unknown("focal length") else tags.number("EXIF:FocalLength", (0.0, 1e5, "mm"))
 
 
 def calibration_by_table(known: KnownCamera, width: int, height: int) -> Calibration:
-    """The lens of an entry of the table of cameras, for an image of its full size."""
+    """The calibration of a table entry, for an image of its full size."""
     model, focal = known.model, known.focal_mm / known.pitch_mm
     told = (
         f"The camera is taken from the table of cameras: {model.name}, focal length {known.focal_mm:g} mm, pixels of "
@@ -206,7 +206,7 @@ def _dji_centre(tags: ImageTags) -> tuple[float, float] | None:
     if tags.unknown("optical centre"):
         return None
     x, y = (tags.number(f"drone-dji:CalibratedOpticalCenter{axis}", PIXELS) for axis in "XY")
-    return None if x is None or y is None else (x - 0.5, y - 0.5)  # DJI's middle of an image is half its width
+    return None if x is None or y is None else (x - 0.5, y - 0.5)  # DJI's image centre is half the width
 
 
 def _skydio(tags: ImageTags, width: int, height: int) -> Calibration | None:
@@ -234,7 +234,7 @@ def _skydio(tags: ImageTags, width: int, height: int) -> Calibration | None:
 
 
 def _pix4d(tags: ImageTags, width: int, height: int) -> Calibration | None:
-    """Lengths in mm, which need the pitch of EXIF; the distortion R1, R2, R3, T1, T2 is of the same formula."""
+    """Lengths in mm, which need EXIF's pixel pitch; the distortion R1, R2, R3, T1, T2 uses the same formula."""
     if tags.text("Camera:ModelType").lower() == "fisheye":
         raise tags.wrong("Camera:ModelType", f"fisheye lenses are not read from tags; give {FORMS}.")
     focal = tags.number("Camera:PerspectiveFocalLength", MILLIMETRES)
@@ -255,7 +255,7 @@ def _pix4d(tags: ImageTags, width: int, height: int) -> Calibration | None:
 
 
 def _density(tags: ImageTags) -> tuple[float, float] | None:
-    """Pixels for each mm of the sensor, along columns and rows."""
+    """Pixels per mm of the sensor, along columns and rows."""
     unit = UNITS.get(int(tags.number("EXIF:FocalPlaneResolutionUnit", (0.0, 100.0, "")) or 2))
     x = tags.number("EXIF:FocalPlaneXResolution", (0.0, 1e9, "pixels"))
     y = tags.number("EXIF:FocalPlaneYResolution", (0.0, 1e9, "pixels")) or x
@@ -292,7 +292,7 @@ def _exif_film(tags: ImageTags, width: int, height: int) -> Calibration | None:
 
 
 def interior_sigma(found: list[Calibration], width: int) -> np.ndarray:
-    """Standard deviations (n, 3) in pixels of focal length, principal column and row, of n images so many wide."""
+    """Standard deviations (n, 3) in pixels of focal length, principal column and row, for n images of `width`."""
     return np.array([[one.focal_sigma * one.focal[0], *[one.principal_sigma * width] * 2] for one in found])
 
 

@@ -1,4 +1,4 @@
-"""Images that a digital zoom magnified: their camera by the table of cameras, with a longer focal length."""
+"""Digitally zoomed images: the camera from the table of cameras, with a longer focal length."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from jaxgeo.io.camera_table import SAME_FOCAL, KnownCamera
 from jaxgeo.io.given_camera import FORMS
 
 RATIO = "EXIF:DigitalZoomRatio"
-LEAST = 1.001  # of a ratio that magnifies
-UNSURE = 0.02  # standard deviation of the focal length as a share of it for each time that the image is magnified more
+LEAST = 1.001  # minimum ratio that counts as zoom
+UNSURE = 0.02  # relative standard deviation of the focal length per unit of magnification
 
 
 def zoom_of(tags: ImageTags) -> float:
-    """How many times a digital zoom magnified the image; 1 without."""
+    """Digital zoom ratio of the image; 1 without zoom."""
     zoom = None if tags.unknown("digital zoom") else tags.number(RATIO, (0.0, 1e4, "times"))
     return zoom if zoom is not None and zoom > LEAST else 1.0
 
 
 def magnified_calibration(tags: ImageTags, zoom: float, named: KnownCamera | None = None) -> Calibration:
-    """The camera of a magnified image by the table of cameras, `named` there or known by the tags.
+    """The camera of a digitally zoomed image from the table of cameras, by name (`named`) or by the tags.
 
-    The middle of the detector was taken and made as large as the whole image if the image has all pixels of one of the
-    camera's modes: then the focal length in pixels is so many times longer. Its standard deviation grows with the
-    magnification, and so does that of the principal point, by which the part lies beside the middle. A calibration in
-    the image is not used, as it may be of before or after. Raises `TableError` for other cameras and sizes.
+    If the image has the full size of one of the camera's modes, the central part of the detector was upsampled to
+    it, and the focal length in pixels is multiplied by the zoom. The standard deviation of the focal length grows with
+    the magnification, and so does that of the principal point, as the part may be off-centre. A calibration in
+    the image is not used, since it may refer to before or after the zoom. Raises `TableError` for other cameras and
+    sizes.
     """
     width, height = full_size(tags)
     check_whole(tags, width, height)
@@ -67,7 +68,7 @@ def magnified_calibration(tags: ImageTags, zoom: float, named: KnownCamera | Non
 
 
 def _is_resampled(tags: ImageTags, known: KnownCamera, width: int, height: int) -> bool:
-    """Whether the image has all pixels of a mode of the camera, whose optical zoom, if it has one, is at its end."""
+    """Whether the image has the full size of a camera mode, with any optical zoom at its long end."""
     model = known.model
     if model.zoom_mm is not None and known.focal_mm < model.zoom_mm[1] * (1.0 - SAME_FOCAL):
         return False
@@ -75,7 +76,7 @@ def _is_resampled(tags: ImageTags, known: KnownCamera, width: int, height: int) 
 
 
 def magnified_told(zoom: float) -> str:
-    """That a camera which the caller gave is taken as it is, as a sentence."""
+    """Sentence: the caller's camera is used unchanged."""
     return (
         f"{RATIO} {zoom:g}: the camera that is given is taken as that of the magnified image, its focal length "
         f"{zoom:g} times that of the lens."

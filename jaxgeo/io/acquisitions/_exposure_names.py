@@ -1,4 +1,4 @@
-"""Names of the exposures of several files: distinct, and with the file of records that have a number alone."""
+"""Unique exposure names across files: records that have only a number get the name of their file."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from jaxgeo.io.acquisitions.record import Acquisition
 
 
 def with_file_names(found: Sequence[Acquisition]) -> list[Acquisition]:
-    """Acquisitions of several files whose exposures are named so that the file of each is known.
+    """Acquisitions of several files with exposure names that identify the file.
 
-    Records that have a number alone, such as packets of telemetry, are called FILE/NUMBER by the name of their file,
-    whatever the other files are. The others keep their names, as those of images. Files that have a name in common
-    with another one are named by their path instead.
+    Records that have only a number, such as telemetry packets, are named FILE/NUMBER by the name of their file,
+    regardless of the other files. Others, such as images, keep their names. Files that share a name
+    are named by their path instead.
     """
     named = [dataclasses.replace(one, names=_with_file(one, os.path.basename(one.path))) for one in found]
     files_with = Counter(name for one in named for name in set(one.names.tolist()))
@@ -31,7 +31,7 @@ def with_file_names(found: Sequence[Acquisition]) -> list[Acquisition]:
 
 
 def number_in_file(name: str, file: str | os.PathLike[str]) -> str | None:
-    """The number of a record that is called FILE/NUMBER, by the name or the path of its file; None for other names."""
+    """The number in a FILE/NUMBER name, by the name or the path of its file; None for other names."""
     folder, _, number = name.rpartition("/")
     return number if number.isdecimal() and folder in (os.fspath(file), os.path.basename(file)) else None
 
@@ -42,7 +42,7 @@ def _with_file(one: Acquisition, file: str) -> np.ndarray:
 
 
 def _by_path(one: Acquisition) -> np.ndarray:
-    """Names of a file's exposures by its path; an exposure that is called as the file is the path itself."""
+    """Names of a file's exposures by its path; an exposure named like the file gets the path itself."""
     path = pathlib.Path(one.path)
     if one.names.tolist() in ([path.name], [path.stem]):
         return np.array([one.path])

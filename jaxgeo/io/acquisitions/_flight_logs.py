@@ -1,4 +1,4 @@
-"""Drone records with a position and camera angles against north and level, as exposures."""
+"""Drone log records with a position and camera angles relative to north and level, as exposures."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ ANGLES = "Angles of the camera are against level and true north, as its gimbal h
 
 @dataclass(frozen=True)
 class LogRecord:
-    """One record: `values` by the file's names, with which `sentinel_of` is asked, and the numbers of `LIMITS`.
+    """One record: raw `values` by the file's names, for `sentinel_of`, and the numbers of `LIMITS`.
 
-    Angles in deg: yaw from true north, pitch above the horizon, roll; heights in m; None where the file has none.
+    Angles in deg: yaw from true north, pitch above the horizon, roll; heights in m; None if missing.
     `time` in s, NaN if unknown. `where` names the record in messages.
     """
 
@@ -63,11 +63,11 @@ def acquisition_of_records(
     assumed: Sequence[str] = (),
     time_is_utc: bool = False,
 ) -> Acquisition:
-    """Exposures of records; those of which position, height or angles are unknown are left out, and counted.
+    """Exposures of records; those with unknown position, height or angles are left out, and counted.
 
-    Without `cameras` they have no sensor; a camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
+    Without `cameras` they have no sensor; a camera is mounted by `Mount.nadir()`, with `Gimbal.fixed()`.
     Raises `UnstatedDatum` if neither `height_datum` nor `takeoff_height` is given; `TableError` for a value out of
-    range, and where no record is left.
+    range, and if no record remains.
     """
     if cameras is not None:
         check_is(cameras, FrameCamera, "cameras")
@@ -105,17 +105,17 @@ def acquisition_of_records(
 
 
 def nadir_attitude(yaw: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(heading, pitch, roll) of the body that has in `Mount.nadir()` the camera of a gimbal with these angles; rad.
+    """(heading, pitch, roll) in rad of a body whose `Mount.nadir()` camera has these gimbal angles.
 
-    The gimbal's are against north and level, of a camera that looks ahead at zero: Rz(yaw) Ry(pitch) Rx(roll).
+    Gimbal angles are relative to north and level, for a camera that looks ahead at zero: Rz(yaw) Ry(pitch) Rx(roll).
     """
-    turn = np.asarray(R_HEAD_FROM_CAMERA_FORWARD) @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T  # a right angle of pitch
+    turn = np.asarray(R_HEAD_FROM_CAMERA_FORWARD) @ np.asarray(R_HEAD_FROM_CAMERA_NADIR).T  # 90 deg of pitch
     R = _R_from_yaw_pitch_roll(yaw, pitch, roll) @ turn
-    upright = np.hypot(R[:, 0, 0], R[:, 1, 0]) < 1e-9  # heading and roll turn about one axis
+    upright = np.hypot(R[:, 0, 0], R[:, 1, 0]) < 1e-9  # gimbal lock: heading and roll share one axis
     heading = np.where(upright, np.arctan2(-R[:, 0, 1], R[:, 1, 1]), np.arctan2(R[:, 1, 0], R[:, 0, 0]))
     leaning = np.where(upright, 0.0, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
     nose = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
-    level = roll == 0.0  # exact, and without a jump where the camera looks ahead
+    level = roll == 0.0  # exact, and continuous where the camera looks ahead
     return tuple(np.where(level, *pair) for pair in ((yaw, heading), (pitch + 0.5 * np.pi, nose), (0.0, leaning)))  # type: ignore[return-value]
 
 
@@ -139,7 +139,7 @@ def _check_range(path: Any, record: LogRecord) -> None:
 def _known(
     path: Any, records: Sequence[LogRecord], sentinels: tuple[Sentinel, ...], height: str
 ) -> tuple[list[LogRecord], list[str]]:
-    """(the records that say all that is needed, what was left out and why)."""
+    """(complete records, sentences on the records left out)."""
     needed = {"position": ("lat", "lon"), "height": (height,), "camera angles": ("yaw", "pitch", "roll")}
     known, left = [], dict[str, int]()
     for record in records:
@@ -167,7 +167,7 @@ def _unknown(record: LogRecord, quantity: str, needed: Sequence[str], sentinels:
 def _heights(
     path: Any, columns: Mapping[str, np.ndarray], first: LogRecord, datum: str | float | None, takeoff: float | None
 ) -> tuple[np.ndarray, list[str]]:
-    """(heights in m above the ellipsoid, what was taken for granted)."""
+    """(heights in m above the ellipsoid, assumptions)."""
     if takeoff is not None:
         if datum is not None:
             raise TableError(f"{path}: height_datum= and takeoff_height= both say what heights are; give one.")
@@ -187,7 +187,7 @@ def _heights(
         )
     try:
         return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error

@@ -1,4 +1,4 @@
-"""Angles of a camera that the caller gives in place of an image's tags, and how refusals ask for them."""
+"""Camera angles from the caller instead of the image tags, and the hints that ask for them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ YAW: Limits = (-360.0, 360.0, "deg")
 PITCH: Limits = (-180.0, 180.0, "deg")
 ROLL: Limits = (-180.0, 180.0, "deg")
 
-GivenAngles = tuple[float | None, float, float]  # yaw, None for the heading of each image's aircraft; pitch, roll; deg
+GivenAngles = tuple[float | None, float, float]  # yaw, None: each aircraft's heading; pitch, roll; deg
 
 
 def checked_angles(gimbal_deg: Sequence[float | int | str]) -> GivenAngles:
-    """Angles as given by a caller. Raises `TableError` for others than three, and beyond their limits."""
+    """Validate a caller's angles. Raises `TableError` unless there are three within their limits."""
     shown = ", ".join(f'"{one}"' if isinstance(one, str) else f"{one:g}" for one in gimbal_deg)
     if len(gimbal_deg) != 3:
         raise TableError(f"gimbal_deg=({shown}): expected three angles in deg: yaw, pitch, roll.")
@@ -39,7 +39,7 @@ def checked_angles(gimbal_deg: Sequence[float | int | str]) -> GivenAngles:
 
 
 def angles_given(tags: ImageTags, given: GivenAngles) -> tuple[float, float, float]:
-    """Yaw, pitch and roll in deg of one image. Raises `TableError` where the heading of its aircraft is not told."""
+    """Yaw, pitch and roll in deg of one image. Raises `TableError` if the aircraft heading is missing."""
     yaw, pitch, roll = given
     if yaw is None:
         yaw = tags.number(HEADING, YAW)
@@ -52,13 +52,13 @@ def angles_given(tags: ImageTags, given: GivenAngles) -> tuple[float, float, flo
 
 
 def given_told(given: GivenAngles) -> str:
-    """That angles are given, as a sentence."""
+    """Sentence: angles are from the caller."""
     yaw = "the heading of the aircraft" if given[0] is None else f"{given[0]:g} deg"
     return f"The camera's angles are as given: yaw {yaw}, pitch {given[1]:g} deg, roll {given[2]:g} deg."
 
 
 def by_hand(tags: ImageTags) -> str:
-    """The way out for an image without angles: straight down, by the heading of the aircraft if that is known."""
+    """Hint for an image without angles: straight down, with the aircraft's heading if known."""
     try:
         heading = tags.number(HEADING, YAW)
     except TableError:

@@ -1,4 +1,4 @@
-"""Sensors of drone images: by their tags, or by the camera that the caller gives; with the errors of the lens."""
+"""Sensors of drone images, from their tags or a given camera, with interior-orientation errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.sensor.distortion import NoDistortion
 from jaxgeo.uncertainty.sources import InteriorOrientation
 
-# Yaw and the others may pass the limits that drones have by default: DJI writes pitches of -90.1 deg.
+# Yaw and other angles may exceed the drones' nominal limits: DJI writes pitches of -90.1 deg.
 LIMITS = np.pi * np.array([[-2.0, 2.0], [-1.0, 1.0], [-1.0, 1.0]])
 
 GivenCamera = FrameCamera | str | os.PathLike[str]
@@ -37,7 +37,7 @@ GivenCamera = FrameCamera | str | os.PathLike[str]
 def sensor_of_images(
     tags: list[ImageTags], maker: Maker, camera: GivenCamera | None, told: dict[str, None]
 ) -> tuple[Sensor, tuple[InteriorOrientation, ...], str]:
-    """(sensors and errors of their lenses, with an entry for each image; in words, how long the focal length is).
+    """(sensors and their interior-orientation errors, with an entry for each image; focal length as text).
 
     `told` gets a sentence for each assumption. Raises `TableError`, and as `given_camera`.
     """
@@ -86,7 +86,7 @@ def _by_tags(tags: ImageTags) -> Calibration:
 
 
 def _by_name(tags: ImageTags, name: str) -> Calibration:
-    """The lens of a camera that is named, from the table of cameras."""
+    """The calibration of a named camera, from the table of cameras."""
     width, height = full_size(tags)
     known = named_camera(name, width, height, exif_focal(tags))
     zoom = zoom_of(tags)
@@ -112,7 +112,7 @@ def _camera(found: list[Calibration], width: int, height: int) -> FrameCamera:
 
 
 def _errors_told(found: list[Calibration], source: InteriorOrientation) -> list[str]:
-    """How lenses err, as sentences."""
+    """Sentences on the interior-orientation errors."""
     shares = np.array([100.0 * one.focal_sigma for one in found])
     sigma = np.asarray(source.sigma)
     focal, point = span_shown(sigma[:, 0], ".3g"), span_shown(sigma[:, 1], ".3g")
@@ -127,6 +127,6 @@ def _focal_shown(focal: Any, how: str) -> str:
 
 
 def span_shown(numbers: np.ndarray, form: str) -> str:
-    """The least and the largest of some numbers as a text, one if they are alike."""
+    """The smallest and largest of some numbers as text, one number if equal."""
     low, high = format(numbers.min(), form), format(numbers.max(), form)
     return low if low == high else f"{low} to {high}"

@@ -1,4 +1,4 @@
-"""Where drones were by the tags of their images: latitude, longitude, and heights whose datum somebody has to state."""
+"""Drone positions from image tags: latitude, longitude, and heights whose datum the caller may have to state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HEIGHT = POSE_COLUMNS["height_m"]
 
 
 def lat_lon_of(tags: list[ImageTags], maker: Maker) -> tuple[np.ndarray, np.ndarray]:
-    """Latitudes and longitudes in deg. Raises `TableError` where there are none, or what means "unknown"."""
+    """Latitudes and longitudes in deg. Raises `TableError` if they are missing or mean "unknown"."""
     places = []
     for one in tags:
         _check_known(one, "position")
@@ -36,7 +36,7 @@ def _check_known(tags: ImageTags, quantity: str) -> None:
 
 
 def _exif_angle(tags: ImageTags, name: str, signs: str, limits: Limits) -> float:
-    """Degrees, minutes and seconds of EXIF in deg."""
+    """EXIF degrees, minutes and seconds in deg."""
     name = f"EXIF:{name}"
     parts, side = tags.numbers(name), tags.text(f"{name}Ref").upper()[:1]
     if not parts:
@@ -59,7 +59,7 @@ def heights_of(
     height_datum: str | float | None,
     takeoff_height: float | None,
 ) -> tuple[np.ndarray, list[str]]:
-    """(heights in m above the ellipsoid, what was taken for granted)."""
+    """(heights in m above the ellipsoid, assumptions)."""
     first = tags[0]
     if takeoff_height is not None:
         if height_datum is not None:
@@ -80,7 +80,7 @@ def heights_of(
         raise UnstatedDatum(_which_datum(first, maker))
     try:
         return ellipsoidal_heights(lon, lat, heights, height_datum), []
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{first.path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{first.path}: {error}") from error
@@ -104,7 +104,7 @@ def _altitude(tags: ImageTags, maker: Maker) -> float:
 
 
 def _by_takeoff(tags: ImageTags, maker: Maker) -> str:
-    """The way out for an image without a height."""
+    """Hint for an image without a height."""
     if maker.relative not in tags.values:
         return " It gives no fix."
     return (
@@ -129,6 +129,6 @@ def _which_datum(tags: ImageTags, maker: Maker) -> str:
 
 
 def altitude_shown(tags: ImageTags, maker: Maker) -> str:
-    """The altitudes in a file, as text."""
+    """The altitudes of a file, as text."""
     names = [maker.height if maker.height in tags.values else "EXIF:GPSAltitude", maker.relative, *maker.evidence]
     return ", ".join(f"{name.partition(':')[2]} {tags.shown(name)}" for name in names if name in tags.values)

@@ -1,4 +1,4 @@
-"""What an image file says of itself: EXIF and XMP as one table of names and values, and a cut file refused."""
+"""EXIF and XMP tags of an image file as one table; truncated files are refused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jaxgeo.io.sentinels import IMAGE, is_undefined, sentinel_of
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 CONTAINERS = {f"{{{RDF}}}{name}" for name in ("RDF", "Description", "Seq", "Bag", "Alt")}
-# Prefixes by which tags are called here, whatever prefix a file declares; Autel writes DJI's under another.
+# Prefixes of tags in this package, whatever prefix a file declares; Autel writes DJI's under another.
 PREFIXES = {
     "http://www.dji.com/drone-dji/1.0": "drone-dji",
     "https://www.skydio.com/drone-skydio/1.0": "drone-skydio",
@@ -32,28 +32,28 @@ PREFIXES = {
     "http://ns.sensefly.com/Camera/1.0": "Camera",
 }
 EXIF_PARTS = {0x8769: "TAGS", 0x8825: "GPSTAGS"}  # directories of EXIF, and Pillow's tables of their names
-PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pillow has names of its own for them
+PIXEL_DIMENSIONS = {0xA002: "PixelXDimension", 0xA003: "PixelYDimension"}  # Pillow uses other names
 XML_PACKET, GDAL_METADATA, DNG_VERSION = 700, 42112, 50706
 GDAL_EXIF = "GDAL_METADATA"  # the name of that tag among the entries
 FORMATS = ("JPEG", "MPO", "TIFF")
-TRIED = ("JPEG", "TIFF", "PNG", "GIF", "BMP", "PPM")  # the last four are named when they are refused; MPO is a JPEG
+TRIED = ("JPEG", "TIFF", "PNG", "GIF", "BMP", "PPM")  # the last four are refused by name; MPO is a JPEG
 HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+(\s+0x[0-9a-fA-F]+)*")
-# What Pillow raises over damaged directories: it indexes, converts and seeks as they say.
+# Exceptions that Pillow raises for damaged directories: it indexes, converts and seeks by their content.
 PILLOW_ERRORS = (
     OSError, EOFError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
     ZeroDivisionError, RuntimeError, struct.error,
 )  # fmt: skip
-LONGEST_TEXT = 2000  # characters of a tag that are kept
+LONGEST_TEXT = 2000  # characters kept of a tag
 NOT_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow; some makers write them
-BLOCK = 65_536  # bytes of a file that are looked through at a time
+BLOCK = 65_536  # bytes of a file searched at a time
 
 
 @dataclass(frozen=True)
 class ImageTags:
     """The size of an image file in pixels and its tags: "EXIF:Model", and of XMP "drone-dji:GimbalYawDegree".
 
-    A field of a structure is called "drone-skydio:CameraOrientationNED/Yaw"; lists are texts with commas. Of a tag
-    that is there several times, `values` has the first, and `repeated` another that differs: it is refused if used.
+    A structure's field is named "drone-skydio:CameraOrientationNED/Yaw"; lists are comma-separated texts. If a tag
+    occurs several times, `values` has the first, and `repeated` another that differs: it is refused if used.
     """
 
     path: str
@@ -63,17 +63,17 @@ class ImageTags:
     repeated: Mapping[str, str] = field(default_factory=dict)
 
     def shown(self, name: str) -> str:
-        """A tag as a text for people, empty where it is not there."""
+        """A tag as display text, empty if missing."""
         return str(self.values.get(name, "")).strip()
 
     def text(self, name: str) -> str:
-        """A tag as a text, empty where it is not there. Raises `TableError` where it is there twice and differs."""
+        """A tag as text, empty if missing. Raises `TableError` if it occurs twice with different values."""
         if name in self.repeated:
             raise self.wrong(name, f"it is there twice, as {self.shown(name)[:80]!r} and {self.repeated[name][:80]!r}.")
         return self.shown(name)
 
     def unknown(self, quantity: str, among: tuple[str, ...] | None = None) -> str:
-        """The tags, perhaps only `among` some, that say that a quantity is unknown, and why; empty if none does."""
+        """Tags (optionally only `among` some) that mark a quantity as unknown, and why; empty if none does."""
         values = self.values if among is None else {name: self.values[name] for name in among if name in self.values}
         row = sentinel_of(IMAGE, quantity, values)
         if row is None:
@@ -83,12 +83,12 @@ class ImageTags:
 
     @property
     def camera(self) -> tuple[str, str]:
-        """Make and model of the camera by EXIF, else by XMP; empty where they are not said."""
+        """Make and model of the camera by EXIF, else by XMP; empty if missing."""
         make, model = (self.text(f"EXIF:{name}") or self.text(f"tiff:{name}") for name in ("Make", "Model"))
         return make, model
 
     def number(self, name: str, limits: Limits) -> float | None:
-        """A tag as a number, None where it is not there or 0/0. Raises `TableError` if it is none or out of limits."""
+        """A tag as a number, None if missing or 0/0. Raises `TableError` if it is not a number or out of limits."""
         if name not in self.values or is_undefined(self.values[name]):
             return None
         low, high, unit = limits
@@ -101,11 +101,11 @@ class ImageTags:
         return value
 
     def first(self, names: tuple[str, ...], limits: Limits) -> float | None:
-        """The first of several tags that is there, as a number."""
+        """The first of several tags that is present, as a number."""
         return next((self.number(name, limits) for name in names if name in self.values), None)
 
     def numbers(self, name: str) -> list[float]:
-        """A tag that lists numbers, after the last semicolon; empty where it is not there. Raises `TableError`."""
+        """A tag's list of numbers, after the last semicolon; empty if missing. Raises `TableError`."""
         value = self.values.get(name, "") if self.text(name) else ""
         if is_undefined(value):
             return []
@@ -118,15 +118,15 @@ class ImageTags:
         return [number for number in found if number is not None]
 
     def wrong(self, name: str, reason: str) -> TableError:
-        """The error of a tag."""
+        """An error that names the tag."""
         return TableError(f"{self.path}, {name}: {reason}")
 
 
 def read_tags(path: str | os.PathLike[str]) -> ImageTags:
-    """The tags of a JPEG or TIFF file; its pixels are not decoded, but must be there to the end.
+    """Read the tags of a JPEG or TIFF file; pixels are not decoded, but the file must be complete.
 
-    EXIF that GDAL has put into the metadata of a TIFF file is read too. Raises `ImageError` for what is no such image,
-    or is cut short; `TableError` for XMP that is no XML, or has a document type; `FileNotFoundError`.
+    EXIF in GDAL's metadata of a TIFF file is read too. Raises `ImageError` for other or truncated files;
+    `TableError` for XMP that is not XML, or has a document type; `FileNotFoundError`.
     """
     from PIL import UnidentifiedImageError
 
@@ -146,17 +146,17 @@ def read_tags(path: str | os.PathLike[str]) -> ImageTags:
     except PILLOW_ERRORS as error:
         raise ImageError(f"{name}: {cut}: {error}") from error
     _check_kind(name, raw)
-    if told or not raw.is_whole:  # Pillow's warning of directories that are cut short
+    if told or not raw.is_whole:  # Pillow's warning of truncated directories
         raise ImageError(f"{name}: {cut}: {told[0] if told else 'its pixels end before their time.'}")
     found, repeated = _xmp(name, raw.packet)
     return ImageTags(name, *raw.size, _exif(name, raw.entries) | found, repeated)
 
 
 def _opened(file: BinaryIO, name: str) -> Any:
-    """An image of Pillow as far as its tags.
+    """Open an image with Pillow, reading only its tags.
 
-    `Image.open` would do the same and then refuse images of many pixels, which nobody decodes here. Raises
-    `UnidentifiedImageError` for what is no image of a kind that is tried.
+    `Image.open` also refuses images with many pixels, which are not decoded here. Raises
+    `UnidentifiedImageError` if it is not an image of a tried kind.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -167,13 +167,13 @@ def _opened(file: BinaryIO, name: str) -> Any:
         if accept is not None and accept(start) is not True:
             continue
         file.seek(0)
-        with contextlib.suppress(SyntaxError, IndexError, TypeError, struct.error):  # it is of another kind
+        with contextlib.suppress(SyntaxError, IndexError, TypeError, struct.error):  # another kind
             return factory(file, name)
     raise UnidentifiedImageError(name)
 
 
 class _Raw(NamedTuple):
-    """What Pillow reads of a file: its format, size, entries of EXIF by name, XMP, and if it reaches to its end."""
+    """Pillow's view of a file: format, size, EXIF entries by name, XMP, and whether the file is complete."""
 
     kind: str
     is_dng: bool
@@ -184,7 +184,7 @@ class _Raw(NamedTuple):
 
 
 def _raw(image: Any) -> _Raw:
-    """All that is asked of Pillow, which raises whatever a damaged directory leads it to: `PILLOW_ERRORS`."""
+    """All reads through Pillow, which raises `PILLOW_ERRORS` for damaged directories."""
     is_read = image.format in FORMATS
     is_dng = image.format == "TIFF" and DNG_VERSION in image.tag_v2
     if not is_read or is_dng:
@@ -200,28 +200,28 @@ def _check_kind(name: str, raw: _Raw) -> None:
 
 
 def _is_whole(image: Any) -> bool:
-    """Whether a file reaches as far as its pixels."""
+    """Whether a file is complete up to its pixels."""
     if image.format != "TIFF":
-        return _ends_in(image.fp, b"\xff\xd9")  # the end of an image, which cannot be within what is coded
+        return _ends_in(image.fp, b"\xff\xd9")  # the end-of-image marker, which cannot occur in coded data
     size = os.fstat(image.fp.fileno()).st_size
     pairs = [(image.tag_v2.get(at, ()), image.tag_v2.get(count, ())) for at, count in ((273, 279), (324, 325))]
     return all(at + count <= size for ats, counts in pairs for at, count in zip(ats, counts, strict=True))
 
 
 def _ends_in(file: Any, mark: bytes) -> bool:
-    """Whether a mark stands somewhere after the place where a file is read; looked for from its end, where it is."""
+    """Whether a marker occurs after the current position of a file; searched backwards from its end."""
     start, end = file.tell(), file.seek(0, os.SEEK_END)
     while end > start:
         first = max(start, end - BLOCK)
         file.seek(first)
-        if mark in file.read(end - first + len(mark) - 1):  # a mark may lie across two blocks
+        if mark in file.read(end - first + len(mark) - 1):  # a marker may span two blocks
             return True
         end = first
     return False
 
 
 def _entries(image: Any) -> dict[str, Any]:
-    """The entries of EXIF by their names in Pillow's tables; GDAL's metadata of a TIFF file under its number."""
+    """EXIF entries by their names in Pillow's tables; GDAL's metadata of a TIFF file under its number."""
     from PIL import ExifTags
 
     exif = image.getexif()
@@ -234,7 +234,7 @@ def _entries(image: Any) -> dict[str, Any]:
 
 
 def _exif(name: str, entries: dict[str, Any]) -> dict[str, Any]:
-    """The entries of EXIF as texts, numbers and tuples; raises as `read_tags`."""
+    """EXIF entries as texts, numbers and tuples; raises as `read_tags`."""
     metadata = entries.pop(GDAL_EXIF, "")
     if metadata and "DateTimeOriginal" not in entries:
         entries = entries | _gdal_exif(name, metadata)
@@ -243,7 +243,7 @@ def _exif(name: str, entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _gdal_exif(path: str, metadata: str) -> dict[str, Any]:
-    """EXIF as GDAL writes it: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text. Raises `TableError`."""
+    """EXIF in GDAL's notation: (8.8), (24) (40) (49.0009), 0x02 0x03, or a text. Raises `TableError`."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, fromstring
 
@@ -267,7 +267,7 @@ def _gdal_exif(path: str, metadata: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value of EXIF as text, number or tuple; None for what is long, such as a maker's notes."""
+    """An EXIF value as text, number or tuple; None for long ones, such as maker notes."""
     if isinstance(value, bytes):
         return (value[0] if len(value) == 1 else tuple(value)) if len(value) <= 16 else None  # versions and flags
     if isinstance(value, str):
@@ -284,7 +284,7 @@ def _shown(value: Any) -> str:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, or a text of one, which may be a fraction; else None."""
+    """A finite number, or one from a text, possibly a fraction; else None."""
     if isinstance(value, tuple):
         return _number(value[0]) if len(value) == 1 else None
     parts = value.split("/") if isinstance(value, str) else [value]
@@ -300,18 +300,18 @@ def _number(value: Any) -> float | None:
 
 
 def _packet(image: Any) -> bytes:
-    """XMP as it stands in the file; of TIFF of any type of tag, in the directory of the image or in that of EXIF."""
+    """The XMP packet of a file; in TIFF any tag type, in the directory of the image or of EXIF."""
     places = (image.tag_v2, image.getexif().get_ifd(0x8769)) if image.format == "TIFF" else (image.info,)
     packet: Any = next(filter(None, (place.get(XML_PACKET, place.get("xmp")) for place in places)), b"")
     if isinstance(packet, tuple):  # of single bytes, or one of type UNDEFINED
         packet = packet[0] if len(packet) == 1 and isinstance(packet[0], bytes | str) else bytes(packet)
     packet = packet.encode() if isinstance(packet, str) else bytes(packet)
-    packet = packet[max(packet.find(b"<"), 0) :].strip(b"\0 \t\r\n")  # GDAL writes "xml:XMP=" in front
+    packet = packet[max(packet.find(b"<"), 0) :].strip(b"\0 \t\r\n")  # GDAL prefixes "xml:XMP="
     return packet if packet.startswith((b"<\0", b"\0<")) else NOT_XML.sub(b" ", packet)
 
 
 def _xmp(path: str, packet: bytes) -> tuple[dict[str, str], dict[str, str]]:
-    """(tags, those that are there again with another value)."""
+    """(tags, repeated tags with another value)."""
     from defusedxml import DefusedXmlException
     from defusedxml.ElementTree import ParseError, iterparse
 
@@ -324,7 +324,7 @@ def _xmp(path: str, packet: bytes) -> tuple[dict[str, str], dict[str, str]]:
             if event != "start-ns":
                 depth += 1 if event == "start" else -1
                 NESTING.check(f"{path}, XMP", depth)
-                root = what  # the last to end is the outermost
+                root = what  # the outermost element ends last
                 continue
             prefix, uri = (str(part or "") for part in what)
             prefixes.setdefault(uri, PREFIXES.get(uri.rstrip("/"), prefix or uri))
@@ -340,7 +340,7 @@ def _xmp(path: str, packet: bytes) -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _leaves(element: Any, within: str, prefixes: Mapping[str, str]) -> list[tuple[str, str]]:
-    """(name, text) of all attributes and elements; `within` is the structure that they are fields of."""
+    """(name, text) of all attributes and elements; `within` is the enclosing structure."""
     found = [
         (_called(name, within, prefixes), text.strip()[:LONGEST_TEXT])
         for name, text in element.attrib.items()

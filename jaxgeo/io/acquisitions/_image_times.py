@@ -1,4 +1,4 @@
-"""When an image was taken by its tags: in UTC where the file says so, else by the camera's clock."""
+"""Exposure time of an image from its tags: UTC if the file states it, else the camera's clock."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from jaxgeo.io.acquisitions._image_tags import ImageTags
 
 
 def time_of(tags: ImageTags) -> tuple[float | None, bool]:
-    """(s since 1970, whether that is UTC) of an exposure; by a clock without a time zone as if it were UTC.
+    """(s since 1970, whether that is UTC) of an exposure; a clock without a time zone is read as if UTC.
 
-    None where the file has no time. Raises `TableError` for a time that is none.
+    None if the file has no time. Raises `TableError` for an invalid time.
     """
     told = "drone-dji:UTCAtExposure"
     if tags.text(told):

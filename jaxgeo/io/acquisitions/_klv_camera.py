@@ -1,4 +1,4 @@
-"""The camera of telemetry: by the fields of view in the packets, or as the caller gives it."""
+"""Camera of telemetry: from the fields of view in the packets, or given by the caller."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Sensor
 from jaxgeo.sensor.distortion import NoDistortion
 from jaxgeo.uncertainty.sources import InteriorOrientation
 
-# Standard deviations of the focal length as shares of it. Fields of view in packets come from the place of a zoom, in
-# steps of 0.003 deg, of a lens whose distortion is unknown. Target width and slant range are both estimates, the
+# Relative standard deviations of the focal length. Fields of view in packets come from a zoom position, in
+# steps of 0.003 deg, for a lens of unknown distortion. Target width and slant range are both estimates, the
 # width in steps of 0.15 m, and give the field of view over ground that is level across the image.
 TOLD_SIGMA, DERIVED_SIGMA = 0.01, 0.05
-USUAL_SIZES = ((1280, 720), (640, 480), (1280, 1024), (1024, 1024))  # one for each ratio of sides, in pixels
+USUAL_SIZES = ((1280, 720), (640, 480), (1280, 1024), (1024, 1024))  # one per aspect ratio, in pixels
 
 
 def camera_of(path: Any, camera: FrameCamera | str | os.PathLike[str] | None) -> FrameCamera | Lens | None:
-    """The camera that a caller gives in place of fields of view. Raises `TableError` for a name, and as it is given."""
+    """The caller's camera, used instead of fields of view. Raises `TableError` for a name, and as `given_camera`."""
     given = None if camera is None else given_camera(camera)
     if isinstance(given, str):
         raise TableError(f"{path}: telemetry names no cameras, so camera={given!r} is none of it. Give {FORMS}.")
@@ -33,12 +33,12 @@ def camera_of(path: Any, camera: FrameCamera | str | os.PathLike[str] | None) ->
 
 
 def size_of(given: FrameCamera | Lens | None) -> tuple[int, int] | None:
-    """The size of the images in pixels by a camera that is given."""
+    """The image size in pixels of a given camera."""
     return (given.width, given.height) if isinstance(given, FrameCamera) else given.size if given else None
 
 
 def usual_size(columns: Columns) -> tuple[int, int]:
-    """A size of images in pixels by the ratio of the fields of view; of 16 to 9 where only one is known."""
+    """An image size in pixels by the ratio of the fields of view; 16:9 if only one is known."""
     across, down = columns["field_across"], columns["field_down"]
     ratios = np.tan(0.5 * across) / np.tan(0.5 * down)
     ratio = np.median(ratios[np.isfinite(ratios)]) if np.isfinite(ratios).any() else 16.0 / 9.0
@@ -46,7 +46,7 @@ def usual_size(columns: Columns) -> tuple[int, int]:
 
 
 def sensor_of(path: Any, columns: Columns, size: tuple[int, int], given: FrameCamera | Lens | None) -> Sensor:
-    """The camera along the x axis of a head turned by azimuth, elevation and roll, in this order, in the body."""
+    """The camera along the x axis of a head rotated by azimuth, elevation and roll, in this order, in the body."""
     count = len(columns["time"])
     camera = _told(columns, size) if given is None else for_each(_given(path, given, size), count)
     turn = 2.0 * np.pi
@@ -56,9 +56,9 @@ def sensor_of(path: Any, columns: Columns, size: tuple[int, int], given: FrameCa
 
 
 def lens_errors(numbers: Numbers, sensor: Sensor) -> tuple[InteriorOrientation, str]:
-    """(errors of the focal length of n packets by where the field of view comes from; as a sentence).
+    """(focal length errors of n packets by the source of the field of view; as a sentence).
 
-    The principal point has none of its own: the angles in the packets are those of the middle of the image.
+    The principal point has no error of its own: the angles in the packets refer to the image centre.
     """
     is_derived = numbers.origin == DERIVED
     shares = np.where(is_derived, DERIVED_SIGMA, TOLD_SIGMA)
@@ -74,7 +74,7 @@ def lens_errors(numbers: Numbers, sensor: Sensor) -> tuple[InteriorOrientation, 
 
 
 def _told(columns: Columns, size: tuple[int, int]) -> FrameCamera:
-    """The cameras of n packets by their fields of view."""
+    """The cameras of n packets from their fields of view."""
     half = np.array(size) / 2.0
     focal = half / np.tan(0.5 * np.stack([columns["field_across"], columns["field_down"]], axis=-1))
     focal = np.where(np.isfinite(focal), focal, focal[:, ::-1])  # square pixels where one field is unknown

@@ -1,4 +1,4 @@
-"""Numbers of telemetry packets by name, unknown ones NaN: as stated, held from an earlier packet, or derived."""
+"""Telemetry packet values by name, unknown ones NaN: stated, held from an earlier packet, or derived."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 from jaxgeo.io.acquisitions.st0601 import label
 from jaxgeo.io.sentinels import KLV, Sentinel
 
-LATEST = 1e11  # s since 1970; a time beyond is none
-LONGEST_HELD = 30.0  # s; MISB ST 0902 has each item repeated at least once in so long
-TOLD, HELD, DERIVED = range(3)  # where a field of view comes from
+LATEST = 1e11  # s since 1970; later times are invalid
+LONGEST_HELD = 30.0  # s; MISB ST 0902 requires each item at least once in this period
+TOLD, HELD, DERIVED = range(3)  # source of a field of view
 
 Values = Sequence[Mapping[int, Any]]
 Columns = Mapping[str, np.ndarray]
 
 
 class Numbers(NamedTuple):
-    """Columns of n packets, each (n,); where the field of view comes from (n,); sentinels by the tag they void.
+    """Columns of n packets, each (n,); the source of the field of view (n,); sentinels by the tag they invalidate.
 
-    Angles are in rad, heights and ranges in m, times in s since 1970. `age` is in s, of the field of view.
+    Angles are in rad, heights and ranges in m, times in s since 1970. `age` is that of the field of view, in s.
     """
 
     columns: dict[str, np.ndarray]
@@ -31,7 +31,7 @@ class Numbers(NamedTuple):
     sentinels: dict[int, dict[int, Sentinel]]
 
     def of(self, rows: np.ndarray) -> Numbers:
-        """Some of the packets, by a mask; the sentinels stay those of all."""
+        """A subset of the packets by mask; the sentinels stay those of all."""
         columns = {name: column[rows] for name, column in self.columns.items()}
         return Numbers(columns, self.origin[rows], self.age[rows], self.sentinels)
 
@@ -48,7 +48,7 @@ def numbers_of(values: Values) -> Numbers:
         return _first(*(numbers(tag) for tag in tags))
 
     def held(column: np.ndarray, *tags: int) -> np.ndarray:
-        """A column with what an earlier packet said, where none of its items is in a packet."""
+        """A column with the value of an earlier packet filled in, where a packet has none of its items."""
         silent = np.array([not any(tag in one for tag in tags) for one in values], bool)
         return column[_last_before(silent, time)]
 
@@ -81,7 +81,7 @@ def numbers_of(values: Values) -> Numbers:
 
 
 def _without_sentinels(values: Values) -> tuple[list[dict[int, Any]], dict[int, dict[int, Sentinel]]]:
-    """(values, unknown ones NaN; by tag the first sentinel that voids it, of each packet by its number)."""
+    """(values, unknown ones NaN; by tag the first sentinel that invalidates it, by packet number)."""
     by_tag = [(row, [_TAG_OF[name] for name in row.fields]) for row in KLV]
     voided, found = [], {}
     for number, one in enumerate(values):
@@ -98,7 +98,7 @@ _TAG_OF = {label(tag): tag for tag in range(1, 143)}
 
 
 def _first(*columns: np.ndarray) -> np.ndarray:
-    """The first known of several columns."""
+    """The first known value of several columns."""
     result = columns[0]
     for column in columns[1:]:
         result = np.where(np.isfinite(result), result, column)
@@ -106,7 +106,7 @@ def _first(*columns: np.ndarray) -> np.ndarray:
 
 
 def _carried(column: np.ndarray) -> np.ndarray:
-    """A column sent now and then, in every packet: each value holds until the next, the first from the start."""
+    """A column sent occasionally, in every packet: each value holds until the next, the first from the start."""
     known = np.flatnonzero(np.isfinite(column))
     if not len(known):
         return column
@@ -114,9 +114,9 @@ def _carried(column: np.ndarray) -> np.ndarray:
 
 
 def _last_before(silent: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """For each packet the number of the one whose item holds there: the last that had it, if it is young enough.
+    """For each packet the index of the packet whose item applies: the last that had it, if it is recent enough.
 
-    `silent` are packets without the item. A packet that has it, if only to say that it is unknown, stands for itself.
+    `silent` are packets without the item. A packet with the item, even with the value "unknown", applies to itself.
     """
     here = np.arange(len(silent))
     last = np.maximum.accumulate(np.where(silent, -1, here))
@@ -129,9 +129,9 @@ def _last_before(silent: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _fields_of_view(
     numbers: Any, slant_range: np.ndarray, values: Values, time: np.ndarray
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-    """((across, down) in rad, where from, age in s): stated, else of an earlier packet, else by target width and range.
+    """((across, down) in rad, source, age in s): stated, else of an earlier packet, else by target width and range.
 
-    The middle row of the image is as wide as the target at the slant range: across = 2 atan(width / (2 range)).
+    The target width spans the middle row of the image at the slant range: across = 2 atan(width / (2 range)).
     """
 
     def told(tag: int) -> np.ndarray:
@@ -157,7 +157,7 @@ def _fields_of_view(
 
 
 def lacking(columns: Columns, fields_too: bool) -> dict[str, tuple[np.ndarray, tuple[int, ...]]]:
-    """By what an exposure needs, in words: which packets lack it, and the tags that state it; no time is needed.
+    """Requirements of an exposure, as text: the packets that lack each, and the tags that state it; time is optional.
 
     `fields_too`: whether the camera depends on the field of view.
     """

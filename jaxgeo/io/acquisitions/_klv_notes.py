@@ -1,4 +1,4 @@
-"""What telemetry left out, assumed and said, in sentences."""
+"""Sentences on telemetry: packets left out, assumptions and facts."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from jaxgeo.io.acquisitions.klv import Packet
 from jaxgeo.io.acquisitions.st0601 import label
 from jaxgeo.io.given_camera import FORMS
 
-TEXTS = (3, 4, 10, 11, 12, 59, 65)  # tags for people
+TEXTS = (3, 4, 10, 11, 12, 59, 65)  # text tags for display
 
 
 def damage(found: Sequence[Packet], kept: bool) -> list[str]:
-    """How many packets are damaged, why, and what became of them."""
+    """Number of damaged packets, the reasons, and whether they were used."""
     damaged = [(k, one) for k, one in enumerate(found) if one.damage]
     if not damaged:
         return []
@@ -32,7 +32,7 @@ def damage(found: Sequence[Packet], kept: bool) -> list[str]:
 
 
 def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> list[str]:
-    """How many packets were left out for want of what, and why it is unknown where it is there."""
+    """Number of packets left out by missing quantity, and why a present quantity is unknown."""
     notes = []
     for what, (which, tags) in lacking(numbers.columns, fields_too).items():
         if not which.any():
@@ -50,14 +50,14 @@ def left_out(numbers: Numbers, values: Values, count: int, fields_too: bool) -> 
 
 
 def _sentinels_told(numbers: Numbers, tags: tuple[int, ...], which: np.ndarray) -> list[str]:
-    """Why items with those tags are unknown in some packets, by their sentinels."""
+    """Why items with these tags are unknown in some packets, by their sentinels."""
     found = {tag: numbers.sentinels.get(tag, {}) for tag in tags}
     hits = [found[tag][row] for tag in tags for row in found[tag] if row < len(which) and which[row]]
     return list(dict.fromkeys(f"{' and '.join(map(_unitless, hit.fields))}: {hit.reason}" for hit in hits))
 
 
 def times_unknown(numbers: Numbers, usable: np.ndarray) -> list[str]:
-    """Of how many of the packets that are used the time is unknown, and why. `numbers` are of all packets."""
+    """Number of used packets without a known time, and why. `numbers` are of all packets."""
     which = usable & ~np.isfinite(numbers.columns["time"])
     if not which.any():
         return []
@@ -80,7 +80,7 @@ def assumed(
     upright: bool,
     is_given: bool,
 ) -> list[str]:
-    """What packets do not say and was taken for granted."""
+    """Sentences on what the packets do not state and the reader assumes."""
     columns = numbers.columns
     notes = []
     from_msl = ~np.isfinite(columns["height"])
@@ -112,8 +112,8 @@ def assumed(
         )
     if not is_given:
         notes.append("Fields of view reach from edge to edge of the image, and the lens has no distortion.")
-    sigmas = "are in tag 102, which is not read" if any(102 in one for one in values) else "are not in the packets"
-    notes.append(f"Accuracies {sigmas}: no errors of positions and angles are given.")
+    has_tag_102 = any(102 in one for one in values)
+    notes.append("Accuracies (tag 102) are not read." if has_tag_102 else "The telemetry has no accuracy fields.")
     return notes
 
 
@@ -138,7 +138,7 @@ def _fields_of_view(numbers: Numbers) -> list[str]:
 
 
 def facts(values: Values, columns: Columns, count: int) -> dict[str, str]:
-    """What the file says, for people."""
+    """Facts of the file for display."""
     told = {"packets": f"{count}, of which {len(values)} make exposures"}
     known = columns["time"][np.isfinite(columns["time"])]
     ends = [

@@ -1,4 +1,4 @@
-"""What the makers of drones call position and attitude of the camera in an image's tags, and what they mean by it."""
+"""Drone makers' image tags for camera position and attitude, and their meaning."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from jaxgeo.io.errors import TableError
 
 @dataclass(frozen=True)
 class Maker:
-    """The names of one maker's tags. Those without a prefix of a maker are EXIF's, for all makers alike.
+    """Tag names of one maker. Those without a maker's prefix are EXIF's, common to all makers.
 
     - `angles`: yaw, pitch and roll of the camera, R_ned_from_head = Rz Ry Rx; at zero it looks `forward` or `down`.
-    - `aircraft`: heading, pitch and roll of the aircraft, perhaps none; `lat`, `lon`: the first that is there.
-    - `height` above some datum, `relative` to the point of take-off; `sigma`: standard deviations north, east, down, m.
-    - `datum`: the tag that may say that `height` is above the ellipsoid; `evidence`: tags that help a reader to decide.
-    - `make`, `model`: beginnings, in small letters, by which alone the row is chosen; `hint`: on a pitch out of range.
+    - `aircraft`: heading, pitch and roll of the aircraft, optional; `lat`, `lon`: the first that is present.
+    - `height` above some datum, `relative` to the take-off point; `sigma`: standard deviations north, east, down, m.
+    - `datum`: a tag that may state that `height` is ellipsoidal; `evidence`: tags that help a reader to decide.
+    - `make`, `model`: prefixes in lower case that alone select the row; `hint`: for a pitch out of range.
     """
 
     form: str
@@ -42,7 +42,7 @@ class Maker:
 PIX4D_ANGLES = ("Camera:Yaw", "Camera:Pitch", "Camera:Roll")
 PIX4D_SIGMA = ("Camera:GPSXYAccuracy", "Camera:GPSXYAccuracy", "Camera:GPSZAccuracy")
 
-# The first row whose angles are in the file is taken. Autel's newer files carry DJI's tags.
+# The first row whose angles are in the file is used. Autel's newer files have DJI's tags.
 MAKERS = (
     Maker(
         "DJI drone image",
@@ -74,7 +74,7 @@ MAKERS = (
         ("drone-parrot:CameraYawDegree", "drone-parrot:CameraPitchDegree", "drone-parrot:CameraRollDegree"),
         sigma=PIX4D_SIGMA,
     ),
-    Maker("Autel drone image", PIX4D_ANGLES, model="xl715", sigma=PIX4D_SIGMA),  # its pitch is against the horizon
+    Maker("Autel drone image", PIX4D_ANGLES, model="xl715", sigma=PIX4D_SIGMA),  # its pitch is relative to the horizon
     Maker(
         "Autel drone image",
         PIX4D_ANGLES,
@@ -89,13 +89,13 @@ MAKERS = (
 )
 
 
-ANY = replace(MAKERS[-1], form="image with a position in EXIF")  # of no maker, its angles given by the caller
+ANY = replace(MAKERS[-1], form="image with a position in EXIF")  # no maker, angles from the caller
 
 
 def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
-    """Whose tags an image has; where angles are given, from the horizon, it needs none of its own.
+    """The maker of an image's tags; with angles from the caller (relative to the horizon) none is required.
 
-    Raises `TableError` where nothing says how the camera was turned.
+    Raises `TableError` if no tag gives the camera's attitude.
     """
     if angles_are_given:
         prefixes = {name.partition(":")[0] for name in tags.values}
@@ -122,9 +122,9 @@ def maker_of(tags: ImageTags, *, angles_are_given: bool = False) -> Maker:
 
 
 def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
-    """Yaw, pitch and roll of the camera in deg, as they are written.
+    """Yaw, pitch and roll of the camera in deg, as written.
 
-    Raises `TableError`, also where all are zero, which is written where they are not known.
+    Raises `TableError`, also if all are zero, which is written for unknown angles.
     """
     if reason := tags.unknown("camera angles", maker.angles):
         raise TableError(f"{tags.path}: how the camera was turned is unknown: {reason}. {by_hand(tags)}")
@@ -136,9 +136,9 @@ def angles_of(tags: ImageTags, maker: Maker) -> list[float | None]:
 
 
 def aircraft_of(tags: ImageTags, maker: Maker) -> list[float | None]:
-    """Heading, pitch and roll of the aircraft in deg; None where they are not there, or no such angles.
+    """Heading, pitch and roll of the aircraft in deg; None if missing or invalid.
 
-    They have no part in lines of sight, and so are no reason to refuse an image.
+    They do not affect lines of sight, so an image is not refused for them.
     """
     try:
         found = [tags.number(name, limits) for name, limits in zip(maker.aircraft, (YAW, PITCH, ROLL), strict=False)]

@@ -1,4 +1,4 @@
-"""Positions of images by name or number: OpenDroneMap's geo.txt and shots.geojson, DJI's marks, tables."""
+"""Image positions by name or number: OpenDroneMap's geo.txt and shots.geojson, DJI's MRK files, tables."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
 
 _NUMBER = r"\s*(-?\d{1,12}(?:\.\d*)?)\s*"
-MARK = re.compile(  # digits of ASCII alone
+MARK = re.compile(  # ASCII digits only
     rf"\s*(\d{{1,9}})\s{_NUMBER}\s\[(\d{{1,6}})\]\s{_NUMBER},N\s{_NUMBER},E\s{_NUMBER},V\s{_NUMBER},Lat\s{_NUMBER},Lon\s"
     rf"{_NUMBER},Ellh\s{_NUMBER},{_NUMBER},{_NUMBER}\s(\d{{1,6}})\s*,Q\s*",
     re.ASCII,
 )
 MARK_FIELDS = ("week", "time of week", "Lat", "Lon", "Ellh", "sigma north", "sigma east", "sigma up", "Q")
 GPS_EPOCH = 315_964_800.0  # s since 1970
-LEAP_SECONDS = 18.0  # of GPS before UTC, since 2017
+LEAP_SECONDS = 18.0  # GPS minus UTC, since 2017
 WEEK = 604_800.0  # s
 
 
@@ -40,7 +40,7 @@ WEEK = 604_800.0  # s
 class PositionTable:
     """Positions of n images: by `names` (n,), or `numbers` (n,) of the photos in a flight.
 
-    `position` in rad and m above the ellipsoid, its height NaN where the file has none (`has_heights`); `sigma` (n, 3)
+    `position` in rad and m above the ellipsoid, its height NaN without heights (`has_heights`); `sigma` (n, 3)
     in m, north, east and down, or None; `time` (n,) in s since 1970 in UTC, or None; `assumed` sentences.
     """
 
@@ -56,7 +56,7 @@ class PositionTable:
 
 
 def form_of_positions(text: str) -> str | None:
-    """Which kind of positions a text file holds, by its first lines; None for a table with a header, or none at all."""
+    """The kind of positions in a text file by its first lines; None for a table with a header, or no positions."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if not lines:
         return None
@@ -69,17 +69,17 @@ def form_of_positions(text: str) -> str | None:
     projection = re.fullmatch(r"(EPSG:[0-9]+|\+proj=.*|WGS84(\s+UTM\s+[0-9]{1,2}\s*[NS]?)?)", lines[0], re.I)
     rows = [words_of(line) for line in lines[1:3] if not line.startswith("#")]
     if projection and rows and all(len(row) >= 3 and _is_number(row[1]) and _is_number(row[2]) for row in rows):
-        return None if len(rows[0]) >= 6 and not _is_number(rows[0][5]) else "geo"  # those are control points
+        return None if len(rows[0]) >= 6 and not _is_number(rows[0][5]) else "geo"  # ground control points
     return None
 
 
 def read_positions(path: str | os.PathLike[str], *, height_datum: str | float | None, crs: Any) -> PositionTable:
-    """The positions in a file, whichever it is. Raises `UnstatedDatum`, `TableError`, `VerticalDatumError`."""
+    """The positions in a file of any of these kinds. Raises `UnstatedDatum`, `TableError`, `VerticalDatumError`."""
     form = form_of_positions(read_text(path, "file of positions"))
     readers = {"marks": _of_marks, "shots": _of_shots, "geo": _of_geo, None: _of_table}
     try:
         return readers[form](path, height_datum, crs)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
@@ -179,7 +179,7 @@ def _of_table(path: Any, height_datum: Any, crs: Any) -> PositionTable:
 
 
 def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, told: tuple[str, ...] = ()) -> PositionTable:
-    """Positions by names of columns; without heights where there is no such column."""
+    """Positions by column names; without heights if there is no such column."""
     path = columns.table.path
     in_map = "x_m" in columns and (crs is not None or "lat_deg" not in columns)
     if in_map and crs is None:
@@ -212,7 +212,7 @@ def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, told: 
 
 
 def _sigma(columns: Columns) -> tuple[np.ndarray | None, list[str]]:
-    """(standard deviations north, east, down in m, what was taken for granted of them)."""
+    """(standard deviations north, east, down in m, assumptions about them)."""
     own = [name for name in SIGMA_COLUMNS if name.endswith("_m")]
     if all(name in columns for name in own):
         return np.stack([columns.numbers(name, SIGMA_COLUMNS[name]) for name in own], axis=-1), []

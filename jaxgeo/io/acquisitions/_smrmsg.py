@@ -1,4 +1,4 @@
-"""The file of errors of an SBET, between its records."""
+"""Error file (smrmsg) of an SBET, interpolated between its records."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from jaxgeo.io.errors import TableError
 
 ARC_MINUTE = np.pi / 10_800.0
 LARGEST_ERRORS = {"m": 1e5, "arc minutes": 10_800.0}
-GAP = 10.0  # times the median interval of a file of errors: a longer one is a gap
+GAP = 10.0  # times the median interval: longer intervals are gaps
 
 
 def errors_at(path: str | os.PathLike[str], of: str, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(position north, east, down in m (n, 3), heading, pitch, roll in rad (n, 3)) of a file of errors at times."""
+    """(position north, east, down in m (n, 3), heading, pitch, roll in rad (n, 3)) of an error file at `times`."""
     path = os.fspath(path)
     records = mapped(path, "smrmsg", ERROR_FIELDS)
     clock, _ = clock_of(path, records)
     interval = float(np.median(np.diff(clock))) if len(clock) > 1 else 0.0
-    if times[0] < clock[0] - interval or times[-1] > clock[-1] + interval:  # it may begin on the next full second
+    if times[0] < clock[0] - interval or times[-1] > clock[-1] + interval:  # it may start at the next full second
         raise TableError(
             f"{path}: it covers {clock[0]:.9g} to {clock[-1]:.9g} s, but the records of {of} that are read "
             f"{times[0]:.9g} to {times[-1]:.9g} s. Do the two files belong together?"

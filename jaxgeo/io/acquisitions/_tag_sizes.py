@@ -1,7 +1,7 @@
-"""How much the tags of an image would take in memory, by their counts, before they are read.
+"""Memory size of an image's tags from their counts, checked before they are read.
 
-Each entry of a directory says how many values it has and where they are; many entries may name the same bytes, so that
-a file of a megabyte could fill all memory (TIFF 6.0, section 2; EXIF in JPEG is a TIFF within a segment APP1).
+Each directory entry states a count and an offset. Many entries may share the same bytes, so a file of a megabyte
+could fill all memory (TIFF 6.0, section 2; EXIF in JPEG is a TIFF within a segment APP1).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxgeo.io.errors import ImageError
 from jaxgeo.io.limits import TAG_BYTES, TAG_VALUES
 
 UNITS = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
-AS_BYTES = (1, 2, 7)  # types whose values stay one text or bytes
+AS_BYTES = (1, 2, 7)  # types read as one text or bytes
 SUBDIRECTORIES = (0x8769, 0x8825)  # of EXIF and of GPS
 EXIF, START_OF_SCAN, APP1 = b"Exif\0\0", 0xDA, 0xE1
 
@@ -35,7 +35,7 @@ def check_tag_sizes(file: BinaryIO, name: str) -> None:
 
 def _check(name: str, content: bytes | mmap.mmap) -> None:
     size = values = 0
-    with contextlib.suppress(struct.error):  # it is cut off, which whoever reads it tells
+    with contextlib.suppress(struct.error):  # truncated: reported by the reader
         for kind, count in _entries(content):
             size += count * UNITS[kind]
             values += 0 if kind in AS_BYTES else count
@@ -49,7 +49,7 @@ def _entries(content: bytes | mmap.mmap) -> Iterator[tuple[int, int]]:
     big = content[2:4] in (b"+\0", b"\0+")
     offset, width = ("Q", 8) if big else ("I", 4)
     places = [struct.unpack_from(order + offset, content, 8 if big else 4)[0]]
-    for at in places:  # it grows by those of the first
+    for at in places:  # the first directory's subdirectories are appended
         (count,) = struct.unpack_from(order + ("Q" if big else "H"), content, at)
         entry = at + (8 if big else 2)
         for _ in range(min(count, len(content) // 12)):
@@ -62,9 +62,9 @@ def _entries(content: bytes | mmap.mmap) -> Iterator[tuple[int, int]]:
 
 
 def _exif_segments(file: BinaryIO) -> Iterator[bytes]:
-    """The parts of EXIF in a JPEG, behind each other as Pillow joins them."""
+    """The EXIF parts of a JPEG, in sequence as Pillow joins them."""
     while len(head := file.read(4)) == 4 and head[0] == 0xFF and head[1] != START_OF_SCAN:
-        if head[1] == 0xFF or 0xD0 <= head[1] <= 0xD8 or head[1] == 1:  # a byte to fill, or a marker without a segment
+        if head[1] == 0xFF or 0xD0 <= head[1] <= 0xD8 or head[1] == 1:  # fill byte, or a marker without a segment
             file.seek(-3 if head[1] == 0xFF else -2, 1)
             continue
         segment = file.read(max(int.from_bytes(head[2:], "big") - 2, 0))

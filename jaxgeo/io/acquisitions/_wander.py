@@ -1,4 +1,4 @@
-"""Velocities of an SBET: from the axes of its wander frame to north-east-down, and compared with the positions."""
+"""SBET velocities: wander frame to north-east-down, verified against the positions."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from jaxgeo.earth import WGS84
 from jaxgeo.io.acquisitions._applanix import Fields, numbers_of, wrapped
 from jaxgeo.io.errors import TableError
 
-# Velocities are compared with the change of the positions over so many seconds, at so many places, and may differ by
-# so much (m/s, and a share of the speed). A wrong horizontal axis differs by the speed, a wrong z by the climb.
+# Velocities are compared with position differences over this interval in s, at this number of points, with these
+# tolerances (m/s, and share of the speed). A wrong horizontal axis differs by the speed, a wrong z by the climb rate.
 COMPARED_OVER, COMPARED_AT = 0.2, 500
 LARGEST_DIFFERENCE, LARGEST_SHARE = 0.1, 0.003
 
 
 class Velocities(NamedTuple):
-    """Velocities (n, 3) in m/s north-east-down, None if unknown; a fact about them and a remark, each None if none."""
+    """Velocities (n, 3) in m/s north-east-down, None if unknown; a fact about them and a remark, each may be None."""
 
     ned: np.ndarray | None
     fact: str | None
@@ -26,10 +26,10 @@ class Velocities(NamedTuple):
 
 
 def velocity_of(path: str, records: np.ndarray, clock: np.ndarray, numbers: Fields) -> Velocities:
-    """The velocities of the picked records, in the frame that fits the change of the positions of all `records`.
+    """Velocities of the picked records, in the frame that matches the position differences of all `records`.
 
-    That is the frame of Applanix, or the one with y to the right and z down, if only that one fits. Velocities that
-    are all zero though the positions move are unknown. Raises `TableError` if neither frame fits, naming one that does.
+    That is Applanix's frame, or the one with y right and z down, if only that one matches. Velocities that are all
+    zero while the positions move are unknown. Raises `TableError` if neither frame matches, naming one that does.
     """
     applanix, right_down = FRAMES
     pairs = _pairs(clock)
@@ -68,7 +68,7 @@ def velocity_of(path: str, records: np.ndarray, clock: np.ndarray, numbers: Fiel
 
 
 def _pairs(clock: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Places in a list of times, and those some time later."""
+    """Indices of times, and of later times to compare with."""
     if len(clock) < 2:
         return None
     step = max(1, min(len(clock) - 1, round(COMPARED_OVER / float(np.median(np.diff(clock))))))
@@ -81,14 +81,14 @@ def _xyz(numbers: Fields) -> tuple[np.ndarray, ...]:
 
 
 def _west_up(numbers: Fields, sign: float = 1.0) -> np.ndarray:
-    """Velocities in north-east-down (n, 3), of x the wander angle left of north, y left of x, and z up."""
+    """Velocities in north-east-down (n, 3), for x the wander angle left of north, y left of x, and z up."""
     sin, cos = np.sin(sign * numbers["wander"]), np.cos(numbers["wander"])
     x, y, z = _xyz(numbers)
     return np.stack([cos * x - sin * y, -sin * x - cos * y, -z], axis=-1)
 
 
 def _right_down(numbers: Fields) -> np.ndarray:
-    """Velocities in north-east-down (n, 3), of x the wander angle left of north, y right of x, and z down."""
+    """Velocities in north-east-down (n, 3), for x the wander angle left of north, y right of x, and z down."""
     sin, cos = np.sin(numbers["wander"]), np.cos(numbers["wander"])
     x, y, z = _xyz(numbers)
     return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=-1)
@@ -114,7 +114,7 @@ OTHER_FRAMES: dict[str, Callable[[Fields], np.ndarray]] = {
 
 
 def _displacement(before: Fields, after: Fields) -> np.ndarray:
-    """From one place to a near one, north-east-down in m (n, 3)."""
+    """Displacement between nearby positions, north-east-down in m (n, 3)."""
     lat, height = (0.5 * (before[name] + after[name]) for name in ("lat", "height"))
     w2 = 1.0 - WGS84.e2 * np.sin(lat) ** 2
     meridian, vertical = WGS84.a * (1.0 - WGS84.e2) / w2**1.5, WGS84.a / np.sqrt(w2)

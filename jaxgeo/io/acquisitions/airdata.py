@@ -1,4 +1,4 @@
-"""Flight logs of AirData as CSV: a record of the drone and its gimbal several times a second, as exposures."""
+"""AirData flight logs (CSV): drone and gimbal records several times a second, as exposures."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ def read_airdata(
     cameras: FrameCamera | None = None,
     camera: str | None = None,
 ) -> Acquisition:
-    """The records of a flight log that AirData exports as CSV, named by their numbers from 0; photos are told in
-    `facts`, all columns of a record in `tags`.
+    """Read the records of an AirData CSV flight log, named by their numbers from 0; `facts` lists the photos, and
+    `tags` all columns of a record.
 
-    The camera is turned by `gimbal_heading`, `gimbal_pitch` and `gimbal_roll`, against true north and level; the pose
-    is that of a body with the camera in `Mount.nadir()` and `Gimbal.fixed()`. Lengths are in the unit in brackets
-    behind the name of the column, feet or meters. Records without a fix (positions empty or zero, `gpslevel` 0) are
+    `gimbal_heading`, `gimbal_pitch` and `gimbal_roll` are the camera's angles, relative to true north and level; the
+    pose is that of a body with the camera in `Mount.nadir()` and `Gimbal.fixed()`. Lengths are in the unit in brackets
+    after the column name, feet or meters. Records without a fix (positions empty or zero, `gpslevel` 0) are
     left out, and counted in `assumed`.
 
-    - `height_datum`: what `altitude_above_seaLevel`, else `altitude`, is measured from, as in scene files.
+    - `height_datum`: datum of `altitude_above_seaLevel`, else of `altitude`, as in scene files.
     - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `height_above_takeoff`
       is added.
-    - `cameras`: the camera, of the size of its images; without it exposures have no sensor.
-    - `camera`: the name of one of several; there is none in such a file.
+    - `cameras`: the camera, with the size of its images; without it exposures have no sensor.
+    - `camera`: a camera name; not applicable to such files.
 
-    Raises `UnstatedDatum`; `TableError` for columns that are missing, in another unit, no number or out of range;
+    Raises `UnstatedDatum`; `TableError` for columns that are missing, in another unit, not numbers or out of range;
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -73,7 +73,7 @@ def read_airdata(
 
 
 def _columns(table: CsvTable) -> dict[str, tuple[int, str]]:
-    """Index and unit of each column, by its name in small letters."""
+    """Index and unit of each column, by its name in lower case."""
     found: dict[str, tuple[int, str]] = {}
     for index, written in enumerate(table.header):
         parts = COLUMN.fullmatch(written)
@@ -83,7 +83,7 @@ def _columns(table: CsvTable) -> dict[str, tuple[int, str]]:
 
 
 def _places(table: CsvTable, columns: Mapping[str, tuple[int, str]], by_takeoff: bool) -> dict[str, tuple[int, float]]:
-    """Index and factor to our unit of the column of each number."""
+    """Column index and unit factor for each quantity."""
     wanted = {"lat": ("latitude",), "lon": ("longitude",)} | {ours: (name,) for ours, name in ANGLES.items()} | HEIGHTS
     optional = "altitude" if by_takeoff else "above_takeoff"
     found: dict[str, tuple[int, float]] = {}
@@ -124,7 +124,7 @@ def _record(
 
 
 def _start(table: CsvTable, columns: Mapping[str, tuple[int, str]]) -> float | None:
-    """The time in UTC, s since 1970, at which the milliseconds of the log are zero; None where it is not told."""
+    """UTC in s since 1970 at the zero of the log's milliseconds; None if unknown."""
     if "datetime" not in columns or "time" not in columns:
         return None
     for cells in table.cells:

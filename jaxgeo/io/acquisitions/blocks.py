@@ -1,4 +1,4 @@
-"""Blocks of images as exposures: reconstructions of OpenSfM and OpenDroneMap, and tables of orientations."""
+"""Image blocks as exposures: OpenSfM and OpenDroneMap reconstructions, and orientation tables."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ CHOICES = (
     'Pass height_datum="ellipsoid" (WGS 84), height_datum="EPSG:5773" (EGM96 mean sea level), an undulation in m, or '
     "the path of a geoid grid."
 )
-NO_ERRORS = "How large errors are is not in the file."
+NO_ERRORS = "No accuracies in the file."
 NO_TIMES = "When images were taken is not in the file; their time is 0."
 CAPTURE_TIME = "Times are the file's capture_time, in s since 1970 by the camera's clock, of an unknown time zone."
-ELLIPSOID = "Angles of attitude are against the ellipsoid's normal, without deflection of the vertical."
+ELLIPSOID = "Attitude is relative to the ellipsoid normal (deflection of the vertical ignored)."
 
 
 def acquisition_of_opensfm(
@@ -44,12 +44,12 @@ def acquisition_of_opensfm(
     part: int | None = None,
     camera: str | None = None,
 ) -> Acquisition:
-    """The shots of a `reconstruction.json` of OpenSfM or OpenDroneMap, each with its camera, by the images' names.
+    """Read the shots of an OpenSfM or OpenDroneMap `reconstruction.json`, each with its camera, by image name.
 
-    `height_datum`, `crs` and `part` as in `read_opensfm`. Images of one record are of one size: `camera`, a name in the
-    file, takes those of one camera alone. Times are the `capture_time` of the images, if all have one, else 0; what
-    else a shot says is in `tags`. Raises `UnstatedDatum` without `height_datum`, `TableError` for cameras of several
-    sizes (named), a camera that took no image, and a reconstruction without a place on the Earth; else as
+    `height_datum`, `crs` and `part` as in `read_opensfm`. Images of one record have one size: `camera`, a name in the
+    file, selects the images of one camera. Times are the `capture_time` of the images, if all have one, else 0; other
+    fields of a shot are in `tags`. Raises `UnstatedDatum` without `height_datum`, `TableError` for cameras of several
+    sizes (named), a camera without images, and a reconstruction without georeference; else as
     `read_opensfm`.
     """
     if height_datum is None:
@@ -76,7 +76,7 @@ def acquisition_of_opensfm(
             CAPTURE_TIME if timed else NO_TIMES,
             NO_ERRORS,
             AS_READ,
-            "Cameras are of the size that the file gives, perhaps less than that of the images.",
+            "Camera size is from the file; images may be larger.",
         ),
         facts=_facts(block, rows),
         tags=tags,
@@ -92,15 +92,15 @@ def acquisition_of_orientations(
     camera: str | None = None,
     linear_alteration_above: float | np.ndarray | None = None,
 ) -> Acquisition:
-    """The images of a table of orientations, with the errors that it states.
+    """Read the images of an orientation table, with the errors that it states.
 
-    - `cameras`: the one that took all images, or cameras by the names in the table's column `camera`; without it the
-      exposures have no sensor. A camera is the body's in `Mount.nadir()`, with `Gimbal.fixed()`.
-    - `camera`: takes the images of that camera alone; those of one record are of one size.
+    - `cameras`: one camera for all images, or cameras by the names in the table's column `camera`; without it the
+      exposures have no sensor. A camera is mounted by `Mount.nadir()`, with `Gimbal.fixed()`.
+    - `camera`: selects the images of that camera; images of one record have one size.
     - `height_datum`, `crs` and `linear_alteration_above` as in `read_orientations`.
 
     Raises `UnstatedDatum` without `height_datum`, `TableError` for cameras of several sizes (named), a camera that is
-    not given or took no image; else as `read_orientations`.
+    not given or has no images; else as `read_orientations`.
     """
     if cameras is not None and not isinstance(cameras, Mapping):
         check_is(cameras, FrameCamera, "cameras", "Or give a table of cameras by name.")
@@ -143,7 +143,7 @@ _READ = ("rotation", "translation", "camera")
 
 
 def heights_are(datum: str | float | None) -> str:
-    """What heights were taken to be measured from, as a sentence."""
+    """Sentence: the assumed datum of the heights."""
     if datum is None:
         return "Heights are above what the file's map says."
     surface = f"{datum!r}" if isinstance(datum, str) else f"a surface {datum:g} m above the ellipsoid"
@@ -151,7 +151,7 @@ def heights_are(datum: str | float | None) -> str:
 
 
 def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:
-    """Which images a camera took; all, without its name. Raises `TableError` for one that took none."""
+    """Row indices of a camera's images; all if no name is given. Raises `TableError` for a camera without images."""
     if camera is None:
         return np.arange(len(taken_by))
     rows = np.flatnonzero(taken_by == camera)
@@ -161,7 +161,7 @@ def rows_of(path: Any, taken_by: np.ndarray, camera: str | None) -> np.ndarray:
 
 
 def check_one_size(path: Any, cameras: Cameras, taken_by: np.ndarray) -> None:
-    """Raises `TableError` for images of cameras of several sizes, or of a camera that is not known."""
+    """Raises `TableError` for images of cameras of several sizes, or of an unknown camera."""
     used = [str(name) for name in np.unique(taken_by)]
     unknown = [name for name in used if name not in cameras]
     if unknown:
@@ -181,13 +181,13 @@ def sensor_of(cameras: Cameras, taken_by: np.ndarray) -> Sensor:
 
 
 def shots_of(poses: Pose, times: np.ndarray | None = None) -> Shot:
-    """Shots without gimbal readings, of n poses; at the time 0 if it is not known."""
+    """Shots of n poses, without gimbal readings; unknown times are 0."""
     count = np.size(poses.heading)
     return Shot(poses, np.zeros((count, 0)), np.zeros(count) if times is None else times)
 
 
 def stated_sources(sigma: np.ndarray | None) -> tuple[AbstractSource, ...]:
-    """Errors of n images from standard deviations (n, 6): north, east, down in m, heading, pitch, roll in rad."""
+    """Error sources of n images from standard deviations (n, 6): north, east, down, m; heading, pitch, roll, rad."""
     if sigma is None:
         return ()
     made = jax.vmap(Position)(sigma[:, :3]), jax.vmap(Attitude)(sigma[:, 3:])
@@ -195,7 +195,7 @@ def stated_sources(sigma: np.ndarray | None) -> tuple[AbstractSource, ...]:
 
 
 def _of_one_kind(cameras: list[FrameCamera]) -> list[FrameCamera]:
-    """Cameras with lenses of one kind: a perfect one is a BrownConrady of zeros beside others."""
+    """Cameras with one lens type: beside others, a perfect lens becomes a BrownConrady of zeros."""
     if len({type(camera.distortion) for camera in cameras}) == 1:
         return cameras
     zeros = BrownConrady()
@@ -223,7 +223,7 @@ def _some(tree: Any, rows: np.ndarray) -> Any:
 
 
 def _time(shot: Mapping[str, Any]) -> float:
-    """When a shot was taken, s; NaN if it does not say."""
+    """Time of a shot, s; NaN if missing."""
     time: Any = shot.get("capture_time")
     known = isinstance(time, int | float) and not isinstance(time, bool) and math.isfinite(time) and time > 0.0
     return float(time) if known else math.nan
@@ -238,7 +238,7 @@ def _facts(block: Reconstruction, rows: np.ndarray) -> dict[str, str]:
 
 
 def _refuse_unstated(path: str | os.PathLike[str], part: int | None) -> None:
-    """Raises `UnstatedDatum`, with what the file says of its altitudes, if it has a place on the Earth."""
+    """Raises `UnstatedDatum`, quoting the file's altitudes, if it is georeferenced."""
     content = read_json(path, "reconstruction")
     parts = content if isinstance(content, list) else [content]
     if part is not None and 0 <= part < len(parts):

@@ -33,7 +33,7 @@ from jaxgeo.io.errors import TableError
 from jaxgeo.io.given_camera import is_a_name, whole_camera
 from jaxgeo.io.scene import read_scene
 
-HEAD = 65_536  # bytes from which the kind is detected
+HEAD = 65_536  # bytes read for detection
 IMAGES = (b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")  # JPEG, TIFF and BigTIFF in both orders
 RECORD = 8 * len(FIELDS)  # bytes of an SBET
 TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
@@ -41,7 +41,7 @@ TEXT = frozenset(range(32, 256)) | {9, 10, 12, 13}
 
 @portable
 class WrongOption(TableError):
-    """An option that the reader of a `kind` of file does not take; `takes` are those that it does."""
+    """An option that the reader of a `kind` of file does not accept; `takes` are those it does."""
 
     def __init__(self, path: str, kind: str, name: str, takes: tuple[str, ...]) -> None:
         super().__init__(
@@ -51,7 +51,7 @@ class WrongOption(TableError):
 
 
 class Form(NamedTuple):
-    """A kind of file: its name in words, a test of path and first bytes, its reader, the options that takes."""
+    """A kind of file: its name, a test of path and first bytes, its reader, the reader's options."""
 
     name: str
     is_one: Callable[[pathlib.Path, bytes], bool]
@@ -60,17 +60,17 @@ class Form(NamedTuple):
 
 
 def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
-    """The exposures of a file, whatever it is: a drone's image or a folder of them, KLV telemetry (raw or in an MPEG
-    transport stream), SBET, a table of orientations, parameters of Orthority, a reconstruction of OpenSfM, cameras of
-    Metashape (XML), subtitles of DJI's videos, flight logs of AirData, a scene.
+    """Read the exposures of a file of any supported kind: a drone image or a folder of them, KLV telemetry (raw or in
+    an MPEG transport stream), SBET, an orientation table, Orthority parameters, an OpenSfM reconstruction, Metashape
+    cameras (XML), DJI video subtitles, AirData flight logs, a scene.
 
-    `how` are options of its reader, those that are None being left out: `height_datum`; `takeoff_height` (drone
+    `how` are options of its reader; those that are None are ignored: `height_datum`; `takeoff_height` (drone
     images, subtitles, flight logs); `gimbal_deg`, and `positions`, a file for `with_positions` (drone images);
-    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, the name of one of several
+    `image_size`, `upright`, `keep_damaged`, `stream` (telemetry); `crs` and `camera`, a camera name
     (orientations, parameters, reconstructions), or a lens or file as for images (telemetry, orientations, logs);
     `cameras` (the same); `part` (reconstructions); `errors`, the smrmsg, and `velocities`, whether they are read
-    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for a file of no known kind, and for
-    an option that its reader does not take; `FileNotFoundError`; and as the readers.
+    (SBET); `interior`, the interior parameters of Orthority. Raises `TableError` for an unknown kind of file, and for
+    an option that its reader does not accept; `FileNotFoundError`; and as the readers.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -89,14 +89,14 @@ def read_acquisition(path: str | os.PathLike[str], **how: Any) -> Acquisition:
 
 
 def reader_of(form: Form, given: Mapping[str, Any]) -> Callable[..., Acquisition]:
-    """The reader of a kind of file; parameters of Orthority look like a table but for the option `interior`."""
+    """The reader of a kind of file; Orthority parameters differ from a table only by the option `interior`."""
     if form is ORTHORITY_OR_TABLE:
         return (ORTHORITY if "interior" in given else ORIENTATIONS).read
     return form.read
 
 
 def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The options, all of which the reader takes. Raises `WrongOption`."""
+    """The options, if the reader accepts all. Raises `WrongOption`."""
     if form is ORTHORITY_OR_TABLE:
         form = ORTHORITY if "interior" in given else ORIENTATIONS
     for name in given:
@@ -109,7 +109,7 @@ def checked_options(path: str | os.PathLike[str], form: Form, given: Mapping[str
 
 
 def form_of(path: str | os.PathLike[str]) -> Form:
-    """What kind of file it is. Raises `TableError` if it is of none that is known, `FileNotFoundError`."""
+    """The kind of a file. Raises `TableError` if it is unknown, `FileNotFoundError`."""
     place = pathlib.Path(path)
     if place.is_dir():
         return DRONE_IMAGES
@@ -153,7 +153,7 @@ def _of_sbet(path: str | os.PathLike[str], **how: Any) -> Acquisition:
 
 
 def _of_images(path: str | os.PathLike[str], *, positions: Any = None, crs: Any = None, **how: Any) -> Acquisition:
-    """Drone images, perhaps with the positions of a table in place of their own: heights are then the table's."""
+    """Drone images, optionally with positions from a table: heights are then the table's."""
     if positions is None:
         if crs is not None:
             raise TableError(f"{path}: crs= is of a table of positions; give it too, positions=, or leave crs= out.")
@@ -194,7 +194,7 @@ def _is_text(head: bytes) -> bool:
 
 
 def _has(*words: bytes) -> Callable[[pathlib.Path, bytes], bool]:
-    """Whether a file is text with all the words in its first bytes."""
+    """A test whether a file is text with all the words in its first bytes."""
     return lambda path, head: _is_text(head) and all(word in head for word in words)
 
 
@@ -218,7 +218,7 @@ def _is_subtitles(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_flight_log(path: pathlib.Path, head: bytes) -> bool:
-    """Whether the header is that of AirData's: angles of the gimbal or the compass, with their unit."""
+    """Whether the header is AirData's: gimbal or compass angles, with their unit."""
     text = text_of(head, is_cut=True)
     if text is None or not text.strip():
         return False
@@ -243,7 +243,7 @@ def _is_table(path: pathlib.Path, head: bytes) -> bool:
 
 
 def _is_sbet(path: pathlib.Path, head: bytes) -> bool:
-    """Whether it begins with a record of an SBET, or, where its size is of none, being cut off, with several."""
+    """Whether the file starts with an SBET record; if its size is no multiple of a record (truncated), with several."""
     whole = len(head) // RECORD
     if not whole or _is_text(head):
         return False

@@ -1,4 +1,4 @@
-"""Subtitles of DJI's videos (.SRT): a record of telemetry for each frame, as exposures."""
+"""DJI video subtitles (.SRT): a telemetry record for each frame, as exposures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FORM = "subtitle file of DJI"
 _DECIMAL = r"[0-9]+(?:\.[0-9]+)?"
 FIELD = re.compile(r"\b([A-Za-z_]+)\s*:\s*([-+]?[0-9][^ \t\r\n\])}>,;]*)")
 PLAIN = re.compile(rf"[-+]?{_DECIMAL}")
-# No 1_0, 0x10, 1e5, digits of other scripts, damaged bytes.
+# Excludes 1_0, 0x10, 1e5, digits of other scripts, damaged bytes.
 NUMBER = re.compile(rf"([-+]?{_DECIMAL}(?:/{_DECIMAL})?)m?")
 CUE = re.compile(r"\d+:\d\d:\d\d[,.]\d+\s*-->\s*\d+:\d\d:\d\d[,.]\d+", re.ASCII)
 TIME = re.compile(r"(\d{4})-(\d\d)-(\d\d) (\d\d):(\d\d):(\d\d)(?:[.,](\d{1,3}))?", re.ASCII)
@@ -33,7 +33,7 @@ NAMES = {
 }
 MEASURED = frozenset({*NAMES.values(), "abs_alt", "altitude", "framecnt"})  # once in a record
 MOST_FRAMES = 1e9
-MOST_SHOWN = 40  # characters of what is no number
+MOST_SHOWN = 40  # characters quoted of an invalid number
 ANGLES = ("gb_yaw", "gb_pitch", "gb_roll")
 
 
@@ -45,17 +45,17 @@ def read_dji_subtitles(
     cameras: FrameCamera | None = None,
     camera: str | None = None,
 ) -> Acquisition:
-    """The frames of a DJI video by its subtitles: `[latitude: ..] [longitude: ..] [rel_alt: .. abs_alt: ..] [gb_yaw: ..
-    gb_pitch: .. gb_roll: ..]`, named by their numbers.
+    """Read the frames of a DJI video from its subtitles: `[latitude: ..] [longitude: ..] [rel_alt: .. abs_alt: ..]
+    [gb_yaw: .. gb_pitch: .. gb_roll: ..]`, named by their numbers.
 
-    The angles are those of the camera against level and true north; the pose is that of a body with the camera in
+    The angles are those of the camera relative to level and true north; the pose is that of a body with the camera in
     `Mount.nadir()` and `Gimbal.fixed()`. Records without a position (latitude and longitude zero), a height or angles
-    are left out, and counted in `assumed`. Times are by the drone's clock, whose time zone is not said.
+    are left out, and counted in `assumed`. Times are by the drone's clock, whose time zone is unknown.
 
-    - `height_datum`: what `abs_alt` is measured from, as in scene files.
+    - `height_datum`: datum of `abs_alt`, as in scene files.
     - `takeoff_height`: instead, the height of the take-off in m above the ellipsoid, to which `rel_alt` is added.
-    - `cameras`: the camera of the video, of the size of its frames; without it exposures have no sensor.
-    - `camera`: the name of one of several; there is none in such a file.
+    - `cameras`: the camera of the video, with the size of its frames; without it exposures have no sensor.
+    - `camera`: a camera name; not applicable to such files.
 
     Raises `UnstatedDatum`; `TableError` for a file without records or without angles, and values out of range;
     `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
@@ -83,7 +83,7 @@ def read_dji_subtitles(
 
 
 def _blocks(path: str | os.PathLike[str]) -> list[str]:
-    """The text of each cue. Raises `TableError` for none."""
+    """The text of each cue. Raises `TableError` if there is none."""
     found: list[list[str]] = []
     before = 0
     for number, line in enumerate(read_text(path, FORM).splitlines(), start=1):
@@ -129,7 +129,7 @@ def _number(value: object) -> float | None:
 
 
 def _seconds(stamp: re.Match[str] | None) -> float:
-    """Seconds since 1970 by the clock of the file; NaN without a date, and for one of zeros."""
+    """Seconds since 1970 by the clock of the file; NaN without a date or for one of zeros."""
     if stamp is None:
         return float("nan")
     *parts, fraction = stamp.groups()

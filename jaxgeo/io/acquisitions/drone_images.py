@@ -1,4 +1,4 @@
-"""Images of drones as exposures: position, attitude and camera from the tags that their makers write."""
+"""Drone images as exposures: position, attitude and camera from the makers' tags."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ def read_drone_images(
     camera: GivenCamera | None = None,
     gimbal_deg: Sequence[float | int | str] | None = None,
 ) -> Acquisition:
-    """The exposures of one image, of several, or of all in a folder by name: JPEG or TIFF, all of one camera.
+    """Read the exposures of one image, of several, or of all in a folder: JPEG or TIFF, all of one camera.
 
-    Read are the tags of DJI, Skydio, Parrot and Autel, and Pix4D's camera tags; pixels are not decoded. The angles of
-    the camera are against level and true north, so it hangs in a `Gimbal.three_axis()` and looks along its head,
-    `Mount.forward()`; Pix4D counts from straight down, `Mount.nadir()`. The pose has the attitude of the aircraft where
-    the file tells it. Lens and focal length are the maker's calibration in the image, else of the package's table of
-    cameras, else by EXIF; scaled, where an image was made smaller after it was taken. How they err is among the
-    sources, the more the less they are known. What had to be taken for granted is in `assumed`; values that mean
+    Supported are the tags of DJI, Skydio, Parrot and Autel, and Pix4D's camera tags; pixels are not decoded. The
+    camera's angles are relative to level and true north: the camera is in a `Gimbal.three_axis()` and looks along its
+    head, `Mount.forward()`; Pix4D counts from straight down, `Mount.nadir()`. The pose has the aircraft's attitude if
+    the file states it. Lens and focal length are the maker's calibration in the image, else from the package's table of
+    cameras, else from EXIF; scaled if the image was resized after exposure. Their errors are among the sources,
+    larger for less reliable origins. Assumptions are in `assumed`; values that mean
     "unknown" (`jaxgeo.io.sentinels`) are never taken as measurements.
 
-    - `height_datum`: what the altitudes in the files are measured from: "ellipsoid", "EPSG:5773" (EGM96 mean sea
-      level), an undulation in m, the path of a geoid grid; as in scene files. Only Skydio's say it themselves.
-    - `takeoff_height`: instead, the height of the point of take-off in m above the ellipsoid, to which the files'
+    - `height_datum`: datum of the files' altitudes: "ellipsoid", "EPSG:5773" (EGM96 mean sea
+      level), an undulation in m, the path of a geoid grid; as in scene files. Only Skydio's files state it.
+    - `takeoff_height`: instead, the height of the take-off point in m above the ellipsoid, to which the files'
       heights above it are added.
     - `camera`: instead of the tags, a camera of the size of the images; a lens as text, "focal=8.8mm,pitch=2.41um",
       "focal=8.8mm,sensor=13.2mm" or "focal=3666px"; the path of a camera file or scene file (.toml); or the name of a
@@ -64,9 +64,9 @@ def read_drone_images(
     - `gimbal_deg`: instead of the tags, yaw from true north, pitch above the horizon and roll of the camera in deg; yaw
       may be "aircraft", the heading of the aircraft in each image's tags.
 
-    Raises `UnstatedDatum`; `ImageError` for what is no image or cut short, and images turned by a flag; `TableError`,
-    file and tag named, for tags that are missing, no number, out of range, twice, for images of several cameras;
-    `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
+    Raises `UnstatedDatum`; `ImageError` for files that are truncated or not images, and images with an orientation
+    flag; `TableError`, file and tag named, for tags that are missing, not numbers, out of range or repeated, and for
+    images of several cameras; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
     if camera is not None and not isinstance(camera, str | os.PathLike):
@@ -131,7 +131,7 @@ def _files(paths: Path | Sequence[Path]) -> list[Path]:
 
 
 def _names(tags: list[ImageTags]) -> list[str]:
-    """Names of the files, their paths if two have one name."""
+    """File names, or paths if two files share a name."""
     names = [os.path.basename(one.path) for one in tags]
     return names if len(set(names)) == len(names) else [one.path for one in tags]
 
@@ -163,7 +163,7 @@ def _check_upright(tags: ImageTags) -> None:
 
 
 def _warnings_of(tags: ImageTags) -> list[str]:
-    """What the file says that is not modelled."""
+    """Properties stated in the file that are not modelled."""
     told = []
     if tags.text("drone-dji:ShutterType").lower().startswith(("electronic", "rolling")):
         told.append(
@@ -193,7 +193,7 @@ def _times(tags: list[ImageTags], told: dict[str, None]) -> tuple[np.ndarray, bo
 
 
 def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
-    """As `time_of`; a time that cannot be read is only reported, since no line of sight depends on it."""
+    """As `time_of`; an unreadable time is only reported, since no line of sight depends on it."""
     try:
         return time_of(tags)
     except TableError as error:
@@ -204,7 +204,7 @@ def _time(tags: ImageTags, told: dict[str, None]) -> tuple[float | None, bool]:
 def _position_errors(
     tags: list[ImageTags], maker: Maker, told: dict[str, None], *, by_barometer: bool
 ) -> tuple[tuple[Position, ...], str]:
-    """(the errors of position, in words). An image that states none has the usual ones beside others that do."""
+    """(position errors, as text). Images that state none get the default ones if others state theirs."""
     sigma = np.array([_stated_sigma(one, maker) for one in tags])
     stated = np.all(sigma > 0.0, axis=1)
     if not np.any(stated):
@@ -223,7 +223,7 @@ def _position_errors(
 
 
 def _stated_sigma(tags: ImageTags, maker: Maker) -> list[float]:
-    """Standard deviations of a position, m north, east, down; zeros where the file does not state them."""
+    """Standard deviations of a position, m north, east, down; zeros if the file does not state them."""
     unknown = not maker.sigma or tags.unknown("position errors")
     return [0.0] * 3 if unknown else [tags.number(name, SIGMA) or 0.0 for name in maker.sigma]
 
@@ -238,7 +238,7 @@ def _pose(tags: list[ImageTags], maker: Maker, position: Geodetic, told: dict[st
 
 
 def _reported(tags: list[ImageTags]) -> Reported | None:
-    """What DJI's laser rangefinder hit, close to the middle of the image; NaN where that is no place."""
+    """The target of DJI's laser rangefinder, close to the image centre; NaN if invalid."""
     rows = np.array([_hit_by_laser(one) for one in tags])
     if not np.any(np.isfinite(rows)):
         return None

@@ -1,4 +1,4 @@
-"""KLV: keys, lengths and values in a stream of bytes (SMPTE ST 336), as the local sets of MISB ST 0601 use them."""
+"""KLV parser: keys, lengths and values in a byte stream (SMPTE ST 336), as in MISB ST 0601 local sets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxgeo.io.limits import PACKET_ITEMS
 
 UAS_LOCAL_SET = bytes.fromhex("060e2b34020b01010e01030101000000")
-# Keys of other sets that video carries, by the registry of SMPTE and the standards of MISB.
+# Keys of other sets in video streams, by the SMPTE registry and the MISB standards.
 OTHER_SETS = {
     bytes.fromhex("060e2b34020101010e01010201010000"): "MISB EG 0104, the universal set that ST 0601 has replaced",
     bytes.fromhex("060e2b34020b01010e01030306000000"): "MISB ST 0903, moving targets (VMTI)",
@@ -22,7 +22,7 @@ OTHER_SETS = {
     bytes.fromhex("060e2b34020b01010e0103030d000000"): "MISB ST 1206, SAR motion imagery",
 }
 LEADING = UAS_LOCAL_SET[:4]  # of every key
-MOST_WITHIN = 2  # further keys that a packet may reach over before it is not looked into
+MOST_WITHIN = 2  # further keys that a packet may span; with more it is not parsed
 CHECKSUM_ITEM = b"\x01\x02"  # tag and length of the checksum, which is the last item
 LONGEST_NUMBER = 8  # bytes of a length or a tag; more is noise
 
@@ -30,9 +30,9 @@ Items = tuple[tuple[int, bytes], ...]
 
 
 class Packet(NamedTuple):
-    """A local set: where its key starts and how many bytes it takes, its (tag, value) pairs, and what is wrong with it.
+    """A local set: the offset of its key and its size in bytes, its (tag, value) pairs, and its damage.
 
-    `damage` is "" for a packet whose checksum is right. A damaged one has items only if all of them can be separated.
+    `damage` is "" for a packet with a correct checksum. A damaged one has items only if all of them can be separated.
     """
 
     offset: int
@@ -42,13 +42,13 @@ class Packet(NamedTuple):
 
 
 class _Unreadable(ValueError):
-    """Bytes that are no length, no tag or no item."""
+    """Bytes that are not a valid length, tag or item."""
 
 
 def packets(data: bytes) -> Iterator[Packet]:
-    """The local sets in a stream of bytes, in order, damaged ones too; what lies between them is passed over.
+    """The local sets in a byte stream, in order, including damaged ones; other bytes are skipped.
 
-    After a damaged packet, whose length may be what is wrong, the search goes on behind its key.
+    After a damaged packet, whose length may be wrong, the search continues right after its key.
     """
     offset = data.find(UAS_LOCAL_SET)
     while offset >= 0:
@@ -58,19 +58,19 @@ def packets(data: bytes) -> Iterator[Packet]:
 
 
 def other_sets(data: bytes) -> dict[str, int]:
-    """Sets in a stream of bytes that are not ST 0601, in words, and where the first of each is; the first first."""
+    """Sets in a byte stream other than ST 0601, by name, with the offset of the first of each, in order."""
     places = {words: data.find(key) for key, words in OTHER_SETS.items()}
     return {words: at for words, at in sorted(places.items(), key=lambda item: item[1]) if at >= 0}
 
 
 def checksum(data: bytes) -> int:
-    """The 16-bit sum of ST 0601, of a packet from its key to the checksum's length: bytes in turn high and low."""
+    """The 16-bit sum of ST 0601 over a packet up to the checksum's length: bytes alternate between high and low."""
     values = np.frombuffer(data, np.uint8)
     return (256 * int(values[0::2].sum(dtype=np.int64)) + int(values[1::2].sum(dtype=np.int64))) & 0xFFFF
 
 
 def ber_length(data: bytes, at: int) -> tuple[int, int]:
-    """(length, where it ends) of a length in BER, short or long form. Raises `ValueError` for what is none."""
+    """(length, end offset) of a BER length, short or long form. Raises `ValueError` if invalid."""
     if at >= len(data):
         raise _Unreadable("cut off before its length")
     first, at = data[at], at + 1
@@ -85,7 +85,7 @@ def ber_length(data: bytes, at: int) -> tuple[int, int]:
 
 
 def ber_oid(data: bytes, at: int) -> tuple[int, int]:
-    """(tag, where it ends) of a tag in BER-OID: seven bits a byte, the eighth says that more follow."""
+    """(tag, end offset) of a BER-OID tag: seven bits a byte, the eighth marks continuation."""
     tag = 0
     for end in range(at + 1, min(at + LONGEST_NUMBER, len(data)) + 1):
         tag = tag << 7 | data[end - 1] & 0x7F
@@ -95,7 +95,7 @@ def ber_oid(data: bytes, at: int) -> tuple[int, int]:
 
 
 def items(data: bytes) -> Items:
-    """The (tag, value) pairs that a local set holds. Raises `ValueError` where they do not fill it exactly."""
+    """The (tag, value) pairs of a local set. Raises `ValueError` if they do not fill it exactly."""
     found: list[tuple[int, bytes]] = []
     at = 0
     while at < len(data):
@@ -121,7 +121,7 @@ def _packet(data: bytes, offset: int) -> Packet:
     if _reaches_over(data, start, end):
         return Packet(offset, end - offset, (), f"its length of {length} bytes reaches over the packets behind it")
     damage = _wrong_checksum(data[offset:end])
-    if damage and data.find(UAS_LOCAL_SET, start, end) >= 0:  # its length is false: the same bytes are looked into once
+    if damage and data.find(UAS_LOCAL_SET, start, end) >= 0:  # wrong length: parse the same bytes only once
         return Packet(offset, end - offset, (), damage)
     try:
         return Packet(offset, end - offset, items(data[start:end]), damage)
@@ -130,7 +130,7 @@ def _packet(data: bytes, offset: int) -> Packet:
 
 
 def _reaches_over(data: bytes, start: int, end: int) -> bool:
-    """Whether several further keys lie within a packet: looking into all such would take the square of their number."""
+    """Whether a packet spans several further keys: parsing all such would take quadratic time."""
     for _ in range(MOST_WITHIN + 1):
         start = data.find(UAS_LOCAL_SET, start, end) + 1
         if not start:

@@ -1,4 +1,4 @@
-"""Cameras as Agisoft Metashape exports them in XML: transforms of a block and calibrations, as exposures."""
+"""Agisoft Metashape camera exports (XML): block transforms and calibrations, as exposures."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 from jaxgeo.sensor.platform import R_HEAD_FROM_CAMERA_NADIR
 
-MOST_PIXELS = 10_000_000  # of the side of an image, and of a focal length
+MOST_PIXELS = 10_000_000  # largest image side and focal length
 FORM = "camera file of Metashape"
 WGS84_TAKEN = "The geocentric coordinates of the chunk are taken to be of WGS 84."
-UNREAD = ("b2", "k4", "p3", "p4")  # of its calibrations: skew and higher terms of the lens
+UNREAD = ("b2", "k4", "p3", "p4")  # unsupported terms: skew and higher distortion terms
 IDENTITY = (np.eye(3), np.zeros(3), 1.0)
-RADII = (6.3e6, 1e8)  # m from the centre of the Earth, where cameras can be
+RADII = (6.3e6, 1e8)  # m from the centre of the Earth: plausible camera range
 
 
 def read_metashape_cameras(
     path: str | os.PathLike[str], *, height_datum: str | float | None = None, camera: str | None = None
 ) -> Acquisition:
-    """The aligned cameras of a `cameras.xml` of Metashape, each with its calibration, by their labels.
+    """Read the aligned cameras of a Metashape `cameras.xml`, each with its calibration, by their labels.
 
-    A camera's transform takes (right, down, forward) into the chunk, the component's and the chunk's take that to
-    geocentric coordinates of WGS 84, so that heights are above the ellipsoid. The principal point lies (cx, cy) pixels
-    from the middle of the image; p1 and p2 are OpenCV's p2 and p1.
+    A camera's transform maps (right, down, forward) to the chunk; the component's and the chunk's map that to
+    geocentric coordinates of WGS 84, so heights are above the ellipsoid. The principal point is (cx, cy) pixels
+    from the image centre; p1 and p2 are OpenCV's p2 and p1.
 
-    - `height_datum`: "ellipsoid", if anything: geocentric coordinates have no other heights.
-    - `camera`: takes the images of the sensor with that label alone; those of one record are of one size.
+    - `height_datum`: only "ellipsoid" is accepted: geocentric coordinates have no other heights.
+    - `camera`: selects the images of the sensor with that label; images of one record have one size.
 
-    Raises `TableError` for a chunk without a transform to the Earth, sensors that are no frame cameras, terms of the
-    lens that are not read (b2, k4, p3, p4), no aligned camera, sensors of several sizes; `FileNotFoundError`;
+    Raises `TableError` for a chunk without a transform to the Earth, sensors that are not frame cameras, unsupported
+    lens terms (b2, k4, p3, p4), no aligned camera, sensors of several sizes; `FileNotFoundError`;
     `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -106,7 +106,7 @@ def _numbers(where: str, element: ET.Element | None, count: int) -> np.ndarray:
 
 
 def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a matrix that is one but for its digits."""
+    """The rotation nearest to a matrix that is one except for rounding."""
     left, values, right = np.linalg.svd(matrix)
     if np.any(np.abs(values - 1.0) > 1e-3) or np.linalg.det(left @ right) < 0.0:
         raise TableError(f"{where}: it is no rotation.")
@@ -114,7 +114,7 @@ def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
 
 
 def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray, float]:
-    """(rotation, translation, scale) of the <transform> in a chunk or component; none there is the identity."""
+    """(rotation, translation, scale) of the <transform> in a chunk or component; identity if missing."""
     where, transform = f"{path}, transform of {element.tag} {element.get('label', '')}", element.find("transform")
     if transform is None or len(transform) == 0:
         return IDENTITY
@@ -128,7 +128,7 @@ def _similarity(path: Any, element: ET.Element) -> tuple[np.ndarray, np.ndarray,
 
 
 def _check_on_earth(path: Any, centres: np.ndarray) -> None:
-    """Raises `TableError` where cameras have no place on the Earth, as in a block that is not georeferenced."""
+    """Raises `TableError` if cameras are not near the Earth, as in a block that is not georeferenced."""
     radius = np.linalg.norm(centres, axis=1)
     if np.any((radius < RADII[0]) | (radius > RADII[1])):
         raise TableError(
@@ -198,7 +198,7 @@ def _camera(path: Any, name: str, sensor: ET.Element) -> FrameCamera:
 
 
 def _pose(R_ecef_from_camera: np.ndarray, centres: np.ndarray) -> Pose:
-    """Poses of bodies that have the cameras in `Mount.nadir()`."""
+    """Poses of bodies that carry the cameras in `Mount.nadir()`."""
     lon, lat, height = pyproj.Transformer.from_crs(4978, 4979, always_xy=True).transform(*centres.T)
     lon, lat = np.deg2rad(lon), np.deg2rad(lat)
     sin, cos = np.sin, np.cos

@@ -1,4 +1,4 @@
-"""Parameter files of Orthority: cameras in YAML, orientations in GeoJSON or CSV, as exposures."""
+"""Orthority parameter files: cameras in YAML, orientations in GeoJSON or CSV, as exposures."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from jaxgeo.io.orientations import poses_of_opk
 from jaxgeo.io.vertical import height_shift, is_unnamed
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
 
-# Coefficients of each type of camera that is read; those of `UNREAD` must be zero.
+# Coefficients of each supported camera type; those of `UNREAD` must be zero.
 TYPES = {
     "pinhole": (),
     "brown": ("k1", "k2", "p1", "p2", "k3"),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # of opencv: thin prism and tilted sensor
+UNREAD = ("s1", "s2", "s3", "s4", "tx", "ty")  # opencv thin prism and tilted sensor
 FORM = "parameter file of Orthority"
 LARGEST_ANGLE = 2.0 * np.pi
 
@@ -62,22 +62,21 @@ def read_orthority(
     crs: str | int | pyproj.CRS | None = None,
     camera: str | None = None,
 ) -> Acquisition:
-    """The images of an exterior parameter file of Orthority, with the cameras of its interior parameter file.
+    """Read the images of an Orthority exterior parameter file, with the cameras of its interior parameter file.
 
-    `interior` is YAML (`*_int_param.yaml`; PyYAML is needed): cameras of type pinhole, brown or opencv by name.
+    `interior` is YAML (`*_int_param.yaml`; needs PyYAML): cameras of type pinhole, brown or opencv by name.
     `exterior` is GeoJSON (`*_ext_param.geojson`: positions and angles in rad in the map `world_crs`) or CSV with
-    `filename` and either `x`, `y`, `z`, `omega`, `phi`, `kappa` in a map, that a file of the same name ending in .prj
-    or `crs` names, or `latitude`, `longitude`, `altitude`, `roll`, `pitch`, `yaw`; in degrees.
+    `filename` and either `x`, `y`, `z`, `omega`, `phi`, `kappa` in a map, given by a .prj file of the same name or by
+    `crs`, or `latitude`, `longitude`, `altitude`, `roll`, `pitch`, `yaw`; in degrees.
 
-    Orthority takes a map for a plane with the ground's own scale. Here positions are exact and the grid's convergence
-    is allowed for at each image, so that the ground lies on the bent Earth, below its plane by r^2 / 2R at distance r,
-    and in a map's true size.
+    Orthority treats the map as a plane at ground scale. Here positions are exact and the grid convergence is applied
+    at each image, so the ground follows the curved Earth, below that plane by r^2 / 2R at distance r, at true scale.
 
-    - `height_datum`: what heights are measured from, as in scene files; may be left out where the map states it.
-    - `crs`: the map, where the file does not name it.
-    - `camera`: takes the images of that camera alone; those of one record are of one size.
+    - `height_datum`: datum of the heights, as in scene files; optional if the map's CRS states it.
+    - `crs`: the map's CRS, if the file does not name it.
+    - `camera`: selects the images of that camera; images of one record have one size.
 
-    Raises `UnstatedDatum`, `TableError` with file and key for a camera of another type, one that is not there, values
+    Raises `UnstatedDatum`, `TableError` with file and key for a camera of another type or a missing one, values
     that are missing or out of range, cameras of several sizes, a map that contradicts `crs`; `VerticalDatumError`;
     `FileNotFoundError`; `ImportError` without PyYAML; `RuntimeError` with 64-bit floats off.
     """
@@ -90,12 +89,12 @@ def read_orthority(
 
 
 def read_orthority_cameras(path: str | os.PathLike[str]) -> dict[str, FrameCamera]:
-    """The cameras of an interior parameter file of Orthority, by name; raises as `read_orthority`."""
+    """Read the cameras of an Orthority interior parameter file, by name; raises as `read_orthority`."""
     require_x64()
     content = _read_yaml(path)
     if not isinstance(content, dict) or not content:
         raise TableError(f"{path}: expected cameras by name; got {shown(content)}.")
-    if "type" in content and not isinstance(content["type"], dict):  # one camera, without a table of its own
+    if "type" in content and not isinstance(content["type"], dict):  # one camera at the top level
         content = {str(content.get("name", "unknown")): content}
     return {str(name): _camera(f"{path}, {name}", table) for name, table in content.items()}
 
@@ -138,7 +137,7 @@ def _camera(where: str, table: Any) -> FrameCamera:
 
 
 def _pair(where: str, table: Mapping[str, Any], key: str, *, one_too: bool = False) -> list[float]:
-    """Two positive numbers (along columns, along rows) under a key; one stands for both, where it may."""
+    """Two positive numbers (along columns, along rows) under a key; one applies to both, if `one_too`."""
     value = value_of(where, table, key)
     pair = [value, value] if one_too and not isinstance(value, list) else value
     if not isinstance(pair, list) or len(pair) != 2:
@@ -194,7 +193,7 @@ def _of_csv(
     crs: Any,
     camera: str | None,
 ) -> Acquisition:
-    """A CSV file: a table of orientations under Orthority's names of columns."""
+    """Read a CSV file: an orientation table with Orthority's column names."""
     named = path.with_suffix(".prj")
     words = _words(path)
     mixed = {"x", "roll"} <= words or {"latitude", "omega"} <= words
@@ -214,7 +213,7 @@ def _of_csv(
 
 
 def _words(path: pathlib.Path) -> set[str]:
-    """The names of the columns, in small letters; none where the file cannot be read, which reading it then reports."""
+    """The column names in lower case; none if the file cannot be read, which its reader then reports."""
     try:
         text = read_text(path, "exterior parameter file")
     except (OSError, ValueError):
@@ -223,7 +222,7 @@ def _words(path: pathlib.Path) -> set[str]:
 
 
 def _taken_by(path: Any, cameras: Mapping[str, FrameCamera], names: list[str], given: list[Any]) -> np.ndarray:
-    """The name of each image's camera; where the file has none, the only one there is."""
+    """The camera name of each image; the only camera if the file names none."""
     missing = [name for name, camera in zip(names, given, strict=True) if camera is None]
     if missing and len(cameras) > 1:
         raise TableError(f"{path}: image {missing[0]} has no camera, and there are {', '.join(cameras)}; name one.")
@@ -244,7 +243,7 @@ def _vectors(path: Any, names: list[str], tags: tuple[Mapping[str, Any], ...], k
 def _poses_in_map(
     path: Any, names: list[str], xyz: np.ndarray, opk: np.ndarray, crs: Any, height_datum: str | float | None
 ) -> Pose:
-    """Poses of photogrammetric angles in a map."""
+    """Poses from omega, phi, kappa in a map."""
     horizontal, vertical = metric_map(path, crs)
     if height_datum is None and (vertical is None or is_unnamed(vertical)):
         raise UnstatedDatum(
@@ -264,7 +263,7 @@ def _poses_in_map(
     try:
         shift = height_shift(height_datum, vertical)
         height = np.asarray(shift.to_ellipsoid(lon, lat, z))
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     low, high, _ = POSE_COLUMNS["height_m"]
     lost = ~(np.isfinite(convergence) & np.isfinite(height) & (height >= low) & (height <= high))
@@ -284,7 +283,7 @@ def _same(path: Any, one: Any, other: Any) -> bool:
 
 
 def _read_yaml(path: str | os.PathLike[str]) -> Any:
-    """What a YAML file holds; keys that stand twice and references within the file are refused."""
+    """The content of a YAML file; duplicate keys and references within the file are refused."""
     try:
         import yaml
     except ImportError as error:
@@ -314,7 +313,7 @@ def _read_yaml(path: str | os.PathLike[str]) -> Any:
 
 
 def _refuse_doubles(path: Any, node: Any) -> None:
-    """Raises `TableError` for a key that stands twice in one table of a YAML file."""
+    """Raises `TableError` for a duplicate key in one table of a YAML file."""
     pairs = node.value if node is not None and node.id == "mapping" else []
     seen = Counter(key.value for key, _ in pairs if isinstance(key.value, str))
     twice = [name for name, count in seen.items() if count > 1]

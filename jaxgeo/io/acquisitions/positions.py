@@ -1,4 +1,4 @@
-"""Better positions for images: those of a table in place of those in the images, joined by name, number or time."""
+"""Replacement of image positions by those of a table, joined by name, number or time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from jaxgeo.io.acquisitions.record import Acquisition
 from jaxgeo.io.errors import TableError
 from jaxgeo.uncertainty.sources import Position
 
-NUMBER = re.compile(r"(?<!\d)(\d{4})(?!\d)")  # of a photo in its name: DJI_0001.JPG, DJI_20230615124530_0001_V.JPG
-FAR = 1000.0  # m between an image's own position and that of the table: another flight
-LATE = 1.0  # s between an image and its mark, where they are joined by time
-SPREAD = 10.0  # s by which the differences of their clocks may vary, where they are joined by number
+NUMBER = re.compile(r"(?<!\d)(\d{4})(?!\d)")  # photo number in a name: DJI_0001.JPG, DJI_20230615124530_0001_V.JPG
+FAR = 1000.0  # m between an image's own position and the table's: beyond it is another flight
+LATE = 1.0  # s: tolerance between an image and its mark when joined by time
+SPREAD = 10.0  # s: allowed spread of clock differences when joined by number
 EARTH_RADIUS = 6.371e6  # m
 
 
@@ -33,16 +33,16 @@ def with_positions(
     height_datum: str | float | None = None,
     crs: str | int | pyproj.CRS | None = None,
 ) -> Acquisition:
-    """Exposures with the positions of a file in place of their own, and with its errors of position.
+    """Exposures with positions and position errors from a file instead of their own.
 
-    Read are the `geo.txt` of OpenDroneMap, its report `shots.geojson`, DJI's `Timestamp.MRK`, and tables with the
-    columns of `read_orientations` for names and positions, `sigma_north_m`, `sigma_east_m`, `sigma_down_m` among them.
-    Names are compared with their ending and without, in any case of letters; marks belong to the images by the four
-    digits in their names, else by time in UTC. Exposures that the file does not have are left out, and named in
-    `assumed`. Where it has no heights, those of the exposures stay.
+    Supported are OpenDroneMap's `geo.txt` and report `shots.geojson`, DJI's `Timestamp.MRK`, and tables with the
+    columns of `read_orientations` for names and positions, including `sigma_north_m`, `sigma_east_m`, `sigma_down_m`.
+    Names match with or without their extension, in any case; marks match images by the four digits in the name, else
+    by time in UTC. Exposures that are missing in the file are left out, and named in
+    `assumed`. If it has no heights, those of the exposures are kept.
 
-    - `height_datum`: what the file's heights are measured from, where it does not say it itself, as marks do.
-    - `crs`: the map of its positions, where it has them in one and does not say in which.
+    - `height_datum`: datum of the file's heights, unless the file states it, as marks do.
+    - `crs`: the CRS of its positions, if they are projected and the file does not state it.
 
     Raises `UnstatedDatum`; `TableError` if the file has none of the exposures, and for a position more than 1 km from
     that in the image; as the readers.
@@ -53,7 +53,7 @@ def with_positions(
 
 
 def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
-    """The same with positions that have been read."""
+    """As `with_positions`, for positions already read."""
     rows, by = _joined(found, table)
     kept = np.flatnonzero(rows >= 0)
     if not len(kept):
@@ -83,8 +83,8 @@ def with_table(found: Acquisition, table: PositionTable) -> Acquisition:
 
 
 def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> None:
-    """Raises `TableError` where images that were read one by one and a table are not of one flight, by their times, or
-    where two images have one number. Images that are joined by name or by time need no check."""
+    """Raises `TableError` if the times of images read one by one and of a table are not of one flight, or if two
+    images share a number. Images joined by name or by time need no check."""
     numbered = [one for one in images if all(map(_numbers_in, one.names))]
     if table.names is not None or len(numbered) < 2:
         return
@@ -104,7 +104,7 @@ def check_one_flight(images: Sequence[Acquisition], table: PositionTable) -> Non
 
 
 def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
-    """(row of the table of each exposure, -1 where it has none; by what they were joined)."""
+    """(table row of each exposure, -1 if missing; the join key)."""
     if table.names is not None:
         return _by_name(found, [str(name) for name in table.names]), "name"
     assert table.numbers is not None
@@ -120,7 +120,7 @@ def _joined(found: Acquisition, table: PositionTable) -> tuple[np.ndarray, str]:
 
 
 def _numbers_in(name: str) -> list[str]:
-    """The numbers of four digits in the name of an image."""
+    """The four-digit numbers in an image name."""
     return NUMBER.findall(os.path.basename(name))
 
 
@@ -138,7 +138,7 @@ def _by_name(found: Acquisition, names: list[str]) -> np.ndarray:
 
 
 def _stem(name: str) -> str:
-    """A name without its folder and the ending of an image, in small letters."""
+    """A name without its folder and image extension, in lower case."""
     return re.sub(r"\.(jpe?g|tiff?|png|dng)$", "", os.path.basename(name).lower())
 
 
@@ -154,7 +154,7 @@ def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
 
 
 def _check_clocks(found: Acquisition, table: PositionTable, kept: np.ndarray, rows: np.ndarray) -> None:
-    """Raises `TableError` where images and marks of equal numbers are not of one flight, by their times."""
+    """Raises `TableError` if times show that images and marks of equal numbers are not of one flight."""
     times = np.asarray(found.shots.time)[kept]
     has_time = times > 0.0
     if table.time is None or np.sum(has_time) < 2:
@@ -190,7 +190,7 @@ def _none_joined(found: Acquisition, table: PositionTable) -> str:
 
 
 def _of_images(found: Acquisition, table: PositionTable) -> list[str]:
-    """What was taken for granted of the images, without what was said of the positions that are replaced."""
+    """Assumptions about the images, without those about the replaced positions."""
     gone = ["How well the positions"] + (["Heights are"] if table.has_heights else [])
     return [one for one in found.assumed if not one.startswith(tuple(gone))]
 

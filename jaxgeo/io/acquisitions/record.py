@@ -17,12 +17,12 @@ from jaxgeo.uncertainty.sources import AbstractSource
 
 
 class UnstatedDatum(TableError):
-    """A file does not say what its heights are measured from, and the caller did not either."""
+    """The datum of a file's heights is stated neither by the file nor by the caller."""
 
 
 @dataclass(frozen=True)
 class Reported:
-    """What the file itself says of the ground in the middle of n images; NaN where it does not.
+    """Ground position and range at the centre of n images as reported by the file; NaN if missing.
 
     `centre` are positions, rad and m above the ellipsoid; `slant_range` is in m.
     """
@@ -35,17 +35,17 @@ class Reported:
 class Acquisition:
     """n exposures. Every array in `sensor`, `shots` and `sources` has a leading axis of n, one entry for each.
 
-    - `path` and `form`, the kind of file in words ("DJI drone image"); `names` (n,) of the images or records.
-    - `sensor`: None where the file knows of no camera (navigation records alone).
+    - `path` and `form`, the kind of file as text ("DJI drone image"); `names` (n,) of the images or records.
+    - `sensor`: None if the file has no camera (navigation records alone).
     - `shots`: poses with heights above the ellipsoid, gimbal readings, and times in s: since 1970 in UTC if
-      `time_is_utc`, else by the clock of the file. A time that is not known is zero.
-    - `sources`: the errors that the file states, none where it states none.
-    - `assumed`: each thing that the file does not say and the reader took for granted, as a sentence.
-    - `facts`: what the file says, in words for people: name and value.
-    - `reported`: what the file says of the ground, for comparison.
-    - `of_camera`: whether the poses without a sensor are the camera's own, as those of a body that has it in
-      `Mount.nadir()` with `Gimbal.fixed()`: then of a scene the camera alone belongs to them.
-    - `tags`: all that was found for each exposure, by the file's own names, those unknown to the reader too.
+      `time_is_utc`, else by the clock of the file. An unknown time is zero.
+    - `sources`: the errors stated in the file, if any.
+    - `assumed`: a sentence for each assumption of the reader.
+    - `facts`: contents of the file for display: name and value.
+    - `reported`: the ground position reported by the file, for comparison.
+    - `of_camera`: whether poses without a sensor are the camera's own, as of a body that carries it in
+      `Mount.nadir()` with `Gimbal.fixed()`: then only the camera of a scene applies to them.
+    - `tags`: everything found for each exposure, by the file's own names, including those unknown to the reader.
     """
 
     path: str
@@ -76,11 +76,11 @@ class Acquisition:
         return len(self.names)
 
     def exposure(self, index: int) -> tuple[Sensor | None, Shot, tuple[AbstractSource, ...]]:
-        """The sensor, the shot and the sources of error of one exposure, without the leading axis."""
+        """The sensor, the shot and the error sources of one exposure, without the leading axis."""
         return jax.tree.map(lambda leaf: np.asarray(leaf)[index], (self.sensor, self.shots, self.sources))
 
     def index_of(self, name: str) -> int:
-        """Which exposure has a name. Raises `KeyError` with the names there are."""
+        """The index of an exposure by name. Raises `KeyError` with the available names."""
         where = np.flatnonzero(self.names == name)
         if not len(where):
             some = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")
@@ -89,5 +89,5 @@ class Acquisition:
 
 
 def for_each(tree: Any, count: int) -> Any:
-    """A tree whose every leaf is repeated along a leading axis, without being copied."""
+    """A tree whose leaves are broadcast along a leading axis, without copying."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), (count, *np.shape(leaf))), tree)

@@ -1,4 +1,4 @@
-"""What a file says of the ground that its images show, held against the sensor's own lines of sight."""
+"""Comparison of reported frame centres and corners with the sensor's own lines of sight."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from jaxgeo.io.acquisitions.st0601 import label
 from jaxgeo.sensor import FrameCamera, Sensor, Shot
 from jaxgeo.sensor.sensor import Sight
 
-FULL_CORNER, OFFSET_CORNER = 82, 26  # tags of the first latitude, upper left; then longitude, and clockwise
+FULL_CORNER, OFFSET_CORNER = 82, 26  # tags of the first (upper left) latitude; longitude follows, corners clockwise
 
 
 class Comparison(NamedTuple):
-    """Of n exposures; NaN where the file reports nothing, or where the axis does not come down to the ground.
+    """Differences for n exposures; NaN if the file reports nothing, or if the axis does not intersect the ground.
 
-    - `slant_range`: m, reported less the distance from the perspective centre to the reported frame centre.
+    - `slant_range`: m, reported minus the distance from the perspective centre to the reported frame centre.
     - `east`, `north`: m, from the reported centre to where the optical axis meets the horizontal plane through it.
-    - `azimuth`, `elevation`: rad, the axis less the direction to the reported centre, seen from the sensor; of azimuth
-      the part across the line of sight, its difference times the cosine of the elevation.
-    - `turn`: rad, clockwise, of the reported corners against those of the sensor's image.
+    - `azimuth`, `elevation`: rad, the axis minus the direction to the reported centre, seen from the sensor; azimuth
+      is the component across the line of sight, the difference times the cosine of the elevation.
+    - `turn`: rad, clockwise rotation of the reported corners relative to those of the sensor's image.
     """
 
     slant_range: np.ndarray
@@ -38,9 +38,9 @@ class Comparison(NamedTuple):
 
 
 def compare_reported(acquisition: Acquisition) -> Comparison:
-    """How far apart the optical axis and the reported centre of the image are, and the images and reported corners.
+    """Differences between the optical axis and the reported image centre, and between image and reported corners.
 
-    Raises `ValueError` for an acquisition without a camera, or of files that report no centre.
+    Raises `ValueError` for an acquisition without a camera, or of files without reported centres.
     """
     if acquisition.sensor is None or acquisition.reported is None:
         missing = "no camera" if acquisition.sensor is None else "no centres of images"
@@ -52,7 +52,7 @@ def compare_reported(acquisition: Acquisition) -> Comparison:
 
 
 def _corners(acquisition: Acquisition) -> np.ndarray:
-    """Latitudes and longitudes (n, 4, 2) of the reported corners, rad: in full, else by their offsets, else NaN."""
+    """Latitudes and longitudes (n, 4, 2) of the reported corners, rad: absolute, else from their offsets, else NaN."""
     assert acquisition.reported is not None
     tags = acquisition.tags or ({},) * len(acquisition)
 
@@ -90,7 +90,7 @@ def _apart(sensor: Sensor, shot: Shot, centre: Geodetic, corners: jax.Array) -> 
 
 
 def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:
-    """The rotation that takes the corners of the image to those on the ground, as seen from the sensor, about best."""
+    """The least-squares rotation from the image corners to those on the ground, as seen from the sensor."""
     camera = sensor.camera
     if not isinstance(camera, FrameCamera):
         return jnp.asarray(jnp.nan)

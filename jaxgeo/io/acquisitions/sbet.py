@@ -1,4 +1,4 @@
-"""Smoothed trajectories of inertial navigation: SBET files of Applanix and others, and their files of errors."""
+"""SBET files (smoothed inertial trajectories) of Applanix and others, and their error files."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from jaxgeo.uncertainty.sources import Attitude, Position
 class SbetRecords:
     """n records of a trajectory, in their order: `number` of each in the file from 0, `times` in s, `poses`.
 
-    Heights are above the ellipsoid, angles in rad. `velocity_ned` (n, 3) in m/s over the ground is None where the file
-    has none or the caller does not want it, `position_sigma` north, east, down (n, 3) in m and `attitude_sigma`
-    heading, pitch, roll (n, 3) in rad without a file of errors.
+    Heights are above the ellipsoid, angles in rad. `velocity_ned` (n, 3) in m/s over the ground is None if missing or
+    not requested. `position_sigma` north, east, down (n, 3) in m and `attitude_sigma` heading, pitch, roll (n, 3) in
+    rad are None without an error file.
     """
 
     path: str
@@ -48,13 +48,13 @@ class SbetRecords:
 
     @property
     def sources(self) -> tuple[Position | Attitude, ...]:
-        """The stated errors of each record; none without a file of errors."""
+        """The stated errors of each record; none without an error file."""
         if self.position_sigma is None or self.attitude_sigma is None:
             return ()
         return _sources(self.position_sigma, self.attitude_sigma)
 
     def acquisition(self) -> Acquisition:
-        """Each record as an exposure of no camera, named by its number in the file."""
+        """Each record as an exposure without a camera, named by its number in the file."""
         shots = Shot(self.poses, np.zeros((len(self), 0)), self.times)
         return Acquisition(
             path=self.path,
@@ -71,8 +71,8 @@ class SbetRecords:
     def trajectory(self, *, longest_gap: float | None = None) -> Trajectory:
         """The trajectory through the records, with their velocities.
 
-        `longest_gap` in s between two records; ten median intervals if left out. Raises `TableError`, naming the
-        record, for fewer than two, gaps, and turns too large to tell their direction.
+        `longest_gap` in s between two records; by default ten median intervals. Raises `TableError`, naming the
+        record, for fewer than two records, gaps, and rotations too large to be unambiguous.
         """
         if len(self) < 2:
             raise TableError(f"{self.path}: one record only; a trajectory needs two or more.")
@@ -85,9 +85,9 @@ class SbetRecords:
             raise TableError(f"{self.path}: {words.replace('knots', 'records')}") from error
 
     def sources_at(self, times: Any) -> tuple[Position, Attitude]:
-        """The stated errors at m times in s (m,), linearly between the records.
+        """The stated errors at m times in s (m,), linearly interpolated between records.
 
-        Raises `ValueError` for times outside them, and without a file of errors.
+        Raises `ValueError` for times outside the records, and without an error file.
         """
         if self.position_sigma is None or self.attitude_sigma is None:
             raise ValueError(f"{self.path}: it was read without errors=, its file of errors (smrmsg).")
@@ -111,27 +111,27 @@ def read_sbet(
     height_datum: str | float = "ellipsoid",
     clock_zero: float | None = None,
 ) -> SbetRecords:
-    """The records of an SBET file (smoothed best estimate of trajectory): 17 little-endian float64 each, no header.
+    """Read an SBET file (smoothed best estimate of trajectory): records of 17 little-endian float64, no header.
 
-    The true heading is the platform heading less the wander angle w: the x axis of the wander frame lies that angle
-    left of north. Its y axis lies left of x (west), z is up, as Applanix writes velocities: north = x cos w - y sin w,
-    east = -x sin w - y cos w, down = -z. Velocities are compared with the change of the positions; other programs
-    write y to the right and z down, which is taken if only that fits, and told in `assumed`. Longitudes and headings
-    come in [-pi, pi]. The file is mapped, not read into memory: of a long one, take a part.
+    The true heading is the platform heading minus the wander angle w: the x axis of the wander frame is rotated by w
+    to the left of north. Its y axis is left of x (west), z is up, as Applanix writes velocities:
+    north = x cos w - y sin w, east = -x sin w - y cos w, down = -z. Velocities are compared with position differences;
+    other programs write y to the right and z down, which is used if only that matches, and noted in `assumed`.
+    Longitudes and headings are in [-pi, pi]. The file is memory-mapped: of a long one, read a part.
 
-    - `errors`: the file of errors that belongs to it (smrmsg: 10 float64 a record; position in m, roll, pitch and
-      heading in arc minutes), linearly between its records.
-    - `between`: first and last time in s, by the file's clock: with the record before and the one after.
-    - `every`: the least time in s from one record to the next; the others are left out, but for the last.
-    - `velocities`: False leaves them out; a trajectory then goes by the positions alone.
-    - `height_datum`: what heights are measured from: the format says the ellipsoid, but a program may have been told
-      to write others; as in scene files.
-    - `clock_zero`: when the file's clock was at zero, in s since 1970 in UTC, which is added to all times: for seconds
-      of week w of GPS, 315964800 + 604800 w, less the leap seconds (18 since 2017).
+    - `errors`: its error file (smrmsg: 10 float64 per record; position in m, roll, pitch and
+      heading in arc minutes), linearly interpolated.
+    - `between`: first and last time in s, by the file's clock, including the record before and the one after.
+    - `every`: the minimum interval in s between records; others are left out, except the last.
+    - `velocities`: False leaves them out; a trajectory then uses the positions alone.
+    - `height_datum`: datum of the heights: the format specifies the ellipsoid, but programs can be configured
+      otherwise; as in scene files.
+    - `clock_zero`: the zero of the file's clock, in s since 1970 in UTC, which is added to all times: for seconds
+      of GPS week w, 315964800 + 604800 w minus the leap seconds (18 since 2017).
 
-    A clock that begins anew with the week of GPS is carried on. Raises `TableError`, naming the record, for a file of
+    A clock that restarts with the GPS week is unwrapped. Raises `TableError`, naming the record, for a file of
     another length, values that are out of range or of another unit or byte order, times that do not increase, `between`
-    that the file does not cover, velocities that are not those of the positions, and errors that are zero, negative or
+    outside the file, velocities that contradict the positions, and errors that are zero, negative or
     do not cover the records; `VerticalDatumError`; `FileNotFoundError`; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -164,7 +164,7 @@ def read_sbet(
 
 
 def _check_kind(path: str, records: np.ndarray) -> None:
-    """Raises `TableError` for a first record that is none of an SBET, saying what it is as far as that shows."""
+    """Raises `TableError` if the first record is not of an SBET, naming the likely content."""
     first = np.array(records[0])
     if _plausible(first):
         return
@@ -185,7 +185,7 @@ def _check_kind(path: str, records: np.ndarray) -> None:
 def _plausible(record: np.ndarray) -> bool:
     with np.errstate(invalid="ignore"):
         used = all(low <= record[FIELDS.index(name)] <= high for name, (low, high, _) in LIMITS.items())
-        # a float64 read in the wrong byte order is often as good as zero: no place, and no rest, is
+        # float64 in the wrong byte order are often nearly zero; real values are exactly zero or far larger
         tiny = np.any((record != 0.0) & (np.abs(record) < 1e-100))
         return bool(used and not tiny and np.isfinite(record[0]))
 
@@ -207,13 +207,13 @@ def _part(path: str, clock: np.ndarray, between: tuple[float, float] | None) -> 
 
 
 def _thinned(path: str, clock: np.ndarray, first: int, last: int, every: float | None) -> np.ndarray:
-    """The numbers of the records to be taken."""
+    """The numbers of the selected records."""
     numbers = np.arange(first, last)
     if every is None:
         return numbers
     if not every > 0.0:
         raise ValueError(f"{path}: every must be above 0 s; got {every:.9g}.")
-    slot = np.floor((clock[first:last] - clock[first]) / every + 1e-6)  # of times that are some us off their beat
+    slot = np.floor((clock[first:last] - clock[first]) / every + 1e-6)  # tolerates times that are some us off
     kept = np.diff(slot, prepend=-1.0) > 0.0
     kept[-1] = True
     return numbers[kept]
@@ -222,14 +222,14 @@ def _thinned(path: str, clock: np.ndarray, first: int, last: int, every: float |
 def _heights(path: str, lat: np.ndarray, lon: np.ndarray, height: np.ndarray, datum: str | float) -> np.ndarray:
     try:
         return ellipsoidal_heights(np.rad2deg(lon), np.rad2deg(lat), height, datum)
-    except VerticalDatumError as error:  # there it is an option of `read_dem`
+    except VerticalDatumError as error:  # its message names an option of `read_dem`
         raise VerticalDatumError(f"{path}: {str(error).replace('vertical_datum', 'height_datum')}") from error
     except OutsideDatum as error:
         raise TableError(f"{path}: {error}") from error
 
 
 def _sources(position: np.ndarray, attitude: np.ndarray) -> tuple[Position, Attitude]:
-    """The errors of n records from their standard deviations, (n, 3) each."""
+    """The error sources of n records from their standard deviations, (n, 3) each."""
     made = jax.vmap(Position)(position), jax.vmap(Attitude)(attitude)
     return jax.tree.map(np.asarray, made)
 
@@ -242,7 +242,7 @@ def _assumed(errors: bool, clock_zero: float | None, carried_on: bool, remark: s
     said = [
         "Positions are of WGS 84: the file does not name its datum (NAD83, for one, lies up to 2 m off).",
         "Position and attitude are those of one body: the file does not name the point that its program reduced it to.",
-        "Attitude is against the ellipsoid's normal, without deflection of the vertical.",
+        "Attitude is relative to the ellipsoid normal (deflection of the vertical ignored).",
     ]
     if clock_zero is None:
         said.append("Times are by the clock of the file, which it does not name: seconds of the GPS week, or of UTC.")
@@ -251,7 +251,7 @@ def _assumed(errors: bool, clock_zero: float | None, carried_on: bool, remark: s
     if errors:
         said.append("Errors of one record are independent of the next's: the file states none of their correlations.")
     else:
-        said.append("How large errors are is not in the file; its smrmsg says so.")
+        said.append("No accuracies in the file; its smrmsg has them.")
     return (*said, *([remark] if remark else ()))
 
 

@@ -1,4 +1,4 @@
-"""Sentences that many files have in common, each once with the number of files that it holds for."""
+"""Merging of sentences from many files, with the number of files that each applies to."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 def told_once(each: Sequence[Sequence[str]], noun: str) -> tuple[str, ...]:
-    """The sentences of each of several files, without repetition, in the order in which they come first.
+    """The sentences of several files without repetition, in order of first occurrence.
 
-    One that does not hold for all files has the number of those for which it does. Of sentences that differ in their
-    numbers alone, the first stands for all of them.
+    A sentence that does not apply to all files has the number of those it applies to. Of sentences that differ only in
+    their numbers, the first represents all.
 
     >>> from jaxgeo.io.acquisitions.sentences import told_once
     >>> print(*told_once([["Scaled by 0.5.", "Level."], ["Scaled by 0.25."], []], "file"), sep="\\n")

@@ -1,4 +1,4 @@
-"""Exposures of several files and folders: arrays by structure, and the files that could not be read with the reason."""
+"""Exposures of several files and folders: batched arrays, and a list of unreadable files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Path = str | os.PathLike[str]
 
 
 class Unread(NamedTuple):
-    """A file that could not be read: its path, the exception of its reader, its place among all exposures."""
+    """A file that could not be read: its path, the reader's exception, its index among all exposures."""
 
     path: str
     error: Exception
@@ -38,17 +38,17 @@ class Unread(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Why, in a line."""
+        """The reason, in one line."""
         return " ".join(str(self.error).split()) or type(self.error).__name__
 
 
 @dataclasses.dataclass(frozen=True)
 class AcquisitionSet:
-    """Exposures of several files: `parts`, each with arrays of one structure, such as of one camera.
+    """Exposures of several files: `parts`, each with arrays of one structure, for example of one camera.
 
-    - `places`: for each part an array (n,): where its exposures stand among all, in the order of the files.
-    - `unread`: files that could not be read; each has a place of its own.
-    - `assumed`: sentences as in `Acquisition`, each once, with the number of files that it holds for if not for all.
+    - `places`: for each part an array (n,): the indices of its exposures among all, in the order of the files.
+    - `unread`: files that could not be read; each has an index of its own.
+    - `assumed`: sentences as in `Acquisition`, each once, with the number of files it applies to if not all.
     """
 
     parts: tuple[Acquisition, ...]
@@ -61,7 +61,7 @@ class AcquisitionSet:
         return sum(len(part) for part in self.parts) + len(self.unread)
 
     def with_parts(self, change: Callable[[Acquisition], Acquisition]) -> AcquisitionSet:
-        """The set with each part changed, and parts put together that now have one structure."""
+        """The set with `change` applied to each part, and parts merged that now share a structure."""
         parts, places = merged([change(part) for part in self.parts], self.places)
         return dataclasses.replace(self, parts=parts, places=places)
 
@@ -69,17 +69,17 @@ class AcquisitionSet:
 def read_acquisitions(
     paths: Path | Sequence[Path], *, progress: Callable[[int, int], object] | None = None, **how: Any
 ) -> AcquisitionSet:
-    """The exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop the others.
+    """Read the exposures of files and folders of any kinds, cameras and image sizes; a bad file does not stop others.
 
-    `paths` and the options `how` are those of `read_acquisition`; a folder stands for the JPEG and TIFF images in it.
-    Each file is read alone: what one of them states (such as standard deviations of its position) is never taken for
-    another. Of several files, records that have a number alone, as those of KLV and SBET, are named with their file:
-    "video.ts/7". An option applies to the files whose reader takes it; with `positions`, an image that the file does
-    not have is unread. `progress` is called with the number of files read and that of all.
+    `paths` and the options `how` are those of `read_acquisition`; a folder stands for its JPEG and TIFF images.
+    Each file is read alone: statements of one file (such as standard deviations of its position) are never applied to
+    another. With several files, records that have only a number, as in KLV and SBET, are named with their file:
+    "video.ts/7". An option applies to the files whose reader accepts it; with `positions`, an image that is missing in
+    that file is unread. `progress` is called with the number of files read and the total.
 
-    Raises, as they concern all files: `WrongOption` for an option that no file's reader takes; `UnstatedDatum` and
-    `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a path that is not
-    there; `ImageError` for a folder without images.
+    Raises, since these concern all files: `WrongOption` for an option that no file's reader accepts; `UnstatedDatum`
+    and `VerticalDatumError`; `TableError` for positions of another flight; `FileNotFoundError` for a missing
+    path; `ImageError` for a folder without images.
 
     >>> import os, tempfile
     >>> from jaxgeo.demo import drone_image
@@ -123,7 +123,7 @@ def read_acquisitions(
 
 
 def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
-    """(files, each once, those of a folder by name; a sentence on what else is in each folder).
+    """(files, each once, those of a folder sorted by name; a sentence on other files in each folder).
 
     Raises `FileNotFoundError`; `ImageError` for a folder without images.
     """
@@ -148,7 +148,7 @@ def files_of(paths: Path | Sequence[Path]) -> tuple[list[str], list[str]]:
 def merged(
     found: Sequence[Acquisition], places: Sequence[np.ndarray]
 ) -> tuple[tuple[Acquisition, ...], tuple[np.ndarray, ...]]:
-    """(acquisitions, places) with those of one structure put together, in the order of their first ones."""
+    """(acquisitions, places) with those of one structure merged, in order of first occurrence."""
     groups: dict[Any, list[int]] = {}
     for i, one in enumerate(found):
         leaves, structure = jax.tree.flatten((one.sensor, one.shots, one.sources))
@@ -165,7 +165,7 @@ def _form(file: str) -> Form | Exception:
 
 
 def _check_options(files: Sequence[str], forms: Sequence[Form | Exception], how: Mapping[str, Any]) -> None:
-    """Raises `WrongOption` for an option that no file's reader takes."""
+    """Raises `WrongOption` for an option that no file's reader accepts."""
     known = {form.name: form for form in forms if isinstance(form, Form)}
     takes = tuple(dict.fromkeys(one for form in known.values() for one in form.takes))
     for name in [name for name, value in how.items() if value is not None]:
@@ -175,18 +175,18 @@ def _check_options(files: Sequence[str], forms: Sequence[Form | Exception], how:
 
 
 def _read(file: str, form: Form, how: Mapping[str, Any]) -> Acquisition | Exception:
-    """The exposures of a file, or why it cannot be read."""
+    """The exposures of a file, or the exception of its reader."""
     own = {name: value for name, value in how.items() if value is not None and name in form.takes}
     try:
         return reader_of(form, own)(file, **checked_options(file, form, own))
     except (UnstatedDatum, VerticalDatumError, MemoryError):
         raise
-    except Exception as error:  # a fault in one file does not stop the others; callers know it from a refusal
+    except Exception as error:  # a bug with one file does not stop the others; callers distinguish it from a refusal
         return error
 
 
 def _in_folder(name: str) -> tuple[list[str], list[str]]:
-    """(images, other files) of a folder by name, hidden ones left out. Raises `ImageError` where no image is in it."""
+    """(images, other files) of a folder by name, without hidden ones. Raises `ImageError` if there are no images."""
     inside = sorted(one for one in pathlib.Path(name).iterdir() if not one.name.startswith("."))
     images = [str(one) for one in inside if one.suffix.lower() in ENDINGS and not one.is_dir()]
     if images:
@@ -204,7 +204,7 @@ def _has_images(folder: pathlib.Path) -> bool:
 
 
 def _joined(found: list[Acquisition]) -> Acquisition:
-    """Acquisitions of one structure as one."""
+    """Merge acquisitions of one structure."""
     first = found[0]
     if len(found) == 1:
         return first
@@ -228,7 +228,7 @@ def _joined(found: list[Acquisition]) -> Acquisition:
 
 
 def _facts(found: list[Acquisition]) -> dict[str, str]:
-    """Each fact once; where it differs from file to file, the first of its values and how many others there are."""
+    """Each fact once; if it differs between files, the first value and the number of others."""
     names = dict.fromkeys(name for one in found for name in one.facts)
     told = {}
     for name in names:
@@ -239,7 +239,7 @@ def _facts(found: list[Acquisition]) -> dict[str, str]:
 
 
 def _reported(found: list[Acquisition]) -> Reported | None:
-    """What the files report of the ground, NaN for those that do not."""
+    """The ground positions reported by the files, NaN for files without."""
     if all(one.reported is None for one in found):
         return None
     rows = []

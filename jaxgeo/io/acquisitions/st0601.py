@@ -1,4 +1,4 @@
-"""MISB ST 0601: the items of the UAS datalink local set, by tag: name, unit, and how its bytes are a number."""
+"""MISB ST 0601: items of the UAS datalink local set by tag, with name, unit and decoding."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgeo.io.acquisitions.klv import Items
 
 
 class Item(NamedTuple):
-    """The standard's name of an item, the unit of its values as read here, and the way from its bytes to a value."""
+    """An item's name in the standard, the unit of its values as read here, and the decoder of its bytes."""
 
     name: str
     unit: str
@@ -24,10 +24,10 @@ class Item(NamedTuple):
 
 
 def decode(items: Items) -> dict[int, Any]:
-    """Values by tag: numbers, texts, and bytes for tags not in the table and for items not of the length they must be.
+    """Values by tag: numbers, texts, and bytes for tags not in the table and for items of a wrong length.
 
-    What the standard reserves for errors and values out of range is NaN, and so is a number of no bytes, unknown. Of
-    an item that stands twice the last counts.
+    Values that the standard reserves for errors and out-of-range are NaN, and so is a number of zero length, unknown.
+    Of a repeated item the last counts.
     """
     values: dict[int, Any] = {}
     for tag, raw in items:
@@ -40,12 +40,12 @@ def decode(items: Items) -> dict[int, Any]:
 
 @functools.cache
 def label(tag: int) -> str:
-    """What a tag is called, with its unit."""
+    """The name of a tag, with its unit."""
     return TAGS[tag].label if tag in TAGS else f"Tag {tag}"
 
 
 def mapped(low: float, high: float, size: int) -> Callable[[bytes], float]:
-    """Unsigned numbers of `size` bytes, from zero to the greatest, over `low` to `high`."""
+    """Decoder of unsigned numbers of `size` bytes, mapped linearly to `low` to `high`."""
 
     def read(raw: bytes) -> float:
         whole = _whole(raw, size)
@@ -55,7 +55,7 @@ def mapped(low: float, high: float, size: int) -> Callable[[bytes], float]:
 
 
 def signed(bound: float, size: int) -> Callable[[bytes], float]:
-    """Signed numbers of `size` bytes over -`bound` to `bound`; the lowest, which has no opposite, says error: NaN."""
+    """Decoder of signed numbers of `size` bytes over -`bound` to `bound`; the lowest is the error code: NaN."""
     greatest = 2 ** (8 * size - 1) - 1
 
     def read(raw: bytes) -> float:
@@ -66,7 +66,7 @@ def signed(bound: float, size: int) -> Callable[[bytes], float]:
 
 
 def imapb(low: float, high: float) -> Callable[[bytes], float]:
-    """Numbers in [`low`, `high`] of any length by MISB ST 1201; its special values (infinities, NaNs, ...) are NaN."""
+    """Decoder of MISB ST 1201 IMAPB in [`low`, `high`], any length; special values (infinities, NaNs, ...) are NaN."""
 
     def read(raw: bytes) -> float:
         if not raw:

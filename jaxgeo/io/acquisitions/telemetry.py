@@ -1,4 +1,4 @@
-"""Telemetry of airborne video, MISB ST 0601: each packet that says where the camera was and looked, an exposure."""
+"""Airborne video telemetry (MISB ST 0601): each packet with camera position and attitude is an exposure."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ def read_telemetry(
     stream: int | None = None,
     camera: FrameCamera | str | os.PathLike[str] | None = None,
 ) -> Acquisition:
-    """The exposures of a file of KLV packets, or of an MPEG transport stream that carries them; the content decides.
+    """Read the exposures of a file of KLV packets, or of an MPEG transport stream with them; detected by content.
 
     Exposures are named by the number of their packet in the file, from 0. Packets that are damaged, or lack what an
-    exposure needs (position, attitude, field of view, angles of the sensor), are left out, counted in `assumed`.
-    A field of view and a roll of the sensor that are sent now and then hold until they change, at most 30 s. Without a
-    field of view it is taken from target width and slant range. How the focal length errs is among the sources, by 1 %,
-    or by 5 % if from target width and slant range. Values that mean "unknown" (a position or a time of
+    exposure needs (position, attitude, field of view, sensor angles), are left out, counted in `assumed`.
+    A field of view and a sensor roll that are sent occasionally hold until they change, at most 30 s. Without a
+    field of view it is computed from target width and slant range. The focal length error is among the sources: 1 %,
+    or 5 % if from target width and slant range. Values that mean "unknown" (a position or a time of
     zero, reserved codes; `jaxgeo.io.sentinels.KLV`) are not taken as numbers; an unknown time is set to zero.
 
-    - `height_datum`: what heights "above mean sea level" are measured from, as in scene files; EGM96 if left out. Not
-      asked where packets have heights above the ellipsoid.
-    - `image_size`: (width, height) in pixels; that of the video if left out, else taken from a list by its ratio.
-    - `upright`: images are level with the horizon, whatever the packets say of the sensor's roll: turrets that keep
-      them so do not always tell it. `compare_reported` shows whether reported corners are turned.
-    - `keep_damaged`: packets with a wrong checksum too, if their items can be separated.
-    - `stream`: index of the data stream, where a transport stream has several.
-    - `camera`: the camera in place of the fields of view in the packets, of one focal length throughout: a
-      `FrameCamera`, a camera file, or a lens in words, "focal=25mm,pitch=3.45um" (`jaxgeo.io.given_camera`).
+    - `height_datum`: datum of heights "above mean sea level", as in scene files; EGM96 by default. Ignored
+      for packets with heights above the ellipsoid.
+    - `image_size`: (width, height) in pixels; by default that of the video, else a usual size of the same ratio.
+    - `upright`: images are level with the horizon, whatever sensor roll the packets state: stabilised turrets do not
+      always report it. `compare_reported` shows whether reported corners are rotated.
+    - `keep_damaged`: also use packets with a wrong checksum, if their items can be separated.
+    - `stream`: index of the data stream, if a transport stream has several.
+    - `camera`: a camera instead of the fields of view in the packets, with one focal length throughout: a
+      `FrameCamera`, a camera file, or a lens as text, "focal=25mm,pitch=3.45um" (`jaxgeo.io.given_camera`).
 
-    Raises `TableError` for a file without packets or without one that can be used, saying why; `VerticalDatumError`;
+    Raises `TableError` for a file without packets or without usable ones, with the reason; `VerticalDatumError`;
     `FileNotFoundError`; `ImportError` for a transport stream without PyAV; `RuntimeError` with 64-bit floats off.
     """
     require_x64()
@@ -106,7 +106,7 @@ def read_telemetry(
 
 
 def _content(path: pathlib.Path, stream: int | None) -> tuple[bytes, tuple[int, int] | None]:
-    """(bytes that hold the packets, size of the images if a video comes with them)."""
+    """(bytes with the packets, image size if the file has a video)."""
     check_regular(path, TableError)
     try:
         with open(path, "rb") as file:
@@ -123,7 +123,7 @@ def _content(path: pathlib.Path, stream: int | None) -> tuple[bytes, tuple[int, 
 
 
 def _other_content(data: bytes) -> str:
-    """What a stream without packets holds instead."""
+    """Description of the content of a stream without packets."""
     others = other_sets(data)
     if others:
         return f"it holds {' and '.join(others)}, not read here. Ask its source for ST 0601, which nearly all write"
@@ -153,7 +153,7 @@ def _shots(columns: Columns, datum: str | float | None, upright: bool) -> Shot:
 
 
 def _level_turn(columns: Columns) -> np.ndarray:
-    """Roll of the head in rad with which its y axis is horizontal and its z axis points down."""
+    """Roll of the head in rad at which its y axis is horizontal and its z axis points down."""
     pitch, roll, azimuth, elevation = (columns[name] for name in ("pitch", "roll", "azimuth", "elevation"))
     forward, right, down = -np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)
     ahead = np.cos(azimuth) * forward + np.sin(azimuth) * right

@@ -1,4 +1,4 @@
-"""MPEG transport streams: the KLV that they carry, and the size of their images."""
+"""MPEG transport streams: embedded KLV and the video size."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from jaxgeo.io.acquisitions.klv import UAS_LOCAL_SET, other_sets
 from jaxgeo.io.errors import TableError
 
 SYNC = 0x47  # first byte of each packet of a transport stream
-PACKETS = {188: 0, 192: 4, 204: 0}  # bytes of a packet, with a time before it or check bytes behind: where SYNC stands
-HEAD = 4 * 204  # bytes that are enough to recognise it
+PACKETS = {188: 0, 192: 4, 204: 0}  # packet size (plain, with timecode, with check bytes): offset of SYNC
+HEAD = 4 * 204  # bytes needed for detection
 
 
 class Carried(NamedTuple):
-    """The KLV of a transport stream, its pieces joined, and the (width, height) of its images, None without any."""
+    """The KLV of a transport stream, joined, and the (width, height) of its video, None without one."""
 
     data: bytes
     image_size: tuple[int, int] | None
 
 
 def is_transport_stream(head: bytes) -> bool:
-    """Whether a file that starts with these bytes is a transport stream."""
+    """Whether these first bytes are of a transport stream."""
     return any(
         len(head) > start + 3 * size and all(head[start + k * size] == SYNC for k in range(4))
         for size, start in PACKETS.items()
@@ -30,9 +30,9 @@ def is_transport_stream(head: bytes) -> bool:
 
 
 def read_transport_stream(path: str | os.PathLike[str], stream: int | None = None) -> Carried:
-    """The KLV in a transport stream: of its only data stream that holds packets of ST 0601, or of stream `stream`.
+    """Read the KLV of a transport stream: of its only data stream with ST 0601 packets, or of stream `stream`.
 
-    Headers of access units (ST 1402, synchronous KLV) stay between the packets. Raises `TableError` for a file that
+    Access unit headers (ST 1402, synchronous KLV) stay between the packets. Raises `TableError` for a file that
     cannot be demultiplexed, one without such packets and one with several such streams; `ImportError` without PyAV.
     """
     check_regular(path, TableError)
@@ -41,7 +41,7 @@ def read_transport_stream(path: str | os.PathLike[str], stream: int | None = Non
         with av.open(os.fspath(path), format="mpegts", options={"protocol_whitelist": "file"}) as container:
             data = _data_streams(container)
             video = container.streams.video
-            codec = video[0].codec_context if video else None  # None where FFmpeg knows no decoder
+            codec = video[0].codec_context if video else None  # None if FFmpeg has no decoder
             size = (int(codec.width), int(codec.height)) if codec is not None else None
     except av.FFmpegError as error:
         raise TableError(f"{path}: FFmpeg cannot read this as a transport stream: {error.strerror}.") from error

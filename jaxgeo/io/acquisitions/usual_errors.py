@@ -1,4 +1,4 @@
-"""Default errors of such equipment where a file states none, each with a sentence."""
+"""Default errors for files that state none, each with a sentence."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from jaxgeo.uncertainty.sources import AbstractSource, Attitude, GimbalAngles, P
 POSITION = (3.0, 3.0, 5.0)  # m north, east, down: a GNSS receiver without corrections
 ATTITUDE = (0.3, 0.1, 0.1)  # deg heading, pitch, roll: a small inertial system
 READINGS = 0.1  # deg: encoders of a gimbal on such a system
-LEVEL = {"yaw": 1.0}  # deg, of a gimbal against the level and north, as drones have: its yaw depends on a compass
+LEVEL = {"yaw": 1.0}  # deg, of a drone gimbal relative to level and north: its yaw depends on a compass
 LEVEL_ELSE = 0.5  # deg: its other angles
-OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose holds the angles of such a gimbal
+OF_DRONES = ("subtitle file of DJI", "flight log of AirData")  # whose pose has the angles of such a gimbal
 
 
 def with_usual_errors(found: Acquisition) -> Acquisition:
-    """The exposures, with usual errors in place of those of position, attitude and gimbal that the file does not state.
+    """The exposures, with default errors of position, attitude and gimbal where the file states none.
 
     Each has a sentence in `assumed`, with its numbers: replace what you know better. 3, 3 and 5 m (north, east, down)
-    of the position; of a gimbal against the level, 1 deg of yaw and 0.5 deg of the rest; else 0.3, 0.1 and 0.1 deg of
-    heading, pitch and roll (of drones' logs, whose poses are their gimbals', 1, 0.5 and 0.5 deg), and 0.1 deg of each
-    reading of a gimbal. A file that states errors of angles is believed about all.
+    for the position; for a gimbal relative to level, 1 deg for yaw and 0.5 deg for the rest; else 0.3, 0.1 and 0.1 deg
+    for heading, pitch and roll (for drone logs, whose poses are the gimbal's, 1, 0.5 and 0.5 deg), and 0.1 deg for
+    each gimbal reading. If a file states any angle errors, no default angle errors are added.
     """
     made = usual_errors_of(found)
     added = tuple(for_each(source, len(found)) for source, _ in made)
@@ -31,7 +31,7 @@ def with_usual_errors(found: Acquisition) -> Acquisition:
 
 
 def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
-    """What `with_usual_errors` adds: sources, for all exposures alike, each with its sentence."""
+    """The sources that `with_usual_errors` adds, common to all exposures, each with its sentence."""
     stated = [type(source) for source in found.sources]
     made = [] if Position in stated else [_position()]
     return made if Attitude in stated or GimbalAngles in stated else [*made, *_angles(found)]
@@ -39,7 +39,7 @@ def usual_errors_of(found: Acquisition) -> list[tuple[AbstractSource, str]]:
 
 def _position() -> tuple[AbstractSource, str]:
     north, east, down = POSITION
-    told = f"Positions err by {north:g}, {east:g}, {down:g} m (standard deviations north, east, down)."
+    told = f"Position sigma: {north:g}, {east:g}, {down:g} m (N, E, D; default)."
     return Position.from_ned(north=north, east=east, down=down), told
 
 
