@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # loads its submodules on demand
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int8
 
