@@ -1,4 +1,4 @@
-"""Where a camera will look: footprints, overlap, pointing and the time of the next image."""
+"""Image coverage planning: footprints, overlap, pointing and exposure timing."""
 
 from jaxgeo._renamed import renamed
 from jaxgeo.coverage.clock import ExposureClock

@@ -1,4 +1,4 @@
-"""What the formulas of overlap refuse, in words."""
+"""Input checks of the overlap formulas."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgeo._typing import Numbers
 
 
 def checked_off_nadir(off_nadir: Any) -> Numbers:
-    """An angle off nadir in rad; raises `ValueError` unless a known one lies in [0, pi/2)."""
+    """An angle off nadir in rad; raises `ValueError` unless a known one is in [0, pi/2)."""
     return _checked(
         off_nadir,
         "off_nadir",
@@ -22,7 +22,7 @@ def checked_off_nadir(off_nadir: Any) -> Numbers:
 
 
 def checked_field_of_view(field_of_view: Any) -> Numbers:
-    """A full angle of view in rad; raises `ValueError` unless a known one lies between 0 and pi, both left out."""
+    """A full field of view in rad; raises `ValueError` unless a known one is in (0, pi)."""
     return _checked(
         field_of_view,
         "field_of_view",
@@ -33,7 +33,7 @@ def checked_field_of_view(field_of_view: Any) -> Numbers:
 
 
 def checked_overlap(overlap: Any, name: str = "overlap") -> Numbers:
-    """A wished overlap, a share of a frame's length; raises `ValueError` unless a known one lies in [0, 1)."""
+    """A target overlap, a share of a frame's length; raises `ValueError` unless a known one is in [0, 1)."""
     return _checked(
         overlap,
         name,
@@ -44,12 +44,12 @@ def checked_overlap(overlap: Any, name: str = "overlap") -> Numbers:
 
 
 def checked_positive(value: Any, name: str, unit: str) -> Numbers:
-    """A finite number; raises `ValueError` for a known one that is not above zero."""
+    """A finite number; raises `ValueError` unless a known one is positive."""
     return _checked(value, name, unit, lambda known: known > 0.0, f"must be above 0 {unit}")
 
 
 def checked_finite(value: Any, name: str, unit: str) -> Numbers:
-    """Any finite number; raises `ValueError` for a known one that is not."""
+    """Any finite number; raises `ValueError` for a known one that is not finite."""
     value = as_array(value, name)
     check_finite(value, name, unit)
     return as_float64(value, name)

@@ -1,4 +1,4 @@
-"""Flights that are surely too short for a second image, told before the programs of a plan are compiled."""
+"""Early detection of flights too short for a second image, before a plan is compiled."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from jaxgeo.terrain import AbstractTerrain, ConstantHeight, Dem
 if TYPE_CHECKING:
     from jaxgeo.coverage.timing import Course
 
-MOMENTS = 33  # of the flight that are looked at
-SURELY = 1.5  # times the way that was flown: relief and swings between the moments do not add as much
+MOMENTS = 33  # sample times of the flight
+SURELY = 1.5  # safety factor on the distance flown, for relief and motion between the samples
 SIDES = {"columns": ((0, 2), (1, 3)), "rows": ((0, 1), (2, 3))}
 
 
 def too_few(last: float, first: float) -> ValueError:
-    """What to tell of a flight that has room for one image."""
+    """Error for a flight with room for one image only."""
     return ValueError(
         f"the last whole image is at {last:.9g} s, before a second image is due after that at {first:.9g} s: fewer "
         "than two images have no overlap. Fly on, or wish for more overlap."
@@ -33,10 +33,10 @@ def too_few(last: float, first: float) -> ValueError:
 
 
 def refuse_too_short(course: Course, along: Along | None, start: float, goal: float) -> None:
-    """Raise `ValueError` if the ground seen surely moves on by less than the share `goal` of an image's near length.
+    """Raise `ValueError` if the imaged ground surely moves by less than the share `goal` of an image's near length.
 
-    By level ground as high as the highest of the terrain, where images are shortest; by a small program without a
-    search. A flight of which that does not tell is left to the timing itself.
+    Assumes level ground at the terrain's highest height, where images are shortest; one small program without a
+    terrain search. Undecided flights are left to the timing itself.
     """
     last, top = float(course.last), _highest(course.terrain)
     if not last > start:
@@ -53,18 +53,18 @@ def refuse_too_short(course: Course, along: Along | None, start: float, goal: fl
     course_of_feet = foot[-1] - foot[0]
     direction = course_of_feet / max(float(np.linalg.norm(course_of_feet)), 1e-9)
     way = np.linalg.norm(np.diff(foot, axis=0), axis=1).sum()
-    turned = np.abs((corners.mean(axis=1) - corners[0].mean(axis=0)) @ direction).max()  # the platform's way included
+    turned = np.abs((corners.mean(axis=1) - corners[0].mean(axis=0)) @ direction).max()  # includes platform motion
     if SURELY * max(way, turned) < goal * _shortest(corners, direction, along):
         raise too_few(last, start)
 
 
 def no_ground(time: float) -> ValueError:
-    """What to tell of an image whose near end looks past the ground."""
+    """Error for an image whose near end is above the horizon."""
     return ValueError(f"the near end of the image sees no ground at {time:.9g} s: no image can be timed by it.")
 
 
 def _refuse_unseen(corners: np.ndarray, along: Along, times: np.ndarray) -> None:
-    """Raise `ValueError` for a moment at which neither side of the image along the flight comes down to any ground."""
+    """Raise `ValueError` for a sample time at which neither image side along the flight sees any ground."""
     seen: np.ndarray = np.all(np.isfinite(corners), axis=2)
     lost = ~np.logical_or(*(seen[:, i] & seen[:, j] for i, j in SIDES[along]))
     if lost.any():
@@ -78,7 +78,7 @@ def _highest(terrain: AbstractTerrain) -> float | None:
 
 
 def _shortest(corners: np.ndarray, direction: np.ndarray, along: Along | None) -> float:
-    """The least length in m of an image's edges along the flight; of either pair, where it is not clear which."""
+    """Shortest length in m of the image edges along the flight; of either pair, if the axis is ambiguous."""
     if along is None:
         along = _clear_axis(corners[0], direction)
     lengths = []
@@ -92,7 +92,7 @@ def _shortest(corners: np.ndarray, direction: np.ndarray, along: Along | None) -
 
 
 def _clear_axis(corners: np.ndarray, direction: np.ndarray) -> Along | None:
-    """The axis of an image that lies along a direction, if it does so within 25 deg."""
+    """The image axis along a direction, if it is within 25 deg."""
     for axis, sides in SIDES.items():
         edge = np.mean([corners[j] - corners[i] for i, j in sides], axis=0)
         if abs(edge @ direction) > 0.9 * np.linalg.norm(edge):
@@ -104,8 +104,8 @@ def _clear_axis(corners: np.ndarray, direction: np.ndarray) -> Along | None:
 def _corners(
     sensor: Sensor, trajectory: Trajectory, times: Float[Array, " moments"], height: Scalar
 ) -> tuple[Float[Array, "moments 4 3"], Float[Array, "moments 3"], Float[Array, " moments"]]:
-    """(what an image's corners see of level ground, NaN where none; the ellipsoid below the platform, ECEF m; the
-    platform's height) at moments."""
+    """(corner intersections with level ground, NaN without one; the ellipsoid point below the platform, ECEF m; the
+    platform's height) at sample times."""
     width, rows = image_size(sensor)
     places = jnp.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, rows - 0.5)])
 

@@ -1,4 +1,4 @@
-"""When to expose next, told while navigation records come in."""
+"""Online exposure timing from a stream of navigation records."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from jaxgeo._typing import IndexField, Scalar, ScalarField
 from jaxgeo.coverage._checks import checked_positive
 from jaxgeo.coverage.geometry import velocity_height_of_overlap
 
-AT_ONCE = 16  # images that can fall due between two records
+AT_ONCE = 16  # maximum number of images due between two records
 NEWTON_STEPS = 8
 GAUSS = np.polynomial.legendre.leggauss(8)  # exact to rounding while the range changes by less than half of itself
 
 
 class ExposureClock(Record):
-    """Counts the integral of speed over slant range since the last image: Li et al. (2020), Eq 36.
+    """Integral of speed over slant range since the last image: Li et al. (2020), Eq 36.
 
-    Each `record` gives the clock as it is after it, and the times of the images that fell due since the one before; the
-    first record is the first image. Between records speed and range are straight lines in time, and the time is where
-    the integral comes to its mark, not at the next record. `mark` is by how much it grows from image to image,
-    `counted` how far it has come since the last; `time` in s, `speed` in m/s and `slant_range` in m are those of the
-    last record, NaN before the first.
+    Each `record` returns the updated clock and the times of the images due since the record before; the first record
+    is the first image. Speed and range are linear in time between records, and an image time is where the integral
+    reaches its mark, not the next record. `mark` is the growth of the integral from image to image, `counted` its
+    value since the last image; `time` in s, `speed` in m/s and `slant_range` in m are those of the last record, NaN
+    before the first.
     """
 
     mark: ScalarField
@@ -40,9 +40,9 @@ class ExposureClock(Record):
 
     @classmethod
     def of(cls, *, overlap: ArrayLike, field_of_view: ArrayLike) -> ExposureClock:
-        """A clock for a wished overlap and the angle of view along the flight, at the near end of the image, in rad.
+        """A clock for a target overlap and the angle of view along the flight, at the near end of the image, in rad.
 
-        For a narrow field: of a wide one seen from near its edge, Eq 36 knows the length only roughly (`VelocityHeight`
+        For a narrow field: for a wide field seen from near its edge, Eq 36 is only a rough length (`VelocityHeight`
         measures it).
 
         Raises `ValueError` for an overlap outside [0, 1) and a field of view outside (0, pi).
@@ -54,13 +54,13 @@ class ExposureClock(Record):
     def record(
         self, *, time: ArrayLike, speed: ArrayLike, slant_range: ArrayLike
     ) -> tuple[ExposureClock, Float[Array, " due"], IndexField]:
-        """(the clock after a record, times in s of the images due since the last one, how many there are).
+        """(the clock after a record, times in s of the images due since the last one, their number).
 
-        `speed` is that of the ground point at the near end along the flight, m/s; `slant_range` its distance in m, over
-        the ground that is seen there: that of `near_edge`, or H / cos(theta) over level ground. The 16 times are
-        infinite where there are fewer images. Under `jit` and `lax.scan` too. Raises `ValueError` for a time that runs
-        backwards, a speed or range that is not positive, and records so far apart that more images fell due between
-        them; where such values are traced, the times are NaN, or the number tells.
+        `speed` in m/s is that of the ground point at the near end along the flight; `slant_range` in m its distance,
+        over the ground seen there: that of `near_edge`, or H / cos(theta) over level ground. Unused ones of the 16
+        times are infinite. Works under `jit` and `lax.scan`. Raises `ValueError` for a time that does not increase, a
+        speed or range that is not positive, and records with more than 16 images due between them; for traced values,
+        the times are NaN, or the number exceeds 16.
         """
         check_finite(time, "time", "s")
         speed, slant_range = checked_positive(speed, "speed", "m/s"), checked_positive(slant_range, "slant_range", "m")
@@ -77,7 +77,7 @@ class ExposureClock(Record):
         return clock, due, count
 
     def expected(self) -> Scalar:
-        """When the next image will be due if speed and range stay as they are, s."""
+        """Time of the next image at the present speed and range, s."""
         clock = as_float64(self, "clock")
         return clock.time + (clock.mark - clock.counted) * clock.slant_range / clock.speed
 

@@ -1,8 +1,8 @@
-"""How gimbal angles follow the attitude, in closed form: LOS_ned = R_ned_from_body Rx(theta) Ry(phi) [0, 0, 1].
+"""Closed-form attitude compensation by gimbal angles: LOS_ned = R_ned_from_body Rx(theta) Ry(phi) [0, 0, 1].
 
 Li et al. (2020), "Effect and compensation of overlap influenced by flight parameter of oblique aerial camera", Eqs
-23-26. theta is -(angle off nadir) of a camera that looks to the right, phi the inner angle, both in rad. A drive that
-turns a mirror turns half as far as phi (`Gimbal.mirror_two_axis`). One item each; use `jax.vmap` for many.
+23-26. theta is -(angle off nadir) of a right-looking camera, phi the inner angle, both in rad. The drive of a mirror
+turns by half of phi (`Gimbal.mirror_two_axis`). Scalar functions; use `jax.vmap` for batches.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class Angles(NamedTuple):
 
 
 def line_of_sight_ned(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLike) -> Vector3:
-    """The line of sight in north-east-down, a unit vector (Eq 23)."""
+    """Unit line of sight in north-east-down (Eq 23)."""
     R_ned_from_body, theta, phi = as_float64((R_ned_from_body, theta, phi), "(R_ned_from_body, theta, phi)")
     zero, one = jnp.zeros(()), jnp.ones(())
     return matvec(R_ned_from_body, jnp.stack(about_x(theta, about_y(phi, (zero, zero, one)))))
 
 
 def line_of_sight_head(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLike, sight_ned: Vector3) -> Vector3:
-    """A direction in north-east-down in the axes of the head that stands at (theta, phi) (Eq 24)."""
+    """A direction in north-east-down, in the axes of a head at (theta, phi) (Eq 24)."""
     R_ned_from_body, theta, phi, sight_ned = as_float64(
         (R_ned_from_body, theta, phi, sight_ned), "(R_ned_from_body, theta, phi, sight_ned)"
     )
@@ -41,10 +41,10 @@ def line_of_sight_head(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarL
 
 
 def angles_towards(R_ned_from_body: Matrix3, sight_ned: Vector3) -> Angles:
-    """The angles that put the line of sight on a direction in north-east-down of any length; exact.
+    """Angles that point the line of sight along a direction in north-east-down of any length; exact.
 
-    With b the direction in the body, theta = atan2(-b_y, b_z) and phi = asin(b_x / |b|), taken as an arctangent. Along
-    the body's x axis theta is undetermined: it is 0, without a gradient.
+    With b the direction in the body, theta = atan2(-b_y, b_z) and phi = asin(b_x / |b|), computed as an arctangent.
+    Along the body's x axis theta is undetermined: it is 0, without a gradient.
     """
     R_ned_from_body, sight_ned = as_float64((R_ned_from_body, sight_ned), "(R_ned_from_body, sight_ned)")
     x, y, z = matvec(R_ned_from_body.T, sight_ned)
@@ -54,7 +54,7 @@ def angles_towards(R_ned_from_body: Matrix3, sight_ned: Vector3) -> Angles:
 
 
 def exact_compensation(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLike, sight_ned: Vector3) -> Angles:
-    """Changes of the angles that bring the line of sight from (theta, phi) onto a direction in north-east-down."""
+    """Changes of the angles that turn the line of sight from (theta, phi) to a direction in north-east-down."""
     theta, phi = as_float64((theta, phi), "(theta, phi)")
     new = angles_towards(R_ned_from_body, sight_ned)
     turn = new.theta - theta
@@ -64,11 +64,11 @@ def exact_compensation(R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarL
 def compensation_of_eqs_25_26(
     R_ned_from_body: Matrix3, theta: ScalarLike, phi: ScalarLike, sight_ned: Vector3
 ) -> Angles:
-    """Changes of the angles as Eqs 25 and 26 have them, from the direction in the axes of the old head (Eq 24).
+    """Changes of the angles by Eqs 25 and 26, from the direction in the axes of the old head (Eq 24).
 
-    Exact only for phi = 0: the head's axes are turned by phi, the frame's are not (for the paper's change of attitude
-    at phi = 10 deg the line of sight is left 0.010 deg off). Eq 25 is printed with a minus, which belongs to the
-    mirror's drive; here the change is that of phi itself.
+    Exact only for phi = 0: the head's axes are rotated by phi, the frame's are not (for the paper's change of attitude
+    at phi = 10 deg the line of sight is 0.010 deg off). Eq 25 is printed with a minus, which belongs to the mirror's
+    drive; here the change is that of phi itself.
     """
     x, y, z = line_of_sight_head(R_ned_from_body, theta, phi, sight_ned)
     return Angles(-jnp.arctan(y / z), jnp.arctan2(x, safe_norm(jnp.stack([y, z]))))

@@ -1,4 +1,4 @@
-"""An image as planning sees it: a sensor at a moment, and what pixels of it meet on the ground."""
+"""Planned images: a sensor at an exposure time, and the ground intersections of its pixels."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain
 
 Places = Float[Array, "places 2"]
-Along = Literal["columns", "rows"]  # the axis of an image that lies along the flight
+Along = Literal["columns", "rows"]  # the image axis along the flight
 
 
 class MovingExposure(Record):
-    """An image of a moving sensor: a `Trajectory` and the `time` in s at which it is taken."""
+    """An image of a moving sensor: a `Trajectory` and the exposure `time` in s."""
 
     trajectory: Trajectory
     time: ScalarField
@@ -41,7 +41,7 @@ Image = Shot | MovingExposure
 
 
 def motion_of(image: Image) -> tuple[Shot | Trajectory, Any]:
-    """What `locate` takes as its shot and its time. Raises `TypeError` for anything else than a shot or an exposure."""
+    """(shot or trajectory, time) as `locate` takes them. Raises `TypeError` if not a shot or an exposure."""
     if isinstance(image, Shot):
         return image, None
     check_is(
@@ -51,7 +51,7 @@ def motion_of(image: Image) -> tuple[Shot | Trajectory, Any]:
 
 
 def checked_image(sensor: Sensor, image: Image) -> tuple[Sensor, Image]:
-    """Sensor and image in float64, checked as at the doors of `locate`."""
+    """Sensor and image in float64, with the input checks of `locate`."""
     sensor, motion, time = checked_exposure(sensor, *motion_of(image))
     return sensor, motion if isinstance(motion, Shot) else MovingExposure(motion, time)
 
@@ -59,7 +59,7 @@ def checked_image(sensor: Sensor, image: Image) -> tuple[Sensor, Image]:
 def seen_at(
     sensor: Sensor, image: Image, places: Places, terrain: AbstractTerrain, air: Atmosphere | None = None
 ) -> Fix:
-    """What pixels (n, 2) of an image see; edges of the image included."""
+    """Fixes of pixels (n, 2) of an image, including its edges."""
     motion, time = motion_of(image)
 
     def one(uv: Float[Array, "2"]) -> Fix:
@@ -69,19 +69,19 @@ def seen_at(
 
 
 def platform_ecef(image: Image) -> Vector3:
-    """Where the platform is at the time of the image, ECEF m."""
+    """Platform position at the exposure time, ECEF m."""
     return WGS84.to_ecef((image if isinstance(image, Shot) else image.shot).pose.position)
 
 
 def local_projection(image: Image) -> TransverseMercator:
-    """The Gauss-Krueger map about the meridian of the platform: within 30 km of it true to scale to 1.1e-5."""
+    """Gauss-Krueger map with the platform's meridian; scale error within 30 km of it 1.1e-5."""
     shot = image if isinstance(image, Shot) else image.shot
     return TransverseMercator.gauss_krueger(shot.pose.position.lon)
 
 
 def on_map(projection: Any, p_ecef: Vector3) -> Float[Array, "2"]:
     """(easting, northing) in m of a point in ECEF m."""
-    if isinstance(projection, TransverseMercator):  # by the normal, which knows no date line and no pole
+    if isinstance(projection, TransverseMercator):  # from the normal: no date line, no pole
         normal, _ = WGS84.normal_and_height(p_ecef)
         return jnp.stack(projection.forward_from_normal(normal))
     position = WGS84.to_geodetic(p_ecef)
@@ -95,7 +95,7 @@ def image_size(sensor: Sensor) -> tuple[int, int]:
 
 
 def end_places(sensor: Sensor, along: Along) -> Places:
-    """The near and the far end of an image, in some order: the middles of its two edges that lie along the flight."""
+    """Near and far end of an image, in either order: middles of its two edges parallel to the flight."""
     size, across = image_size(sensor), 1 if along == "columns" else 0
     middle = 0.5 * (jnp.array(size, jnp.float64) - 1.0)
     return jnp.stack([middle.at[across].set(end) for end in (-0.5, size[across] - 0.5)])
@@ -105,9 +105,9 @@ def end_places(sensor: Sensor, along: Along) -> Places:
 def near_edge(
     sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, atmosphere: Atmosphere | None = None
 ) -> Fix:
-    """What the middle of an image's near end sees: the nearer of its two edges that lie along the flight.
+    """Fix of the middle of an image's near edge: the nearer of its two edges parallel to the flight.
 
-    `along` names the axis of the image in that direction. Where neither end sees ground, the fix of one of them.
+    `along` names the image axis along the flight. If neither end sees ground, the fix of one of them.
     """
     fix = seen_at(sensor, image, end_places(sensor, along), terrain, atmosphere)
     reach = jnp.where(counts_as_fix(fix.status), fix.slant_range, jnp.inf)
@@ -117,8 +117,8 @@ def near_edge(
 def near_length(
     sensor: Sensor, image: Image, terrain: AbstractTerrain, along: Along, ahead: Vector3, air: Atmosphere | None
 ) -> tuple[Scalar, Scalar]:
-    """(length in m along a direction, a unit vector in ECEF, that the near edge of an image has on the ground; the
-    height of that in m): between the corners at which it ends. NaN where one of them sees no ground."""
+    """(length in m of an image's near edge on the ground along a unit vector in ECEF, between its corners; ground
+    height in m). NaN if a corner sees no ground."""
     width, height = image_size(sensor)
     corners = jnp.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     fix = seen_at(sensor, image, corners, terrain, air)

@@ -1,4 +1,4 @@
-"""A strip of images as it is flown: a straight line, what the aircraft does of itself, and what makes up for it."""
+"""Simulated flight of an image strip: planned line, flight noise and its compensation."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ Normals = Float[Array, " normals"]
 
 
 class FlightNoise(Record):
-    """What an aircraft and its camera do of themselves: standard deviations, and for how long they last.
+    """Flight and camera noise: standard deviations and correlation times.
 
     `heading`, `pitch`, `roll` in rad, `height` and `across` (the track's offset to the right) in m, `speed` over the
-    ground in m/s: each a Gauss-Markov process about the plan, of the first order, whose correlation falls to 1/e within
+    ground in m/s: each a first-order Gauss-Markov process about the plan, whose correlation falls to 1/e within
     `lasting` s (one number, or one for each of the six in this order). `gimbal`: control error of each axis in rad of
-    its reading; `timing`: of the moment of exposure, s; both are drawn anew for every image.
+    its reading; `timing`: error of the exposure time, s; both are independent for every image.
     """
 
     heading: ScalarField
@@ -73,7 +73,7 @@ class FlightNoise(Record):
         timing: ArrayLike = 0.0,
         lasting: Any = 10.0,
     ) -> FlightNoise:
-        """From angles in deg, lengths in m, the speed in m/s and times in s.
+        """Noise from angles in deg, lengths in m, speed in m/s and times in s.
 
         Raises `ValueError` for a standard deviation that is negative or not finite, or a time that is not positive.
         """
@@ -97,11 +97,11 @@ class FlightNoise(Record):
 
 
 class Compensation(Record):
-    """What is done about the noise: nothing, unless asked for.
+    """Compensation of the noise; off by default.
 
-    `attitude`: the gimbal is turned so that the line of sight keeps the direction that is planned. `timing`: the next
-    image waits until the integral of speed over height comes to its mark (Li et al. 2020, Eq 36), over level ground;
-    `ground`: the same over the ground that the near end sees.
+    `attitude`: the gimbal keeps the line of sight in the planned direction. `timing`: the next image is taken when the
+    integral of speed over height reaches its mark (Li et al. 2020, Eq 36), over level ground; `ground`: the same over
+    the ground seen at the near end.
     """
 
     attitude: FlagField = eqx.field(converter=np.asarray, default=False)
@@ -110,17 +110,17 @@ class Compensation(Record):
 
     @property
     def words(self) -> str:
-        """What is done, in words."""
+        """The active compensations, in words."""
         timing = "timing by the ground seen" if self.ground else "timing" if np.all(self.timing) else ""
         return " and ".join(part for part in ("attitude" if np.all(self.attitude) else "", timing) if part) or "none"
 
 
 class Strip(Record):
-    """The plan of a strip: `images` of a `sensor`, the first at `shot`, at `speed` m/s along `course` (rad, true).
+    """Plan of a strip: `images` of a `sensor`, the first at `shot`, at `speed` m/s along `course` (rad, true).
 
-    The images follow each other by `step` m of the aircraft's way, which gives a wished `overlap` at the near end if
-    that of every image is as long along the flight as that of the first, `near_length` m on the terrain; or, with a
-    height `ground` (m above the ellipsoid) given, over level ground of that height.
+    Images are `step` m apart along the aircraft's path. That gives the target `overlap` at the near end if every image
+    is as long along the flight as the first, `near_length` m on the terrain; or, with a height `ground` (m above the
+    ellipsoid), over level ground of that height.
     """
 
     sensor: Sensor
@@ -152,7 +152,7 @@ class Strip(Record):
         stations: int = STATIONS,
         atmosphere: Atmosphere | None = None,
     ) -> Strip:
-        """A strip from its first shot; `course` in rad is the shot's heading unless given.
+        """A strip from its first shot; `course` in rad, by default the shot's heading.
 
         Raises `ValueError` for fewer than two images, an overlap outside [0, 1), a speed that is not positive, and a
         first image whose near end sees no ground.
@@ -197,7 +197,7 @@ class Strip(Record):
 
     @property
     def step(self) -> Scalar:
-        """Planned way of the aircraft from image to image in m, at its height."""
+        """Planned distance of the aircraft from image to image in m, at its height."""
         return (1.0 - self.overlap) * self.near_length * self._faster
 
     @property
@@ -206,31 +206,31 @@ class Strip(Record):
         return self.step / self.speed
 
     def with_overlap(self, overlap: ArrayLike) -> Strip:
-        """The same strip with another wished overlap."""
+        """The same strip with another target overlap."""
         return eqx.tree_at(lambda strip: strip.overlap, self, checked_overlap(overlap))
 
     @property
     def _faster(self) -> Scalar:
-        """By how much the aircraft is faster than the ground point of its near end, by the radii."""
+        """Ratio of the speeds of the aircraft and the near end's ground point, by their radii."""
         position = self.shot.pose.position
         radius = WGS84.radius_in_azimuth(position.lat, self.course)
         return (radius + position.height) / (radius + self.ground)
 
 
 def normals_of(strip: Strip) -> int:
-    """How many standard normal numbers a flight of the strip takes."""
+    """Number of standard normal variables of one flight of the strip."""
     return strip.images * (7 + len(strip.sensor.gimbal.axes))
 
 
 def specs_of(strip: Strip) -> list[int]:
-    """For each of those numbers, the place in `SPECS` of the standard deviation it stands for."""
+    """For each of these variables, the index in `SPECS` of its standard deviation."""
     axes = len(strip.sensor.gimbal.axes)
     return [spec for spec in range(len(SPECS)) for _ in range(strip.images * (axes if SPECS[spec] == "gimbal" else 1))]
 
 
 def flown(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> Overlap:
-    """What each image of a flight shares with the one before (images - 1), of standard normal numbers; all zero for the
-    flight as planned. One flight; `jax.vmap` flies many."""
+    """Overlaps of consecutive images of a flight (images - 1), from standard normal numbers; all zeros is the planned
+    flight. One flight; use `jax.vmap` for many."""
     _, edges = _images(strip, noise, normals, compensation)
     return _overlaps(strip, edges)
 
@@ -241,7 +241,7 @@ def shots_of(strip: Strip, noise: FlightNoise, normals: Normals, compensation: C
 
 
 def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Compensation) -> tuple[Shot, GroundEdges]:
-    """The shots of a flight, and the edges of what they see."""
+    """The shots of a flight, and the ground edges of its images."""
     processes, gimbal, timing = _drawn(strip, noise, normals)
     planned, track = _axes(strip.sensor, strip.shot, strip.course)
     late = jnp.roll(timing, -1) - timing
@@ -251,7 +251,7 @@ def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Co
         shot = _shot(strip, way, processes[:, k], gimbal[k], compensation, planned, track)
         return shot, ground_edges(strip.sensor, shot, strip.terrain, strip.along, strip.stations, strip.air)
 
-    if compensation.ground:  # each wait hangs on what the image before sees
+    if compensation.ground:  # each wait depends on what the image before sees
 
         def following(way: Scalar, k: Any) -> tuple[Scalar, tuple[Shot, GroundEdges]]:
             shot, edges = image(way, k)
@@ -270,7 +270,7 @@ def _images(strip: Strip, noise: FlightNoise, normals: Normals, compensation: Co
 def _drawn(
     strip: Strip, noise: FlightNoise, normals: Normals
 ) -> tuple[Float[Array, "6 images"], Float[Array, "images axes"], Float[Array, " images"]]:
-    """The six processes at the images, control errors of the axes, and how late each image is taken."""
+    """The six processes at the images, control errors of the axes, and the delay of each image."""
     axes, n = len(strip.sensor.gimbal.axes), strip.images
     walks, rest = normals[: 6 * n].reshape(6, n), normals[6 * n :]
     sigmas = noise.sigmas
@@ -346,7 +346,7 @@ _near_length = eqx.filter_jit(near_length)
 
 
 def _overlaps(strip: Strip, edges: GroundEdges) -> Overlap:
-    """Every image and the one before, along the planned course."""
+    """Overlaps of consecutive images along the planned course."""
     projection = TransverseMercator.gauss_krueger(strip.shot.pose.position.lon)
     direction = _on_map_direction(strip.shot.pose.position, strip.course, projection)
     on_the_map = jax.vmap(lambda one: edges_on_map(one, direction, projection))(edges)

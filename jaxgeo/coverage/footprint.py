@@ -1,4 +1,4 @@
-"""The ground outline of an image, and how fine the image is there."""
+"""Ground outline of an image, and its ground sample distance."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from jaxgeo.sensor.camera import Numbers
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractTerrain
 
-PLACES = 64  # to begin with, on each side of an image
-FINEST = 2.0**-14  # px between neighbours, at which a jump of the outline is a jump
-UNEVEN = 0.1  # of a stretch of the outline: what is in its middle in the image may lie so near to an end, no nearer
-PLUMB = 1e-9  # rad off the vertical, within which rounding would say where a line of sight leans
-SMOOTH = 10.0  # times what a step of the image is on the far ground: a gap beyond is a jump
-MOST = 500_000  # places of one outline
-BATCH = 256  # places that are located at a time, so that every outline runs what is compiled for one
+PLACES = 64  # initial points per image side
+FINEST = 2.0**-14  # px between neighbours at which a jump of the outline is accepted
+UNEVEN = 0.1  # of an outline segment: closest distance of its image midpoint to an end
+PLUMB = 1e-9  # rad off the vertical, within which the azimuth of a line of sight is rounding
+SMOOTH = 10.0  # factor on the image step projected to the far ground: a larger gap is a jump
+MOST = 500_000  # points of one outline
+BATCH = 256  # points located at a time, so that every outline uses the same compiled program
 
 
 class Footprint(Record):
     """The ground outline of an image.
 
-    `uv` (n, 2) are places on the image's outer edge in px, from its upper left corner clockwise in the image, the ring
-    not closed; `fix` what each sees, n of each number; `hidden` (n,) whether between a place and the next the outline
-    jumps over ground that nearer ground hides. `outline` (n, 2) are the places on a map, `projection`, (easting,
-    northing) in m, NaN where nothing is seen. `status` of the whole is `hit` if all places see ground; otherwise
-    `crosses_horizon`, or why the first place does not.
+    `uv` (n, 2) are points on the image's outer edge in px, from its upper left corner clockwise in the image, the ring
+    not closed; `fix` holds their n fixes; `hidden` (n,) states whether the outline jumps from a point to the next over
+    ground hidden by nearer ground. `outline` (n, 2) are the points on a map, `projection`, (easting, northing) in m,
+    NaN where no ground is seen. The overall `status` is `hit` if all points see ground; otherwise `crosses_horizon`,
+    or the status of the first point without ground.
     """
 
     uv: PixelField
@@ -58,30 +58,30 @@ class Footprint(Record):
 
     @property
     def found(self) -> np.ndarray:
-        """Which places see ground, (n,)."""
+        """Which points see ground, (n,)."""
         return _seen(self.fix)
 
     @property
     def area(self) -> float:
-        """Area in m2 within the outline, on the map; hidden ground counts. NaN if the outline is not whole."""
-        x, y = (np.asarray(self.outline) - np.asarray(self.outline)[0]).T  # of millions of m, products lose digits
+        """Area in m2 within the outline, on the map, hidden ground included. NaN if the outline is not complete."""
+        x, y = (np.asarray(self.outline) - np.asarray(self.outline)[0]).T  # products of millions of m lose digits
         twice = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
         return 0.5 * abs(float(twice)) if self.ok else math.nan
 
     @property
     def hidden_length(self) -> float:
-        """Length in m on the map of the parts of the outline that jump over hidden ground."""
+        """Length in m on the map of the outline's jumps over hidden ground."""
         here = np.asarray(self.outline)
         steps = np.linalg.norm(np.roll(here, -1, axis=0) - here, axis=1)
         return float(np.sum(steps[np.asarray(self.hidden)]))
 
 
 class GroundSampleDistance(Record):
-    """How large a pixel is on the ground, m: along the image's `columns` axis (from a column to the next), along its
-    `rows` axis, `along` the line of sight and `across` it, all on the surface; and its `area` there, m2.
+    """Size of a pixel on the ground, m: along the image's `columns` axis (from a column to the next), along its `rows`
+    axis, `along` the line of sight and `across` it, all on the surface; and its `area` there, m2.
 
-    `along` and `across` are the length by which the ground in that direction moves the image by one pixel. NaN where
-    the fix (`fix`) has no derivative.
+    `along` and `across` are ground lengths in these directions that move the image by one pixel. NaN where the fix
+    (`fix`) has no derivative.
     """
 
     columns: ScalarField
@@ -102,14 +102,14 @@ def footprint(
     atmosphere: Atmosphere | None = None,
     projection: TransverseMercator | None = None,
 ) -> Footprint:
-    """The outline of what an image sees: its outer edge, put on the ground as densely as `tolerance` m asks.
+    """Ground outline of an image: its outer edge located on the terrain, to a `tolerance` in m.
 
-    `image` is a `Shot`, or an `Exposure` of a trajectory. Each side starts with `places`; between two of them others
-    are put in until the one in the middle lies within `tolerance` of the straight line through its neighbours (in
-    space, heights included) and not at one end of it, and until ground that begins or ends to be seen, or that a ridge
-    hides, is known to a ten thousandth of a pixel. What is finer than the first places may be overlooked.
-    Not for tracing: how many places there are is found by looking. Raises `ValueError` for a tolerance or a number of
-    places that is not positive; what sees no ground has its status.
+    `image` is a `Shot`, or an `Exposure` of a trajectory. Each side starts with `places` points. Midpoints are inserted
+    until each is within `tolerance` of the line through its neighbours (in space, heights included) and not at one end
+    of it, and until every start or end of visible ground, and every ridge that hides ground, is located to a ten
+    thousandth of a pixel. Details finer than the first points may be missed.
+    Not traceable: the number of points depends on the values. Raises `ValueError` for a tolerance or a number of
+    points that is not positive; points without ground have their status.
 
     >>> from jaxgeo import coverage
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=1000.0, width=1000, height=500)
@@ -155,9 +155,9 @@ def ground_sample_distance(
     *,
     atmosphere: Atmosphere | None = None,
 ) -> GroundSampleDistance:
-    """How large the pixel at `uv` = (column, row) is on the ground; for many pixels use `jax.vmap`.
+    """Size on the ground of the pixel at `uv` = (column, row); for many pixels use `jax.vmap`.
 
-    From the derivative of the fix by the pixel, so on the slope that is there. Raises as `locate`.
+    From the derivative of the fix by the pixel, so it includes the slope of the ground. Raises as `locate`.
     """
     sensor, image = checked_image(sensor, image)
     motion, time = motion_of(image)
@@ -182,11 +182,11 @@ def _ground_sampling(
     up, _ = WGS84.normal_and_height(p_ecef)
     shot = motion if not hasattr(motion, "at") else motion.at(time)
     away = p_ecef - sensor.perspective_centre(shot)
-    # What moves along the look on the surface: the level direction of the look, taken up or down onto the slope.
+    # Direction on the surface along the line of sight: its horizontal direction, projected vertically onto the slope.
     surface = normal / jnp.where(area > 0.0, area, 1.0)
     level = away - dot(away, up) * up
     is_plumb = dot(level, level) <= PLUMB**2 * dot(away, away)
-    level = jnp.where(is_plumb, -by_row, level)  # straight down, ahead is where the image has its upper side
+    level = jnp.where(is_plumb, -by_row, level)  # straight down, forward is the top of the image
     along = level - up * dot(level, surface) / jnp.where(dot(up, surface) == 0.0, 1.0, dot(up, surface))
     along = along / jnp.maximum(safe_norm(along), 1e-300)
     across = jnp.cross(surface, along)
@@ -197,7 +197,7 @@ def _ground_sampling(
 
 
 def _length_of_a_pixel(J: Float[Array, "3 2"], direction: Vector3) -> Scalar:
-    """m on the ground in a direction of its surface that move the image by one pixel."""
+    """Length in m on the ground, in a direction along its surface, that moves the image by one pixel."""
     (a, b), (_, d) = J.T @ J
     v = J.T @ direction
     det = a * d - b * b
@@ -207,7 +207,7 @@ def _length_of_a_pixel(J: Float[Array, "3 2"], direction: Vector3) -> Scalar:
 
 
 class Looked(NamedTuple):
-    """Who looks at what, through what, and on which map it is put."""
+    """Inputs of an outline: sensor, image, terrain, atmosphere and map."""
 
     sensor: Sensor
     image: Image
@@ -217,7 +217,7 @@ class Looked(NamedTuple):
 
 
 class _Ring(NamedTuple):
-    """An outline that is being made: `settled` says whether the way from a place to the next is known."""
+    """An outline under refinement; `settled` states whether the segment from a point to the next is finished."""
 
     uv: np.ndarray
     fix: Fix
@@ -226,7 +226,7 @@ class _Ring(NamedTuple):
 
 
 def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
-    """With the middle put in between places and the next where the line between them is not known to be straight."""
+    """The outline with midpoints inserted into segments not known to be straight."""
     asked = np.flatnonzero(~ring.settled)
     after = (asked + 1) % len(ring.uv)
     middles = 0.5 * (ring.uv[asked] + ring.uv[after])
@@ -234,13 +234,13 @@ def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
     here, there = (_taken(ring.fix, index) for index in (asked, after))
     seen = [_seen(fix) for fix in (here, there, between)]
     off, share = _off_line(here.ecef, there.ecef, between.ecef)
-    # A jump is straight too, along a line of sight; but then the middle lies at one of its ends.
+    # A jump is straight too, along a line of sight; but then the midpoint is at one of its ends.
     even = (np.abs(share - 0.5) <= 0.5 - UNEVEN) | (np.linalg.norm(there.ecef - here.ecef, axis=1) <= tolerance)
     straight = (seen[0] == seen[1]) & (seen[0] == seen[2]) & (~seen[0] | ((off <= tolerance) & even))
     finest = np.max(np.abs(ring.uv[after] - ring.uv[asked]), axis=1) <= 2.0 * FINEST
     settled = ring.settled.copy()
     settled[asked] = straight | finest
-    # Both halves of what is not straight are asked again; the middles stay, as they are known now.
+    # Both halves of a segment that is not straight are tested again; their midpoints are known now and stay.
     put = lambda old, new: np.insert(old, asked + 1, new, axis=0)  # noqa: E731
     return _Ring(
         put(ring.uv, middles),
@@ -251,7 +251,7 @@ def _denser(looked: Looked, ring: _Ring, tolerance: float) -> _Ring:
 
 
 def _located(looked: Looked, uv: np.ndarray) -> tuple[Fix, np.ndarray]:
-    """What places (n, 2) see, and that on the map (n, 2), as NumPy arrays; in batches of one size."""
+    """Fixes of points (n, 2), and their map coordinates (n, 2), as NumPy arrays; in batches of one size."""
     parts = []
     for first in range(0, len(uv), BATCH):
         here = uv[np.minimum(np.arange(first, first + BATCH), len(uv) - 1)]
@@ -267,13 +267,13 @@ def _seen_and_mapped(looked: Looked, uv: Float[Array, "places 2"]) -> tuple[Fix,
 
 
 def _seen(fix: Fix) -> np.ndarray:
-    """Whether each of a batch of fixes is ground."""
+    """Whether each fix of a batch is on the ground."""
     status = np.asarray(fix.status)
     return (status == Status.hit) | (status == Status.near_tangent)
 
 
 def _apart(fix: Fix) -> np.ndarray:
-    """m between what a place sees and what the next does; NaN where one sees nothing."""
+    """Distance in m between the fixes of a point and the next; NaN if one sees no ground."""
     return np.linalg.norm(np.roll(fix.ecef, -1, axis=0) - fix.ecef, axis=1)
 
 
@@ -282,7 +282,7 @@ def _taken(fix: Fix, index: np.ndarray) -> Any:
 
 
 def _off_line(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """m from points to the stretches from a to b, and at which share of those from 0 to 1 they are nearest."""
+    """Distance in m from points to the segments from a to b, and the share (0 to 1) of the nearest segment point."""
     along, to = b - a, p - a
     squared = np.sum(along**2, axis=1)
     share = np.clip(np.sum(along * to, axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
@@ -290,8 +290,8 @@ def _off_line(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _jumps(sensor: Sensor, ring: _Ring, tolerance: float) -> np.ndarray:
-    """Whether places as close as may be still see ground far apart: farther than the far ground's own slope explains,
-    as close to the horizon it does."""
+    """Whether points at the finest spacing still see ground far apart: farther than the slope of the far ground
+    explains, as it does close to the horizon."""
     uv, fix, seen = ring.uv, ring.fix, _seen(ring.fix)
     after = np.roll(uv, -1, axis=0)
     close = np.max(np.abs(after - uv), axis=1) <= FINEST
@@ -312,7 +312,7 @@ def _jumps(sensor: Sensor, ring: _Ring, tolerance: float) -> np.ndarray:
 
 @eqx.filter_jit
 def _turns(sensor: Sensor, uv: Float[Array, "places 2"], after: Float[Array, "places 2"]) -> Float[Array, " places"]:
-    """Angles in rad between what places and the next look at."""
+    """Angles in rad between the rays of points and the next ones."""
     ray = lambda place: sensor.camera.ray(place)[0]  # noqa: E731
     return jax.vmap(lambda a, b: safe_angle(ray(a), ray(b)))(uv, after)
 

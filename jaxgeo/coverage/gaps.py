@@ -1,4 +1,4 @@
-"""How likely a strip has gaps, what each part of the noise does to that, and the overlap to plan against it."""
+"""Gap probability of a strip, its sensitivity to each noise source, and the overlap required to avoid gaps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # loads its submodules on demand
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Bool, Float, Int8
 
@@ -26,20 +26,20 @@ from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sources import Attitude, GimbalAngles, Position
 
 CHUNK = 512  # flights at a time
-LATTICE = 4096  # points of the integral of a normal distribution over an orthant
-NUGGET = 1e-10  # share of the largest variance that is added to all, so that margins that go together can be told apart
-LEAST, MOST = 0.0, 0.95  # overlaps between which a plan is looked for
-FEWEST_GAPS = 5  # flights with a gap that a quantile should rest on
-CLOSE = 1e-4  # of overlap, to which it is found
+LATTICE = 4096  # points of the orthant integral of a normal distribution
+NUGGET = 1e-10  # share of the largest variance added to all, so that the covariance of dependent margins is regular
+LEAST, MOST = 0.0, 0.95  # range of overlaps searched for a plan
+FEWEST_GAPS = 5  # flights with a gap required to support a quantile
+CLOSE = 1e-4  # tolerance of the overlap
 
 Derivatives = dict[str, tuple[float, float]]
 
 
 class Flights(Record):
-    """Sampled flights of a strip: what each image shares with the one before (flights, images - 1), see `Overlap`.
+    """Sampled flights of a strip: overlaps of consecutive images (flights, images - 1), see `Overlap`.
 
-    `gap` says whether anything along the strip is left out (also where an image sees no ground, or none beside that
-    of the one before). `squares` are sums of squares of the normal numbers behind each standard deviation in `SPECS`.
+    `gap` states whether any ground along the strip is left out (also where an image sees no ground, or none beside that
+    of the one before). `squares` are sums of squares of the normal numbers of each standard deviation in `SPECS`.
     """
 
     near: Float[Array, "flights pairs"]
@@ -61,7 +61,7 @@ class Flights(Record):
         return jnp.any(self.gap, axis=1)
 
     def gap_probability(self, confidence: float = 0.95) -> tuple[float, tuple[float, float]]:
-        """Share of flights with a gap, and the interval in which the probability lies (Clopper and Pearson 1934)."""
+        """Share of flights with a gap, and its confidence interval (Clopper and Pearson 1934)."""
         bad = np.asarray(self.gap_of_strip)
         interval = scipy.stats.binomtest(int(bad.sum()), bad.size).proportion_ci(confidence, "exact")
         return float(bad.mean()), (float(interval.low), float(interval.high))
@@ -69,8 +69,8 @@ class Flights(Record):
     def gap_derivatives(self) -> Derivatives:
         """d P(gap) / d sigma, with its standard error, for each standard deviation that is not zero.
 
-        By the score of the normal density: no flight is flown again, and nothing is assumed of the terrain. The unit is
-        one over that of the standard deviation (rad, m, m/s, s).
+        By the score of the normal density: no new flights, no assumption on the terrain. The unit is one over that of
+        the standard deviation (rad, m, m/s, s).
         """
         bad = np.asarray(self.gap_of_strip, float)
         counts = np.bincount(specs_of(self.strip), minlength=len(SPECS))
@@ -83,12 +83,12 @@ class Flights(Record):
 
 
 class LinearGaps(Record):
-    """The same by linear propagation about the flight as planned.
+    """Gap probability by linear propagation about the planned flight.
 
-    `margins` (4 pairs,) are the overlaps there at the near ends, then at the far ends, then by how much each image's
-    far end lies beyond the other's near end (`Overlap.sideways`); `cov` (specs, 4 pairs, 4 pairs) the part of their
-    covariance that each standard deviation in `SPECS` has; `free` is the probability of a strip without gaps there,
-    `of_pair` those of a gap at each pair's near end.
+    `margins` (4 pairs,) are the overlaps there at the near ends, then at the far ends, then the distances by which each
+    image's far end is beyond the other's near end (`Overlap.sideways`); `cov` (specs, 4 pairs, 4 pairs) are the
+    contributions of the standard deviations in `SPECS` to their covariance; `free` is the probability of a strip
+    without gaps, `of_pair` the probabilities of a gap at each pair's near end.
     """
 
     margins: Float[Array, " ends"]
@@ -118,7 +118,7 @@ def fly(
     flights: int = 2000,
     compensation: Compensation = Compensation(),
 ) -> Flights:
-    """Flights of a strip in noise: the same for a key and a number, whatever is flown beside it.
+    """Sampled flights of a strip with noise; reproducible for a key and a flight number.
 
     Raises `ValueError` for fewer than two flights.
     """
@@ -135,12 +135,11 @@ def fly(
 
 
 def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation = Compensation()) -> LinearGaps:
-    """The probability of gaps by the derivatives of all overlaps about the planned flight.
+    """Gap probability from the derivatives of all overlaps about the planned flight.
 
-    The overlaps at the near and far ends, and the margins by which images still meet sideways, are taken as jointly
-    normal; the probability that all are positive is Genz's
-    (1992) integral on a lattice. `linear_is_valid` says whether the terrain lets such derivatives be trusted.
-    Raises `ValueError` where the flight as planned sees no ground.
+    The overlaps at the near and far ends, and the sideways margins, are treated as jointly normal; the probability that
+    all are positive is Genz's (1992) integral on a lattice. `linear_is_valid` checks whether linearisation is valid on
+    the terrain. Raises `ValueError` where the planned flight sees no ground.
     """
     check_is(strip, Strip, "strip")
     check_is(noise, FlightNoise, "noise")
@@ -155,9 +154,9 @@ def linear_gaps(strip: Strip, noise: FlightNoise, *, compensation: Compensation 
 def linear_is_valid(
     strip: Strip, noise: FlightNoise, *, compensation: Compensation = Compensation()
 ) -> Bool[Array, "images ends"]:
-    """Whether the error engine trusts derivatives at the ends (near and far, in some order) of all planned images.
+    """Whether linear propagation is valid at the ends (near and far, in either order) of all planned images.
 
-    Its verdict on the fix there, with the noise as errors of attitude, position and gimbal.
+    By the test of `accuracy` on the fixes there, with the noise as errors of attitude, position and gimbal.
     """
     noise_free = eqx.tree_at(lambda n: [getattr(n, name) for name in SPECS], noise, [jnp.zeros(())] * len(SPECS))
     shots = _shots_as_planned(strip, noise_free)
@@ -187,7 +186,7 @@ def required_overlap(
     key: Any = None,
     flights: int = 2000,
 ) -> float:
-    """The overlap to plan so that a share `free` of strips has no gap: by samples with a `key`, without one linearly.
+    """Overlap to plan so that a share `free` of strips has no gap: from samples with a `key`, linearly without one.
 
     The margin is that overlap itself: without noise none would be needed. Raises `ValueError` for a share outside
     (0, 1), and where not even an overlap of 0.95 is enough.
@@ -201,7 +200,7 @@ def required_overlap(
         )
 
     def short(overlap: float) -> float:
-        """Above zero where the overlap is enough; continuous, which a share of flights would not be."""
+        """Positive where the overlap is sufficient; continuous, unlike a share of flights."""
         there = strip.with_overlap(overlap)
         if key is None:
             return float(linear_gaps(there, noise, compensation=compensation).free) - free
@@ -257,7 +256,7 @@ def _linear(strip: Strip, noise: FlightNoise, compensation: Compensation) -> Any
 def orthant(mean: Float[Array, " n"], cov: Float[Array, "n n"], points: int = LATTICE) -> Scalar:
     """Probability that normal variables are all positive: Genz (1992), conditional on those before, over a lattice.
 
-    Differentiable. Variables that go together in lockstep are told apart by a variance of 1e-10 of the largest.
+    Differentiable. A variance of 1e-10 of the largest is added, so that fully dependent variables stay separable.
     """
     n = mean.shape[0]
     nugget = NUGGET * jnp.maximum(jnp.max(jnp.diagonal(cov)), 1e-20)

@@ -1,4 +1,4 @@
-"""How much of the ground one image shares with the next: along the flight at every place across it, and by area."""
+"""Overlap of two images on the ground: along the flight at positions across it, and by area."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ PlanePoints = Float[Array, "stations 2"]
 
 
 class Edges(Record):
-    """The two edges of an image that lie across the flight, on a map: (easting, northing) in m at stations (n, 2).
+    """The two edges of an image across the flight, on a map: (easting, northing) in m at stations (n, 2).
 
-    `leading` is the one ahead in the direction of flight; stations go from the near end to the far end. `status` is
+    `leading` is the edge ahead in the direction of flight; stations run from the near end to the far end. `status` is
     `hit` if all of them see ground.
     """
 
@@ -50,7 +50,7 @@ class Edges(Record):
 
 
 class GroundEdges(Record):
-    """The same edges on the ground: `points` (2, n, 3) in ECEF m, where the `platform` was, and the status."""
+    """The same edges on the ground: `points` (2, n, 3) and `platform` position in ECEF m, and the status."""
 
     points: Float[Array, "... 2 stations 3"]
     platform: Vector3Field
@@ -58,16 +58,16 @@ class GroundEdges(Record):
 
 
 class Overlap(Record):
-    """What an image shares with the one before, as shares of the one before's length along the flight.
+    """Overlap of an image with the one before, in shares of the latter's length along the flight.
 
-    `along` (stations,) at places evenly between the `near` end and the `far` end of what both reach, by their distance
-    across the flight, `across` (stations,) in m on the map; below zero there is a gap. `least` is the least of them,
-    `side` the share of the one before's extent across the flight that both reach (`sideways`: in the same unit, by how
-    much each image's far end lies beyond the other's near end), `area` that of its area that they
-    share. `step` is the way in m on the map from the middle of the one's near end to that of the other's, along the
-    flight. `status` is that of what sees no ground, and all else then NaN; `images_apart` where there is no place
-    across the flight that both reach: `side` is then negative, `area` zero, and the overlaps along the flight are NaN;
-    so they are with `invalid_input`, where one edge is not ahead of the other everywhere: `along` is the wrong axis.
+    `along` (stations,) are overlaps at even distances across the flight from the `near` end to the `far` end of the
+    common range, at `across` (stations,) in m on the map; negative is a gap. `least` is their minimum, `side` the
+    common share of the first image's extent across the flight (`sideways`: in the same unit, the distances by which
+    each image's far end is beyond the other's near end), `area` the common share of its area. `step` is the distance in
+    m on the map along the flight between the middles of the two near ends. `status` is that of an edge without ground,
+    with all else NaN; `images_apart` without a common range across the flight: `side` is then negative, `area` zero,
+    and the overlaps along the flight are NaN; or `invalid_input`, with the same NaN, if one edge is not ahead of the
+    other everywhere: `along` is the wrong axis.
     """
 
     near: ScalarField
@@ -83,7 +83,7 @@ class Overlap(Record):
 
     @property
     def ok(self) -> Array:
-        """Whether all of both edges sees ground, and there is a place across the flight that both reach."""
+        """Whether both edges are completely on the ground and have a common range across the flight."""
         return jnp.asarray(self.status) == Status.hit
 
 
@@ -99,15 +99,15 @@ def overlap(
     atmosphere: Atmosphere | None = None,
     projection: TransverseMercator | None = None,
 ) -> Overlap:
-    """The overlap of two images on the terrain that they see: frames, or strips of a scan.
+    """Overlap of two images on the terrain: frames, or strips of a scan.
 
-    The edges of both that lie across the flight are located at `stations`; the overlap is measured along the
-    `direction` of flight, a vector (easting, northing) on the map, by default from the one platform to the other.
-    `along` names the axis of the image that lies along the flight; left out, it is found, which needs values that are
-    known. The map is `own_map(before)` unless another `projection` is given. Strips side by side overlap along the
-    step from the one to the other just so.
-    On terrain an edge jumps where a ridge hides ground: between its ends it is taken as straight.
-    Differentiable. Raises `ValueError` for images from one place without a `direction`.
+    The edges across the flight of both images are located at `stations`; the overlap is measured along the `direction`
+    of flight, a vector (easting, northing) on the map, by default from the first platform position to the second.
+    `along` names the image axis along the flight; by default it is determined, which needs concrete values. The map is
+    `local_projection(before)` unless a `projection` is given. Strips side by side overlap in the same way, along the
+    step from one to the other.
+    Between the ends of a jump, where a ridge hides ground, an edge is taken as straight.
+    Differentiable. Raises `ValueError` for images from one position without a `direction`.
     """
     check_stations(stations)
     check_along(along)
@@ -125,13 +125,13 @@ def overlap(
 
 
 def check_stations(stations: int) -> None:
-    """Raise `ValueError` for fewer stations than ends."""
+    """Raise `ValueError` for fewer than two stations."""
     if stations < 2:
         raise ValueError(f"stations must be at least 2, the near end and the far end; got {stations}.")
 
 
 def check_along(along: Any) -> None:
-    """Raise `ValueError` for anything else than an axis of an image, or none."""
+    """Raise `ValueError` unless `along` is an image axis or None."""
     if along not in ("columns", "rows", None):
         raise ValueError(f'along must be "columns" or "rows", the axis of the image along the flight; got {along!r}.')
 
@@ -154,9 +154,9 @@ def flight_direction(before: Image, after: Image, projection: TransverseMercator
 def axis_along(
     sensor: Sensor, image: Image, direction: PlanePoint, terrain: AbstractTerrain, projection: TransverseMercator
 ) -> Along:
-    """Which axis of an image lies along a direction on the map: that whose middle line turns its back on it least.
+    """The image axis along a direction on the map: the one whose middle line is most parallel to it.
 
-    Raises `ValueError` where the values are traced, or the middle of the image sees no ground.
+    Raises `ValueError` if the values are traced, or the middle of the image sees no ground.
     """
     width, height = image_size(sensor)
     middle = np.array([0.5 * (width - 1), 0.5 * (height - 1)])
@@ -187,14 +187,14 @@ def ground_edges(
     outcome = jnp.where(counts_as_fix(fix.status), Status.hit.code, fix.status)
     status = outcome[jnp.argmax(outcome != Status.hit)]
     platform = platform_ecef(image)
-    points = jnp.where(status == Status.hit, fix.ecef, platform)  # a stand-in, so that no NaN enters a gradient
+    points = jnp.where(status == Status.hit, fix.ecef, platform)  # a placeholder, so that no NaN enters a gradient
     return GroundEdges(points.reshape(2, stations, 3), platform, status)
 
 
 def edges_on_map(ground: GroundEdges, direction: PlanePoint, projection: TransverseMercator) -> Edges:
-    """Edges on a map, told apart by the direction of flight, and from the near end to the far end."""
+    """Edges on a map, ordered by the direction of flight, and from the near end to the far end."""
     one, other = jax.vmap(jax.vmap(partial(on_map, projection)))(ground.points)
-    # Which is ahead, and which end is near, are matters of sign: no derivative is lost.
+    # Which edge is ahead, and which end is near, depends on signs only: no derivative is lost.
     is_ahead = jnp.mean((one - other) @ direction) > 0.0
     leading, trailing = jnp.where(is_ahead, one, other), jnp.where(is_ahead, other, one)
     below = on_map(projection, ground.platform)
@@ -205,13 +205,13 @@ def edges_on_map(ground: GroundEdges, direction: PlanePoint, projection: Transve
 
 
 def shared(before: Edges, after: Edges, direction: PlanePoint, stations: int) -> Overlap:
-    """The overlap of two images of known edges, along a direction on the map."""
+    """The overlap of two images with known edges, along a direction on the map."""
     status = first_failure(before.status, after.status)
     middle = 0.5 * (before.leading + before.trailing)
     side = jnp.stack([-direction[1], direction[0]])
-    # From near to far is counted upwards, whichever side of the flight the image lies on.
+    # Distances across increase from near to far, on whichever side of the flight the image is.
     side = jnp.where(dot(middle[-1] - middle[0], side) < 0.0, -side, side)
-    # Where a camera looks straight down, a little roll makes the other end the near one: the same ends go together.
+    # At nadir a small roll exchanges near and far end: keep the ends of both images matched.
     ends = 0.5 * (after.leading + after.trailing)[jnp.array([0, -1])]
     falls = dot(ends[1] - ends[0], side) < 0.0
     leading, trailing = (jnp.where(falls, edge[::-1], edge) for edge in (after.leading, after.trailing))
@@ -266,16 +266,16 @@ def _overlap(
 
 
 def _line(edge: PlanePoints, direction: PlanePoint, side: PlanePoint) -> tuple[Array, Array]:
-    """An edge as (distance across, distance along), the first made to rise, as it does but for a turning platform."""
+    """An edge as (distance across, distance along), the first made monotonic; only a turning platform needs that."""
     return jax.lax.cummax(edge @ side), edge @ direction
 
 
 def _reach(lines: list[tuple[Array, Array]]) -> tuple[Scalar, Scalar]:
-    """Where both edges of an image begin, and where the first of them ends, across the flight."""
+    """The range across the flight that both edges of an image cover."""
     (one, _), (other, _) = lines
     return jnp.maximum(one[0], other[0]), jnp.minimum(one[-1], other[-1])
 
 
 def _mean(values: Float[Array, " stations"]) -> Scalar:
-    """Mean over evenly spaced stations, by trapezia."""
+    """Mean over evenly spaced stations, by the trapezoidal rule."""
     return (jnp.sum(values) - 0.5 * (values[0] + values[-1])) / (values.shape[0] - 1)

@@ -1,4 +1,4 @@
-"""Overlap of whole outlines by area, and which ground within an outline nearer ground hides."""
+"""Overlap of outlines by area, and ground within an outline hidden by nearer ground."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.map_cells import ground_at
 
-BATCH = 4096  # places that are looked at from the camera at a time
-MOST = 4_000_000  # of them in all
+BATCH = 4096  # points tested for visibility at a time
+MOST = 4_000_000  # points in all
 
 
 class VisibleGround(Record):
-    """Which ground within an outline an image sees.
+    """Visibility of the ground within an outline.
 
-    `places` (n, 2) are the (easting, northing) in m of squares `spacing` m wide on the footprint's map, by their
-    middles; `status` (n,) is `hit` where the image sees them, `hidden_by_terrain` where nearer ground is in the way,
-    and otherwise why nobody can tell.
+    `places` (n, 2) are the (easting, northing) in m of the centres of squares `spacing` m wide on the footprint's map;
+    `status` (n,) is `hit` where the image sees them, `hidden_by_terrain` where nearer ground hides them, and otherwise
+    the reason why visibility is unknown.
     """
 
     places: PixelField
@@ -42,20 +42,20 @@ class VisibleGround(Record):
     spacing: float = eqx.field(static=True)
 
     def area(self, status: Status) -> float:
-        """Area in m2 of the squares of a status."""
+        """Area in m2 of the squares with a status."""
         return self.spacing**2 * float(np.sum(np.asarray(self.status) == status))
 
     @property
     def hidden_share(self) -> float:
-        """Share of the ground within the outline that nearer ground hides."""
+        """Share of the ground within the outline that is hidden by nearer ground."""
         return float(np.mean(np.asarray(self.status) == Status.hidden_by_terrain))
 
 
 def polygon_overlap(before: Footprint, after: Footprint) -> float:
-    """Share of the area within one outline that lies within another as well, both on the map of the first.
+    """Share of the area within one outline that is also within another, both on the map of the first.
 
-    Hidden ground within an outline counts as covered: `visible_ground` tells which that is. Of an outline that crosses
-    itself each part counts once. Raises `ValueError` for an outline that is not whole.
+    Hidden ground within an outline counts as covered; `visible_ground` finds it. Each part of a self-intersecting
+    outline counts once. Raises `ValueError` for an incomplete outline.
     """
     shapes = []
     for name, one in (("before", before), ("after", after)):
@@ -77,13 +77,12 @@ def visible_ground(
     spacing: float,
     atmosphere: Atmosphere | None = None,
 ) -> VisibleGround:
-    """Which ground within the outline of an image is seen, square by square of `spacing` m: is it in sight of the
-    camera, or hidden? Exactly so for the middles of the squares.
+    """Visibility of the ground within an image's outline, by squares of `spacing` m; exact for their centres.
 
-    Raises `ValueError` for an outline that is not whole, and for a spacing that is not positive or makes more than four
+    Raises `ValueError` for an incomplete outline, and for a spacing that is not positive or makes more than four
     million squares.
     """
-    import shapely  # a well-kept library for polygons; only who asks for them needs it
+    import shapely  # polygon library, needed by these functions only
 
     sensor, image = checked_image(sensor, image)
     check_terrain(terrain, FIRST_HIT)
@@ -132,7 +131,7 @@ def _seen_from(
 
 
 def _parts(places: np.ndarray) -> list[np.ndarray]:
-    """Places in parts of one size; the last place fills up the last part."""
+    """Points in parts of one size; the last point is repeated to fill the last part."""
     numbers = [np.minimum(np.arange(first, first + BATCH), len(places) - 1) for first in range(0, len(places), BATCH)]
     return [places[part] for part in numbers]
 
@@ -143,7 +142,7 @@ def _mapped(projection: TransverseMercator, p_ecef: Float[Array, "places 3"]) ->
 
 
 def _outline_on(one: Footprint, projection: TransverseMercator) -> np.ndarray:
-    """An outline on another map; in batches of one size, since no two outlines have as many places."""
+    """An outline on another map; in batches of one size, since outlines differ in their number of points."""
     p_ecef = np.asarray(one.fix.ecef)
     parts = [np.asarray(_mapped(projection, jnp.asarray(part))) for part in _parts(p_ecef)]
     return np.concatenate(parts)[: len(p_ecef)]

@@ -1,4 +1,4 @@
-"""When to expose next, so that an image overlaps the one before as much as is wished."""
+"""Exposure timing for a target overlap with the image before."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # loads its submodules on demand
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -40,17 +40,17 @@ from jaxgeo.sensor import Sensor, Trajectory
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 
 INTERVAL = 0.05  # s between the nodes of the velocity-height integral
-HALVINGS = 40  # of such an interval, in which the integral comes to its mark
-LOOKED_THROUGH = 24  # times at which the overlap is looked at for the first that is as small as is wished
-ROUNDS = 6  # in which the interval before that is looked through again: to 1e-8 of the wait
-FARTHEST = 4.0  # times the wait that level ground would ask for, within which an overlap is looked for
+HALVINGS = 40  # bisection steps in an interval, for the time at which the integral reaches its mark
+LOOKED_THROUGH = 24  # sample times at which the overlap is evaluated, to bracket the first that reaches the target
+ROUNDS = 6  # refinements of that bracket: to 1e-8 of the wait
+FARTHEST = 4.0  # longest wait searched, in waits over level ground
 MOST = 10_000  # images of one plan
-FEWEST = 64  # that are computed with
-STANDING = 1e-3  # m between two platforms: nearer, the velocity tells the direction of flight
+FEWEST = 64  # padded number of images of a computation, at least
+STANDING = 1e-3  # m between two platforms: below it, the direction of flight is that of the velocity
 
 
 class Plan(Record):
-    """Images of a flight: when they are taken, s, and what each (but the first) shares with the one before.
+    """Exposure times of a flight, s, and the overlap of each image (but the first) with the one before.
 
     `overlaps` has a leading axis of one less than `times`.
     """
@@ -61,7 +61,7 @@ class Plan(Record):
 
 
 class Course(Record):
-    """All that the time of an image hangs on: who flies where, over what, and which way the image lies."""
+    """Inputs of exposure timing: sensor, trajectory, terrain, and the image axis along the flight."""
 
     sensor: Sensor
     trajectory: Trajectory
@@ -71,30 +71,30 @@ class Course(Record):
 
     @property
     def first(self) -> Scalar:
-        """When the first whole image can be taken, s: rows may be exposed before the time of the image."""
+        """Time of the first complete image, s: rows may be exposed before the time of the image."""
         exposure = self.sensor.camera.exposure()
         return self.trajectory.start - (0.0 if exposure is None else jnp.minimum(exposure[0], 0.0))
 
     @property
     def last(self) -> Scalar:
-        """When the last whole image can be taken, s."""
+        """Time of the last complete image, s."""
         exposure = self.sensor.camera.exposure()
         return self.trajectory.end - (0.0 if exposure is None else jnp.maximum(exposure[1], 0.0))
 
     def over(self, terrain: AbstractTerrain) -> Course:
-        """The same over other ground."""
+        """The same course over other ground."""
         return Course(self.sensor, self.trajectory, terrain, self.air, self.along)
 
 
 class AbstractTiming(Record):
-    """When images are due after a first one."""
+    """Base class of timings: the times of images after a first one."""
 
     def check(self, course: Course, along: Along | None, start: float) -> None:
-        """Raise `ValueError` for what cannot work, before programs are compiled; `along` is None until it is found."""
+        """Raise `ValueError` for an impossible plan, before compiling; `along` is None while it is unknown."""
 
     @abc.abstractmethod
     def times(self, course: Course, start: float, most: int) -> np.ndarray:
-        """Times in s of the images from `start` on, that one first, while the trajectory lasts, and `most` at most."""
+        """Times in s of the images from `start`, included, to the end of the trajectory, `most` at most."""
 
 
 class FixedPeriod(AbstractTiming):
@@ -113,13 +113,13 @@ class FixedPeriod(AbstractTiming):
 
 
 class VelocityHeight(AbstractTiming):
-    """By an integral over time: that of speed over height of Li et al. (2020), Eq 36, for any camera.
+    """Timing by the time integral of speed over height of Li et al. (2020), Eq 36, for any camera.
 
-    The next image is due when the integral of V / L has grown by 1 - overlap: V the speed of the ground point of the
-    near end, L the length along the flight that the image has there. Over level ground, and for a narrow field, L is
-    2 tan(omega/2) H / cos(theta), and this is Eq 36. So the ground is that which is seen; with a `height` in m above
-    the ellipsoid it is taken to be level there, whatever the terrain. The integral is made once for the flight, at
-    nodes `INTERVAL` s apart, and the time found where it comes to its mark, not at the next record.
+    The next image is due when the integral of V / L has grown by 1 - overlap: V is the speed of the near end's ground
+    point, L the length of the image there along the flight. Over level ground, and for a narrow field, L is
+    2 tan(omega/2) H / cos(theta), and this is Eq 36. The ground is the terrain seen or, with a `height` in m above the
+    ellipsoid, level ground of that height. The integral is computed once for the flight, at nodes `INTERVAL` s apart;
+    an image time is where it reaches its mark, not the next record.
     """
 
     overlap: ScalarField
@@ -159,12 +159,12 @@ class VelocityHeight(AbstractTiming):
 
 
 class GroundShared(AbstractTiming):
-    """By the overlap itself, on the ground that both images see: the first time at which it is no more than wished.
+    """Timing by the overlap on the ground that both images see: the first time at which it falls to the target.
 
-    `place` says where it counts: at the "near" end, at the "far" end, or where it is "least" along the whole edge. Four
-    times the wait that `VelocityHeight` would ask for is looked through, and the interval in which the overlap first
-    falls to what is wished, again: of a jump, where a ridge comes to hide ground, the time before it is taken. Where
-    no overlap can be told, since an image sees no ground, the next one is taken as `VelocityHeight` would.
+    `place` selects where the overlap counts: at the "near" end, at the "far" end, or its "least" along the whole edge.
+    The search covers four times the wait of `VelocityHeight`, and refines the interval in which the overlap first falls
+    to the target; at a jump, where a ridge starts to hide ground, it returns the time before. If the overlap is unknown
+    because an image sees no ground, the next image is timed as by `VelocityHeight`.
     """
 
     overlap: ScalarField
@@ -193,10 +193,10 @@ class GroundShared(AbstractTiming):
 
 @eqx.filter_jit
 def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array, total: Array, goal: Scalar) -> Scalar:
-    """When the image after one at `time` is due; infinite where the trajectory ends before."""
+    """Time of the image after one at `time`; infinite if the trajectory ends before."""
     longest = course.last - time
     done = jnp.interp(time, nodes, total)
-    level = jnp.interp(done + goal, total, nodes) - time  # at the end of the flight where it does not come to that
+    level = jnp.interp(done + goal, total, nodes) - time  # the end of the flight if the integral stays below its mark
 
     def spare(waits: Float[Array, " waits"]) -> Float[Array, " waits"]:
         moments = jnp.concatenate([time[None], time + waits])
@@ -209,7 +209,7 @@ def _first_due(timing: GroundShared, course: Course, time: Scalar, nodes: Array,
         bracket, _, was_seen = state
         waits = bracket[0] + (bracket[1] - bracket[0]) * jnp.linspace(0.0, 1.0, LOOKED_THROUGH + 1)[1:]
         left = spare(waits)
-        is_short = ~(left > 0.0)  # also where there is no telling
+        is_short = ~(left > 0.0)  # also where the overlap is unknown
         at = jnp.argmax(is_short)
         narrowed = jnp.stack([jnp.where(at > 0, waits[at - 1], bracket[0]), waits[at]])
         exists = jnp.any(is_short)
@@ -237,11 +237,11 @@ def plan(
     stations: int = STATIONS,
     atmosphere: Atmosphere | None = None,
 ) -> Plan:
-    """All images of a flight from `start` in s (the first whole one if left out), and what they share.
+    """All images of a flight from `start` in s (by default the first complete one), and their overlaps.
 
-    The gimbal does what the trajectory's readings say. `along` names the axis of the image that lies along the flight;
-    left out it is found at the start. Ends with the trajectory, or after `most` images. Not for tracing: how many there
-    are is found by flying. Raises `ValueError` where not two images fit, for a start beyond the trajectory, and as
+    The gimbal follows the trajectory's readings. `along` names the image axis along the flight; by default it is
+    determined at the start. Ends with the trajectory, or after `most` images. Not traceable: the number of images
+    depends on the values. Raises `ValueError` if fewer than two images fit, for a start outside the trajectory, and as
     `axis_along`.
     """
     check_terrain(terrain, FIRST_HIT)
@@ -273,7 +273,7 @@ def plan(
 
 
 def _overlaps_of(course: Course, times: np.ndarray, stations: int) -> Overlap:
-    """`overlaps_at`, with the last time repeated up to a power of two, so that not every plan is compiled anew."""
+    """`overlaps_at`, with the last time repeated up to a power of two, so that plans share compiled programs."""
     count = max(FEWEST, 1 << (len(times) - 1).bit_length())
     filled = times[np.minimum(np.arange(count), len(times) - 1)]
     return jax.tree.map(lambda x: x[: len(times) - 1], overlaps_at(course, jnp.asarray(filled), stations))
@@ -281,7 +281,7 @@ def _overlaps_of(course: Course, times: np.ndarray, stations: int) -> Overlap:
 
 @eqx.filter_jit
 def overlaps_at(course: Course, times: Float[Array, " images"], stations: int = STATIONS) -> Overlap:
-    """What images at times share, each with the one before; the leading axis is of one less than the times."""
+    """Overlaps of consecutive images at the given times; the leading axis is one less than that of the times."""
     ground = images_at(course, times, stations)
     before, after = (jax.tree.map(lambda x, part=part: x[part], ground) for part in (slice(None, -1), slice(1, None)))
 
@@ -302,7 +302,7 @@ def images_at(course: Course, times: Float[Array, " images"], stations: int) -> 
 
 
 def pair(course: Course, time: Scalar, before: GroundEdges, after: GroundEdges, stations: int) -> Overlap:
-    """The overlap of two images, the first taken at `time`, along the way from the one platform to the other."""
+    """Overlap of two images, the first taken at `time`, along the line between their platforms."""
     position = course.trajectory.at(time).pose.position
     projection = TransverseMercator.gauss_krueger(position.lon)
     way = on_map(projection, after.platform) - on_map(projection, before.platform)
@@ -328,7 +328,7 @@ def _rates(course: Course, times: Float[Array, " times"]) -> Float[Array, " time
         level = jnp.stack([jnp.where(still, 1.0, north), east, jnp.zeros(())]) / jnp.where(still, 1.0, speed)
         ahead = matvec(R_ecef_from_ned(shot.pose.position), level)
         length, height = near_length(course.sensor, shot, course.terrain, course.along, ahead, course.air)
-        # The ground point moves as fast as the platform's foot does: by the radii less than the platform itself.
+        # The ground point moves as fast as the platform's foot: slower than the platform by the ratio of the radii.
         position = shot.pose.position
         radius = WGS84.radius_in_azimuth(position.lat, jnp.arctan2(level[1], level[0]))
         return speed * (radius + height) / (radius + position.height) / length

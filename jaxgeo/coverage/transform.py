@@ -1,9 +1,9 @@
-"""Overlap by transforming coordinates: near ends of strips, located, on a map.
+"""Overlap by coordinate transformation: near ends of strips, located, on a map.
 
 Li et al. (2020), "Effect and compensation of overlap influenced by flight parameter of oblique aerial camera", section
 2.3: Eqs 13-15 are `jaxgeo.locate` over terrain of a constant height, Eq 10 the map, Eq 16 the step. (The middle part of
-Eq 14 is printed with one numerator for another, (y_T - y_S) over itself.) All functions take one pair of points; use
-`jax.vmap` for many. A point that was not found has NaN coordinates, and so has what comes of it.
+Eq 14 is printed with a wrong numerator, (y_T - y_S) over itself.) All functions take one pair of points; use `jax.vmap`
+for many. A point that was not found has NaN coordinates, and so have all results of it.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def step_on_map(projection: MapProjection, before: Geodetic, after: Geodetic) ->
 
 
 def bearing_on_map(projection: MapProjection, start: Geodetic, end: Geodetic) -> Scalar:
-    """Bearing in rad, clockwise from grid north, from one point to another: the nominal direction of a step, say.
+    """Bearing in rad, clockwise from grid north, from one point to another, e.g. the nominal direction of a step.
 
-    Of two nominal ground points, or of two places of the aircraft. Of a point to itself it is 0, without a gradient.
+    Between two nominal ground points, or two aircraft positions. Between equal points it is 0, without a gradient.
     """
     east, north = step_on_map(projection, start, end)
     same = (east == 0.0) & (north == 0.0)
@@ -48,9 +48,9 @@ def bearing_on_map(projection: MapProjection, start: Geodetic, end: Geodetic) ->
 
 
 def projected_step(projection: MapProjection, before: Geodetic, after: Geodetic, *, bearing: ArrayLike) -> Scalar:
-    """The step in m along the nominal direction, a `bearing` in rad clockwise from grid north (`bearing_on_map`).
+    """Step in m along the nominal direction, a `bearing` in rad clockwise from grid north (`bearing_on_map`).
 
-    It falls steadily as the line of sight is turned backwards, and is negative where the next frame lies behind.
+    It decreases monotonically as the line of sight turns backwards, and is negative if the next frame is behind.
     """
     east, north = step_on_map(projection, before, after)
     angle: Any = as_float64(bearing, "bearing")
@@ -58,11 +58,11 @@ def projected_step(projection: MapProjection, before: Geodetic, after: Geodetic,
 
 
 def euclidean_step(projection: MapProjection, before: Geodetic, after: Geodetic) -> Scalar:
-    """The step in m as Eq 16 has it: the distance between the two points, in whatever direction.
+    """Step in m by Eq 16: the distance between the two points, in any direction.
 
-    It never falls below zero, and offsets across the flight count: over the 0.88 deg of the paper's camera it folds
-    beyond 0.78 deg of heading, where more turning back gives less "overlap". Its gradient is zero between a point and
-    itself.
+    It is never negative, and includes offsets across the flight: with the 0.88 deg of the paper's camera it folds
+    beyond 0.78 deg of heading, where turning farther back gives less "overlap". Its gradient is zero between equal
+    points.
     """
     return _length(step_on_map(projection, before, after))
 
@@ -70,8 +70,8 @@ def euclidean_step(projection: MapProjection, before: Geodetic, after: Geodetic)
 def frame_length_on_map(projection: MapProjection, rear_edge: Geodetic, front_edge: Geodetic) -> Scalar:
     """Length in m of a single frame on the map, between the located middles of its edges across the flight.
 
-    In the same metres as a step on this map, so that the map's scale has no part in the overlap (Eq 1 and a slant range
-    give a length on the ground). The edges of an image lie half a pixel outside its first and last pixel centres.
+    In the same metres as a step on this map, so that the map's scale cancels in the overlap (Eq 1 and a slant range
+    give a length on the ground). The edges of an image are half a pixel outside its first and last pixel centres.
     """
     return _length(step_on_map(projection, rear_edge, front_edge))
 
@@ -79,7 +79,7 @@ def frame_length_on_map(projection: MapProjection, rear_edge: Geodetic, front_ed
 def overlap_along(
     projection: MapProjection, before: Geodetic, after: Geodetic, *, bearing: ArrayLike, length: ArrayLike
 ) -> Scalar:
-    """Overlap of two frames of one `length` in m by their step along the nominal direction (see `projected_step`).
+    """Overlap of two frames of one `length` in m from their step along the nominal direction (see `projected_step`).
 
     Raises `ValueError` for a length that is not finite and positive.
     """
@@ -87,7 +87,7 @@ def overlap_along(
 
 
 def overlap_of_eq_16(projection: MapProjection, before: Geodetic, after: Geodetic, *, length: ArrayLike) -> Scalar:
-    """Overlap of two frames of one `length` in m by the step that the paper takes, which folds (see `euclidean_step`).
+    """Overlap of two frames of one `length` in m from the paper's step, which folds (see `euclidean_step`).
 
     Raises `ValueError` for a length that is not finite and positive.
     """

@@ -86,7 +86,7 @@ def solved(problem: Problem) -> Solution:
 
 
 def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State:
-    """One step: taken if the squares become less, or tried shorter next time."""
+    """One step: accepted if the sum of squares decreases, otherwise shortened for the next trial."""
     kept = eqx.combine(state.exposure, static)
     change = (factor @ state.step)[:-2]
     moved = problem.model.moved(dataclasses.replace(problem.look, exposure=kept), change).exposure
@@ -125,7 +125,7 @@ def _has_ground(problem: Problem) -> Bool[Array, " ties"]:
 
 
 def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) -> Solution:
-    """What the last state says, all of it NaN unless it is an answer."""
+    """Solution from the last state; all numbers are NaN unless the status is `hit`."""
     equations, ties = state.equations, problem.ties
     unknowns = jnp.asarray(problem.prior.mean) + factor @ state.place
     root = jnp.linalg.cholesky(equations.normal)

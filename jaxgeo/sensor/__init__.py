@@ -1,6 +1,6 @@
-"""Sensors: cameras, lens distortion, gimbals, mounts, poses and shots. A sensor knows no terrain.
+"""Sensor model: cameras, lens distortion, gimbals, mounts, poses and shots. It does not depend on terrain.
 
-The conventions in one drawing (`docs/figures/conventions.png` shows them from all sides):
+Conventions (`docs/figures/conventions.png` shows them from all sides):
 
         north                               heading  from true north, clockwise        Rz
           |  x forward                      pitch    nose up                           Ry

@@ -1,4 +1,4 @@
-"""The readings of a gimbal that bring a line of sight nearest to a direction, in closed form and within its limits."""
+"""Closed-form inverse of a gimbal: readings within the limits whose line of sight is nearest to a direction."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from jaxgeo.sensor.gimbal import Gimbal, Readings
 
 FreeAxes = Int[Array, " free"]
 
-SINGULAR = 1e-9  # rad between a line and an axis: nearer, turning about the axis does not move the line
-EXACT = 1e-9  # rad by which readings may miss and count as equals
-LIMIT_SLACK = 1e-12  # of a turn: a reading that is on its limit but for rounding is on it
-OVER_HEAD = 10.0  # rad2 for each rad that the inner axis turns beyond a right angle, against rad2 turned in all
+SINGULAR = 1e-9  # rad between a line and an axis; below it, rotation about the axis does not move the line
+EXACT = 1e-9  # rad; pointing errors below this count as equal
+LIMIT_SLACK = 1e-12  # turns; rounding tolerance for a reading on its limit
+OVER_HEAD = 10.0  # cost (rad2 per rad) of inner-axis rotation beyond a right angle, added to the rotation in rad2
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _ROTATIONS = {"x": Rx, "y": Ry, "z": Rz}
 
 
 class TwoAxes(NamedTuple):
-    """Exp(outer a) Exp(inner b) sight = wanted: all unit vectors, and a and b the angles to be found."""
+    """Solve Exp(outer a) Exp(inner b) sight = wanted for the angles a and b; all vectors are unit vectors."""
 
     outer: Vector3
     inner: Vector3
@@ -45,10 +45,11 @@ def nearest_readings(
 ) -> Readings:
     """Readings within the limits that turn `sight_head` nearest to `wanted_base`; only `free` axes (one or two) turn.
 
-    Of the two ways that there most often are, the one turned least from `start`, or, unless `from_start`, from angles
-    of zero, and not over head by the inner axis. Where a line lies along an axis, that stays at the start.
-    For two axes Paden and Kahan's second subproblem; where that has no root, or none within the limits, the best of the
-    ends: one of the axes at a limit, or both cones of turning in one plane. Unless `thorough`, these are left out.
+    There are usually two solutions. The one with the least rotation from `start` is returned or, unless `from_start`,
+    the one with the least rotation from zero angles whose inner axis does not go beyond a right angle. An axis parallel
+    to the line of sight stays at the start. Two axes: Paden-Kahan subproblem 2; without a root, or without one within
+    the limits, the best boundary case: one or both axes at a limit, or both rotation cones in one plane. Boundary cases
+    are skipped unless `thorough`.
     """
     axes, held = _two_axes(gimbal, start, free, sight_head, wanted_base)
     outer, inner = _candidates(axes, held, _limit_angles(gimbal, free), thorough)
@@ -70,13 +71,13 @@ def nearest_readings(
 
 
 def about(axis: Vector3, angle: Scalar, v: Vector3) -> Vector3:
-    """`v` turned about a unit axis by an angle in rad (Rodrigues)."""
+    """`v` rotated about a unit axis by an angle in rad (Rodrigues)."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return c * v + s * jnp.stack(cross(axis, v)) + (dot(axis, v) * (1.0 - c)) * axis
 
 
 def turn_between(axis: Vector3, v: Vector3, w: Vector3, otherwise: Scalar) -> Scalar:
-    """The angle in (-pi, pi] about `axis` that turns `v` nearest to `w`; `otherwise` where one lies along the axis."""
+    """Angle in (-pi, pi] about `axis` that turns `v` nearest to `w`; `otherwise` if either is parallel to the axis."""
     sine = dot(axis, jnp.stack(cross(v, w)))
     cosine = dot(v, w) - dot(axis, v) * dot(axis, w)
     along = jnp.minimum(_aside(axis, v), _aside(axis, w)) < SINGULAR
@@ -86,10 +87,7 @@ def turn_between(axis: Vector3, v: Vector3, w: Vector3, otherwise: Scalar) -> Sc
 def _candidates(
     axes: TwoAxes, held: Float[Array, "2"], limits: Float[Array, "2 2"], thorough: bool
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """Angles (of the outer, of the inner axis) among which is what comes nearest, before limits cut them.
-
-    Where both axes turn freely; one of them at a limit; and both.
-    """
+    """Candidate (outer, inner) axis angles before limits: both axes free, one axis at a limit, both at limits."""
     meetings = [*_roots(axes), *(_in_one_plane(axes) if thorough else ())]
     to, from_wanted = (jnp.stack(places) for places in zip(*meetings, strict=True))
     if thorough:
@@ -111,7 +109,7 @@ def _candidates(
 
 
 def _roots(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
-    """Where the sight, turned about the inner axis, meets the wanted direction, turned back about the outer one."""
+    """Intersections of the sight's rotation cone (inner axis) and the wanted direction's cone (outer axis)."""
     m = dot(axes.outer, axes.inner)
     spread = 1.0 - m * m
     spread = jnp.where(spread < SINGULAR, 1.0, spread)
@@ -124,7 +122,7 @@ def _roots(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
 
 
 def _in_one_plane(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
-    """Where both cones of turning lie in the plane of the axes: what is nearest if the cones do not meet."""
+    """Cone points in the plane of the two axes: the nearest approach if the cones do not intersect."""
 
     def in_plane(axis: Vector3, other: Vector3, v: Vector3, side: float) -> Vector3:
         across = other - dot(axis, other) * axis
@@ -139,7 +137,7 @@ def _in_one_plane(axes: TwoAxes) -> list[tuple[Vector3, Vector3]]:
 def _two_axes(
     gimbal: Gimbal, start: Readings, free: FreeAxes, sight_head: Vector3, wanted_base: Vector3
 ) -> tuple[TwoAxes, Float[Array, "2"]]:
-    """The free axes alone, what is held put into the vectors; and their angles at the start (one axis: and a dummy)."""
+    """The free axes with the held axes folded into the vectors, and their start angles (dummy for a second axis)."""
     angles = gimbal.angles(start)
     first, last = free[0], free[-1]
     before, between, after = jnp.eye(3), jnp.eye(3), jnp.eye(3)
@@ -159,7 +157,7 @@ def _two_axes(
 
 
 def _limit_angles(gimbal: Gimbal, free: FreeAxes) -> Float[Array, "2 2"]:
-    """Axis angles of the free axes at their limits (a dummy for a missing one), finite."""
+    """Axis angles of the free axes at their limits (a dummy for a missing axis), finite."""
     factor = (gimbal.sign * gimbal.gain)[free]
     whole = 4.0 * jnp.pi
     limits = jnp.clip(factor[:, None] * (gimbal.limits - gimbal.offset[:, None])[free], -whole, whole)
@@ -169,7 +167,7 @@ def _limit_angles(gimbal: Gimbal, free: FreeAxes) -> Float[Array, "2 2"]:
 def _within_limits(
     gimbal: Gimbal, start: Readings, free: FreeAxes, angles: Float[Array, " free"]
 ) -> tuple[Readings, Float[Array, " free"]]:
-    """Readings of free angles, by whole turns as near the start as may be, cut off at the limits; and their angles."""
+    """Readings of free angles, by whole turns nearest to the start, clipped to the limits; and their angles."""
     factor, offset = (gimbal.sign * gimbal.gain)[free], gimbal.offset[free]
     low, high = gimbal.limits[free, 0], gimbal.limits[free, 1]
     period = 2.0 * jnp.pi / jnp.abs(factor)
@@ -187,7 +185,7 @@ def _if(condition: Flag, R: Matrix3) -> Matrix3:
 
 
 def _aside(axis: Vector3, v: Vector3) -> Scalar:
-    """How far a vector's end lies from an axis."""
+    """Distance of a vector's end from an axis."""
     return safe_norm(jnp.stack(cross(axis, v)))
 
 

@@ -1,4 +1,4 @@
-"""The motion between navigation records: a cubic leg from each to the next, made once and flown at any time."""
+"""Cubic interpolation between navigation records: one segment per interval, computed once."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from jaxgeo.sensor.platform import Deflection, Pose, Station
 
 
 class Legs(NamedTuple):
-    """What is at n knots (`times` in s), and what leads from each to the next (n - 1).
+    """Values at n knots (`times` in s) and differences between neighbouring knots (n - 1).
 
-    Positions (ECEF m), steps and velocities (m/s); R_ecef_from_body, turns (rotation vectors) and rates (rad/s, body
-    axes); gimbal readings, their steps and slopes (rad, rad/s); deflections.
+    Positions (ECEF m), position differences and velocities (m/s); R_ecef_from_body, rotation vectors between knots and
+    rates (rad/s, body axes); gimbal readings, their differences and slopes (rad, rad/s); deflections.
     """
 
     times: Array
@@ -39,7 +39,7 @@ class Legs(NamedTuple):
     def of(
         cls, times: Array, poses: Pose, readings: Array, velocity_ned: Array | None, body_rates: Array | None
     ) -> Legs:
-        """The legs through knots; velocities and rates that are not given are those of parabolas through three."""
+        """Segments through knots; missing velocities and rates come from parabolas through three knots."""
         p_ecef, R_ecef_from_ned_, R_ecef_from_body = _orientations(poses)
         steps, turns = p_ecef[1:] - p_ecef[:-1], _turns(R_ecef_from_body)
         reading_steps = readings[1:] - readings[:-1]
@@ -59,17 +59,17 @@ class Legs(NamedTuple):
         )
 
     def motion(self, time: Scalar, later: Scalar) -> tuple[Vector3, Matrix3]:
-        """Position in ECEF m and R_ecef_from_body a little `later` than `time`, both in s."""
+        """Position in ECEF m and R_ecef_from_body at `time + later`, both in s."""
         k, share, duration = self._place(time, later)
         velocities, rates, turn = self.velocities, self.rates, self.turns[k]
-        # from the earlier knot on, for the last digits of an ECEF coordinate
+        # relative to the earlier knot, to keep the last digits of an ECEF coordinate
         away = _hermite(share, self.steps[k], duration * velocities[k], duration * velocities[k + 1])
         at_end = rotation_rate_from_body_rate(turn, rates[k + 1])
         rotation = _hermite(share, turn, duration * rates[k], duration * at_end)
         return self.p_ecef[k] + away, matmul3(self.R_ecef_from_body[k], R_from_rotation_vector(rotation))
 
     def station(self, time: Scalar, later: Scalar) -> Station:
-        """The station a little `later` than `time`, both in s."""
+        """Station at `time + later`, both in s."""
         k, share, duration = self._place(time, later)
         p_ecef, R_ecef_from_body = self.motion(time, later)
         begin, end = duration * self.reading_slopes[k], duration * self.reading_slopes[k + 1]
@@ -81,19 +81,19 @@ class Legs(NamedTuple):
         return Station(p_ecef, R_ecef_from_body, R_ecef_from_level, readings)
 
     def deflection_at(self, time: Scalar, later: Scalar) -> Deflection | None:
-        """Deflection of the vertical, by straight lines between the knots."""
+        """Deflection of the vertical, interpolated linearly between the knots."""
         k, share, _ = self._place(time, later)
         return jax.tree.map(lambda x: x[k] + share * (x[k + 1] - x[k]), self.deflection)
 
     def _place(self, time: Scalar, later: Scalar) -> tuple[Index, Scalar, Scalar]:
-        """The knot before a time, the share of the leg behind it that has passed, and its duration in s."""
+        """Index of the knot before a time, elapsed share of the segment after it, and its duration in s."""
         k = knot_before(self.times, time, later)
         duration = _not_zero(self.times[k + 1] - self.times[k])
         return k, ((time - self.times[k]) + later) / duration, duration
 
 
 def knot_before(times: Array, time: Scalar, later: Scalar) -> Index:
-    """The last knot that is not after a time, with another behind it: the first, or the last but one, beyond them."""
+    """Index of the last knot not after a time, clipped to [0, n - 2]."""
     times, moment = jax.lax.stop_gradient((times, time + later))
     return jnp.clip(jnp.searchsorted(times, moment, side="right") - 1, 0, times.shape[0] - 2)
 
@@ -116,12 +116,12 @@ def _orientations(poses: Pose) -> tuple[Array, Array, Array]:
 
 
 def _turns(R_ecef_from_body: Array) -> Array:
-    """Rotation vectors (n - 1, 3) from each orientation to the next, the same in the body axes of both."""
+    """Rotation vectors (n - 1, 3) from each orientation to the next; each is the same in the body axes of both."""
     return jax.vmap(lambda a, b: rotation_vector_from_R(matmul3(a.T, b)))(R_ecef_from_body[:-1], R_ecef_from_body[1:])
 
 
 def _slopes(times: Array, steps: Array) -> Array:
-    """Derivatives (n, ...) at knots of the parabolas through them and their neighbours, from the steps between them."""
+    """Derivatives (n, ...) at knots from parabolas through neighbouring knots, given the differences between knots."""
     knots = times.shape[0]
     durations = times[1:] - times[:-1]
     speeds = steps / _not_zero(durations)[:, None]
@@ -134,11 +134,11 @@ def _slopes(times: Array, steps: Array) -> Array:
 
 
 def _not_zero(durations: Array) -> Array:
-    """Durations, or one for those between records of one time, which only traced values can have."""
+    """Durations, with zero replaced by one; only traced values can have two records at one time."""
     return jnp.where(durations == 0.0, 1.0, durations)
 
 
 def _hermite(share: Scalar, change: Array, begin: Array, end: Array) -> Array:
-    """A cubic from 0 to `change` while `share` goes from 0 to 1, with the derivatives `begin` and `end`."""
+    """Cubic from 0 to `change` for `share` from 0 to 1, with the end derivatives `begin` and `end`."""
     rest = 1.0 - share
     return share * (share * (3.0 - 2.0 * share) * change + rest * (rest * begin - share * end))

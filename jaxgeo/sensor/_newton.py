@@ -1,4 +1,4 @@
-"""Two equations in two unknowns, safe to differentiate."""
+"""2 x 2 linear solve, safe to differentiate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def determinant(J: Float[Array, "2 2"]) -> Scalar:
 
 
 def solve_2d(J: Float[Array, "2 2"], value: PlanePoint) -> PlanePoint:
-    """`J^-1 value`; a singular J is taken as having determinant one."""
+    """`J^-1 value`; a singular J is treated as having determinant one."""
     det = determinant(J)
     det = jnp.where(det == 0.0, 1.0, det)
     return jnp.stack([J[1, 1] * value[0] - J[0, 1] * value[1], J[0, 0] * value[1] - J[1, 0] * value[0]]) / det

@@ -1,4 +1,4 @@
-"""Cameras: from a pixel to a ray and back. No files, no images, no terrain."""
+"""Camera models: pixel to ray and point to pixel. No files, no images, no terrain."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from jaxgeo._typing import Numbers as CrowdNumbers
 from jaxgeo.sensor.distortion import AbstractDistortion, NoDistortion
 from jaxgeo.status import Status, status_where
 
-IMAGE_PLANE = 1e-12  # directions this close (rad) to a right angle with the axis count as behind the camera
+IMAGE_PLANE = 1e-12  # directions this close (rad) to perpendicular to the axis count as behind the camera
 
-if TYPE_CHECKING:  # to a type checker a union of arrays and plain numbers would be neither
+if TYPE_CHECKING:  # type checkers cannot use a union of arrays and plain numbers
     Numbers: TypeAlias = Any
     PixelLike: TypeAlias = Any
     Vector3Like: TypeAlias = Any
@@ -34,56 +34,56 @@ else:
 
 
 class AbstractCamera(Record):
-    """Two functions that invert each other: pixel to ray, point to pixel; and when a pixel is exposed.
+    """Base class of cameras: pixel to ray, its inverse (point to pixel), and the exposure time of a pixel.
 
     The camera frame is (right, down, forward); `uv` is (column, row), with pixel centres at integers.
     """
 
     @abc.abstractmethod
     def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
-        """Unit direction in the camera frame that a pixel sees.
+        """Unit direction of a pixel's ray in the camera frame.
 
-        `outside_image` comes with its direction, or NaN where the lens has none so far out; with any other status but
-        `hit` the direction is NaN.
+        `outside_image` still has a direction, or NaN beyond the lens model's range; with any other status but `hit` the
+        direction is NaN.
         """
 
     @abc.abstractmethod
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
-        """Pixel of a point or direction in the camera frame, of any length.
+        """Pixel of a point or direction (any length) in the camera frame.
 
-        `outside_image` comes with its pixel, or NaN where the lens has none so far out; with any other status but `hit`
-        the pixel is NaN.
+        `outside_image` still has a pixel, or NaN beyond the lens model's range; with any other status but `hit` the
+        pixel is NaN.
         """
 
     @abc.abstractmethod
     def time_of(self, uv: PixelLike) -> Scalar:
-        """When a pixel is exposed, in s after the time of the shot."""
+        """Exposure time of a pixel, in s after the time of the shot."""
 
     def exposure(self) -> tuple[Scalar, Scalar] | None:
         """First and last `time_of` on the image, s; None for a camera that exposes the whole image at once."""
         return None
 
     def image_at(self, p_camera: Vector3Like, time: ScalarLike) -> tuple[Pixel, Scalar, StatusCode]:
-        """(pixel, delay, status) of a point in the camera frame as that lies at `time`, in s after that of the shot.
+        """(pixel, delay, status) of a point given in the camera frame at `time`, in s after the time of the shot.
 
-        `delay` in s is zero where the point is exposed at that very time, and about how much later, or earlier, it will
-        be; the pixel holds where it is zero and the status says so. Both are numbers wherever the point is.
+        `delay` in s is approximately the time until the point is exposed (negative: since then), and exactly zero at
+        its exposure; the pixel is valid only there. Pixel and delay are finite everywhere; see the status.
         """
         uv, status = self.project(p_camera)
         return uv, self.time_of(uv) - time, status
 
     def cause(self, uv: Pixel, status: StatusCode) -> StatusCode:
-        """The status of `image_at`, or the better reason why there is no pixel, by where the point is about."""
+        """The status of `image_at`, refined by the approximate pixel of a point that has no image."""
         del uv
         return status
 
     def axis(self) -> Vector3:
-        """The direction in the camera frame that is meant where no pixel is named: the optical axis."""
+        """Direction in the camera frame used if no pixel is given: the optical axis."""
         return jnp.array([0.0, 0.0, 1.0])
 
 
 class FrameCamera(AbstractCamera):
-    """A camera that exposes its whole image at once: a pinhole behind a lens with distortion.
+    """Frame camera: pinhole with lens distortion; the whole image is exposed at once.
 
     `focal_px` along (columns, rows) and `principal_px` (column, row) in pixels; `width` and `height` in pixels.
     """
@@ -107,8 +107,8 @@ class FrameCamera(AbstractCamera):
     ) -> FrameCamera:
         """Camera from lengths in m: `pixel_pitch` one number or (along columns, along rows).
 
-        `principal_point` is the foot of the optical axis as an offset (right, down) from the centre of the image.
-        Raises `ValueError` for lengths that are not positive and finite, or a size that is not a whole number.
+        `principal_point` is the offset (right, down) of the principal point from the centre of the image.
+        Raises `ValueError` for lengths that are not positive and finite, or a size that is not a positive integer.
 
         >>> camera = jaxgeo.FrameCamera.from_metric(focal_length=0.05, pixel_pitch=4e-6, width=6000, height=4000)
         >>> across, down = camera.field_of_view()
@@ -190,10 +190,7 @@ class FrameCamera(AbstractCamera):
     def project_many(
         self, x: CrowdNumbers, y: CrowdNumbers, z: CrowdNumbers
     ) -> tuple[CrowdNumbers, CrowdNumbers, Int8[Array, "..."]]:
-        """(columns, rows, statuses) of many points, as `project` one by one: several times as quick.
-
-        Components of any one shape.
-        """
+        """(columns, rows, statuses) of many points, as `project`, several times faster; components of any one shape."""
         valid = jnp.isfinite(x) & jnp.isfinite(y) & jnp.isfinite(z)
         ahead = valid & (z > IMAGE_PLANE * jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)))
         depth = jnp.where(ahead, z, 1.0)
@@ -212,8 +209,10 @@ class FrameCamera(AbstractCamera):
         return u, v, jnp.where(valid, status, Status.invalid_input.code)
 
     def _distorted(self, right: CrowdNumbers, down: CrowdNumbers) -> tuple[CrowdNumbers, CrowdNumbers, Flags]:
-        """(directions in the image plane as the lens bends them, whether they lie in its field); of those that do not,
-        the image nearest to them."""
+        """(distorted image-plane coordinates, whether the ideal ones are in the field of the distortion).
+
+        Outside the field, the coordinates are those of the nearest image.
+        """
 
         def one(x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Flag]:
             ideal = jnp.stack([x, y])
@@ -230,11 +229,11 @@ class FrameCamera(AbstractCamera):
         return jnp.zeros((), jnp.float64)
 
     def inside(self, uv: PixelLike) -> Flag:
-        """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
+        """Whether a pixel position is on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
         return inside_image(uv, self.width, self.height)
 
     def field_of_view(self) -> tuple[Scalar, Scalar]:
-        """Angles in rad across the image (along its middle row, along its middle column), edge to edge."""
+        """Angles of view in rad along the middle row and the middle column, edge to edge."""
         middle = _centre(self.width, self.height)
         size = jnp.array([self.width, self.height], jnp.float64)
         angles = []
@@ -245,7 +244,7 @@ class FrameCamera(AbstractCamera):
 
 
 def inside_image(uv: PixelLike, width: int, height: int) -> Flag:
-    """Whether a pixel position lies on an image of a size, its pixels' outer edges included."""
+    """Whether a pixel position is on an image of the given size, outer pixel edges included."""
     uv = as_float64(uv, "uv")
     return jnp.all((uv >= -0.5) & (uv <= jnp.array([width - 0.5, height - 0.5])))
 

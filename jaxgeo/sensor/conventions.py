@@ -1,8 +1,8 @@
-"""The image and frame conventions of published oblique cameras, as complete sensors.
+"""Image and frame conventions of published oblique cameras, as complete sensors.
 
-In each, the paper writes a detector point T' on the image side, at -f behind the projection centre; what the pixel
-sees lies through the centre, along -T'. The axes are X forward, Y right, Z down at zero angles, and the line of sight
-of the middle pixel is Rx(theta) Ry(phi) [0, 0, 1] in the body.
+The papers write a detector point T' on the image side, at -f behind the projection centre; the ray of the pixel passes
+through the centre along -T'. The axes are X forward, Y right, Z down at zero angles, and the line of sight of the
+middle pixel in the body frame is Rx(theta) Ry(phi) [0, 0, 1].
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def li_2023_sensor(
     on DEM": two-axis frame, readings (outer, inner) in rad, outer positive to the right.
 
     Eq 1: T' = [a m, a n, -f], with m counted from the middle along X (columns of the image here) and n along Y (rows):
-    uv = middle + (m, n), see `li_2023_uv`. The line of sight is [-a m, -a n, f] in the axes of the head.
-    `R_body_from_base` is its INS calibration. Lengths in m.
+    uv = middle + (m, n), see `li_2023_uv`. The line of sight is [-a m, -a n, f] in head axes.
+    `R_body_from_base` is the paper's INS calibration. Lengths in m.
     """
     camera = FrameCamera.from_metric(
         focal_length=focal_length, pixel_pitch=pixel_pitch, width=width, height=height, distortion=distortion
@@ -62,13 +62,13 @@ def li_2023_sweep_sensor(
     lever_body: Vector3Field | None = None,
     lever_head: Vector3Field | None = None,
 ) -> Sensor:
-    """The same sensor as it takes a whole strip: `width` pixels along the flight, `height` rows swept across it.
+    """The same sensor recording a whole strip: `width` pixels along the flight, `height` rows swept across it.
 
-    `scan_start` and `scan_end` in rad are printed against the horizontal, negative below it (-6.44 and -18.21 deg), and
-    so they are counted here, with the frame standing at readings (outer, inner) = (pi/2, inner): in between the line of
-    sight is pi/2 + scan off nadir. The strips of Li et al. (2020) from their near to their far end are the same, with
-    scan = |theta| - pi/2. `duration` in s is that of the sweep. The scan turns within the inner frame; where that is
-    not zero and the outer frame itself scans, give a `PushbroomCamera` and a `Trajectory` with swept readings.
+    `scan_start` and `scan_end` in rad are relative to the horizontal, negative below it, as printed in the paper
+    (-6.44 and -18.21 deg), with the frame at readings (outer, inner) = (pi/2, inner): the line of sight is
+    pi/2 + scan off nadir. The strips of Li et al. (2020), near to far end, are the same with scan = |theta| - pi/2.
+    `duration` in s is that of the sweep. The scan rotates within the inner frame; if the inner angle is not zero and
+    the outer frame itself scans, use a `PushbroomCamera` and a `Trajectory` with swept readings.
     """
     camera = WhiskbroomCamera.from_metric(
         focal_length=focal_length,
@@ -81,7 +81,7 @@ def li_2023_sweep_sensor(
         distortion=distortion,
     )
     nadir = Mount.nadir(R_body_from_base=R_body_from_base, lever_body=lever_body, lever_head=lever_head)
-    gimbal = Gimbal.two_axis(limits=jnp.pi * jnp.array([[-1.0, 1.0], [-0.5, 0.5]]))  # the frame stands about level
+    gimbal = Gimbal.two_axis(limits=jnp.pi * jnp.array([[-1.0, 1.0], [-0.5, 0.5]]))  # the frame is about level
     return Sensor(camera, gimbal, _with_camera(nadir, R_HEAD_FROM_CAMERA_LI_2023))
 
 
@@ -108,7 +108,7 @@ def li_2020_sensor(
 
     Eq 13: T' = [a ((M + 1)/2 - i), a (j - (N + 1)/2), -f], pixel i of M = `along_flight` and j of N = `across_flight`,
     both counted from 1: the row of the image is i - 1, its column j - 1, see `li_2020_uv`. The line of sight is
-    [a (i - (M + 1)/2), a ((N + 1)/2 - j), f] in the axes of the head. Lengths in m.
+    [a (i - (M + 1)/2), a ((N + 1)/2 - j), f] in head axes. Lengths in m.
     With `mirror=False` the readings are those of the paper's frame, (outer, inner) = (-theta, phi): `Gimbal.two_axis`.
     """
     camera = FrameCamera.from_metric(
@@ -124,7 +124,7 @@ def li_2020_sensor(
 
 
 def li_2020_uv(i: ArrayLike, j: ArrayLike) -> Detector:
-    """Pixel `uv` of the detector indices (i, j) of Eq 13, which count from 1."""
+    """Pixel `uv` of the 1-based detector indices (i, j) of Eq 13."""
     i, j = as_float64((i, j), "(i, j)")
     return jnp.stack([j - 1.0, i - 1.0], axis=-1)
 

@@ -1,4 +1,4 @@
-"""When a pixel is exposed, and when a point is: sensors that move while they take an image."""
+"""Exposure times of pixels and points for cameras that move during the exposure."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from jaxgeo.sensor.sensor import Sensor, Sight, made_safe
 from jaxgeo.sensor.trajectory import Trajectory
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
-FEWEST, MOST = 65, 257  # times at which an exposure is looked through for those that see a point: two a record
-CANDIDATES = 3  # of those times, which are settled
-AIR_SLACK = 0.05  # of the interval between them, by which the air's shift at one of them may be off
-MARGIN = 0.1  # of the exposure, by which it is looked beyond both its ends: points beside the image have a pixel
+FEWEST, MOST = 65, 257  # sample times at which the exposure is searched for a point: two per record
+CANDIDATES = 3  # sign changes refined by Newton
+AIR_SLACK = 0.05  # of the sample interval: bound of the error from evaluating refraction at one sample only
+MARGIN = 0.1  # of the exposure: search margin at both ends, since points beside the image have a pixel too
 STEPS = 40
-CLOSE_ENOUGH = 1e-8  # of the exposure, the last of Newton's steps: what is left after it is of its square
-SEEN = 1e-7  # of the exposure, by which a time may miss its point, or the trajectory's end
+CLOSE_ENOUGH = 1e-8  # of the exposure: last Newton step; the remaining error is of its square
+SEEN = 1e-7  # of the exposure: tolerance of an exposure time, and of the trajectory's ends
 
 Nodes = Float[Array, " nodes"]
 Exposure = tuple[Scalar, Scalar]
 
 
 class Scene(NamedTuple):
-    """All that the delay of a point depends on; `time` in s is that of the image, `p_ecef` the point in m."""
+    """Inputs of a point's delay: `time` in s is the time of the image, `p_ecef` the point in m."""
 
     sensor: Sensor
     legs: Legs
@@ -41,7 +41,7 @@ class Scene(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """Times in s after that of the image between which a point is exposed, where to begin, and the first sign."""
+    """Bracket of an exposure time, in s after the image's: ends, start value and sign of the delay at the low end."""
 
     low: Scalar
     high: Scalar
@@ -53,7 +53,7 @@ class Crossing(NamedTuple):
 def line_of_sight(
     sensor: Sensor, motion: Shot | Trajectory, time: Scalar, uv: Pixel
 ) -> tuple[Vector3, Vector3, StatusCode]:
-    """`Sensor.ray_ecef` of a pixel; on a trajectory from where it is exposed, `time_of(uv)` after `time` in s."""
+    """`Sensor.ray_ecef` of a pixel; on a trajectory, from the pose at its exposure, `time_of(uv)` after `time` in s."""
     if isinstance(motion, Shot):
         return sensor.ray_ecef(motion, uv)
     valid, sensor, (motion, time), uv = made_safe(sensor, (motion, time), uv)
@@ -68,10 +68,10 @@ def line_of_sight(
 def image_of_point(
     sensor: Sensor, motion: Shot | Trajectory, time: Scalar, p_ecef: Vector3, air: Atmosphere | None
 ) -> tuple[Pixel, StatusCode, Vector3]:
-    """(pixel, status, perspective centre in ECEF m) of a point in ECEF m, as it is exposed.
+    """(pixel, status, perspective centre in ECEF m) of a point in ECEF m at its exposure time.
 
-    From a moving camera that is exposed line by line, the time has to be found: there is none (`never_seen`), or there
-    are several, where the motion turns the line back over what it has seen; the first on the image is the answer.
+    For a moving line-by-line camera the exposure time is solved for. A point may have none (`never_seen`), or several,
+    where the motion turns the line back over ground already imaged; the result is the first on the image.
     """
     if isinstance(motion, Shot):
         return *sensor.project_ecef(motion, p_ecef, air), sensor.perspective_centre(motion)
@@ -93,7 +93,7 @@ def image_of_point(
 
 
 def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
-    """When the point is exposed, in s after the time of the image; some time, and why, where no crossing is found."""
+    """Exposure time of the point, in s after the image's; without a crossing, some time and the reason as status."""
     (begin, end), times = exposure, scene.legs.times
     duration, before, after = end - begin, times[0] - scene.time, times[-1] - scene.time
     low = jnp.maximum(begin - MARGIN * duration, before - SEEN * duration)
@@ -106,21 +106,21 @@ def _moment(scene: Scene, exposure: Exposure) -> tuple[Scalar, StatusCode]:
     _, delays, statuses = jax.vmap(lambda s: _image(scene, _sight(scene, s), s))(moments)
     found = crossings.exists & overlaps & (jnp.abs(delays) <= SEEN * duration)
     best = jnp.where(statuses == Status.hit, 3, jnp.where(statuses == Status.outside_image, 2, 1))
-    k = jnp.argmax(jnp.where(found, best, 0))  # of equals the first
+    k = jnp.argmax(jnp.where(found, best, 0))  # the first among equals
     reason = status_where(blind == Status.hit, Status.never_seen, blind)
     reason = status_where((before > begin) | (after < end), Status.outside_trajectory, reason)
     return moments[k], status_where(found[k], Status.hit, reason)
 
 
 def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, StatusCode]:
-    """The first intervals of the nodes in which the delay changes its sign, and what is the matter with all nodes.
+    """The first sample intervals in which the delay changes sign, and the status if no sample is in front.
 
-    Those with the point beside the image come last. The delay is taken as a cubic between the nodes, so that one that
-    dips through zero and back within an interval is seen too.
+    Intervals with the point beside the image rank last. The delay is modelled as a cubic between samples, so that two
+    sign changes within one interval are found too.
     """
     sights, rates = jax.vmap(lambda s: jax.jvp(lambda s: _sight(scene, s), (s,), (jnp.ones_like(s),)))(nodes)
     middle, step = scene, nodes[1] - nodes[0]
-    if scene.air is not None:  # its shift hardly changes while the sensor moves: the nodes do with that of the middle
+    if scene.air is not None:  # refraction hardly changes during the exposure: use that of the middle sample
         seeming = apparent_point(sights.centre[nodes.shape[0] // 2], scene.p_ecef, scene.air)
         middle, slack = scene._replace(p_ecef=seeming, air=None), AIR_SLACK * step
 
@@ -134,7 +134,7 @@ def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, Sta
     values, slopes, statuses = jax.vmap(delay)(nodes, sights, rates)
     place, crosses = jax.vmap(_first_change)(values[:-1], values[1:], step * slopes[:-1], step * slopes[1:])
     ahead, on_image = statuses != Status.behind_camera, statuses == Status.hit
-    crosses &= ahead[:-1] | ahead[1:]  # where the point passes behind, the delay jumps
+    crosses &= ahead[:-1] | ahead[1:]  # the delay jumps where the point passes behind the camera
     k = _first_few(jnp.where(crosses, jnp.where(on_image[:-1] | on_image[1:], 0, 1), 2))
     share, reach = place[k].T
     sign = jnp.sign(jnp.where(values[k] == 0.0, -values[k + 1], values[k]))
@@ -144,7 +144,7 @@ def _crossings(scene: Scene, nodes: Nodes, slack: Scalar) -> tuple[Crossing, Sta
 
 
 def _first_few(rank: Int[Array, " intervals"]) -> Int[Array, " few"]:
-    """The places of the least ranks, of equals the first, in their order: half the time of sorting all."""
+    """Sorted indices of the smallest ranks, the first among equals; takes half the time of a full sort."""
     places, count = jnp.arange(rank.shape[0]), rank.shape[0]
     key, found = rank * count + places, []
     for _ in range(CANDIDATES):
@@ -154,13 +154,13 @@ def _first_few(rank: Int[Array, " intervals"]) -> Int[Array, " few"]:
 
 
 def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar) -> tuple[Float[Array, "2"], Flag]:
-    """((where, by when) as shares of an interval, whether): where a cubic first changes its sign within it."""
+    """((position, end) as shares of an interval, whether): the first sign change of a cubic within the interval."""
     changes = begin * end <= 0.0
     dips = (begin * slope < 0.0) & (begin * last_slope > 0.0)
     linear = 2.0 * (3.0 * (end - begin) - 2.0 * slope - last_slope)
     square = 3.0 * (slope + last_slope - 2.0 * (end - begin))
     root = safe_sqrt(linear * linear - 4.0 * square * slope)
-    turn = -2.0 * slope / jnp.where(dips, linear + jnp.sign(last_slope - slope) * root, 1.0)  # where its slope is zero
+    turn = -2.0 * slope / jnp.where(dips, linear + jnp.sign(last_slope - slope) * root, 1.0)  # zero slope
     rest = 1.0 - turn
     lowest = begin + turn * turn * (3.0 - 2.0 * turn) * (end - begin)
     lowest = lowest + turn * rest * (rest * slope - turn * last_slope)
@@ -171,7 +171,7 @@ def _first_change(begin: Scalar, end: Scalar, slope: Scalar, last_slope: Scalar)
 
 
 def _newton(scene: Scene, crossing: Crossing, duration: Scalar) -> Scalar:
-    """The root of the delay in a crossing."""
+    """The root of the delay within a crossing."""
     slack = SEEN * duration
 
     def unfinished(state: tuple[Scalar, Scalar, Scalar, Flag, Scalar]) -> Flag:

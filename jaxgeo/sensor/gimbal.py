@@ -1,4 +1,4 @@
-"""Gimbals: from the readings of their axes to the orientation of the head."""
+"""Gimbal models: axis readings to head orientation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxgeo.rotations import Rx, Ry, Rz, about_x, about_y, about_z
 
 Axis: TypeAlias = Literal["x", "y", "z"]
 Readings: TypeAlias = Float[Array, " axes"]
-if TYPE_CHECKING:  # to a type checker a union of arrays and plain numbers would be neither
+if TYPE_CHECKING:  # type checkers cannot use a union of arrays and plain numbers
     Numbers: TypeAlias = Any
     ReadingsLike: TypeAlias = Any
     ReadingsField: TypeAlias = Any
@@ -37,12 +37,12 @@ _RIGHT_ANGLE = math.pi / 2.0
 
 
 class Gimbal(Record):
-    """Axes in named order, from the base to the head; each turns what follows it.
+    """Gimbal with named axes in order from base to head; each axis rotates everything after it.
 
     Axis angle = sign * gain * (reading - offset), in rad; R_base_from_head = R_first(angle) R_second(angle) ...
-    Base and head have axes (x forward, y right, z down) and coincide where all axis angles are zero.
-    `limits` (axes, 2) bound the readings. `reference` says against what the angles are reported: "body" (through the
-    mount's R_body_from_base), or "level", where the base is north-east-down at the sensor, as drones report.
+    Base and head axes are (x forward, y right, z down) and coincide at zero axis angles.
+    `limits` (axes, 2) bound the readings. `reference` is the frame of the reported angles: "body" (through the mount's
+    R_body_from_base), or "level", where the base is north-east-down at the sensor, as drones report.
 
     >>> gimbal = jaxgeo.Gimbal.from_degrees(axes={"pan": "z", "tilt": "y"}, limits=[(-170.0, 170.0), (-90.0, 30.0)])
     >>> readings = gimbal.readings_from_degrees(pan=90.0, tilt=-90.0)
@@ -63,7 +63,7 @@ class Gimbal(Record):
 
     @classmethod
     def fixed(cls) -> Gimbal:
-        """No axes: the head is the base. Its shots have no gimbal readings."""
+        """Gimbal without axes: the head is the base. Its shots have no gimbal readings."""
         none = np.zeros(0)
         return cls((), (), none, none, none, np.zeros((0, 2)))
 
@@ -76,8 +76,8 @@ class Gimbal(Record):
     ) -> Gimbal:
         """The two-axis frame of Li et al. (2020, 2023); readings (frame angle off nadir, inner angle) in rad.
 
-        A positive outer reading looks to the right: theta = -outer about body x, phi = inner about y, and the line of
-        sight of a camera mounted `Mount.nadir()` is Rx(theta) Ry(phi) [0, 0, 1]. Limits are +-90 deg unless given.
+        Positive outer readings point right: theta = -outer about body x, phi = inner about y, and the line of sight of
+        a camera mounted `Mount.nadir()` is Rx(theta) Ry(phi) [0, 0, 1]. Default limits are +-90 deg.
         """
         limits = np.tile([-_RIGHT_ANGLE, _RIGHT_ANGLE], (2, 1)) if limits is None else limits
         return cls(("x", "y"), names, np.array([-1.0, 1.0]), np.ones(2), np.zeros(2), limits)
@@ -86,7 +86,7 @@ class Gimbal(Record):
     def mirror_two_axis(cls) -> Gimbal:
         """The drives of Li et al. (2020); readings (depression from the horizontal, azimuth drive) in rad.
 
-        The azimuth drive turns a mirror, which turns the line of sight twice as far, with its null at 45 deg:
+        The azimuth drive turns a mirror, so the line of sight turns by twice its angle, with the null at 45 deg:
         phi = -2 (azimuth - 45 deg); theta = -(90 deg - depression). Limits: depression 0..90, azimuth 0..90 deg.
         """
         limits = np.tile([0.0, _RIGHT_ANGLE], (2, 1))
@@ -100,11 +100,11 @@ class Gimbal(Record):
         limits: LimitsField | None = None,
         reference: Literal["body", "level"] = "level",
     ) -> Gimbal:
-        """A drone's gimbal; readings (yaw, pitch, roll) in rad, R = Rz(yaw) Ry(pitch) Rx(roll).
+        """Three-axis drone gimbal; readings (yaw, pitch, roll) in rad, R = Rz(yaw) Ry(pitch) Rx(roll).
 
-        In local level by default: yaw is the true heading of the head's x axis, pitch its elevation (-90 deg looks
-        straight down). The camera looks along the head's x: `Mount.forward()`. Limits unless given: yaw +-360,
-        pitch +-90, roll +-180 deg.
+        Referenced to local level by default: yaw is the true heading of the head's x axis, pitch its elevation (-90 deg
+        is nadir). The camera looks along the head's x: `Mount.forward()`. Default limits: yaw +-360, pitch +-90,
+        roll +-180 deg.
         """
         default = _RIGHT_ANGLE * np.array([[-4.0, 4.0], [-1.0, 1.0], [-2.0, 2.0]])
         limits = default if limits is None else limits
@@ -121,10 +121,10 @@ class Gimbal(Record):
         limits: Numbers = (-180.0, 180.0),
         reference: str = "body",
     ) -> Gimbal:
-        """Any gimbal: `axes` maps names to "x", "y" or "z" in order from base to head; offset and limits in deg.
+        """General gimbal: `axes` maps names to "x", "y" or "z" in order from base to head; offset and limits in deg.
 
-        Raises `ValueError` for an axis or reference that is not known, a sign that is not +-1, a gain of zero, or
-        limits whose lower bound exceeds the upper.
+        Raises `ValueError` for an unknown axis or reference, a sign that is not +-1, a gain of zero, or limits whose
+        lower bound exceeds the upper.
         """
         _check_choices(axes, reference)
         n = len(axes)
@@ -137,9 +137,9 @@ class Gimbal(Record):
         return cls(kinds, tuple(axes), sign, gain, jnp.deg2rad(offset), jnp.deg2rad(low_high), reports)
 
     def readings_from_degrees(self, **readings: ArrayLike) -> Float[Array, "... axes"]:
-        """Readings in rad, in order, from one named number (or batch) in deg for each axis.
+        """Readings in rad, in axis order, from one named number (or batch) in deg per axis.
 
-        Raises `ValueError` for a name that is missing, not an axis, or a value that is not finite.
+        Raises `ValueError` for a missing or unknown name, or a value that is not finite.
 
         >>> gimbal = jaxgeo.Gimbal.two_axis()
         >>> print(gimbal.readings_from_degrees(outer=72.0, inner=0.0))
@@ -165,7 +165,7 @@ class Gimbal(Record):
         return gimbal.sign * gimbal.gain * (readings - gimbal.offset)
 
     def neutral_readings(self) -> Readings:
-        """Readings whose axis angles are zero, or the nearest to them within the limits."""
+        """Readings with zero axis angles, clipped to the limits."""
         offset, limits = as_float64((self.offset, self.limits), "gimbal")
         return jnp.clip(offset, limits[:, 0], limits[:, 1])
 
@@ -178,14 +178,14 @@ class Gimbal(Record):
         return R
 
     def to_base(self, readings: ReadingsLike, v_head: Vector3) -> Vector3:
-        """A vector in the axes of the head, in those of the base: turned axis by axis, without a matrix."""
+        """Rotates a vector from head to base axes, axis by axis, without a matrix."""
         x, y, z = v_head[0], v_head[1], v_head[2]
         for axis, angle in zip(reversed(self.axes), reversed(self.angles(readings)), strict=True):
             x, y, z = _TURNS[axis](angle, (x, y, z))
         return jnp.stack([x, y, z])
 
     def inside_limits(self, readings: ReadingsLike) -> Flag:
-        """Whether every reading lies within its limits, bounds included."""
+        """Whether every reading is within its limits, bounds included."""
         limits, readings = as_float64((self.limits, readings), "gimbal_readings")
         return jnp.all((readings >= limits[:, 0]) & (readings <= limits[:, 1]))
 

@@ -1,4 +1,4 @@
-"""Where the sensor is and how it is held: `Mount`, `Pose` and `Shot`."""
+"""Sensor position and attitude: `Mount`, `Pose` and `Shot`."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ R_IMAGE_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
 
 class Mount(Record):
-    """How gimbal and camera sit on the platform: two rotations and two lever arms in m.
+    """Mounting of gimbal and camera on the platform: two rotations and two lever arms in m.
 
     `lever_body` runs from the IMU (the position of the pose) to the gimbal's centre, in body axes;
     `lever_head` from the gimbal's centre to the perspective centre, in head axes.
-    `R_body_from_base` has no part in a gimbal that reports in local level.
+    `R_body_from_base` is not used for a gimbal referenced to local level.
     """
 
     R_body_from_base: Matrix3Field = eqx.field(default_factory=lambda: np.eye(3))
@@ -48,7 +48,7 @@ class Mount(Record):
         lever_body: Vector3Field | None = None,
         lever_head: Vector3Field | None = None,
     ) -> Mount:
-        """The camera looks along the head's z (down), the top of its image towards the head's x (forward)."""
+        """Camera looking along the head's z (down), with the top of its image towards the head's x (forward)."""
         return _mount(R_HEAD_FROM_CAMERA_NADIR, R_body_from_base, lever_body, lever_head)
 
     @classmethod
@@ -59,14 +59,14 @@ class Mount(Record):
         lever_body: Vector3Field | None = None,
         lever_head: Vector3Field | None = None,
     ) -> Mount:
-        """The camera looks along the head's x (forward), the top of its image up: drones and turrets."""
+        """Camera looking along the head's x (forward), with the top of its image up: drones and turrets."""
         return _mount(R_HEAD_FROM_CAMERA_FORWARD, R_body_from_base, lever_body, lever_head)
 
 
 def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, roll: ArrayLike = 0.0) -> Matrix3:
     """`R_body_from_base = Rz(heading) Ry(pitch) Rx(roll)` from angles in deg, small or large.
 
-    Li et al. (2023) call it the calibration of the INS against the gimbal. Raises `ValueError` beyond +-360 deg.
+    Li et al. (2023) call it the INS-to-gimbal calibration. Raises `ValueError` beyond +-360 deg.
     """
     for value, name in ((heading, "heading"), (pitch, "pitch"), (roll, "roll")):
         check_range(value, f"boresight {name}", "deg", -360.0, 360.0)
@@ -75,10 +75,10 @@ def boresight_from_degrees(*, heading: ArrayLike = 0.0, pitch: ArrayLike = 0.0, 
 
 
 class Deflection(Record):
-    """Deflection of the vertical: the plumb line's zenith lies `xi` rad north and `eta` rad east of the ellipsoid's.
+    """Deflection of the vertical: the astronomic zenith is `xi` rad north and `eta` rad east of the ellipsoidal zenith.
 
-    xi is astronomic less geodetic latitude, eta that of the longitudes times the cosine of latitude. An inertial system
-    is levelled by the plumb line; in mountains the two differ by up to some 30 arc seconds, 9 m at 60 km.
+    xi is astronomic minus geodetic latitude; eta is the same for longitude, times the cosine of latitude. An inertial
+    system is levelled by gravity; in mountains the deflection reaches about 30 arc seconds, 9 m at 60 km.
     """
 
     xi: ScalarField
@@ -86,7 +86,7 @@ class Deflection(Record):
 
     @classmethod
     def from_arcseconds(cls, *, xi: ArrayLike, eta: ArrayLike) -> Deflection:
-        """From arc seconds, as geoid models give it. Raises `ValueError` beyond +-200 arc seconds."""
+        """Deflection from arc seconds, as in geoid models. Raises `ValueError` beyond +-200 arc seconds."""
         for value, name in ((xi, "xi"), (eta, "eta")):
             check_range(value, name, "arc seconds", -200.0, 200.0)
         given: Any = as_float64((xi, eta), "Deflection.from_arcseconds")
@@ -94,9 +94,9 @@ class Deflection(Record):
 
     @property
     def R_ned_from_level(self) -> Matrix3:
-        """The least rotation from the frame levelled by the plumb line to north-east-down of the ellipsoid.
+        """Smallest rotation from the gravity-levelled frame to north-east-down of the ellipsoid.
 
-        It leaves north in the meridian: an astronomic heading is first to be made a geodetic one (Laplace: less
+        It keeps north in the meridian: reduce an astronomic heading to a geodetic one first (Laplace: subtract
         eta tan(lat)).
         """
         xi, eta = as_float64((self.xi, self.eta), "deflection")
@@ -106,8 +106,8 @@ class Deflection(Record):
 class Pose(Record):
     """Position of the IMU and attitude of the body (forward, right, down); angles in rad, heading from true north.
 
-    R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): nose to the right, nose up, right wing down are positive. With a
-    `deflection` the attitude is against the level of the plumb line there, as inertial systems have it.
+    R_ned_from_body = Rz(heading) Ry(pitch) Rx(roll): positive is nose right, nose up, right wing down. With a
+    `deflection` the attitude is relative to the gravity-levelled frame, as inertial systems report it.
     """
 
     position: Geodetic
@@ -156,10 +156,10 @@ class Pose(Record):
         *,
         convergence: ScalarField = 0.0,
     ) -> Pose:
-        """Pose from the angles of photogrammetry in a map grid, all in rad.
+        """Pose from omega, phi, kappa in a map grid, all in rad.
 
         R_map_from_image = Rx(omega) Ry(phi) Rz(kappa), with the image frame (right, up, out of the scene) and the map
-        frame (easting, northing, up). `convergence` is that of the grid at the position: its north lies that far
+        frame (easting, northing, up). `convergence` is the grid convergence at the position, positive if grid north is
         clockwise of true north. The camera has this orientation with `Gimbal.fixed()` and `Mount.nadir()`.
         """
         omega, phi, kappa, convergence = as_float64((omega, phi, kappa, convergence), "from_omega_phi_kappa")
@@ -170,9 +170,9 @@ class Pose(Record):
 
     @classmethod
     def looking_at(cls, *, position: Geodetic, point: Geodetic, roll: ScalarField = 0.0) -> Pose:
-        """Pose whose body x axis, from `position`, looks at `point`; with `Mount.forward()` so does the camera.
+        """Pose at `position` whose body x axis points at `point`; with `Mount.forward()` so does the camera.
 
-        Lever arms and boresight are not allowed for: `Sensor.looking_at` does that, with a gimbal.
+        Ignores lever arms and boresight; `Sensor.looking_at` includes them, with a gimbal.
         """
         position, point, roll = as_float64((position, point, roll), "Pose.looking_at")
         sight = R_ecef_from_ned(position).T @ (WGS84.to_ecef(point) - WGS84.to_ecef(position))
@@ -190,15 +190,15 @@ class Pose(Record):
 
     @property
     def R_ned_from_level(self) -> Matrix3:
-        """The level that the attitude is against, in north-east-down of the ellipsoid."""
+        """Rotation from the levelled frame of the attitude to north-east-down of the ellipsoid."""
         return jnp.eye(3) if self.deflection is None else self.deflection.R_ned_from_level
 
     def to_omega_phi_kappa(self, *, convergence: ScalarField = 0.0) -> tuple[Scalar, Scalar, Scalar]:
-        """(omega, phi, kappa) in rad that `from_omega_phi_kappa` takes, with phi in [-pi/2, pi/2]."""
+        """(omega, phi, kappa) in rad as in `from_omega_phi_kappa`, with phi in [-pi/2, pi/2]."""
         convergence = as_float64(convergence, "convergence")
         R_map_from_camera = R_ned_from_map(convergence).T @ self.R_ned_from_body @ R_HEAD_FROM_CAMERA_NADIR
         R = R_map_from_camera @ R_IMAGE_FROM_CAMERA.T
-        # R = Rx(omega) Ry(phi) Rz(kappa) is the transpose of a heading-pitch-roll matrix with the signs turned.
+        # R = Rx(omega) Ry(phi) Rz(kappa) is the transpose of a heading-pitch-roll matrix with opposite signs.
         kappa, phi, omega = heading_pitch_roll_from_R(R.T)
         return -omega, -phi, -kappa
 
@@ -207,7 +207,7 @@ _READINGS = partial(as_array, name="gimbal_readings")
 
 
 class Shot(Record):
-    """One exposure: where the platform was, what its gimbal read (rad, in the order of its axes), when (s)."""
+    """One exposure: pose of the platform, gimbal readings (rad, in axis order) and time (s)."""
 
     pose: Pose
     gimbal_readings: ReadingsField = eqx.field(
@@ -217,7 +217,7 @@ class Shot(Record):
 
 
 class Station(NamedTuple):
-    """A shot seen from the Earth: position in ECEF m, orientations of body and level there, gimbal readings in rad."""
+    """A shot in ECEF: position in m, orientations of body and local level, gimbal readings in rad."""
 
     p_ecef: Vector3
     R_ecef_from_body: Matrix3
@@ -237,7 +237,7 @@ class Station(NamedTuple):
 
 
 def R_ned_from_map(convergence: Scalar) -> Matrix3:
-    """Rotation from (easting, northing, up) of a grid to north-east-down; grid north lies `convergence` clockwise."""
+    """Rotation from (easting, northing, up) of a grid to north-east-down; `convergence` is positive clockwise."""
     R_gridned_from_map = jnp.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     return Rz(convergence) @ R_gridned_from_map
 

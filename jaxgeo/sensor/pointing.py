@@ -1,4 +1,4 @@
-"""Which gimbal readings look at a point of the ground: what callers ask, and what they are told."""
+"""Gimbal readings that point at a ground point: input checks and error messages."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def steered(
     readings: Numbers | None,
     air: Atmosphere | None,
 ) -> Trajectory:
-    """The trajectory with readings that look at `points` knot by knot. See `Sensor.steered`."""
+    """Trajectory with readings that point at `points` knot by knot. See `Sensor.steered`."""
     check_axes(sensor.gimbal)
     check_is(trajectory, Trajectory, "trajectory")
     check_is(points, Geodetic, "points")
@@ -72,7 +72,7 @@ def steered(
 
 
 def for_each_knot(trajectory: Trajectory, target: Target, name: str) -> Any:
-    """A target for every knot of a trajectory, of one for all or of as many as there are knots."""
+    """Broadcast a target to every knot of a trajectory; it is given once for all knots, or once per knot."""
     knots = trajectory.times.shape[0]
     items = {"lat": 0, "lon": 0, "height": 0} if isinstance(target, Geodetic) else {"ned": 1}
     for field, rank in items.items():
@@ -91,7 +91,7 @@ def _reached(found: Aimed) -> Readings:
 
 
 def check_axes(gimbal: Gimbal) -> None:
-    """Raise `ValueError` for a gimbal that has nothing to turn."""
+    """Raise `ValueError` for a gimbal without axes."""
     if not gimbal.axes:
         raise ValueError(
             "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
@@ -99,7 +99,7 @@ def check_axes(gimbal: Gimbal) -> None:
 
 
 def check_air(air: Any) -> None:
-    """Raise `TypeError` unless this is an atmosphere or none."""
+    """Raise `TypeError` unless `air` is an atmosphere or None."""
     if air is not None:
         check_is(air, Atmosphere, "atmosphere", "Leave it out for no refraction.")
 
@@ -120,14 +120,14 @@ def _raise_unless_reached(given: Any, found: Aimed, where: str = "") -> None:
 
 
 def _without_limits(given: Any) -> Aimed:
-    """What a gimbal without stops would do."""
+    """The solution without gimbal limits."""
     wide = jnp.tile(jnp.array([-4.0, 4.0]) * jnp.pi, (len(given[0].gimbal.axes), 1))
     wide = wide / jnp.abs(given[0].gimbal.gain)[:, None] + given[0].gimbal.offset[:, None]
     return aim(eqx.tree_at(lambda sensor: sensor.gimbal.limits, given[0], wide), *given[1:])
 
 
 def out_of_range(gimbal: Gimbal, found: Aimed, free: Aimed) -> str:
-    """Why a gimbal cannot look at a target: `found` within its limits, `free` without any."""
+    """Error message for an unreachable target, from the solutions within limits (`found`) and without (`free`)."""
     missed = math.degrees(float(found.miss))
     nearest = f"nearest within them it comes at {_named(gimbal, found.readings)} deg, {missed:.4g} deg off"
     if float(free.miss) >= TOLERANCE:

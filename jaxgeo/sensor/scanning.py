@@ -1,7 +1,7 @@
-"""Cameras that expose their rows one after another: rolling shutters, pushbrooms, and sweeps (whiskbroom, panoramic).
+"""Row-sequential cameras: rolling shutter, pushbroom, whiskbroom and panoramic cameras.
 
-Row 0 is exposed at the time of the shot, row `v` at `line_time * v` s after it; a `line_time` below zero reads from the
-bottom. On a `Trajectory` each row then has a pose of its own; from a single `Shot` all rows have the same.
+Row 0 is exposed at the time of the shot, row `v` at `line_time * v` s after it; a negative `line_time` reads from the
+bottom. On a `Trajectory` each row has its own pose; from a single `Shot` all rows share one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jaxgeo.sensor.camera import (
 from jaxgeo.sensor.distortion import AbstractDistortion
 from jaxgeo.status import Status, status_where
 
-NEWTON_STEPS = 4  # each squares the error, which the lens's distortion leaves: a thousandth at most at the start
+NEWTON_STEPS = 4  # each squares the error; at the start it is a thousandth at most, due to lens distortion
 
 
 class AbstractScanningCamera(AbstractCamera):
@@ -59,31 +59,30 @@ class AbstractScanningCamera(AbstractCamera):
         return jnp.minimum(*edges), jnp.maximum(*edges)
 
     def inside(self, uv: PixelLike) -> Flag:
-        """Whether a pixel position lies on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
+        """Whether a pixel position is on the image: [-0.5, width - 0.5] by [-0.5, height - 0.5]."""
         return inside_image(uv, self.width, self.height)
 
     def cause(self, uv: Pixel, status: StatusCode) -> StatusCode:
-        """The status of a point with `outside_image` for one beyond the lens's field that lies beside the image, by
-        where it is about."""
+        """The status, with `outside_image` for a point beyond the lens's field whose approximate pixel is outside."""
         beside = (status == Status.outside_distortion_field) & ~self.inside(uv)
         return status_where(beside, Status.outside_image, status)
 
     def _on_image(self, uv: Pixel, status: StatusCode) -> StatusCode:
-        """The status of the optics, but for its image that of the whole."""
+        """The status of the optics, with hit or outside_image decided by the bounds of the whole image."""
         seen = (status == Status.hit) | (status == Status.outside_image)
         beside = status_where(self.inside(uv), Status.hit, Status.outside_image.code)
         return jnp.where(seen, beside, status)
 
 
 class RollingShutterCamera(AbstractScanningCamera):
-    """A frame camera that reads its rows one after another, `line_time` s apart."""
+    """Rolling-shutter camera: a frame camera that reads its rows one after another, `line_time` s apart."""
 
     frame: FrameCamera
 
     @classmethod
     def from_readout(cls, frame: FrameCamera, *, readout_time: ArrayLike) -> RollingShutterCamera:
-        """From the time in s in which all rows are read, first to last and on to the next image's first: data sheets
-        and calibrations give that; below zero, from the bottom. Raises `ValueError` for zero or what is not finite."""
+        """Camera from the readout time in s of all rows, first row to the next image's first row, as in data sheets and
+        calibrations; negative reads from the bottom. Raises `ValueError` for zero or a non-finite value."""
         readout_time = as_float64(_checked_time(readout_time, "readout_time"), "readout_time")
         return cls(frame=frame, line_time=readout_time / frame.height)
 
@@ -108,10 +107,10 @@ class RollingShutterCamera(AbstractScanningCamera):
 
 
 class AbstractLineCamera(AbstractScanningCamera):
-    """One line of detectors along the camera's right, recorded `rows` times: the height of the image.
+    """One detector line along the camera's right axis, recorded `rows` times: the height of the image.
 
-    `optics` is a frame camera of height 1: the line itself, behind a lens; its principal point may lie off the line
-    (a line that looks ahead or back).
+    `optics` is a frame camera of height 1, the line with its lens; its principal point may lie off the line (forward-
+    or backward-looking lines).
     """
 
     optics: FrameCamera
@@ -126,11 +125,11 @@ class AbstractLineCamera(AbstractScanningCamera):
         return self.rows
 
     def _row_at(self, time: Scalar) -> Scalar:
-        return time / jnp.where(self.line_time == 0.0, 1.0, self.line_time)  # zero is what only a traced one can be
+        return time / jnp.where(self.line_time == 0.0, 1.0, self.line_time)  # only a traced line_time can be zero
 
 
 class PushbroomCamera(AbstractLineCamera):
-    """A line camera that the motion of the platform carries over the ground."""
+    """Pushbroom camera: a line camera carried over the ground by the motion of the platform."""
 
     @classmethod
     def from_metric(
@@ -146,7 +145,7 @@ class PushbroomCamera(AbstractLineCamera):
     ) -> PushbroomCamera:
         """Line of `width` detectors recorded `height` times, `line_time` s apart; lengths in m.
 
-        `principal_point` is the foot of the optical axis as an offset (right, down) from the middle of the line.
+        `principal_point` is the offset (right, down) of the principal point from the middle of the line.
         Raises `ValueError` as `FrameCamera.from_metric` does, and for a `line_time` of zero.
         """
         line = _line(focal_length, pixel_pitch, width, principal_point, distortion)
@@ -158,7 +157,7 @@ class PushbroomCamera(AbstractLineCamera):
         return direction, self._on_image(uv, status)
 
     def project(self, p_camera: Vector3Like) -> tuple[Pixel, StatusCode]:
-        """Refused: which row sees a point is a matter of the motion."""
+        """Raises `ValueError`: the row of a point depends on the motion."""
         raise ValueError(
             "A pushbroom camera that stands still sees the same line in every row, so no row can be told for a point. "
             "Give project a Trajectory in place of a Shot; Trajectory.steady makes one of a shot and its velocity."
@@ -172,10 +171,10 @@ class PushbroomCamera(AbstractLineCamera):
 
 
 class WhiskbroomCamera(AbstractLineCamera):
-    """A line camera that turns while it exposes row after row: a panoramic or whiskbroom camera.
+    """Line camera that rotates while it exposes rows: a panoramic or whiskbroom camera.
 
-    The line lies along the camera's right; the camera turns about that, from `scan_start` at the upper edge of the
-    first row to `scan_end` at the lower edge of the last (rad from the camera's forward towards its down).
+    The line is parallel to the camera's right axis; the camera rotates about it, from `scan_start` at the upper edge of
+    the first row to `scan_end` at the lower edge of the last (rad from the camera's forward towards its down).
     """
 
     scan_start: ScalarField
@@ -195,11 +194,10 @@ class WhiskbroomCamera(AbstractLineCamera):
         principal_point: Numbers = (0.0, 0.0),
         distortion: AbstractDistortion | None = None,
     ) -> WhiskbroomCamera:
-        """Line of `width` detectors (lengths in m) that sweeps `height` rows from one angle (rad) to another in
-        `duration` s.
+        """Line of `width` detectors (lengths in m) that sweeps `height` rows between two angles (rad) in `duration` s.
 
         Raises `ValueError` as `FrameCamera.from_metric` does, for a duration that is not positive, and for a sweep of
-        no angle or beyond a whole turn.
+        zero or more than a full turn.
         """
         line = _line(focal_length, pixel_pitch, width, principal_point, distortion)
         for value, name in ((scan_start, "scan_start"), (scan_end, "scan_end")):
@@ -217,12 +215,12 @@ class WhiskbroomCamera(AbstractLineCamera):
         return cls(optics=line, scan_start=start, scan_end=end, line_time=duration / rows, rows=rows)
 
     def scan_angle(self, row: ScalarLike) -> Scalar:
-        """Angle in rad of the line's view at a row, from the camera's forward towards its down."""
+        """Scan angle in rad at a row, from the camera's forward towards its down."""
         camera, row = as_float64((self, row), "row")
         return camera.scan_start + (camera.scan_end - camera.scan_start) * ((row + 0.5) / self.rows)
 
     def axis(self) -> Vector3:
-        """The middle of the sweep."""
+        """The ray in the middle of the sweep."""
         return self.ray(jnp.array([0.5 * (self.width - 1), 0.5 * (self.rows - 1)]))[0]
 
     def ray(self, uv: PixelLike) -> tuple[Vector3, StatusCode]:
@@ -252,7 +250,7 @@ class WhiskbroomCamera(AbstractLineCamera):
         return uv, rows * camera.line_time, status
 
     def _image(self, p: Vector3, row: Scalar) -> tuple[Pixel, Scalar, StatusCode]:
-        """(pixel, rows from it to the image of the point, status) while `row` is exposed."""
+        """(pixel, rows from it to the image of the point, status) at the exposure time of `row`."""
         column, rows, status = self._seen_from(p, row)
         uv = jnp.stack([column, row + 0.0 * column])
         return uv, rows, self._on_image(uv, status)
@@ -263,20 +261,20 @@ class WhiskbroomCamera(AbstractLineCamera):
         return on_line[0], on_line[1] / per_row, status
 
     def _nearest_row(self, angle: Scalar) -> Scalar:
-        """The row at an angle, of the turns of it that nearest to the middle of the sweep."""
+        """The row at an angle, taken modulo full turns nearest to the middle of the sweep."""
         middle = 0.5 * (self.scan_start + self.scan_end)
         angle = middle + jnp.mod(angle - middle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
         return (angle - self.scan_start) / (self.scan_end - self.scan_start) * self.rows - 0.5
 
 
 def _on_line(optics: FrameCamera, p: Vector3) -> tuple[Pixel, StatusCode]:
-    """`optics.project`, but where that has no pixel, behind it or outside the lens's field, one by the angles alone.
+    """`optics.project`, with a pixel from the angles alone where it has none: behind it or outside the lens's field.
 
-    So the line knows on which side of it every point lies, and no derivative meets a NaN.
+    Every point then lies on a definite side of the line, and no derivative is NaN.
     """
     uv, status = optics.project(p)
     known = jnp.all(jnp.isfinite(uv))
-    beyond = (status == Status.outside_image) & ~known  # the whole image may be larger than that of the optics
+    beyond = (status == Status.outside_image) & ~known  # the full image may be larger than that of the optics
     status = status_where(beyond, Status.outside_distortion_field, status)
     p = jnp.where(known | ~jnp.all(jnp.isfinite(p)), jnp.array([0.0, 0.0, 1.0]), p)
     away = jnp.any(p != 0.0)

@@ -1,4 +1,4 @@
-"""The sensor: a camera on a gimbal on a platform, and the staircase of frames from pixel to Earth."""
+"""Sensor: a camera on a gimbal on a platform, and the chain of frames from pixel to ECEF."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ T = TypeVar("T")
 
 
 class Sight(NamedTuple):
-    """Where a camera is and how it lies: perspective centre in ECEF m, and its orientation."""
+    """Camera position and orientation: perspective centre in ECEF m, and R_ecef_from_camera."""
 
     centre: Vector3
     R_ecef_from_camera: Matrix3
 
     def to_camera(self, p_ecef: Vector3, air: Atmosphere | None = None) -> Vector3:
-        """A point in ECEF m, or where it seems to be through the air, from the centre in the camera frame, m."""
+        """Vector in m, camera frame, from the centre to a point in ECEF m, or to its apparent place through the air."""
         seeming = p_ecef if air is None else apparent_point(self.centre, p_ecef, air)
         return matvec(self.R_ecef_from_camera.T, seeming - self.centre)
 
 
 class Sensor(Record):
-    """A camera, the gimbal that turns it, and how both are mounted; what stays the same from shot to shot."""
+    """Camera, gimbal and mount: the parts that stay the same from shot to shot."""
 
     camera: AbstractCamera
     gimbal: Gimbal = eqx.field(default_factory=Gimbal.fixed)
     mount: Mount = eqx.field(default_factory=Mount.nadir)
 
     def sight(self, shot: Shot | Station) -> Sight:
-        """Perspective centre in ECEF m, position and both lever arms, and orientation of the camera in ECEF."""
+        """Perspective centre in ECEF m (pose position plus both lever arms) and orientation of the camera in ECEF."""
         if not isinstance(shot, Station):
             check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one; locate takes the whole.")
         station = Station.of(shot) if isinstance(shot, Shot) else shot
@@ -59,9 +59,9 @@ class Sensor(Record):
         return Sight(station.p_ecef + lever, matmul3(R_ecef_from_head, mount.R_head_from_camera))
 
     def line(self, station: Station, direction_camera: Vector3) -> tuple[Vector3, Vector3]:
-        """(perspective centre in ECEF m, a direction of the camera in ECEF): as by `sight`, but vector by vector.
+        """(perspective centre in ECEF m, a camera direction in ECEF): as by `sight`, but vector by vector.
 
-        Quicker where every line has a shot of its own; many lines from one shot are turned by the one matrix.
+        Faster if every line has its own shot; for many lines from one shot, the single matrix of `sight` is faster.
         """
         mount = as_float64(self.mount, "mount")
 
@@ -84,20 +84,20 @@ class Sensor(Record):
         return self.sight(shot).R_ecef_from_camera
 
     def perspective_centre(self, shot: Shot) -> Vector3:
-        """Perspective centre in ECEF, m: the position of the pose and both lever arms."""
+        """Perspective centre in ECEF, m: pose position plus both lever arms."""
         return self.sight(shot).centre
 
     def ray_ecef(self, shot: Shot, uv: PixelLike) -> tuple[Vector3, Vector3, StatusCode]:
-        """(origin, direction, status) of what a pixel sees: perspective centre in ECEF m, unit vector in ECEF.
+        """(origin, direction, status) of a pixel's ray: perspective centre in ECEF m, unit vector in ECEF.
 
-        The direction is given with `hit`, and with `outside_image` where the lens has one, and NaN otherwise; with
-        `invalid_input` (anything that is not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
+        The direction is finite with `hit`, and with `outside_image` within the lens model's range; otherwise NaN. With
+        `invalid_input` (any input not finite) the origin is NaN too. Such lanes have zero, not NaN, gradients.
         """
         valid, sensor, shot, uv = made_safe(self, shot, uv)
         return sensor.ray_from(sensor.sight(shot), uv, valid)
 
     def ray_from(self, sight: Sight, uv: Pixel, valid: Flag) -> tuple[Vector3, Vector3, StatusCode]:
-        """`ray_ecef` of numbers that are finite, from where the camera is; `valid` says whether they all were."""
+        """`ray_ecef` of finite numbers from a given camera position; `valid` states whether all inputs were finite."""
         direction_camera, status = self.camera.ray(uv)
         usable = valid & (seen_beside(status, direction_camera) == Status.hit)
         direction_camera = jnp.where(usable, direction_camera, jnp.array([0.0, 0.0, 1.0]))
@@ -110,9 +110,9 @@ class Sensor(Record):
         return self.sight(shot).to_camera(as_float64(p_ecef, "p_ecef"))
 
     def project_ecef(self, shot: Shot, p_ecef: Vector3Like, air: Atmosphere | None = None) -> tuple[Pixel, StatusCode]:
-        """Pixel of a point in ECEF m and the camera's status; `invalid_input`, NaN, for what is not finite.
+        """Pixel of a point in ECEF m and the camera's status; `invalid_input` and NaN for non-finite input.
 
-        Through the `air`, if given, by which the point seems to lie higher than it is.
+        With `air`, includes refraction, which makes the point appear higher than it is.
         """
         valid, sensor, shot, p_ecef = made_safe(self, shot, p_ecef)
         uv, status = sensor.camera.project(sensor.sight(shot).to_camera(p_ecef, air))
@@ -128,13 +128,13 @@ class Sensor(Record):
         time: ArrayLike = 0.0,
         atmosphere: Atmosphere | None = None,
     ) -> Shot:
-        """Shot whose gimbal readings put the optical axis on `point`, from `pose`; or pixel `uv`, or a sweep's middle.
+        """Shot at `pose` whose gimbal readings put the optical axis (or pixel `uv`, or a sweep's middle) on `point`.
 
-        Lever arms, boresight, gains, distortion and, if given, the air are allowed for. `readings` are where the search
-        starts, and what axes are held at that are not needed: of more than two, those that there move the line of sight
-        least (the roll of a drone's gimbal); by default axis angles of zero, or the nearest within the limits.
-        Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; where the
-        input is traced, the readings are NaN instead.
+        Includes lever arms, boresight, gains, distortion and, if given, the atmosphere. `readings` are the start of the
+        search, by default zero axis angles clipped to the limits. With more than two axes, those that move the line of
+        sight least at the start (the roll of a drone's gimbal) keep their start readings.
+        Raises `ValueError` if the gimbal cannot reach the point within its limits, in words and degrees; for traced
+        input the readings are NaN instead.
 
         >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
         >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
@@ -144,7 +144,7 @@ class Sensor(Record):
         >>> print(f"yaw {yaw:.2f} deg, pitch {pitch:.2f} deg")
         yaw 34.38 deg, pitch -41.70 deg
         """
-        from jaxgeo.sensor.pointing import readings_towards  # it needs this class
+        from jaxgeo.sensor.pointing import readings_towards  # circular: pointing imports this class
 
         return Shot(pose, readings_towards(self, pose, point, uv, readings, atmosphere), time)
 
@@ -157,21 +157,21 @@ class Sensor(Record):
         readings: Numbers | None = None,
         atmosphere: Atmosphere | None = None,
     ) -> Trajectory:
-        """The trajectory with the gimbal readings that keep the optical axis (or `uv`) on `points` while it is flown.
+        """Trajectory with gimbal readings that keep the optical axis (or `uv`) on `points`.
 
-        `points` hold one position for each knot, the way of a scan over the ground, or a single one to stare at.
-        `readings` are where the search for the first knot starts; each of the others starts from the one before, so
-        that axes do not jump. Raises `ValueError` as `looking_at`, naming the knot.
+        `points` hold one position per knot (a scan path over the ground), or a single one to stare at.
+        `readings` are the start of the search at the first knot; each later knot starts from the one before, so that
+        axes do not jump. Raises `ValueError` as `looking_at`, naming the knot.
         """
-        from jaxgeo.sensor.pointing import steered  # it needs this class
+        from jaxgeo.sensor.pointing import steered  # circular: pointing imports this class
 
         return steered(self, trajectory, points, uv, readings, atmosphere)
 
 
 def made_safe(sensor: Sensor, motion: T, vector: Any) -> tuple[Flag, Sensor, T, Any]:
-    """Whether everything that makes a ray is finite, and the same in float64 with ones for what is not.
+    """Whether all inputs of a ray are finite, and the inputs in float64 with ones in place of non-finite values.
 
-    `motion` is a shot, or what else says where the sensor is; `vector` a pixel or a point.
+    `motion` is a shot or other motion data; `vector` a pixel or a point.
     """
     sensor, motion, vector = as_float64((sensor, motion, vector), "(sensor, shot, uv or point)")
     gimbal = sensor.gimbal

@@ -1,4 +1,4 @@
-"""Where the platform was, and how it lay, at any time between its navigation records."""
+"""Continuous trajectory: position and attitude of the platform interpolated between navigation records."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from jaxgeo.sensor.camera import Numbers
 from jaxgeo.sensor.gimbal import Readings, ReadingsField
 from jaxgeo.sensor.platform import Pose, Shot
 
-GAP = 10.0  # times the median interval: a longer one is a gap, unless the caller says what is
-LONG = 4096  # knots; of more, only those about a time are looked at
+GAP = 10.0  # median intervals; a longer interval is a gap, unless the caller sets the limit
+LONG = 4096  # knots; longer trajectories are interpolated from the knots about each time only
 STEADY_LEGS = 8
-LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond, nobody can tell which way the body turned
+LARGEST_TURN = np.deg2rad(120.0)  # between neighbouring knots; beyond it the direction of rotation is ambiguous
 
 
 class Trajectory(Record):
-    """Poses and gimbal readings at `times` (knots, in s), and between them.
+    """Poses and gimbal readings at `times` (knots, in s), interpolated between them.
 
-    Make one with `Trajectory.from_knots`. Position is a cubic in ECEF between two knots, with the knots' velocities;
-    attitude the same on the rotation group, as a rotation vector from the earlier knot, with the knots' body rates;
-    gimbal readings cubics too. So all are continuous with their first derivatives, and of third order in the interval.
-    Velocities (m/s, north-east-down over the ground) and body rates (rad/s about forward, right, down, against the
-    Earth) that are not given are those of the parabola through three knots.
+    Make one with `Trajectory.from_knots`. Position is a cubic in ECEF between knots, with the velocities at the knots;
+    attitude likewise, as a rotation vector from the earlier knot, with the body rates at the knots; gimbal readings are
+    cubics too. All have continuous first derivatives and are third-order accurate in the interval.
+    Missing velocities (m/s, north-east-down over the ground) and body rates (rad/s about forward, right, down, relative
+    to the Earth) come from the parabola through three knots.
     """
 
     times: Float[Array, "... knots"]
@@ -53,13 +53,13 @@ class Trajectory(Record):
         body_rates: Vector3Field | None = None,
         longest_gap: float | None = None,
     ) -> Trajectory:
-        """A trajectory through knots: `times` (n,) in s, `poses` with n entries each, and for a gimbal its readings.
+        """Trajectory through knots: `times` (n,) in s, `poses` with n entries each, and readings if there is a gimbal.
 
-        `gimbal_readings` are (n, axes) in rad, `velocity_ned` and `body_rates` are (n, 3). Raises `ValueError`, naming
-        the knot, for times that do not increase, for a gap longer than `longest_gap` s (ten median intervals if left
-        out), for a turn of more than 120 deg from one knot to the next (also by the rates that are given), for gimbal
-        readings that jump by more than 180 deg (a yaw that passes from 180 to -180 is to be unwrapped, `numpy.unwrap`),
-        for arrays of other lengths, and for numbers that are not finite. One number in `poses` holds for all knots.
+        `gimbal_readings` are (n, axes) in rad, `velocity_ned` and `body_rates` are (n, 3). A scalar in `poses` applies
+        to all knots. Raises `ValueError`, naming the knot, for times that do not increase, a gap longer than
+        `longest_gap` s (default: ten median intervals), a rotation of more than 120 deg between knots (also by the
+        given rates), gimbal readings that jump by more than 180 deg (unwrap a yaw that passes from 180 to -180 with
+        `numpy.unwrap`), arrays of other lengths, and numbers that are not finite.
 
         >>> times = np.array([0.0, 1.0, 2.0])
         >>> poses = jaxgeo.Pose.from_degrees(
@@ -103,10 +103,11 @@ class Trajectory(Record):
         before: ScalarLike = 1.0,
         after: ScalarLike = 1.0,
     ) -> Trajectory:
-        """A shot in steady motion, from `before` to `after` s around its time: straight on, turning at constant rates.
+        """A shot in uniform motion, from `before` to `after` s around its time: constant velocity and rotation rates.
 
-        `velocity_ned` (3,) in m/s over the ground, `body_rates` (3,) in rad/s about forward, right and down, against
-        the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`; also for a turn beyond 960 deg.
+        `velocity_ned` (3,) in m/s over the ground, `body_rates` (3,) in rad/s about forward, right and down, relative
+        to the Earth, `gimbal_rates` (axes,) in rad/s. Raises `ValueError` as `from_knots`; also for a rotation beyond
+        960 deg.
         """
         check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one.")
         turning: Any = np.zeros(3) if body_rates is None else body_rates
@@ -131,7 +132,7 @@ class Trajectory(Record):
         return cls.from_knots(shot.time + offsets, poses, readings, velocity_ned=velocities, body_rates=rates)
 
     def with_readings(self, gimbal_readings: Numbers) -> Trajectory:
-        """The same flight with other gimbal readings, in rad: (knots, axes), or (axes,) held throughout."""
+        """The same trajectory with other gimbal readings, in rad: (knots, axes), or (axes,) for all knots."""
         readings: Any = as_float64(as_array(gimbal_readings, "gimbal_readings"), "gimbal_readings")
         if readings.ndim == 1:
             readings = jnp.broadcast_to(readings, (*self.times.shape, *readings.shape))
@@ -151,29 +152,29 @@ class Trajectory(Record):
         return self.times[-1]
 
     def at(self, time: ScalarLike, later: ScalarLike = 0.0) -> Shot:
-        """The shot at a time in s; before the first knot and after the last all of it is NaN but the time.
+        """The shot at a time in s; outside the knots everything but the time is NaN.
 
-        `later` is added to the time without the loss of its digits (a second of the week leaves 6e-11 s).
+        `later` is added to the time without losing digits (a second of the week has a resolution of 6e-11 s).
         """
         return _shot(self, *as_float64((time, later), "time"))
 
     def covers(self, time: Scalar, later: Scalar) -> Flag:
-        """Whether a time, and a little later, lies between the first knot and the last."""
+        """Whether `time + later` is between the first knot and the last."""
         return (later >= self.start - time) & (later <= self.end - time)
 
     def legs(self) -> Legs:
-        """The cubic motion from each knot to the next."""
+        """The cubic segments between knots."""
         return Legs.of(self.times, self.poses, jnp.asarray(self.gimbal_readings), self.velocity_ned, self.body_rates)
 
     def legs_about(self, time: Scalar, later: Scalar) -> Legs:
-        """The legs on which the motion at a time depends; all, of a trajectory that is not long.
+        """The segments that determine the motion at a time; for a trajectory that is not long, all segments.
 
-        Those are made once for a crowd of times, and of a long one for each time anew.
+        All segments are computed once for a batch of times; those of a long trajectory, anew for each time.
         """
         return self.legs() if self.times.shape[0] <= LONG else self.about(time, later, 4).legs()
 
     def about(self, time: Scalar, later: Scalar, knots: int) -> Trajectory:
-        """So many knots (4 or more) about a time, on which the motion there depends; all, if there are fewer."""
+        """The `knots` (4 or more) knots about a time that determine the motion there; all, if there are fewer."""
         there = self.times.shape[0]
         if there <= knots:
             return self
@@ -181,12 +182,12 @@ class Trajectory(Record):
         return jax.tree.map(lambda x: jnp.asarray(x)[first + jnp.arange(knots)], self)
 
     def velocity_ned_at(self, time: ScalarLike) -> Vector3:
-        """Velocity over the ground at a time, m/s in north-east-down; NaN beyond the first and last knot."""
+        """Velocity over the ground at a time, m/s in north-east-down; NaN outside the knots."""
         (p_ecef, _), (velocity, _) = _motion_and_change(self, as_float64(time, "time"))
         return R_ecef_from_ned(WGS84.to_geodetic(p_ecef)).T @ velocity
 
     def body_rates_at(self, time: ScalarLike) -> Vector3:
-        """Rates of the body against the Earth at a time, rad/s about forward, right and down; NaN beyond the knots."""
+        """Body rates relative to the Earth at a time, rad/s about forward, right and down; NaN outside the knots."""
         (_, R), (_, turn) = _motion_and_change(self, as_float64(time, "time"))
         spin = R.T @ turn
         return jnp.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
@@ -196,7 +197,7 @@ class Trajectory(Record):
 def _straight_on(
     shot: Shot, velocity_ned: Vector3, turning: Vector3, moving: Readings, offsets: Array
 ) -> tuple[Pose, Array, Array]:
-    """Poses, gimbal readings and velocities (NED) at times after a shot that goes on steadily."""
+    """Poses, gimbal readings and velocities (NED) at times after a shot, in uniform motion."""
     R_ecef_from_ned_ = R_ecef_from_ned(shot.pose.position)
     start, velocity = WGS84.to_ecef(shot.pose.position), matvec(R_ecef_from_ned_, velocity_ned)
     R_ecef_from_body = matmul3(R_ecef_from_ned_, shot.pose.R_ned_from_body)
@@ -229,7 +230,7 @@ def _shot(trajectory: Trajectory, time: Scalar, later: Scalar) -> Shot:
 
 @jax.jit
 def _motion_and_change(trajectory: Trajectory, time: Scalar) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """(position in ECEF m, R_ecef_from_body) and their derivatives by time."""
+    """(position in ECEF m, R_ecef_from_body) and their time derivatives."""
     legs, later, one = trajectory.legs(), jnp.zeros_like(time), jnp.ones_like(time)
     inside = trajectory.covers(time, later)
     moment = jnp.where(inside, time, trajectory.start)

@@ -1,4 +1,4 @@
-"""Terrain: elevation models, their grids, and the searches that find where a ray meets them."""
+"""Terrain models: elevation models, their grids, and searches for ray intersections."""
 
 from jaxgeo.terrain.constant import ConstantHeight
 from jaxgeo.terrain.dem import Dem

@@ -1,4 +1,4 @@
-"""Large arrays from NumPy to JAX without a second copy."""
+"""Hand over large NumPy arrays to JAX without a second copy."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import jax
 import numpy as np
 
-ALIGNMENT = 64  # bytes; JAX on a CPU takes over memory that is so aligned, and copies other memory twice
+ALIGNMENT = 64  # bytes; JAX on a CPU takes over memory aligned like this, and copies other memory twice
 
 
 def aligned_empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """An array without values that JAX can take over as it is: nobody may write to it after `handed_over`."""
+    """Uninitialised array that JAX can take over without a copy: do not write to it after `handed_over`."""
     dtype = np.dtype(dtype)
     size = math.prod(shape) * dtype.itemsize
     memory = np.empty(size + ALIGNMENT, np.uint8)
@@ -21,12 +21,12 @@ def aligned_empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
 
 
 def handed_over(array: np.ndarray) -> jax.Array:
-    """An array of our own, from `aligned_empty`, as JAX's."""
+    """An array from `aligned_empty` as a JAX array, without a copy."""
     return jax.device_put(array)
 
 
 def copied(array: Any) -> jax.Array:
-    """A caller's array as JAX's, copied once, so that the caller may go on writing to it."""
+    """A caller's array as a JAX array, copied once, so that the caller may keep writing to it."""
     if not isinstance(array, np.ndarray):
         return array
     own = aligned_empty(array.shape, array.dtype)

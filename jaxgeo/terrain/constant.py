@@ -1,4 +1,4 @@
-"""Terrain of one height: the ellipsoid model."""
+"""Terrain of constant height: the ellipsoid model."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 from jaxgeo.terrain.search.base import ON_GROUND, AbstractSearch
 
 CLOSE_ENOUGH = 1e-6  # m of height
-ROUNDS = 3  # to the height on another ellipsoid than WGS 84
-NEWTON_STEPS = 40  # a ray close to the horizon halves its way with each at first
+ROUNDS = 3  # iterations for the height on an ellipsoid other than WGS 84
+NEWTON_STEPS = 40  # near the horizon the first steps only halve the range
 
 
 class ConstantHeight(AbstractTerrain):
     """The surface of constant geodetic `height` in m (exact, not an inflated ellipsoid).
 
     The ellipsoid model of Li et al. (2023), "A target location method for aerial images through fast iteration of
-    elevation based on DEM", section 2.1. Every search finds the same, near intersection. Another `ellipsoid`, such as a
-    sphere, is for studies: the fix's ECEF point then lies on it, while its geodetic position stays that of WGS 84.
+    elevation based on DEM", section 2.1. Every search returns the same, near intersection. Another `ellipsoid`, such as
+    a sphere, is for studies: the fix's ECEF point is on it, while its geodetic position is relative to WGS 84.
     """
 
     height: ScalarField
     ellipsoid: Ellipsoid = eqx.field(static=True, default=WGS84)
 
     def with_field(self, field: AbstractField) -> ConstantHeight:
-        """The surface a bias higher; there are no posts for a field that varies.
+        """The surface raised by a constant field; varying fields need posts.
 
-        Raises `TypeError` for any other field than a `ConstantField`.
+        Raises `TypeError` for any field but a `ConstantField`.
         """
         hint = "A terrain of one height has no posts for a field that varies: take a Dem."
         check_is(field, ConstantField, "field", hint)
@@ -89,10 +89,10 @@ class ConstantHeight(AbstractTerrain):
 
 
 def _bent_range(ellipsoid: Ellipsoid, ray: Ray, height: Scalar) -> tuple[Scalar, Flag]:
-    """Range in m at which a bent ray comes down to a height, and whether it does.
+    """Range in m at which a bent ray reaches a height, and whether it does.
 
-    Newton from the origin: height along a ray is convex, also a bent one's (the air bends it less than the Earth
-    curves), so that no step goes too far, and one that looks up says that there is nothing ahead.
+    Newton from the origin. Height along a ray is convex, also with refraction (the air bends it less than the Earth
+    curves), so no step overshoots, and a rising ray is detected as having no intersection ahead.
     """
 
     def excess(distance: Scalar) -> Scalar:

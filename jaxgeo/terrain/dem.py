@@ -1,4 +1,4 @@
-"""A digital elevation model: posts on the file's own grid, and the bilinear surface through them."""
+"""Digital elevation model: posts on the file's own grid, with bilinear interpolation."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from jaxgeo.terrain.patch import Patch
 from jaxgeo.terrain.pyramid import Pyramid, build_pyramid, check_size, extremes, known_posts
 from jaxgeo.terrain.search.base import AbstractSearch
 
-EDGE_TOLERANCE = 1e-9  # cells: a position on the last post is inside in spite of rounding
+EDGE_TOLERANCE = 1e-9  # cells: rounding tolerance for positions on the last post
 
 
 class Dem(AbstractTerrain):
-    """Posts on a grid and the bilinear surface between them; make one with `Dem.from_array` or `jaxgeo.io.read_dem`.
+    """Posts on a grid with bilinear interpolation; make one with `Dem.from_array` or `jaxgeo.io.read_dem`.
 
-    `posts` are ellipsoidal heights in m, indexed [row, col], stored in any real dtype and finite everywhere; `void`
-    marks those that are unknown. `grid` maps positions to (row, col). `extent` is the true (rows, cols) when the
-    arrays are padded. `lowest` and `highest` are those of the known posts; the ground over a void cell (one with a void
-    post) is unknown up to `void_ceiling`. A `field`, if there is one, is added to all of that (see `with_field`).
+    `posts` are ellipsoidal heights in m, indexed [row, col], in any real dtype and finite everywhere; `void` marks
+    unknown posts. `grid` maps positions to (row, col). `extent` is the true (rows, cols) if the arrays are padded.
+    `lowest` and `highest` refer to the known posts; the ground in a void cell (one with a void post) is unknown up to
+    `void_ceiling`. An optional `field` is added to all heights (see `with_field`).
     """
 
     posts: PostsField
@@ -59,15 +59,14 @@ class Dem(AbstractTerrain):
         void_ceiling: ArrayLike | None = None,
         extent: ArrayLike | tuple[int, int] | None = None,
     ) -> Dem:
-        """A terrain from an array of ellipsoidal heights in m, (rows, cols); NaN posts are voids.
+        """Terrain from an array of ellipsoidal heights in m, (rows, cols); NaN posts are voids.
 
-        `void` marks further unknown posts; `void_ceiling` is the height in m up to which the ground over a void may
-        rise: the highest known post unless you know better (a lake, a plain); rays below it over a void have no answer.
+        `void` marks further unknown posts; `void_ceiling` is the highest possible ground in voids in m: by default the
+        highest known post, unless a better bound is known (a lake, a plain). Rays below it over a void have no result.
         `extent` is the true (rows, cols) if the array is padded at its end. Posts may be traced by JAX: gradients then
         reach them through the hits, never through the bounds.
-        Raises `ValueError` for fewer than 2 x 2 posts, more than some 40,000 x 40,000 (1.6e9), posts all void or
+        Raises `ValueError` for fewer than 2 x 2 posts, more than about 40,000 x 40,000 (1.6e9), posts all void or
         infinite, or a ceiling that is not finite.
-
         >>> from jaxgeo.terrain import TangentGrid
         >>> middle = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
         >>> grid = TangentGrid.centred(middle, spacing=(30.0, 30.0), shape=(3, 3))
@@ -91,7 +90,7 @@ class Dem(AbstractTerrain):
         rows, cols = posts.shape if extent is None else xp.asarray(extent)
         known, has_void = known_posts(unknown, rows, cols, xp)
         if is_known_now and not has_void:
-            unknown = np.broadcast_to(False, posts.shape)  # of no size in memory
+            unknown = np.broadcast_to(False, posts.shape)  # takes no memory
         lowest, highest = extremes(posts, known, xp)
         if is_known_now:
             _check_posts(known, lowest, highest)
@@ -118,7 +117,7 @@ class Dem(AbstractTerrain):
         )
 
     def with_posts(self, posts: ArrayLike) -> Dem:
-        """The same terrain with other heights (rows, cols) in m; voids, a ceiling set for them, and the field stay."""
+        """The same terrain with other heights (rows, cols) in m; keeps voids, a given void ceiling and the field."""
         if jnp.shape(posts) != jnp.shape(self.posts):
             raise ValueError(f"posts must keep the shape {jnp.shape(self.posts)}; got {jnp.shape(posts)}.")
         highest = jnp.max(jnp.where(jnp.asarray(self.void), -jnp.inf, jnp.asarray(posts)))
@@ -128,18 +127,18 @@ class Dem(AbstractTerrain):
         return dem if self.field is None else dem.with_field(self.field)
 
     def with_field(self, field: AbstractField) -> Dem:
-        """The same terrain, its posts changed by a field of heights in m, on top of any that it has already.
+        """The same terrain with a field of heights in m added to its posts, on top of any earlier field.
 
-        Its arrays are shared, not copied: under `jax.vmap` every item may have a field of its own, and all are searched
-        together. The ceiling of voids rises by the field's highest value. Hits are differentiable in the field, but for
-        those on a void's ceiling. Raises `TypeError` for what is no field, `ValueError` for one of many fields at once.
+        Arrays are shared, not copied: under `jax.vmap` every item may have its own field, and all are searched
+        together. The void ceiling rises by the field's highest value. Hits are differentiable in the field, except hits
+        on a void ceiling. Raises `TypeError` if `field` is not a field, `ValueError` for a batch of fields.
         """
         field = checked_field(field)
         return dataclasses.replace(self, field=field if self.field is None else SumField(self.field, field))
 
     @property
     def known_heights(self) -> Bounds:
-        """Heights in m between which the known ground lies; with a field, bounds of them."""
+        """Lowest and highest known ground in m; with a field, bounds of them."""
         lowest, highest = jnp.asarray(self.lowest), jnp.asarray(self.highest)
         if self.field is None:
             return lowest, highest
@@ -148,24 +147,24 @@ class Dem(AbstractTerrain):
 
     @property
     def void_top(self) -> Scalar:
-        """Height in m up to which the ground over voids may rise, the field included."""
+        """Highest possible ground in voids in m, field included."""
         top = jnp.asarray(self.void_ceiling)
         return top if self.field is None else top + self.field.frozen_bounds()[1]
 
     @property
     def rise(self) -> Scalar | None:
-        """How far in m the ground may rise above the bounds in `pyramid`; None if they are its own."""
+        """Largest rise in m of the ground above the bounds in `pyramid`; None without a field."""
         return None if self.field is None else self.field.frozen_bounds()[1]
 
     @property
     def ceiling(self) -> Scalar:
-        """Height in m above which there is nothing, known or unknown."""
+        """Height in m above all ground, known or unknown."""
         _, highest = self.known_heights
         return jnp.where(self.has_void, jnp.maximum(highest, self.void_top), highest)
 
     @property
     def floor(self) -> Scalar:
-        """Height in m below which no answer can lie: of the lowest post, or of a lower void ceiling."""
+        """Height in m below all possible hits: the lowest post, or a lower void ceiling."""
         lowest, _ = self.known_heights
         return jnp.where(self.has_void, jnp.minimum(lowest, self.void_top), lowest)
 
@@ -189,18 +188,17 @@ class Dem(AbstractTerrain):
         return jax.lax.stop_gradient(Ray(origin, -normal))
 
     def centre_normal(self) -> Vector3:
-        """The ellipsoid's unit normal at the middle of the grid."""
+        """Unit normal of the ellipsoid at the centre of the grid."""
         return self.grid.normal(0.5 * (jnp.asarray(self.extent) - 1).astype(jnp.float64))
 
     def grid_reach(self) -> tuple[Vector3, Scalar]:
-        """The normal at the grid's middle, and the arc in rad from it to the farthest of the corners and the middles
-        of the edges."""
+        """Normal at the grid's centre, and the largest arc in rad from it to the corners and edge middles."""
         middle = self.centre_normal()
         last = (jnp.asarray(self.extent) - 1).astype(jnp.float64)
         around = jnp.array([[r, c] for r in (0.0, 0.5, 1.0) for c in (0.0, 0.5, 1.0)]) * last[None, :]
         return middle, jnp.arccos(jnp.clip(jnp.min(jax.vmap(self.grid.normal)(around) @ middle), -1.0, 1.0))
 
-    # The surface of one cell, and what bounds it.
+    # The surface of one cell, and its bounds.
 
     def over(self, p_ecef: Vector3) -> tuple[Float[Array, "2"], Scalar]:
         """(row, col) and ellipsoidal height in m of an ECEF point."""
@@ -208,7 +206,7 @@ class Dem(AbstractTerrain):
         return self.grid.rowcol(normal), height
 
     def patch(self, cell: Int[Array, "2"]) -> tuple[Patch, Flag]:
-        """The surface of a cell, given by its first post, and whether it is void: it then is flat at its ceiling."""
+        """The surface of a cell, given by its first post, and whether it is void (then flat at its ceiling)."""
         rows, cols = jnp.shape(self.posts)
         row, col = jnp.clip(cell[0], 0, rows - 2), jnp.clip(cell[1], 0, cols - 2)
         first = row * cols + col
@@ -229,23 +227,23 @@ class Dem(AbstractTerrain):
         return Patch(*(jnp.where(is_void, self.void_top, height) for height in heights)), is_void
 
     def surface(self, rowcol: Float[Array, "2"], cell: Int[Array, "2"]) -> Scalar:
-        """Height in m at (row, col) of the bilinear patch of a frozen cell, continued beyond it."""
+        """Height in m at (row, col) of the bilinear patch of a fixed cell, extrapolated beyond it."""
         patch, _ = self.patch(cell)
         return patch.at(rowcol[0] - cell[0], rowcol[1] - cell[1])
 
     def contains(self, rowcol: Float[Array, "2"]) -> Flag:
-        """Whether (row, col) lies within the posts."""
+        """Whether (row, col) is within the posts."""
         last = (jnp.asarray(self.extent) - 1).astype(jnp.float64)
         return jnp.all((rowcol >= -EDGE_TOLERANCE) & (rowcol <= last + EDGE_TOLERANCE))
 
     def cell_of(self, rowcol: Float[Array, "2"]) -> Int[Array, "2"]:
-        """The cell that holds (row, col), clipped to the grid: its first post."""
+        """The cell (first post) of (row, col), clipped to the grid."""
         return jnp.clip(jnp.floor(rowcol).astype(jnp.int32), 0, jnp.asarray(self.extent) - 2)
 
     # The surface at a position.
 
     def rowcol_at(self, position: Geodetic) -> Float[Array, "2"]:
-        """(row, col) of a position; posts lie at integers."""
+        """(row, col) of a position; posts are at integers."""
         position = as_float64(position, "position")
         return self.grid.rowcol(R_ecef_from_enu(position)[:, 2])
 
@@ -270,7 +268,7 @@ class Dem(AbstractTerrain):
         return jnp.sqrt(jnp.prod(self.grid.cell_size()))
 
     def normal_at(self, position: Geodetic) -> Vector3:
-        """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as in `height_at`."""
+        """Unit normal of the surface in east, north, up at a latitude and longitude; NaN as `height_at`."""
         position = as_float64(position, "position")
         cell, is_known = self._known_cell(self.rowcol_at(position))
         height = jnp.where(is_known, self.height_at(position), 0.0)
@@ -280,7 +278,7 @@ class Dem(AbstractTerrain):
         return jnp.where(is_known, normal, jnp.nan)
 
     def slope_at(self, position: Geodetic) -> Scalar:
-        """Angle in rad between the surface and the horizontal at a latitude and longitude; NaN as in `height_at`."""
+        """Angle in rad between the surface and the horizontal at a latitude and longitude; NaN as `height_at`."""
         return safe_angle(self.normal_at(position), jnp.array([0.0, 0.0, 1.0]))
 
     def _known_cell(self, rowcol: Float[Array, "2"]) -> tuple[Int[Array, "2"], Flag]:
@@ -290,7 +288,7 @@ class Dem(AbstractTerrain):
 
 
 def _unmasked(posts: Any, void: Any) -> tuple[Any, Any]:
-    """Posts and voids of a NumPy masked array, as rasterio reads them with masked=True."""
+    """Posts and voids of a NumPy masked array, as rasterio returns with masked=True."""
     if not isinstance(posts, np.ma.MaskedArray):
         return posts, void
     mask = np.ma.getmaskarray(posts)

@@ -1,4 +1,4 @@
-"""Fields of height that are added to an elevation model: what its errors, drawn or assumed, would be."""
+"""Height fields added to an elevation model: sampled or assumed DEM errors."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ Bounds: TypeAlias = tuple[Scalar, Scalar]
 
 
 class AbstractField(Record):
-    """Heights in m to be added to the posts of a terrain (`Dem.with_field`), and between what bounds they lie."""
+    """Heights in m added to the posts of a terrain (`Dem.with_field`), with bounds."""
 
     @abstractmethod
     def at(self, row: Scalar, col: Scalar) -> Scalar:
-        """Height in m to be added to the post at (row, col), both whole numbers: the surface stays bilinear."""
+        """Height in m added to the post at (row, col), both integers: the surface stays bilinear."""
 
     @abstractmethod
     def bounds(self) -> Bounds:
-        """The lowest and the highest height in m that the field has anywhere; close ones make searches quick."""
+        """Lowest and highest height in m of the field; tight bounds make searches fast."""
 
     def frozen_bounds(self) -> Bounds:
-        """The bounds without derivatives, as those of posts have none."""
+        """The bounds without derivatives, like those of posts."""
         return jax.lax.stop_gradient(self.bounds())
 
     def at_corners(self, row: Index, col: Index) -> list[Scalar]:
-        """Heights at a cell's four posts, given by its first, in the order of `Patch`."""
+        """Heights at the four posts of a cell, given by its first post, in the order of `Patch`."""
         rows, cols = ((first.astype(jnp.float64), (first + 1).astype(jnp.float64)) for first in (row, col))
         return [self.at(row, col) for row in rows for col in cols]
 
@@ -57,11 +57,11 @@ class ConstantField(AbstractField):
 
 
 class LineField(AbstractField):
-    """Heights in m that vary along one direction of the grid: `values` (nodes,) at equal steps, straight lines between.
+    """Heights in m that vary along one grid direction: `values` (nodes,) at equal steps, linear between them.
 
-    The first node lies at `first` (row, col), each next one by `step` (rows, cols) farther. A post has the height of
-    its foot on that axis; beyond the ends the last heights go on. Laid along the approach of a line of sight it is a
-    random field that is correlated as the nodes are, to that line at little more than the cost of a bias.
+    The first node is at `first` (row, col), each next one `step` (rows, cols) farther. A post has the height of its
+    projection onto that axis; heights are constant beyond the ends. Laid along the approach of a line of sight, the
+    field represents a random field with the nodes' correlation for that line, at little more than the cost of a bias.
     """
 
     values: NodesField
@@ -87,7 +87,7 @@ class LineField(AbstractField):
 
 
 class SumField(AbstractField):
-    """Two fields, added."""
+    """Sum of two fields."""
 
     a: AbstractField
     b: AbstractField
@@ -101,7 +101,7 @@ class SumField(AbstractField):
 
 
 class BoundedField(AbstractField):
-    """A field with its bounds in m worked out, so that a search does not do so at every step."""
+    """A field with precomputed bounds in m, so that a search does not recompute them at every step."""
 
     field: AbstractField
     lowest: ScalarField
@@ -121,7 +121,7 @@ class BoundedField(AbstractField):
 def checked_field(field: Any) -> AbstractField:
     """A field in float64.
 
-    Raises `TypeError` for anything else and for float32, `ValueError` unless it has one height at a post.
+    Raises `TypeError` for anything else and for float32, `ValueError` unless it gives one height per post.
     """
     check_is(field, AbstractField, "field", "Make one with ConstantField(height) or LineField(values, first, step).")
     field = as_float64(field, "field")

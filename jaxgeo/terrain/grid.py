@@ -1,8 +1,8 @@
-"""Where a post lies on the Earth: maps between positions and (row, col), smooth and exact both ways.
+"""Post grids: maps between positions and (row, col), smooth and exact in both directions.
 
 A position is given by the outward unit normal of the WGS 84 ellipsoid, which unlike latitude and longitude is smooth at
 the poles and across the date line. Posts (pixel centres) are at integers of (row, col); row 0 is the file's first row.
-All leaves are floats, so another window or another file of the same kind does not recompile anything.
+All leaves are floats, so another window or another file of the same kind needs no recompilation.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ Step = Num[Array, "... 2 2"]
 Rotation = Num[Array, "... 3 3"]
 GridT = TypeVar("GridT", bound="AbstractGrid")
 
-_EDGE = 2.0  # a fitted map is trusted to twice the half width of the area it was fitted over, and linear beyond
-_HORIZON = 0.05  # cosine of the angle from a tangent frame's centre beyond which its plane coordinates stop growing
+_EDGE = 2.0  # a fitted map is valid to twice the half width of the fitted area, and linear beyond
+_HORIZON = 0.05  # cosine of the angle from a tangent frame's centre beyond which plane coordinates are clamped
 
 
 class AbstractGrid(Record):
-    """A map between positions and (row, col), smooth over its own area and its neighbourhood."""
+    """A map between positions and (row, col), smooth over its area and the surroundings."""
 
     rowcol0: eqx.AbstractVar[Pair]
     """(row, col) of the reference point, the centre of the grid."""
 
     @abc.abstractmethod
     def row_and_col(self, x: Scalar, y: Scalar, z: Scalar) -> tuple[Scalar, Scalar]:
-        """Row and column of the place whose ellipsoid normal is (x, y, z); outside the grid too."""
+        """Row and column of the position with ellipsoid normal (x, y, z); outside the grid too."""
 
     def rowcol(self, normal: Vector3) -> RowCol:
-        """(row, col) of the place whose ellipsoid normal is `normal`; outside the grid too."""
+        """(row, col) of the position with ellipsoid normal `normal`; outside the grid too."""
         return jnp.stack(self.row_and_col(*normal))
 
     @abc.abstractmethod
@@ -54,7 +54,7 @@ class AbstractGrid(Record):
         """Outward unit normal of WGS 84 (ECEF axes) at (row, col); the inverse of `rowcol`."""
 
     def _from_reference(self, a: Scalar, b: Scalar) -> tuple[Scalar, Scalar]:
-        """Row and column of a place so far from the reference point, in the units of the steps."""
+        """Row and column of an offset from the reference point, in the units of the steps."""
         row, col = times(_inverse(self.step), (a, b))  # pyright: ignore[reportAttributeAccessIssue]
         row0, col0 = self.rowcol0
         return row0 + row, col0 + col
@@ -66,7 +66,7 @@ class AbstractGrid(Record):
         return jnp.sqrt(jnp.sum(steps**2, axis=0))
 
     def coarser(self: GridT, factor: float | int) -> GridT:
-        """The grid whose cells are `factor` posts long and wide: its post (0, 0) lies amid the first of these squares.
+        """The grid with cells `factor` posts long and wide: its post (0, 0) is at the centre of the first such square.
 
         A factor below one makes a finer grid.
         """
@@ -75,7 +75,7 @@ class AbstractGrid(Record):
         return grid._with_steps(float(factor))
 
     def _with_steps(self: GridT, factor: float) -> GridT:
-        """The grid with steps so many times as long about its reference point."""
+        """The grid with steps scaled about its reference point."""
         return eqx.tree_at(lambda grid: grid.step, self, jnp.asarray(self.step) * factor)  # pyright: ignore
 
     def window(self: GridT, row: ScalarField, col: ScalarField) -> GridT:
@@ -85,11 +85,11 @@ class AbstractGrid(Record):
 
 
 class GeographicGrid(AbstractGrid):
-    """Rows and columns affine in WGS 84 longitude and latitude, which may be rotated or sheared against them.
+    """Rows and columns affine in WGS 84 longitude and latitude, including rotation and shear.
 
-    Longitude is counted from the grid's own centre, so the date line and 0..360 files are like any other. `lonlat0` in
-    rad at `rowcol0`; `step` is d(lon, lat) / d(row, col) in rad. Columns jump by a turn opposite to the centre: a grid
-    that goes all round the Earth needs posts on both sides of that line at either end for rays to cross it there.
+    Longitude is relative to the grid's centre, so files across the date line or in 0..360 need no special handling.
+    `lonlat0` in rad at `rowcol0`; `step` is d(lon, lat) / d(row, col) in rad. Columns jump by a full turn opposite to
+    the centre: a grid around the whole Earth needs posts on both sides of that line at either end for rays to cross it.
     """
 
     rowcol0: Pair
@@ -120,7 +120,7 @@ class TransverseMercatorGrid(AbstractGrid):
     """Rows and columns affine in a transverse Mercator map (UTM, Gauss-Krueger, Lo, custom), by Krueger's series.
 
     `easting_northing0` in m at `rowcol0`; `step` is d(easting, northing) / d(row, col) in m. Latitude and longitude of
-    the projection's datum are taken to be those of WGS 84; where that is not so to 0.1 mm, use `FittedGrid`.
+    the projection's datum are taken as WGS 84; where they differ by more than 0.1 mm, use `FittedGrid`.
     """
 
     rowcol0: Pair
@@ -148,8 +148,8 @@ class TransverseMercatorGrid(AbstractGrid):
 class TangentGrid(AbstractGrid):
     """Rows and columns affine in the gnomonic plane at a point: for synthetic terrain, exact anywhere on Earth.
 
-    `R_enu_from_ecef` turns ECEF axes to east, north, up at the plane's centre, where `plane0` is (0, 0) if the grid is
-    centred; `step` is d(x, y) / d(row, col), x and y being tangents of the angle between normals.
+    `R_enu_from_ecef` rotates ECEF axes to east, north, up at the plane's centre; `plane0` is (0, 0) if the grid is
+    centred there; `step` is d(x, y) / d(row, col), with x and y as tangents of the angle between normals.
     """
 
     rowcol0: Pair
@@ -161,16 +161,16 @@ class TangentGrid(AbstractGrid):
     def centred(
         cls, centre: Geodetic, *, spacing: tuple[float, float], shape: tuple[int, int], heading: float = 0.0
     ) -> TangentGrid:
-        """A grid of (rows, cols) posts about `centre`, `spacing` m apart in row and col at the centre's height.
+        """A grid of (rows, cols) posts centred at `centre`, `spacing` m apart in row and col at the centre's height.
 
-        Rows go south and columns east; with a `heading` in rad the whole grid is turned clockwise by it. Spacing holds
-        at the centre and grows outwards with the square of the distance, by 1e-6 at 6 km.
+        Rows run south and columns east; `heading` in rad rotates the grid clockwise. The spacing is exact at the centre
+        and grows outwards with the square of the distance, by 1e-6 at 6 km.
         """
         centre = as_float64(centre, "centre")
         lat = jnp.asarray(centre.lat)
         radii = jnp.stack([WGS84.prime_vertical_radius(lat), WGS84.meridian_radius(lat)]) + centre.height
         c, s = jnp.cos(heading), jnp.sin(heading)
-        directions = jnp.array([[-s, c], [-c, -s]])  # columns: where a step in row and in col goes, (east, north)
+        directions = jnp.array([[-s, c], [-c, -s]])  # columns: direction of a step in row and in col, (east, north)
         step = directions * jnp.asarray(spacing, jnp.float64)[None, :] / radii[:, None]
         rowcol0 = (jnp.asarray(shape, jnp.float64) - 1.0) / 2.0
         return cls(rowcol0, jnp.zeros(2), step, R_ecef_from_enu(centre).T)
@@ -185,11 +185,11 @@ class TangentGrid(AbstractGrid):
 
 
 class FittedGrid(AbstractGrid):
-    """Rows and columns as Chebyshev polynomials in the gnomonic plane at the grid's centre: for every other map.
+    """Rows and columns as Chebyshev polynomials in the gnomonic plane at the grid's centre: for all other maps.
 
     Made by `jaxgeo.io`, which fits it to PROJ and measures its error. `plane_half` is the half width of the fitted area
-    in the plane, `rowcol_half` in posts; `coefficients[i, j]` belongs to T_i(x) T_j(y), `inverse` to the way back,
-    which one Newton step makes consistent with the way there. Nothing is singular at a pole or the date line.
+    in the plane, `rowcol_half` in posts; `coefficients[i, j]` belongs to T_i(x) T_j(y), `inverse` to the inverse map,
+    made consistent by one Newton step. No singularity at a pole or the date line.
     """
 
     rowcol0: Pair
@@ -217,7 +217,7 @@ class FittedGrid(AbstractGrid):
 
 
 def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Two polynomials in T_i(x) T_j(y); beyond twice the fitted area [-1, 1]^2 they go on by their linear part."""
+    """Two polynomials in T_i(x) T_j(y), extrapolated linearly beyond twice the fitted area [-1, 1]^2."""
     near = jnp.clip(xy, -_EDGE, _EDGE)
     x, y = (_chebyshev(t, coefficients.shape[0]) for t in near)
     linear = jnp.stack([coefficients[1, 0], coefficients[0, 1]], axis=1)
@@ -225,7 +225,7 @@ def chebyshev_map(coefficients: Num[Array, "n n 2"], xy: Float[Array, "2"]) -> F
 
 
 def surface_point(normal: Vector3) -> Vector3:
-    """ECEF coordinates in m of the point of WGS 84's surface whose outward unit normal is `normal`."""
+    """ECEF coordinates in m of the WGS 84 surface point with outward unit normal `normal`."""
     N = WGS84.a / jnp.sqrt(1.0 - WGS84.e2 * normal[2] ** 2)
     return N * normal * jnp.array([1.0, 1.0, 1.0 - WGS84.e2])
 
@@ -255,7 +255,7 @@ def _inverse(m: Float[Array, "2 2"]) -> tuple[tuple[Scalar, Scalar], tuple[Scala
 
 
 def _centred(affine: Sequence[float | int], shape: tuple[int, int], unit: float) -> tuple[Array, Array, Array]:
-    """(row, col) of the centre, map position there and steps, the latter two times `unit`."""
+    """(row, col) of the centre, map position there and steps; the latter two times `unit`."""
     require_x64()
     a, b, c, d, e, f = (float(x) for x in affine[:6])
     row, col = (shape[0] - 1) / 2.0, (shape[1] - 1) / 2.0

@@ -1,4 +1,4 @@
-"""Terrain whose height is one differentiable function of the position, with bounds."""
+"""Terrain whose height is a differentiable function of position, with bounds."""
 
 from __future__ import annotations
 
@@ -21,26 +21,25 @@ from jaxgeo.terrain.search.base import AbstractSearch
 from jaxgeo.terrain.search.first_hit import FirstHit
 from jaxgeo.terrain.search.safe_march import safe_march
 
-GROUND = 1  # the first number of the cell of a hit; 0 stands for level ground at the highest height
+GROUND = 1  # first number of a hit's cell; 0 means level ground at the highest height
 
 
 class HeightFunction(AbstractTerrain):
-    """Ground whose ellipsoidal height in m is `height_at(position)`: a formula, a spline, a neural height field.
+    """Ground with the ellipsoidal height `height_at(position)` in m: a formula, a spline, a neural height field.
 
-    `height_at` gets a `Geodetic` (rad; its height is 0) and returns one float64 number; it is written in JAX for one
-    place, and NaN where the ground is not known (by `jnp.where`, its other branch finite). Where it is an
-    `equinox.Module`, derivatives of a hit, to second order, reach its parameters. All its heights lie between `lowest`
-    and `highest` in m.
+    `height_at` takes a `Geodetic` (rad; its height is 0) and returns one float64 number. It is written in JAX for a
+    single position, and returns NaN where the ground is unknown (by `jnp.where`, with the other branch finite). If it
+    is an `equinox.Module`, derivatives of a hit, to second order, reach its parameters. All heights must be between
+    `lowest` and `highest` in m.
 
-    `lipschitz` is the steepest rise of the ground, m of height for each m along the ellipsoid. With it the first hit is
-    found: no step of the search is longer than what is proven to be free, and a ridge is passed unseen only if the
-    ray's way through it is shorter than 1 mm. Without it a ray is looked at at 1024 places between the highest and the
-    lowest height: a crossing is found, but ridges that lie between these places are not seen. Where a height is met
-    that is not within its bounds, or steeper than `lipschitz`, the status is `invalid_input`.
+    `lipschitz` is the steepest slope of the ground, m of height per m along the ellipsoid. With it the search returns
+    the first hit: every step is proven to pass no ground, except ridges in which the ray's path is shorter than 1 mm.
+    Without it the ray is sampled at 1024 points between the highest and the lowest height: a crossing is found, but
+    ridges between samples are missed. A height outside its bounds, or steeper than `lipschitz`, gives `invalid_input`.
 
-    A function is told from others by its identity: define it once, or all is compiled again for each.
-    Raises `TypeError` for what is no function and heights that are not float64, `ValueError` for heights of another
-    shape than (), and bounds that are none.
+    Functions are compared by identity: define one once, or everything is compiled again for each copy.
+    Raises `TypeError` if it is not a function or its heights are not float64, `ValueError` for heights whose shape is
+    not () and for invalid bounds.
 
     >>> import jax.numpy as jnp
     >>> def hills(position):
@@ -84,7 +83,7 @@ class HeightFunction(AbstractTerrain):
         return eqx.combine(self.parameters, self.rest)(foot) + self.raised
 
     def bounds(self) -> Bounds:
-        """The lowest and the highest height in m."""
+        """Lowest and highest height in m."""
         return jnp.asarray(self.lowest + self.raised), jnp.asarray(self.highest + self.raised)
 
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
@@ -100,9 +99,9 @@ class HeightFunction(AbstractTerrain):
         return position.height - jnp.where(cell[0] == GROUND, self.height_at(position), self.bounds()[1])
 
     def with_field(self, field: AbstractField) -> HeightFunction:
-        """The ground a bias higher; there are no posts for a field that varies.
+        """The ground raised by a constant field; varying fields need posts.
 
-        Raises `TypeError` for any other field than a `ConstantField`.
+        Raises `TypeError` for any field but a `ConstantField`.
         """
         hint = "A HeightFunction has no posts for a field that varies: add it to the function, or take a Dem."
         check_is(field, ConstantField, "field", hint)
@@ -120,8 +119,8 @@ class HeightFunction(AbstractTerrain):
 
 
 def _is_parameter(leaf: Any) -> bool:
-    """Whether a part of a function goes through JAX: arrays, and plain floats; the rest is compiled in."""
-    return eqx.is_array_like(leaf) and not isinstance(leaf, int)  # a number of layers, a choice
+    """Whether a leaf of a function is a JAX input: arrays and plain floats; everything else is compiled in."""
+    return eqx.is_array_like(leaf) and not isinstance(leaf, int)  # e.g. a number of layers
 
 
 def _check_function(given: Any, height_at: Any) -> None:

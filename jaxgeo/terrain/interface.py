@@ -1,4 +1,4 @@
-"""What a terrain is to a ray."""
+"""Terrain interface for ray intersection."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 class Bracket(Record):
-    """Where along a ray the surface is crossed, found without gradients.
+    """Range interval of a ray's crossing of the surface, found without gradients.
 
-    It lies between the ranges `lower` and `upper` in m, as far as the search can tell at `near`; `cell` is the
-    (row, col) of the cell's first post, `status` an int8 `Status`. Where there is no crossing the ranges are zero and
-    the cell is (0, 0).
+    The crossing is between the ranges `lower` and `upper` in m, at `near` as far as the search can determine; `cell` is
+    the (row, col) of the cell's first post, `status` an int8 `Status`. Without a crossing the ranges are zero and the
+    cell is (0, 0).
     """
 
     lower: ScalarField
@@ -35,48 +35,48 @@ class Bracket(Record):
 
 
 class AbstractTerrain(Record):
-    """A surface that rays can meet.
+    """Base class of terrains.
 
-    A subclass gives the five abstract methods. The others follow from them, and are overridden where the terrain knows
-    its heights in a quicker way: `accuracy` and its like probe the ground through `ground_above`.
+    A subclass implements the five abstract methods. The others are derived from them; override them where the terrain
+    has a faster way to its heights. `accuracy` and related functions sample the ground through `ground_above`.
     """
 
     @abstractmethod
     def bracket(self, ray: Ray, search: AbstractSearch) -> Bracket:
-        """The crossing that `search` finds; it carries no derivatives."""
+        """The crossing found by `search`, without derivatives."""
 
     @abstractmethod
     def clearance(self, p_ecef: Vector3, cell: Int[Array, "2"]) -> Scalar:
-        """Height in m of an ECEF point above the surface of one frozen cell, smooth in every input."""
+        """Height in m of an ECEF point above the surface of one fixed cell, smooth in every input."""
 
     @abstractmethod
     def with_field(self, field: AbstractField) -> AbstractTerrain:
-        """The terrain with a field of heights added, on top of any that it has already."""
+        """The terrain with a field of heights added, on top of any earlier field."""
 
     @abstractmethod
     def made_safe(self) -> tuple[AbstractTerrain, Flag]:
-        """The terrain with finite numbers throughout, so that no NaN enters a gradient, and whether it had them."""
+        """The terrain with finite numbers throughout, so that no NaN enters a gradient, and whether it was finite."""
 
     @abstractmethod
     def safe_ray(self) -> Ray:
-        """A ray whose clearance is finite with a slope of -1, to stand in for rays that have no answer."""
+        """A ray with finite clearance of slope -1, a placeholder for rays without a hit."""
 
     def height_at(self, position: Geodetic) -> Scalar:
         """Height of the ground in m at a latitude and longitude (the height of `position` is ignored).
 
-        That of the highest surface there, where a plumb line of sight from above meets it; NaN where it meets none.
+        The highest surface there: the first hit of a plumb line from above; NaN without a hit.
         """
-        from jaxgeo.terrain.plumb import height_by_plumb_line  # which knows the searches, and they this module
+        from jaxgeo.terrain.plumb import height_by_plumb_line  # circular: the searches import this module
 
         return height_by_plumb_line(self, position)
 
     def ground_above(self, p_ecef: Vector3) -> tuple[Scalar, Flag]:
-        """(height in m of the ground over an ECEF point, negative if it lies below; whether it is known there)."""
+        """(height in m of an ECEF point above the ground, negative below it; whether the ground is known there)."""
         position = WGS84.to_geodetic(p_ecef)
         height = self.height_at(position)
         is_known = jnp.isfinite(height)
         return jnp.where(is_known, height - position.height, 0.0), is_known
 
     def spacing(self) -> Scalar | None:
-        """Length in m below which the ground is smooth, as between the posts of a grid; None if there is none known."""
+        """Length in m below which the ground is smooth, such as the post spacing of a grid; None if unknown."""
         return None

@@ -1,4 +1,4 @@
-"""The way over a grid of rays that stay close together, from a map that is expanded once for all of them."""
+"""Polynomial map from ECEF to (row, col, height) within a box, shared by rays that stay close together."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
 DEGREE = 3
-# Powers of the three coordinates, each after the one that it is a multiple of.
+# Powers of the three coordinates, each after the one it is a multiple of.
 POWERS = sorted((p for p in itertools.product(range(DEGREE + 1), repeat=3) if sum(p) <= DEGREE), key=sum)
-_NODES = np.cos(np.pi * (np.arange(5) + 0.5) / 5.0)  # Chebyshev's, on each axis
+_NODES = np.cos(np.pi * (np.arange(5) + 0.5) / 5.0)  # Chebyshev nodes on each axis
 _PLACES = np.array(list(itertools.product(_NODES, repeat=3)))
 _MONOMIALS = np.stack([np.prod(_PLACES**power, axis=1) for power in POWERS], axis=1)
 _FIT = np.linalg.pinv(_MONOMIALS)
-_BEYOND = 4.0  # times what the expansion misses at the nodes: what it may miss between and behind them
+_BEYOND = 4.0  # safety factor on the error at the nodes, to bound the error between and beyond them
 
 
 class Line(NamedTuple):
-    """A ray through a box: its ranges in m in the middle of the first axis and from there to the end; and on either
-    other axis where in the box it is there, and how far it comes from there to the end."""
+    """A ray through a box. First axis: ranges in m at its middle and from there to its end. Either other axis: the
+    position in the box at the middle, and the change from there to the end."""
 
     middle: Scalar
     half: Scalar
@@ -42,15 +42,15 @@ class Line(NamedTuple):
 
     @property
     def across(self) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-        """Both other axes."""
+        """The two other axes."""
         return self.second, self.third
 
 
 class LocalMap(Record):
-    """Row, column and height within a box as polynomials of the third degree of the place in it.
+    """Row, column and height within a box as cubic polynomials of the position.
 
-    `middle` in ECEF m, `axes` (3, 3) unit vectors by row, `half` the box's half lengths in m; `error` in m bounds what
-    the polynomials miss. What rays need exact is polished on the exact map.
+    `middle` in ECEF m, `axes` (3, 3) unit vectors by row, `half` the box's half lengths in m; `error` in m bounds the
+    approximation error. Exact results are polished on the exact map.
     """
 
     middle: Float[Array, "3"]
@@ -61,7 +61,7 @@ class LocalMap(Record):
 
     @classmethod
     def about(cls, dem: Dem, middle: Float[Array, "3"], axes: Float[Array, "3 3"], half: Float[Array, "3"]) -> LocalMap:
-        """Fitted to the exact map of a terrain."""
+        """Fit to the exact map of a terrain."""
 
         def exact(place: Float[Array, "3"]) -> Float[Array, "3"]:
             rowcol, height = dem.over(middle + (place * half) @ axes)
@@ -87,22 +87,22 @@ class LocalMap(Record):
         return Line(middle, half, *across)
 
     def track(self, line: Line) -> Track:
-        """The track of a ray from one end of the box to the other, along its first axis; tau runs with that."""
+        """The track of a ray from one end of the box to the other; tau runs along the box's first axis."""
         row, col, height = (_along(line.across, coefficients) for coefficients in self.coefficients)
         return Track(row, col, height, line.middle, line.half, jnp.asarray(self.error))
 
     def slopes(self, extent: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-        """Derivatives of row, column and height by the three coordinates in the box's middle, and bounds of their sizes
-        where no coordinate is farther from it than the `extent` (1 is the box's end)."""
+        """Derivatives of row, column and height by the three coordinates at the box's centre, and bounds of their
+        magnitudes where the coordinates are within `extent` of it (1 is the box's end)."""
         powers = np.asarray(POWERS)
-        lowered = np.maximum(powers[:, None, :] - np.eye(3, dtype=int), 0)  # by the coordinate of the derivative
+        lowered = np.maximum(powers[:, None, :] - np.eye(3, dtype=int), 0)  # by the coordinate of differentiation
         sizes = powers * jnp.prod(extent[None, None, :] ** jnp.asarray(lowered), axis=-1)
         linear = np.array([POWERS.index(power) for power in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
         return self.coefficients[:, linear], jnp.abs(self.coefficients) @ sizes
 
 
 def _along(across: Sequence[tuple[Scalar, Scalar]], coefficients: Float[Array, " powers"]) -> Quartic:
-    """The polynomial of the three coordinates along a line, of which the first is tau, the others linear in it."""
+    """The polynomial of the three coordinates along a line: the first is tau, the others are linear in tau."""
     total = [jnp.asarray(0.0)] * (DEGREE + 1)
     terms: dict[tuple[int, int], list[Scalar]] = {(0, 0): [jnp.asarray(1.0)]}
     for number, (ahead, *power) in enumerate(POWERS):
@@ -116,7 +116,7 @@ def _along(across: Sequence[tuple[Scalar, Scalar]], coefficients: Float[Array, "
 
 
 def _times(polynomial: list[Scalar], linear: tuple[Scalar, Scalar]) -> list[Scalar]:
-    """The product of a polynomial and a linear one, by coefficients from the lowest power up."""
+    """Product of a polynomial and a linear one, by coefficients from the lowest power up."""
     a, b = linear
     inner = [low * b + high * a for low, high in itertools.pairwise(polynomial)]
     return [polynomial[0] * a, *inner, polynomial[-1] * b]

@@ -7,9 +7,9 @@ from jaxgeo._typing import Scalar, ScalarField
 
 
 class Patch(Record):
-    """The bilinear surface through a cell's four posts, heights in m; `first`, then the next in col, in row, in both.
+    """Bilinear surface of a cell's four posts, heights in m: `first`, then the next in col, in row, in both.
 
-    Offsets are in cells from the first post, and may lie beyond the cell.
+    Offsets are in cells from the first post, and may be outside the cell.
     """
 
     first: ScalarField
@@ -24,6 +24,6 @@ class Patch(Record):
         return near + (far - near) * row
 
     def gradient(self, row: Scalar, col: Scalar) -> tuple[Scalar, Scalar]:
-        """Rise in m per cell along the rows and along the columns, at an offset."""
+        """Height gradient in m per cell along rows and along columns, at an offset."""
         twist = self.last - self.next_row - self.next_col + self.first
         return self.next_row - self.first + twist * col, self.next_col - self.first + twist * row

@@ -1,4 +1,4 @@
-"""Heights of any terrain by plumb lines of sight."""
+"""Heights of any terrain by plumb-line intersection."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ABOVE_ALL = 20_000.0  # m above the ellipsoid: higher than any ground
 
 
 def height_by_plumb_line(terrain: AbstractTerrain, position: Geodetic) -> Scalar:
-    """Height in m at which a plumb line of sight from above meets a terrain, NaN where it meets none.
+    """Height in m at which a plumb line from above meets the terrain; NaN without a hit.
 
     Differentiable in the position and the terrain, as a hit is.
     """

@@ -1,4 +1,4 @@
-"""From a bracket to the exact range, with derivatives."""
+"""Refinement of a bracket to the exact range, with derivatives."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from jaxgeo._typing import Flag, Scalar
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.interface import AbstractTerrain, Bracket
 
-SLACK = 1e-6  # m: the bracket comes from a track that is true to less
-CLOSE_ENOUGH = 1e-4  # m of the last step: what is left after it is its square over the radius of a hill
-ROUNDING = 2e-9  # m of clearance: what an ECEF position cannot tell from zero
+SLACK = 1e-6  # m: bound of the track's error, from which the bracket comes
+CLOSE_ENOUGH = 1e-4  # m: last step; the remaining error is its square over the radius of a hill
+ROUNDING = 2e-9  # m of clearance: resolution of an ECEF position
 STEPS = 60
 
 
 def polish(ray: Ray, terrain: AbstractTerrain, bracket: Bracket) -> Scalar:
-    """Range in m to the crossing within `bracket`, on its frozen cell, exact in value and in all its derivatives.
+    """Range in m to the crossing within `bracket`, on its fixed cell, exact in value and in all derivatives.
 
-    Newton on the exact map, kept inside the bracket by bisection; it never picks another cell. The derivatives are
-    those of the implicit function: they reach the ray, the grid and the four posts of the cell.
+    Newton on the exact map, kept inside the bracket by bisection; it never changes the cell. Derivatives follow from
+    the implicit function theorem: they reach the ray, the grid and the four posts of the cell.
     """
     world = (ray, terrain, bracket.cell)
     frozen = jax.lax.stop_gradient(world)
@@ -37,7 +37,7 @@ def _clearance(distance: Scalar, world: tuple[Ray, AbstractTerrain, jax.Array]) 
 
 
 def _newton_in_bracket(clearance: Callable[[Scalar], Scalar], lower: Scalar, upper: Scalar, near: Scalar) -> Scalar:
-    """The root of a decreasing crossing: positive clearance at `lower`, negative at `upper`; it begins `near` it."""
+    """The root of a decreasing clearance: positive at `lower`, negative at `upper`; starts at `near`."""
 
     def unfinished(state: tuple[Scalar, Scalar, Scalar, Flag, jax.Array]) -> Flag:
         _, _, _, is_exact, count = state

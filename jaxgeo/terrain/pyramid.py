@@ -1,4 +1,4 @@
-"""Upper bounds of a bilinear surface over square blocks of cells, for every power of two."""
+"""Pyramid of upper bounds of a bilinear surface over square blocks of cells, one level per power of two."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Index, Scalar, ScalarField
 from jaxgeo.terrain._memory import aligned_empty, handed_over
 
-STEPS = 65_534  # of height between the lowest and the highest ground
+STEPS = 65_534  # height steps between the lowest and the highest ground
 FINEST_STEP = 1e-7  # m, for level ground
-ROWS_AT_ONCE = 64  # so that building takes little memory beside the posts
+ROWS_AT_ONCE = 64  # so that building takes little memory besides the posts
 
 
 class Pyramid(Record):
     """Maxima over 2 x 2 neighbouring texels of 2^level x 2^level cells, all levels in one flat array.
 
     A box no wider than 2^level cells on either axis touches at most the texel of its lower corner and the next one
-    on each axis, so one look-up at that corner bounds the surface over the whole box. Heights are `base` + `step` times
-    the stored integer, in m, and rounded up: two bytes a texel are exact to a few centimetres.
+    on each axis, so one lookup at that corner bounds the surface over the whole box. Heights are `base` + `step` times
+    the stored integer, in m, rounded up: two bytes per texel resolve a few centimetres.
     """
 
     bounds: UInt16[Array, "... texels"]
@@ -36,7 +36,7 @@ class Pyramid(Record):
 
     @property
     def top(self) -> int:
-        """The highest level: one texel holds every cell."""
+        """The highest level: one texel covers all cells."""
         return len(_level_shapes(self.shape)) - 1
 
     def bound(self, level: Index, row: Index, col: Index) -> Scalar:
@@ -47,9 +47,9 @@ class Pyramid(Record):
 
 
 def texel_of(shape: tuple[int, int], level: Index, row: Index, col: Index) -> Index:
-    """Place in the flat array of the texel (row, col) at `level`, clipped to a pyramid over `shape` (rows, cols) cells.
+    """Flat index of the texel (row, col) at `level`, clipped to a pyramid over `shape` (rows, cols) cells.
 
-    In 32 bits, which `check_size` sees to: in 64 the search's inner loop would be slower.
+    In 32 bits, as ensured by `check_size`: 64 bits would slow down the search's inner loop.
     """
     rows, cols = shape
     offsets = np.cumsum([0] + [rows * cols for rows, cols in _level_shapes(shape)[:-1]]).astype(np.int32)
@@ -60,7 +60,7 @@ def texel_of(shape: tuple[int, int], level: Index, row: Index, col: Index) -> In
 
 
 def check_size(posts: tuple[int, int]) -> None:
-    """Raise `ValueError` for (rows, cols) of posts whose pyramid has more texels than 32 bits count."""
+    """Raise `ValueError` for (rows, cols) of posts whose pyramid has too many texels for 32-bit indices."""
     rows, cols = posts
     texels = sum(rows * cols for rows, cols in _level_shapes((rows - 1, cols - 1)))
     check_countable(
@@ -83,7 +83,7 @@ def known_posts(unknown: Any, rows: Any, cols: Any, xp: Any) -> tuple[Any, Any]:
 
 
 def extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:
-    """Lowest and highest known post; no array of the posts' size is made of those known now."""
+    """Lowest and highest known post, without a temporary array of known posts."""
     kind = None if posts.dtype.kind == "f" else np.iinfo(posts.dtype)
     least, most = (-np.inf, np.inf) if kind is None else (kind.min, kind.max)
     lowest = xp.min(posts, where=known, initial=most)
@@ -93,10 +93,10 @@ def extremes(posts: Any, known: Any, xp: Any) -> tuple[Any, Any]:
 def build_pyramid(
     posts: Any, unknown: Any, *, ceiling: Any, lowest: Any, highest: Any, xp: types.ModuleType
 ) -> Pyramid:
-    """Pyramid over posts (rows, cols) in m, in NumPy or JAX (`xp`); unknown ones may be as high as `ceiling`.
+    """Pyramid over posts (rows, cols) in m, in NumPy or JAX (`xp`); unknown posts may be as high as `ceiling`.
 
-    Every known post lies between `lowest` and `highest`. With NumPy the posts are read in strips, so that hardly more
-    memory is taken than the pyramid's own.
+    Every known post is between `lowest` and `highest`. With NumPy the posts are read in strips, so that memory is
+    hardly more than the pyramid's own.
     """
     base = xp.minimum(xp.asarray(lowest, np.float64), ceiling)
     step = xp.maximum((xp.maximum(xp.asarray(highest, np.float64), ceiling) - base) / STEPS, FINEST_STEP)
@@ -124,7 +124,7 @@ def _all_at_once(finest: Array, shape: tuple[int, int]) -> Array:
 
 
 def _in_place(tops: Callable[[int, int], np.ndarray], shape: tuple[int, int]) -> np.ndarray:
-    """The same in NumPy, strip by strip, with no more memory than the result's."""
+    """As `_all_at_once` in NumPy, strip by strip, with no more memory than the result's."""
     sizes = [rows * cols for rows, cols in _level_shapes(shape)]
     bounds = aligned_empty((sum(sizes),), np.uint16)
     parts = np.split(bounds, np.cumsum(sizes)[:-1])
@@ -134,7 +134,7 @@ def _in_place(tops: Callable[[int, int], np.ndarray], shape: tuple[int, int]) ->
     for number, level in enumerate(levels):
         for first, last in _strips(len(level)) if number + 1 < len(levels) else ():
             levels[number + 1][first // 2 : (last + 1) // 2] = _halved(level[first:last], np)
-        for first, last in _strips(len(level)):  # in place: a strip's dilation needs only what comes after it
+        for first, last in _strips(len(level)):  # in place: a strip's dilation needs only later rows
             level[first:last] = _dilated(level[first:last], level[min(last, len(level) - 1)][None], np)
     return bounds
 
@@ -150,7 +150,7 @@ def _dilated(texels: Any, below: Any, xp: types.ModuleType) -> Any:
 
 
 def _halved(texels: Any, xp: types.ModuleType) -> Any:
-    """The next level: maxima over 2 x 2 texels; a last odd row or column stands for itself."""
+    """The next level: maxima over 2 x 2 texels; a last odd row or column is kept unchanged."""
     height, width = texels.shape
     texels = xp.pad(texels, ((0, height % 2), (0, width % 2)), mode="edge")
     texels = xp.maximum(texels[0::2], texels[1::2])

@@ -1,4 +1,4 @@
-"""A ray over the grid: row, column and height as polynomials of range."""
+"""Polynomial track of a ray over a grid: row, column and height as functions of range."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.dem import Dem
 
-LONGEST_TRACK = 40_000.0  # m: over more a quartic is not true enough
-TRACK_TOLERANCE = 1e-6  # m; one of a bent ray errs by some 5e-7
+LONGEST_TRACK = 40_000.0  # m: beyond this a quartic is not accurate enough
+TRACK_TOLERANCE = 1e-6  # m; the error for a bent ray is about 5e-7
 COEFFICIENTS = 5  # of a quartic
 _DROPPED = 16.0 / (25.0 * 5.0**0.5)  # largest |tau (tau^2 - 1)^2| on [-1, 1]
 
 
 class Quartic(Record):
-    """A polynomial of degree four in tau, by its coefficients; each of them one number, or one per ray."""
+    """Quartic polynomial in tau by its coefficients, each one number or one per ray."""
 
     c0: ScalarField
     c1: ScalarField
@@ -36,23 +36,22 @@ class Quartic(Record):
         return ((4.0 * self.c4 * tau + 3.0 * self.c3) * tau + 2.0 * self.c2) * tau + self.c1
 
     def lowered(self, by: Scalar) -> Quartic:
-        """The polynomial less a number."""
+        """The polynomial minus a number."""
         return Quartic(self.c0 - by, self.c1, self.c2, self.c3, self.c4)
 
     def speed(self) -> Scalar:
-        """An upper bound of the derivative's size for tau in [-1, 1]."""
+        """Upper bound of the derivative's magnitude for tau in [-1, 1]."""
         return abs(self.c1) + 2.0 * abs(self.c2) + 3.0 * abs(self.c3) + 4.0 * abs(self.c4)
 
     def sag(self) -> Scalar:
-        """An upper bound on how far the polynomial bends away from a chord of unit length in tau."""
+        """Upper bound of the deviation from a chord of unit length in tau."""
         return 0.25 * abs(self.c2) + 0.75 * abs(self.c3) + 1.5 * abs(self.c4)
 
 
 class Track(Record):
-    """(row, col, height) along a stretch of a ray, as polynomials of tau in [-1, 1].
+    """(row, col, height) along a section of a ray, as polynomials of tau in [-1, 1].
 
-    `middle` and `half` are the range in m at tau = 0 and half the length; `error` bounds, in m, what the polynomials
-    leave out.
+    `middle` and `half` are the range in m at tau = 0 and half the length; `error` bounds the polynomials' error in m.
     """
 
     row: Quartic
@@ -71,16 +70,16 @@ class Track(Record):
         return self.middle + self.half * tau
 
     def speed(self) -> Scalar:
-        """An upper bound on the cells passed per unit of tau, on either axis."""
+        """Upper bound of the cells passed per unit of tau, on either axis."""
         return jnp.maximum(self.row.speed(), self.col.speed())
 
 
 def make_track(ray: Ray, dem: Dem, start: Scalar, end: Scalar) -> Track:
     """The track of `ray` over `dem` between two ranges in m.
 
-    Values and derivatives of the exact map at both ends and in the middle are met by a quintic; its last term, of some
-    1e-9 m over 20 km and growing with the fifth power of the length, is left out where that is least felt, and tells
-    the error.
+    A quintic matches values and derivatives of the exact map at both ends and in the middle. Its last term, about 1e-9
+    m over 20 km and growing with the fifth power of the length, is dropped where its effect is smallest, and gives the
+    error.
     """
     middle, half = 0.5 * (start + end), 0.5 * (end - start)
     # a loop, so that the exact map is compiled once
@@ -102,7 +101,7 @@ def _exact(ray: Ray, dem: Dem, distance: Scalar) -> tuple[tuple[Scalar, ...], tu
 
 
 def _quartic(values: Float[Array, "3"], slopes: Float[Array, "3"]) -> tuple[Quartic, Scalar]:
-    """The quartic through values and slopes by tau at -1, 0 and 1, and how much it leaves out at most."""
+    """The quartic through values and slopes (by tau) at -1, 0 and 1, and a bound of its error."""
     (behind, centre, ahead), (behind_slope, centre_slope, ahead_slope) = values, slopes
     even, even_slope = 0.5 * (ahead + behind) - centre, 0.25 * (ahead_slope - behind_slope)
     odd, odd_slope = 0.5 * (ahead - behind), 0.5 * (ahead_slope + behind_slope)

@@ -1,7 +1,7 @@
-"""Lens distortion: from ideal to distorted image coordinates and back.
+"""Lens distortion: ideal to distorted image coordinates and back.
 
-Both are the tangents of the ray's angles, (right, down) over forward, without a unit: a pixel is focal length times the
-distorted coordinates plus the principal point.
+Both are tangents of ray angles, (right, down) over forward, unitless: a pixel is the focal length times the distorted
+coordinates plus the principal point.
 """
 
 from jaxgeo.sensor.distortion.base import AbstractDistortion, NoDistortion

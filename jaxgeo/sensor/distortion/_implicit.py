@@ -1,4 +1,4 @@
-"""Derivatives of a lens's inverse, by the implicit function."""
+"""Derivatives of a lens's inverse by the implicit function theorem."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def inverse_at(
     target: PlanePoint,
     root: PlanePoint,
 ) -> PlanePoint:
-    """`root`, which the formula of `lens` maps to `target`, with the derivatives that keep it there, of every order.
+    """`root`, which the formula of `lens` maps to `target`, with its derivatives of every order.
 
-    `formula` and its `jacobian` close over nothing that is traced.
+    `formula` and its `jacobian` must not close over traced values.
     """
     return root
 
 
 @inverse_at.defjvp
 def _(formula, jacobian, primals, tangents):
-    """d root = J^-1 (d target - d lens (root)), at a root that moves along when this is differentiated again."""
+    """d root = J^-1 (d target - d lens (root)); `root` itself is differentiated again at higher order."""
     lens, target, root = primals
     d_lens, d_target, _ = tangents
     root = inverse_at(formula, jacobian, lens, target, root)

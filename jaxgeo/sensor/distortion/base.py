@@ -1,4 +1,4 @@
-"""What every lens distortion is: a map of the image plane, its inverse, its field and its coefficients."""
+"""Base class of lens distortions: a map of the image plane, its inverse, its field and its coefficients."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from jaxgeo.status import Status, status_where
 if TYPE_CHECKING:
     from typing import Self
 else:
-    Self: TypeAlias = Any  # which checks at run time cannot follow through a decorated method
+    Self: TypeAlias = Any  # run-time type checks cannot resolve it through a decorated method
 
 
 class AbstractDistortion(Record):
-    """A smooth map of the image plane that is invertible round the centre.
+    """A smooth map of the image plane, invertible around the centre.
 
-    Its field is the part of the plane around the centre on which it does not fold: where the determinant of its
-    Jacobian is positive all the way from the centre.
+    Its field is the region around the centre without a fold: where the determinant of its Jacobian is positive all the
+    way from the centre.
     """
 
-    names: ClassVar[tuple[str, ...]]  # of its coefficients, in order
-    interior: ClassVar[tuple[str, ...]] = ()  # those that do what the focal length and the principal point do
+    names: ClassVar[tuple[str, ...]]  # of the coefficients, in order
+    interior: ClassVar[tuple[str, ...]] = ()  # those equivalent to focal length and principal point
 
     @abc.abstractmethod
     def distort(self, ideal: PlanePoint) -> PlanePoint:
@@ -37,33 +37,28 @@ class AbstractDistortion(Record):
 
     @abc.abstractmethod
     def in_field(self, ideal: PlanePoint) -> Flag:
-        """Whether ideal image coordinates lie in the field; no derivative."""
+        """Whether ideal image coordinates are in the field; not differentiable."""
 
     def nearest_image(self, ideal: PlanePoint) -> PlanePoint:
-        """About where in the image the field ends towards ideal coordinates beyond it, distorted; no derivative.
-
-        By default where the point would be without the lens, which is right for one that bends little.
-        """
+        """Approximate edge of the field, in distorted coordinates, towards ideal coordinates beyond it; not
+        differentiable. By default the ideal coordinates, which is right for small distortion."""
         return jax.lax.stop_gradient(ideal)
 
     @abc.abstractmethod
     def undistort(self, distorted: PlanePoint) -> tuple[PlanePoint, StatusCode]:
-        """Ideal coordinates in the field of distorted ones, and a status; (0, 0) where the status is not `hit`."""
+        """Ideal coordinates in the field of distorted ones, and a status; (0, 0) unless the status is `hit`."""
 
     @abc.abstractmethod
     def coefficients(self) -> Float[Array, "... n"]:
-        """The coefficients as a vector, in the order of `names`; after the batch axes if the lens has any."""
+        """Coefficient vector in the order of `names`, after the batch axes if the lens has any."""
 
     @abc.abstractmethod
     def with_coefficients(self, vector: Any) -> Self:
-        """The same lens with other coefficients, in the order of `names`.
-
-        Raises `ValueError` if there are not as many as names.
-        """
+        """The same lens with other coefficients, in the order of `names`. Raises `ValueError` for a wrong number."""
 
 
 class NoDistortion(AbstractDistortion):
-    """A perfect lens."""
+    """Lens without distortion."""
 
     names: ClassVar = ()
 
@@ -86,7 +81,7 @@ class NoDistortion(AbstractDistortion):
 
 
 def as_coefficients(vector: Any, lens: type[AbstractDistortion]) -> Float[Array, "... n"]:
-    """`vector` as float64; raises `ValueError` unless its last axis has one number for each of the lens's names."""
+    """`vector` as float64; raises `ValueError` unless its last axis has one number per coefficient of the lens."""
     vector = as_float64(as_array(vector, "coefficients"), "coefficients")
     if jnp.shape(vector)[-1:] != (len(lens.names),):
         raise ValueError(

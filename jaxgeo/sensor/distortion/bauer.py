@@ -1,4 +1,4 @@
-"""Three additional parameters: one of the lens, two of the film or the chip."""
+"""Bauer's three additional parameters: one for the lens, two for the film or the chip."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Bauer(AbstractCorrection):
     """Bauer's three parameters (1972): radial distortion that vanishes at `r0`, shear, and difference of scale.
 
     dx = a1 x (r2 - r0^2) - a3 x, dy = a1 y (r2 - r0^2) + a2 x + a3 y, with x, y and `r0` in units of `scale`. The
-    default `r0` is the `balance_radius` of a square, that of `for_image` the image's own: there the radial term is
-    orthogonal to a change of the focal length, so that the two can be estimated beside each other.
+    default `r0` is the `balance_radius` of a square; `for_image` uses that of the image. There the radial term is
+    orthogonal to a change of the focal length, so both can be estimated together.
     """
 
     r0: ScalarField = SQUARE_BALANCE
@@ -36,7 +36,7 @@ class Bauer(AbstractCorrection):
 
     @classmethod
     def for_image(cls, *, focal_px: Any, width: int, height: int) -> Self:
-        """Lens without any correction yet, with scale and `r0` of an image; see `AbstractCorrection.for_image`."""
+        """Lens with zero coefficients, scale and `r0` of an image; see `AbstractCorrection.for_image`."""
         lens = super().for_image(focal_px=focal_px, width=width, height=height)
         across, down = half_sides(focal_px, width, height) / lens.scale
         return cls(lens.values, lens.scale, balance_radius(across, down))
@@ -54,6 +54,6 @@ class Bauer(AbstractCorrection):
 
 
 def balance_radius(across: Scalar, down: Scalar) -> Scalar:
-    """The r0 for which r (r2 - r0^2) is orthogonal to r over a rectangle with these half sides: r0^2 = <r4> / <r2>."""
+    """r0 for which r (r2 - r0^2) is orthogonal to r over a rectangle with these half sides: r0^2 = <r4> / <r2>."""
     p, q = across**2, down**2
     return safe_sqrt((p * p / 5.0 + q * q / 5.0 + 2.0 * p * q / 9.0) / ((p + q) / 3.0))

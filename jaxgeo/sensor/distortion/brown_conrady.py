@@ -1,4 +1,4 @@
-"""Radial and tangential distortion: a formula of the ideal coordinates, and its inverse by Newton's method."""
+"""Brown-Conrady distortion, radial and tangential, and its inverse by Newton's method."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from jaxgeo.sensor.distortion._segment import segment
 from jaxgeo.sensor.distortion.base import AbstractDistortion, Self, as_coefficients
 from jaxgeo.status import Status, status_where
 
-# Of a step of the inverse; beyond radius 1, times the radius. With steps three times as long, one point in 200 of wild
-# rational lenses is lost to a branch beyond a fold; with these, none of 81351.
+# Longest step of the inverse; beyond radius 1, times the radius. With steps three times as long, one point in 200 of
+# extreme rational lenses converges to a branch beyond a fold; with these, none of 81351.
 LONGEST_STEP = 0.3
-MAX_STEPS = 80  # Newton needs 4 to 8; towards a fold the distance to it halves at each step
-FOLD = 1e-3  # determinant at which an iteration that found no root is said to have run into the fold (1 at the centre)
+MAX_STEPS = 80  # Newton needs 4 to 8; near a fold the distance to it halves at each step
+FOLD = 1e-3  # determinant below which an iteration without a root counts as stopped by a fold (1 at the centre)
 
 
 class BrownConrady(AbstractDistortion):
-    """Radial (rational) and tangential distortion in OpenCV's formula and order of coefficients, all without a unit.
+    """Radial (rational) and tangential distortion with OpenCV's formula and order of coefficients, all unitless.
 
     With r2 = x2 + y2, radial = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6):
     x' = x radial + 2 p1 x y + p2 (r2 + 2 x2), y' = y radial + p1 (r2 + 2 y2) + 2 p2 x y.
@@ -69,7 +69,7 @@ class BrownConrady(AbstractDistortion):
         )
 
     def jacobian(self, ideal: PlanePoint) -> Float[Array, "2 2"]:
-        """Derivative of `distort`; symmetric. Written out, since every step of the inverse needs it."""
+        """Derivative of `distort`; symmetric. Written out because every step of the inverse needs it."""
         x, y = ideal
         r2 = x**2 + y**2
         denominator = self._denominator(r2)
@@ -90,7 +90,7 @@ class BrownConrady(AbstractDistortion):
     def nearest_image(self, ideal: PlanePoint) -> PlanePoint:
         distortion, ideal = jax.lax.stop_gradient((self, ideal))
         points = segment(ideal)
-        folded = jnp.argmin(jax.vmap(distortion._unfolded)(points))  # the first that is
+        folded = jnp.argmin(jax.vmap(distortion._unfolded)(points))  # the first folded one
         last = jnp.where(folded > 0, points[jnp.maximum(folded - 1, 0)], 0.0)
         return distortion.distort(last)
 
@@ -108,7 +108,7 @@ class BrownConrady(AbstractDistortion):
         return inverse_at(BrownConrady.distort, BrownConrady.jacobian, lens, distorted, root), status
 
     def _unfolded(self, ideal: PlanePoint) -> Flag:
-        """Whether the formula keeps its orientation at a point, on the near side of any pole of the radial factor."""
+        """Whether the formula keeps its orientation at a point, before any pole of the radial factor."""
         return (self._denominator(jnp.sum(ideal**2)) > 0.0) & (determinant(self.jacobian(ideal)) > 0.0)
 
     def _numerator(self, r2: Scalar) -> Scalar:
@@ -119,11 +119,11 @@ class BrownConrady(AbstractDistortion):
 
 
 def _find_root(lens: BrownConrady, target: PlanePoint) -> tuple[PlanePoint, Flag, Flag]:
-    """Damped Newton from the centre: (root, whether it is one, whether the fold stopped the search).
+    """Damped Newton from the centre: (root, whether it converged, whether a fold stopped it).
 
-    A step that does not shrink the residual, or ends where the formula is folded, is tried again at half its length,
-    and none is longer than LONGEST_STEP, so as not to jump over a fold. So the iterates stay on the branch of the
-    centre; where it does not reach `target`, they end at its fold.
+    A step that does not reduce the residual, or ends where the formula is folded, is halved and tried again, and none
+    is longer than LONGEST_STEP, to avoid jumping over a fold. So the iterates stay on the branch of the centre; where
+    that branch does not reach `target`, they end at its fold.
     """
     scale = 1.0 + safe_norm(target)
 

@@ -1,4 +1,4 @@
-"""Twenty-one additional parameters, of film, lens and interior orientation."""
+"""Brown's twenty-one additional parameters for film, lens and interior orientation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from jaxgeo.sensor.distortion.correction import AbstractCorrection
 class BrownPhysical(AbstractCorrection):
     """Brown's twenty-one parameters (1976), each with a physical cause.
 
-    Of film or chip in its plane (a1 to a12) and out of it (a13 to a15), of the lens (a16 to a18), of the interior
-    orientation (a19 to a21). With P = a13 (x2 - y2) + a14 x2 y2 + a15 (x4 - y4), Q = a16 r2 + a17 r4 + a18 r6, and c
-    the focal length:
+    In-plane film or chip (a1 to a12), out-of-plane (a13 to a15), lens (a16 to a18), interior orientation (a19 to a21).
+    With P = a13 (x2 - y2) + a14 x2 y2 + a15 (x4 - y4), Q = a16 r2 + a17 r4 + a18 r6, and the focal length c:
     dx = a1 x + a2 y + a3 x y + a4 y2 + a5 x2 y + a6 x y2 + a7 x2 y2 + (x/c) P + x Q + a19 + a21 x/c,
     dy = a8 x y + a9 x2 + a10 x2 y + a11 x y2 + a12 x2 y2 + (y/c) P + y Q + a20 + a21 y/c.
-    Here x and y are in units of `scale` and c is left out: a13, a14, a15 and a21 have taken it in.
-    a19, a20 and a21 (`interior`) move principal point and focal length: never estimate them beside those.
+    Here x and y are in units of `scale`, and c is absorbed into a13, a14, a15 and a21.
+    a19, a20 and a21 (`interior`) move principal point and focal length: never estimate them together with those.
     """
 
     names: ClassVar = tuple(f"a{k}" for k in range(1, 22))

@@ -1,7 +1,7 @@
-"""Lenses of self-calibration: a polynomial of the measured coordinates is added to them to give the ideal ones.
+"""Self-calibration lenses: a polynomial of the measured coordinates, added to them, gives the ideal coordinates.
 
-The additional parameters of bundle adjustment: x - x0 + dx = -f ..., where (dx, dy) depends on the measured (x, y).
-Removing the distortion is therefore the formula, and distorting is its inverse, by a fixed number of Newton steps.
+These are the additional parameters of bundle adjustment: x - x0 + dx = -f ..., where (dx, dy) depends on the measured
+(x, y). So undistorting evaluates the formula, and distorting inverts it with a fixed number of Newton steps.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from jaxgeo.sensor.distortion._segment import segment
 from jaxgeo.sensor.distortion.base import AbstractDistortion, Self, as_coefficients
 from jaxgeo.status import Status, status_where
 
-# Of Newton from the ideal coordinates. Random lenses that move some point of the image by 1 % of its half side need 4
-# to be exact to the last bit everywhere on it, 10 % 5, 20 % 6 (but for about 1 in 1000 points, close to a fold).
+# Newton steps from the ideal coordinates. For random lenses that move some image point by 1 % of the half side, 4 steps
+# are exact to the last bit everywhere; 10 % needs 5, 20 % needs 6 (except about 1 in 1000 points, close to a fold).
 STEPS = 6
-LAST_STEP = 1e-8  # in units of `scale`: of the last step of an iteration that has converged; the error is its square
+LAST_STEP = 1e-8  # in units of `scale`: largest last step of a converged iteration; the error is its square
 
 Pair: TypeAlias = tuple[Scalar, Scalar]
 Rows: TypeAlias = tuple[Pair, Pair]
@@ -39,21 +39,21 @@ else:
 
 
 class AbstractCorrection(AbstractDistortion):
-    """A polynomial correction, added to distorted coordinates to give the ideal ones.
+    """Polynomial correction added to distorted coordinates to give the ideal ones.
 
-    ideal = distorted + scale * polynomial(distorted / scale): `scale` is a tangent, best that of half the image's
-    longer side, so that the coefficients in `values` have no unit and say how much they move a point of the image's
-    edge, in half sides. x goes right and y goes down, from the principal point.
+    ideal = distorted + scale * polynomial(distorted / scale): `scale` is a tangent, ideally of half the image's longer
+    side, so that the coefficients in `values` are unitless and give the shift at the image edge in half sides. x points
+    right and y down, from the principal point.
 
-    Its field ends at the fold, or shortly before, where a fixed number of Newton steps no longer find the inverse.
+    The field ends at the fold, or shortly before it, where the fixed number of Newton steps does not converge.
     """
 
     values: CoefficientsField
     scale: ScalarField
 
-    orders: ClassVar[tuple[int, ...]]  # powers of length in the term of each coefficient
-    mirrored: ClassVar[tuple[str, ...]]  # the coefficients whose sign changes with the direction of y
-    over_focal: ClassVar[tuple[str, ...]] = ()  # those whose term is divided by the focal length
+    orders: ClassVar[tuple[int, ...]]  # power of length in the term of each coefficient
+    mirrored: ClassVar[tuple[str, ...]]  # coefficients whose sign changes with the direction of y
+    over_focal: ClassVar[tuple[str, ...]] = ()  # coefficients whose term is divided by the focal length
 
     @abc.abstractmethod
     def polynomial(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
@@ -61,9 +61,9 @@ class AbstractCorrection(AbstractDistortion):
 
     @classmethod
     def from_coefficients(cls, coefficients: Any, *, scale: Any) -> Self:
-        """Lens of given coefficients without a unit, in the order of `names`.
+        """Lens of given unitless coefficients, in the order of `names`.
 
-        Raises `ValueError` for a wrong number of them, one that is not finite, or a scale that is not positive.
+        Raises `ValueError` for a wrong number of coefficients, a non-finite one, or a scale that is not positive.
         """
         check_finite(as_array(coefficients, "coefficients"), "coefficients", "units of scale")
         check_positive(scale, "scale", "the tangent of half the image's longer side, width / 2 / focal_px")
@@ -71,12 +71,12 @@ class AbstractCorrection(AbstractDistortion):
 
     @classmethod
     def zero(cls, *, scale: Any) -> Self:
-        """Lens without any correction yet, at which an adjustment starts."""
+        """Lens with zero coefficients, the start of an adjustment."""
         return cls.from_coefficients(jnp.zeros(len(cls.names)), scale=scale)
 
     @classmethod
     def for_image(cls, *, focal_px: Any, width: int, height: int) -> Self:
-        """Lens without any correction yet, with half the longer side of an image as its scale.
+        """Lens with zero coefficients and half the longer side of an image as its scale.
 
         `focal_px` is one number or (along columns, along rows) in pixels; `width` and `height` are in pixels.
         """
@@ -86,8 +86,8 @@ class AbstractCorrection(AbstractDistortion):
     def from_image_plane(cls, coefficients: Any, *, focal_length: Any, half_side: Any, y_up: bool = False) -> Self:
         """Lens of coefficients in the literature's formula, with lengths in the image plane, in any one unit.
 
-        `half_side` is the length that becomes `scale`, best half the image's longer side. `y_up` for coefficients whose
-        y axis points up, as in photogrammetry, not down, as rows do. Raises `ValueError` as `from_coefficients` does.
+        `half_side` is the length that becomes `scale`, ideally half the image's longer side. Set `y_up` if the
+        y axis points up, as in photogrammetry, not down as rows. Raises `ValueError` as `from_coefficients` does.
         """
         check_positive(focal_length, "focal_length", "in the unit of the coefficients, mm for those of a formula in mm")
         check_positive(half_side, "half_side", "half the image's longer side, in the unit of focal_length")
@@ -119,7 +119,7 @@ class AbstractCorrection(AbstractDistortion):
         return matrix(self._with_slopes(x / self.scale, y / self.scale)[1])
 
     def distort(self, ideal: PlanePoint) -> PlanePoint:
-        """Distorted coordinates of ideal ones; the ideal ones themselves where Newton finds none, beyond the field."""
+        """Distorted coordinates of ideal ones; beyond the field, where Newton does not converge, the ideal ones."""
         lens, ideal = as_float64((self, ideal), "distort")
         frozen, target = jax.lax.stop_gradient((lens, ideal))
         root, found = frozen._find_root(target)
@@ -139,15 +139,15 @@ class AbstractCorrection(AbstractDistortion):
         return jnp.where(found, lens.correct(jnp.where(found, distorted, 0.0)), 0.0), status
 
     def _is_inverted(self, distorted: PlanePoint) -> Flag:
-        """Whether a point lies before the fold and `distort` comes back to it."""
+        """Whether a point is before the fold and `distort` returns to it."""
         root, found = self._find_root(self.correct(distorted))
         comes_back = safe_norm(root - distorted) < LAST_STEP * self.scale
         return found & comes_back & self._unfolded_to(distorted)
 
     def _find_root(self, ideal: PlanePoint) -> tuple[PlanePoint, Flag]:
-        """Newton from the ideal coordinates: (distorted ones, whether they were found).
+        """Newton from the ideal coordinates: (distorted coordinates, whether it converged).
 
-        Component by component and unrolled, so that for a crowd it is one kernel: a third of the time of small arrays.
+        By component and unrolled, so that a batch is one kernel: a third of the time of small arrays.
         """
         target_x, target_y = ideal / self.scale
 
@@ -163,7 +163,7 @@ class AbstractCorrection(AbstractDistortion):
         return self.scale * jnp.stack([x, y]), found
 
     def _with_slopes(self, x: Scalar, y: Scalar) -> tuple[Pair, Rows]:
-        """Ideal coordinates of distorted ones, in units of `scale`, and their derivative, component by component."""
+        """Ideal coordinates of distorted ones, in units of `scale`, and their derivative, by component."""
 
         def formula(x, y):
             dx, dy = self.polynomial(x, y)
@@ -181,7 +181,7 @@ class AbstractCorrection(AbstractDistortion):
 
     @classmethod
     def _units(cls, focal_length: Scalar, half_side: Scalar, y_up: bool) -> Float[Array, " n"]:
-        """What coefficients in the image plane are multiplied by to have no unit and a y axis that points down."""
+        """Factors that make image-plane coefficients unitless, with the y axis down."""
         units = []
         for name, order in zip(cls.names, cls.orders, strict=True):
             unit = half_side ** (order - 1) / (focal_length if name in cls.over_focal else 1.0)
@@ -190,7 +190,7 @@ class AbstractCorrection(AbstractDistortion):
 
 
 def half_sides(focal_px: Any, width: int, height: int) -> Float[Array, "2"]:
-    """Tangents of half an image's width and half its height."""
+    """Tangents of half an image's width and height."""
     focal_px = as_array(focal_px, "focal_px")
     check_positive(focal_px, "focal_px", "in pixels: the focal length divided by the pixel pitch")
     check_positive(width, "width", "the columns of the image")
@@ -206,7 +206,7 @@ def check_positive(value: Any, name: str, hint: str) -> None:
 
 
 def _solved(J: Rows, x: Scalar, y: Scalar) -> Pair:
-    """`solve_2d`, component by component."""
+    """`solve_2d`, by component."""
     (xx, xy), (yx, yy) = J
     det = xx * yy - xy * yx
     det = jnp.where(det == 0.0, 1.0, det)

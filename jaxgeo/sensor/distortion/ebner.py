@@ -1,4 +1,4 @@
-"""Twelve additional parameters, orthogonal to each other and to the exterior orientation."""
+"""Ebner's twelve additional parameters, orthogonal to each other and to the exterior orientation."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ K = 2.0 / 3.0  # mean of x^2 over the grid, whose base b is one unit of `scale`
 
 
 class Ebner(AbstractCorrection):
-    """Ebner's twelve parameters (1976), orthogonal on a grid of 3 x 3 points with distances b = `scale`.
+    """Ebner's twelve parameters (1976), orthogonal on a grid of 3 x 3 points with spacing b = `scale`.
 
     With k = 2/3 b^2, and x, y in units of b:
     dx = b1 x + b2 y - 2 b3 (x2 - k) + b4 x y + b5 (y2 - k) + b7 x (y2 - k) + b9 y (x2 - k) + b11 (x2 - k)(y2 - k),
     dy = -b1 y + b2 x + b3 x y - 2 b4 (y2 - k) + b6 (x2 - k) + b8 y (x2 - k) + b10 x (y2 - k) + b12 (x2 - k)(y2 - k).
-    On the grid they are orthogonal to the six parameters of the exterior orientation over flat ground too: shifts,
-    rotation, scale, (x2, x y) and (x y, y2). A grid with one base for both axes is the original's, and it must be one:
-    with two, (x2, x y) would not stay orthogonal to b3. On a rectangular image b is half the longer side; another b
-    spans the same corrections, apart from changes of the exterior orientation.
+    Over flat ground they are also orthogonal on the grid to the six parameters of the exterior orientation: shifts,
+    rotation, scale, (x2, x y) and (x y, y2). As in the original, both axes share one base: with two, (x2, x y) would
+    not stay orthogonal to b3. On a rectangular image b is half the longer side; another b spans the same corrections,
+    apart from changes of the exterior orientation.
     """
 
     names: ClassVar = tuple(f"b{k}" for k in range(1, 13))

@@ -1,4 +1,4 @@
-"""Searches for the crossing of a ray and a terrain, all behind one interface."""
+"""Ray-terrain intersection searches with a common interface."""
 
 from jaxgeo.terrain.search.base import AbstractSearch
 from jaxgeo.terrain.search.bisection import Bisection

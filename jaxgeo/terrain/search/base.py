@@ -1,4 +1,4 @@
-"""What every search for the crossing of a ray and a terrain shares."""
+"""Base class and shared geometry of ray-terrain intersection searches."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from jaxgeo.terrain.interface import Bracket
 
 CEILING_MARGIN = 1.0  # m above the highest ground, so that a search starts clearly above the surface
-ON_GROUND = 1e-6  # m; a ray that begins nearer to the ground begins on it, whatever the sign of the rounding
-FLOOR_MARGIN = 1.0  # m below the lowest ground, so that it ends clearly below
-BEYOND = 200_000.0  # m behind the lowest point of a bent ray that does not sink to the floor when straight
-DEEPEST = -11_200.0  # m: no ground on Earth is lower, so that a ray that is has met some, known here or not
-AROUND = 0.01  # rad of arc by which the cone about a grid is wider than that of its corners: normals are not radii
-WIDER = 1.1  # times as wide, for edges that bulge
-WIDEST = 1.5  # rad; a wider cone is taken to hold every ray
-TRUSTED = math.pi / 3.0  # rad of arc beyond a grid's corners within which its map means something
+ON_GROUND = 1e-6  # m; a ray that starts closer to the ground starts on it, whatever the sign of the rounding
+FLOOR_MARGIN = 1.0  # m below the lowest ground, so that a search ends clearly below
+BEYOND = 200_000.0  # m beyond the lowest point of a bent ray that does not reach the floor when straight
+DEEPEST = -11_200.0  # m: below all ground on Earth, so a ray below it has crossed ground, known or not
+AROUND = 0.01  # rad of arc added to the cone about a grid's corners, because normals are not radii
+WIDER = 1.1  # factor on the cone, because grid edges bulge
+WIDEST = 1.5  # rad; a wider cone is assumed to hold every ray
+TRUSTED = math.pi / 3.0  # rad of arc beyond a grid's corners within which its map is valid
 
 
 class AbstractSearch(Record):
-    """A way to find where a ray crosses the surface of a DEM. It gets frozen inputs and returns a frozen bracket."""
+    """Base class of searches for a ray's crossing of a DEM surface; inputs and bracket carry no derivatives."""
 
     @abstractmethod
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
@@ -41,10 +41,10 @@ class Reach(Record):
     """The part of a ray in which it can meet the ground.
 
     From `start` (where it sinks below the ceiling, or its origin) to `end` (where it is below the lowest ground, or has
-    risen above the ceiling again), ranges in m. `first` and `last` bound where it can come over the grid while it is
-    neither above the ceiling again nor deeper than all ground; `is_near` is false for a ray that never does. `exists`
-    is false for one that is never below the ceiling. `from_near` says whether its origin lies close to the grid,
-    `sinks` which kind of end it has.
+    risen above the ceiling again), ranges in m. `first` and `last` bound the part over the grid that is neither above
+    the ceiling again nor below all ground on Earth; `is_near` is false without such a part. `exists` is false for a ray
+    that is never below the ceiling. `from_near` states whether the origin is close to the grid, `sinks` whether the ray
+    ends below the ground.
     """
 
     start: ScalarField
@@ -58,9 +58,9 @@ class Reach(Record):
 
 
 class Way(Record):
-    """What a walk along a ray has to know of its reach, ranges in m.
+    """The section of a reach that a walk covers, ranges in m.
 
-    `start` is where it begins, within `first` and `last`; `exists` is false for a ray that need not be followed.
+    `start` is the first range of the walk, within `first` and `last`; `exists` is false for a ray without a walk.
     """
 
     start: ScalarField
@@ -71,17 +71,17 @@ class Way(Record):
 
 
 def way_of(reach: Reach) -> Way:
-    """The way of the ray of a reach, or of rays of as many."""
+    """The section to walk, of the reach of one ray or a batch."""
     start = jnp.clip(reach.start, reach.first, reach.last)
     return Way(start, reach.end, reach.first, reach.last, reach.exists & reach.is_near)
 
 
 def reach_of(ray: Ray, dem: Dem) -> Reach:
-    """The part of `ray` that lies between the highest and the lowest ground of `dem`, both taken a margin too far.
+    """The part of `ray` between the highest and the lowest ground of `dem`, with a margin at both.
 
-    From inflated ellipsoids (a + h, b + h), which lie within 6 mm of the surfaces of constant height: far less than
-    the margins. A bent ray lies below the straight one, by the more the farther: the ceiling is raised by as much as at
-    the end.
+    Computed on inflated ellipsoids (a + h, b + h), which deviate by up to 6 mm from surfaces of constant height: far
+    less than the margins. A bent ray sinks below the straight one, more with distance: the ceiling is raised by the
+    amount at the end.
     """
     start, end, exit_, deep, exists, sinks = _reach_between(ray, dem.floor, dem.ceiling)
     first, last = _ranges_about(ray, *dem.grid_reach())
@@ -93,17 +93,17 @@ def reach_of(ray: Ray, dem: Dem) -> Reach:
 
 
 def is_mapped(ray: Ray, dem: Dem, distance: Scalar) -> Flag:
-    """Whether the grid's map means something under a place on a ray."""
+    """Whether the grid's map is valid below a point of a ray."""
     up, farthest = dem.grid_reach()
     p_ecef, most = ray.at(distance), farthest + TRUSTED
     return (most >= jnp.pi) | (dot(p_ecef, up) > jnp.cos(most) * jnp.sqrt(dot(p_ecef, p_ecef)))
 
 
 def _ranges_about(ray: Ray, up: Vector3, farthest: Scalar) -> tuple[Scalar, Scalar]:
-    """Signed ranges in m between which a straight ray is over a grid or close to it; the first is larger if nowhere.
+    """Signed ranges in m between which a straight ray is over the grid or close to it; first > last if nowhere.
 
-    There it is within a cone from the Earth's centre about the normal of the grid's middle; `farthest` as in
-    `Dem.grid_reach`. It enters and leaves that where the quadratic a s^2 + 2 b s + c is zero.
+    The test region is a cone from the Earth's centre about the normal of the grid's centre; `farthest` as in
+    `Dem.grid_reach`. The ray enters and leaves it at the roots of a s^2 + 2 b s + c.
     """
     arc = WIDER * farthest + AROUND
     squared = jnp.cos(arc) ** 2
@@ -114,8 +114,8 @@ def _ranges_about(ray: Ray, up: Vector3, farthest: Scalar) -> tuple[Scalar, Scal
     room = b * b - a * c
     far = -b - jnp.where(b < 0.0, -1.0, 1.0) * safe_sqrt(room)
     low, high = jnp.minimum(far / a, c / far), jnp.maximum(far / a, c / far)
-    stays, climbs = a > 0.0, along > 0.0  # within the cone, or the one opposite to it, at either end of the line
-    is_beside = ~stays & ((room <= 0.0) | (start * a > along * b))  # or opposite amid both ranges, at -b / a
+    stays, climbs = a > 0.0, along > 0.0  # in the cone, or its opposite, at either end of the line
+    is_beside = ~stays & ((room <= 0.0) | (start * a > along * b))  # or opposite between both ranges, at -b / a
     first = jnp.where(stays, jnp.where(climbs, high, -jnp.inf), jnp.where(is_beside, jnp.inf, low))
     last = jnp.where(stays & climbs, jnp.inf, jnp.where(stays, low, high))
     return jnp.where(arc > WIDEST, -jnp.inf, first), jnp.where(arc > WIDEST, jnp.inf, last)
@@ -129,7 +129,7 @@ def reach_between(ray: Ray, floor: Scalar, ceiling: Scalar) -> tuple[Scalar, Sca
 
 def _reach_between(ray: Ray, floor: Scalar, ceiling: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar, Flag, Flag]:
     """(start, end, exit, deep, exists, sinks): `exit` is where the ray rises above the ceiling, `deep` where it is
-    deeper than all ground, infinite if it never is; the latter within some metres."""
+    below all ground on Earth, infinite if never; the latter within some metres."""
     bottom, to_bottom, sinks = _inflated_chord(ray, floor - FLOOR_MARGIN)
     fall = 0.0
     if ray.bending is not None:
@@ -139,7 +139,7 @@ def _reach_between(ray: Ray, floor: Scalar, ceiling: Scalar) -> tuple[Scalar, Sc
     middle, to_top, meets = _inflated_chord(ray, ceiling + CEILING_MARGIN + fall)
     start, exit_, lowest = jnp.maximum(middle - to_top, 0.0), middle + to_top, bottom - to_bottom
     sinks = sinks & (lowest >= 0.0)
-    # squares of ranges from the middle grow by twice the semi-axis for each m of height
+    # squared ranges from the middle grow by twice the semi-axis per m of height
     below = to_bottom * to_bottom - (2.0 * WGS84.a) * jnp.maximum(floor - FLOOR_MARGIN - DEEPEST, 0.0)
     to_deep = safe_sqrt(below)
     deep = jnp.where((below > 0.0) & (bottom + to_deep > 0.0), bottom - to_deep, jnp.inf)
@@ -147,7 +147,7 @@ def _reach_between(ray: Ray, floor: Scalar, ceiling: Scalar) -> tuple[Scalar, Sc
 
 
 def _inflated_chord(ray: Ray, height: Scalar) -> tuple[Scalar, Scalar, Flag]:
-    """Range in m of a line's middle inside the ellipsoid (a + h, b + h), half its length in it, and if it meets it."""
+    """Range in m of the middle of a line's chord in the ellipsoid (a + h, b + h), half its length, and if it exists."""
     equatorial, polar = 1.0 / (WGS84.a + height), 1.0 / (WGS84.b + height)
     axes = (equatorial, equatorial, polar)
     origin = [x * axis for x, axis in zip(ray.origin, axes, strict=True)]
@@ -160,12 +160,12 @@ def _inflated_chord(ray: Ray, height: Scalar) -> tuple[Scalar, Scalar, Flag]:
 
 
 def is_buried(ray: Ray, dem: Dem) -> Flag:
-    """Whether the ray begins over the grid and below its known surface, by more than rounding."""
+    """Whether the ray starts over the grid and below its known surface, by more than rounding."""
     return above_ground(ray, dem) < -ON_GROUND
 
 
 def above_ground(ray: Ray, dem: Dem) -> Scalar:
-    """How far in m above the known surface a ray begins; infinitely far, where none is known below it."""
+    """Height in m of a ray's origin above the known surface; infinite without known surface below."""
     rowcol, height = dem.over(ray.origin)
     cell = dem.cell_of(rowcol)
     _, is_void = dem.patch(cell)

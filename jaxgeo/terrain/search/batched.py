@@ -1,12 +1,12 @@
-"""First hits of many rays at once: they walk in rounds, and those that are done drop out of the work.
+"""Batched first-hit search: rays advance in rounds, and finished rays drop out.
 
-All rays go through a first pass in large blocks that lie together in memory. The few that are not done then (their
-first interval to settle held nothing, or they go on to another track) are listed, and go on in small blocks that are
-gathered and scattered, until the list is empty. When fewer rays are left than a small block has lanes, each settles
-many intervals at a time, so that one ray that grazes a whole plain costs the others nothing.
+All rays go through a first pass in large blocks, contiguous in memory. The few unfinished rays (their first interval to
+settle held no event, or they need another track) are listed and continue in small gathered and scattered blocks until
+the list is empty. With fewer rays left than lanes in a small block, each ray settles many intervals at a time, so that
+one ray that grazes a whole plain does not slow down the others.
 
-What a ray does never depends on its neighbours, only how soon it is done; where it starts to look may, and with that
-the last digits of what it finds.
+A ray's hit does not depend on its neighbours, only its timing does; its start may, and with it the last digits of the
+hit.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ from jaxgeo.terrain.track import Quartic, Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-LARGE_BLOCK = 4096  # rays of the first pass at a time: their tracks stay in a core's cache
+LARGE_BLOCK = 4096  # rays of the first pass at a time: their tracks fit a core's cache
 SMALL_BLOCK = 2048
-FEW = 256  # rays of a beam that are left after the first pass, at a time
-BUNDLE = 32  # neighbours that look for a common start
+FEW = 256  # rays of a beam at a time that are left after the first pass
+BUNDLE = 32  # neighbouring rays that look for a common start
 STRIDE = 8  # finest intervals that a march settles before the ray may skip again
 NO_SPREAD = (0.0, 0.0, 0.0)
 SCATTERED = 1e9  # cells or m: more than any terrain
@@ -62,7 +62,7 @@ Codes = Int32[Array, " rays"]
 
 
 def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None = None) -> tuple[Walker, Track]:
-    """Walk every ray (leading axis) to its first event or to its end; the track is the one of the event."""
+    """Walk every ray (leading axis) to its first event or its end; the track is that of the event."""
     count = way.start.shape[0]
     if count > SMALL_BLOCK:
         store, waiting, left = _first_pass(ray, way, ground, beam)
@@ -75,7 +75,7 @@ def walk_all(ray: Ray, way: Way, ground: Ground, beam: Beam | None = None) -> tu
 
 
 def _at_start(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Walker, Track]:
-    """Every ray at the start of its reach and in need of a track, or at that of the beam, with one."""
+    """Every ray at the start of its reach, needing a track, or at the start of the beam, with one."""
     walker = jax.vmap(Walker.at_start)(way)
     if beam is None or ray.bending is not None:
         return walker, no_tracks(way.start)
@@ -89,7 +89,7 @@ def _rise(way: Way, dem: Dem) -> Scalar:
 
 
 def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[Store, Int[Array, " list"], Index]:
-    """Every ray once, in blocks that lie together; and who is not done. The last block is filled up."""
+    """One pass over all rays in contiguous blocks, the last one padded; and the list of unfinished rays."""
     count = way.start.shape[0]
     blocks = -(-count // LARGE_BLOCK)
     size = BUNDLE * -(-count // (BUNDLE * blocks))
@@ -104,7 +104,7 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
         part = lambda x: jax.lax.dynamic_slice_in_dim(x, first, size)  # noqa: E731
         (here_ray, here_way), here = jax.tree.map(part, (ray, way)), ground.of_rays(part)
         walker, track = _at_start(here_ray, here_way, here, beam)
-        few = 0 if beam is None else size // 8  # outside a beam, which wait for the rounds
+        few = 0 if beam is None else size // 8  # rays outside the beam wait for the rounds
         walker, track = _with_new_tracks(walker, track, here_ray, ground.shared, here_way, few)
         if beam is None:
             walker = start_together(walker, here.each(_stretch_of, track), ground.shared)
@@ -125,7 +125,7 @@ def _first_pass(ray: Ray, way: Way, ground: Ground, beam: Beam | None) -> tuple[
 def _rounds(
     store: Store, waiting: Int[Array, " list"], left: Index, ray: Ray, way: Way, ground: Ground, most: int
 ) -> Store:
-    """Go through the list again and again, in blocks of `most` rays, until nobody is left."""
+    """Process the list repeatedly, in blocks of `most` rays, until it is empty."""
     count = way.start.shape[0]
     size = min(most, max(64, 1 << (count - 1).bit_length()))
     waiting = jnp.pad(waiting, (0, size))
@@ -160,7 +160,7 @@ def _rounds(
 def _one_round(
     walker: Walker, track: Track, ground: Ground, way: Way, *, few: Index | int, left: Index | None = None
 ) -> Walker:
-    """Skip ahead, march over ground that is too near (few rays in many lanes each), and close finished tracks."""
+    """Skip ahead, march over ground too near to skip (few rays use many lanes each), and close finished tracks."""
     stretch = ground.each(_stretch_of, track)
     walker = skip_ahead(walker, stretch, ground.shared, few)
     found = (
@@ -176,8 +176,8 @@ def _stretch_of(track: Track, dem: Dem) -> Stretch:
 
 
 def _march(walker: Walker, stretch: Stretch, ground: Ground, few: Index | int) -> tuple[March, Codes]:
-    """March over the next intervals of every ray that cannot skip them: the marches at their end, and how many
-    intervals they have settled."""
+    """March over the next intervals of every ray that cannot skip them: the marches at their end, and the number of
+    intervals settled."""
     first = position_of(walker.here)
     marches = ~walker.fresh & ~walker.is_over & must_settle(walker.here)
     last = jnp.minimum(first + jnp.where(marches, STRIDE, 0), stretch.count)
@@ -191,10 +191,10 @@ def _march(walker: Walker, stretch: Stretch, ground: Ground, few: Index | int) -
 def _march_in_lanes(
     walker: Walker, stretch: Stretch, ground: Ground, few: Index | int, left: Index
 ) -> tuple[March, Codes]:
-    """As `_march`, with as many lanes for each ray as there are: each lane takes the intervals behind the one before.
+    """As `_march`, with all lanes shared among the rays: each lane takes the intervals after those of the one before.
 
-    The rays are the block's first; ray i gets the lanes from i * each on. Before a ray has come over the grid, what it
-    meets depends on what came before, so it gets one.
+    The rays come first in the block; ray i gets the lanes from i * each on. Before a ray is over the grid, an event
+    depends on earlier intervals, so it gets one lane.
     """
     size = walker.here.shape[0]
     each = jnp.maximum(size // jnp.maximum(left, 1), 1)
@@ -221,9 +221,9 @@ def _march_in_lanes(
 
 
 def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, way: Way, few: int = 0) -> tuple[Walker, Track]:
-    """New tracks for those rays of a block that ask for one, if they are more than a few.
+    """New tracks for the rays of a block that need one, if more than `few` do.
 
-    The condition also keeps the tracks from being made anew in every kernel that looks at them.
+    The condition also prevents recomputing the tracks in every kernel that uses them.
     """
 
     def made():
@@ -234,7 +234,7 @@ def _with_new_tracks(walker: Walker, track: Track, ray: Ray, dem: Dem, way: Way,
 
 
 def _listed(index: Int[Array, " block"], chosen: Bool[Array, " block"]) -> tuple[Int[Array, " block"], Index]:
-    """The chosen indices, in order, in front; and how many there are."""
+    """The chosen indices, in order, at the front; and their number."""
     size = index.shape[0]
     count = jnp.cumsum(chosen, dtype=jnp.int32)
     place = jnp.where(chosen, count - 1, size)
@@ -246,10 +246,10 @@ def _columns(x: Array, index: Int[Array, " block"]) -> Array:
 
 
 def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
-    """Let bundles of neighbouring rays start where all of them come near the ground.
+    """Start bundles of neighbouring rays where they come near the ground.
 
-    The first ray of a bundle walks for all, as wide as the bundle spreads around it. Samples of one line of sight, or
-    the pixels of an image, so share most of their way; neighbours that have nothing in common start where they are.
+    The first ray of a bundle walks for all, widened by the bundle's spread. Samples of one line of sight, or pixels of
+    one image, so share most of their walk; unrelated neighbours start where they are.
     """
     bundles = lambda x: x.reshape(-1, BUNDLE)  # noqa: E731
     ready = jnp.all(bundles(~walker.fresh & ~walker.is_over & has_entered(walker.news)), axis=1)
@@ -269,7 +269,7 @@ def start_together(walker: Walker, stretch: Stretch, dem: Dem) -> Walker:
 
 
 def skip_ahead(walker: Walker, stretch: Stretch, dem: Dem, few: Index | int) -> Walker:
-    """Move a crowd on to the next intervals to settle, until no more than `few` rays are still on the way."""
+    """Advance a batch to the next intervals to settle, until at most `few` rays are still skipping."""
     is_walking = ~walker.fresh & ~walker.is_over
     entered = has_entered(walker.news)
 

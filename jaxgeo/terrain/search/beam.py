@@ -1,4 +1,4 @@
-"""A narrow cone of rays that all begin where the first of them may come near the ground."""
+"""Narrow cone of rays with a common start, where the first of them may come near the ground."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-PLACES = 1024  # along the cone at which the ground below it is looked at
-BENT = 1.1  # how much wider than by its slope at one point a grid's map may be taken to be within the cone
+PLACES = 1024  # sample ranges along the cone at which the ground below is tested
+BENT = 1.1  # safety factor on the grid map's slope at one point, over the cone
 BINS = 32  # on either axis across the cone
-LEAST_DEEPENING = 0.2  # m of height by m: a ray that falls more steeply gains little by being told its rise
+LEAST_DEEPENING = 0.2  # m of height per m: steeper rays gain little from their own rise
 WIDEST = 20  # dyadic level of cells: no terrain has more
 
 
 class Spread(NamedTuple):
-    """How far rays lie from the middle one: their origins in m, their directions in rad; and how far in m a field may
-    raise their ground."""
+    """Spread of rays about the middle one: origins in m, directions in rad; and the largest rise in m of their ground
+    by a field."""
 
     origin: ScalarField
     direction: ScalarField
@@ -37,12 +37,11 @@ class Spread(NamedTuple):
 
 
 class Beam(Record):
-    """A cone about a ray, clear of all ground up to the range `start` in m; its rays are likely to come down within the
-    box of its `map`.
+    """A cone about a ray, clear of all ground up to the range `start` in m; its rays are likely to hit within the box
+    of its `map`.
 
-    A ray from within `spread.origin` m of the `apex` that turns from the `axis` by no more than `spread.direction` has
-    nothing before it up to `start`, has come over the grid from above, and may begin to look there. Any other walks
-    as ever.
+    A ray from within `spread.origin` m of the `apex` that deviates from the `axis` by at most `spread.direction` is
+    clear up to `start`, has entered the grid from above, and may start there. Other rays start as usual.
     """
 
     apex: Vector3Field
@@ -54,9 +53,9 @@ class Beam(Record):
 
     @classmethod
     def about(cls, ray: Ray, distance: Scalar, dem: Dem, spread: Spread) -> Beam:
-        """The cone about a ray that comes down at a `distance` in m; of no use where not even its start is clear."""
+        """The cone about a ray with a hit at `distance` in m; not usable if even its start is not clear."""
         dem_reach = reach_of(ray, dem)
-        # from where all of the cone is above the ceiling, or from its apex
+        # from where the whole cone is above the ceiling, or from its apex
         sinking = jnp.maximum(-_slope_of_height(ray, dem, dem_reach.start), 1e-3)
         margin = (_radius(spread, dem_reach.start) + spread.rise + CEILING_MARGIN) / sinking
         first = jnp.clip(dem_reach.start - 2.0 * margin, 0.0, distance)
@@ -67,7 +66,7 @@ class Beam(Record):
         is_covered = (first == 0.0) | (_lowest(ray, dem, spread, first) > dem.ceiling + spread.rise)
         start = jnp.where(is_covered & ahead[0], first + step * (jnp.sum(ahead) - 1), 0.0)
         length = 2.0 * (distance - start + jnp.max(dem.grid.cell_size()))
-        # where along the axis every ray has come to at the latest when its range is the start
+        # position along the axis that every ray has reached at the range `start`
         least = 1.0 - 0.5 * spread.direction**2
         near = start * least - spread.origin
         radius = _radius(spread, (near + length + spread.origin) / least)
@@ -79,7 +78,7 @@ class Beam(Record):
         return cls(ray.origin, ray.direction, spread, jnp.where(is_of_use, start, 0.0), local, ahead)
 
     def holds(self, ray: Ray, dem: Dem) -> Flag:
-        """Whether a ray over this terrain, with a field of its own, is of the cone."""
+        """Whether a ray over this terrain, with its own field, is in the cone."""
         away = [x - y for x, y in zip(ray.origin, self.apex, strict=True)]
         turn = [x - y for x, y in zip(ray.direction, self.axis, strict=True)]
         inside = (dot(away, away) <= self.spread.origin**2) & (dot(turn, turn) <= self.spread.direction**2)
@@ -87,17 +86,16 @@ class Beam(Record):
         return inside & (self.start > 0.0) & (True if rise is None else rise <= self.spread.rise)
 
     def track(self, ray: Ray, rise: Scalar) -> tuple[Track, Scalar]:
-        """The track of a ray of the cone whose ground is raised by so many m at most, and the tau up to which nothing
-        is before it."""
+        """Track of a ray in the cone whose ground rises by at most `rise` m, and the tau up to which it is clear."""
         line = self.map.line(ray)
         return self.map.track(line), self.ahead.clear_to(line, rise)
 
 
 class Ahead(Record):
-    """How far along a box nothing is before rays, by where in its middle they are (`clear`, by tau).
+    """How far rays in a box are clear, by their position in its middle (`clear`, in tau).
 
-    A ray over ground that is raised is as near to it as one that lies `lowered` times that (box's third axis, per m)
-    deeper over ground that is not; `rise` in m bounds it, `reach` is how far such rays lie from the axis.
+    A ray over ground raised by a field is equivalent to a ray over unraised ground that is `lowered` times the rise
+    deeper (box's third axis, per m); `rise` in m is the largest rise, `reach` the resulting half width of the bins.
     """
 
     clear: Float[Array, "bins bins"]
@@ -107,7 +105,7 @@ class Ahead(Record):
 
     @classmethod
     def of(cls, local: LocalMap, spread: Spread, far: Scalar, dem: Dem) -> Ahead:
-        """Found by walking for all rays of a bin at once, along the one in its middle; the box is `far` m away."""
+        """Computed by one walk per bin, along its middle ray, for all its rays; the box is `far` m away."""
         widening = local.half[0] / far
         deepening = local.slopes(jnp.ones(3))[0][2, 2]
         deepens = deepening > LEAST_DEEPENING * local.half[2]
@@ -115,8 +113,8 @@ class Ahead(Record):
         raised = lowered * spread.rise
         reach = 1.0 + raised
         _, most = local.slopes((1.0 + widening) * jnp.stack([jnp.ones_like(reach), jnp.ones_like(reach), reach]))
-        # how far from the ray in a bin's middle others of it are, on either axis, but for what goes with their rise;
-        # those from beside the apex widen differently
+        # distance on either axis of other rays in a bin from its middle ray, without the part due to their rise;
+        # rays from beside the apex widen differently
         width = jnp.stack([1.0 / BINS, reach / BINS])
         beside = spread.origin / local.half[1:] + spread.origin / jnp.maximum(far - spread.origin, 1e-9)
         apart = width + widening * (width + beside)
@@ -135,14 +133,14 @@ class Ahead(Record):
         return cls(over(middles, reach * middles), lowered, spread.rise, reach)
 
     def clear_to(self, line: Line, rise: Scalar) -> Scalar:
-        """The tau up to which nothing is before a ray within the box whose ground is raised by so many m at most."""
+        """The tau up to which a ray in the box is clear, whose ground rises by at most `rise` m."""
         deep = (line.third[0] - self.lowered * jnp.maximum(rise, -self.rise)) / self.reach
         second, third = ((0.5 * BINS * (x + 1.0)).astype(jnp.int32) for x in (line.second[0], deep))
         return self.clear.at[jnp.clip(second, 0, BINS - 1), jnp.clip(third, 0, BINS - 1)].get(mode="promise_in_bounds")
 
 
 def _frame(ray: Ray) -> Matrix3:
-    """Unit vectors by row: along a ray, to its side, and upwards across it; some others if it goes straight down."""
+    """Unit vectors by row: along a ray, sideways, and upwards across it; arbitrary sides if it points straight down."""
     axis = ray.direction
     up = ray.origin / jnp.linalg.norm(ray.origin)
     side = jnp.stack(cross(axis, up))
@@ -154,12 +152,12 @@ def _frame(ray: Ray) -> Matrix3:
 
 
 def _radius(spread: Spread, distance: Scalar) -> Scalar:
-    """How far in m rays of the cone are from its middle one at a range; chords of the turn are shorter than it."""
+    """Radius in m of the cone at a range; an upper bound, since chords are shorter than arcs."""
     return spread.origin + distance * spread.direction
 
 
 def _is_clear(ray: Ray, dem: Dem, spread: Spread, place: Scalar, step: Scalar) -> Flag:
-    """Whether the cone, from half a step before a range to half a step behind it, lies over the grid, above ground."""
+    """Whether the cone, half a step before to half a step after a range, is over the grid and above the ground."""
     radius = _radius(spread, place + 0.5 * step) + 0.5 * step
     rowcol, height = dem.over(ray.at(place))
     slopes = jax.jacfwd(lambda p: dem.over(p)[0])(ray.at(place))
@@ -172,10 +170,10 @@ def _is_clear(ray: Ray, dem: Dem, spread: Spread, place: Scalar, step: Scalar) -
 
 
 def _lowest(ray: Ray, dem: Dem, spread: Spread, distance: Scalar) -> Scalar:
-    """The lowest height in m of the cone at a range."""
+    """Lowest height in m of the cone at a range."""
     return dem.over(ray.at(distance))[1] - _radius(spread, distance)
 
 
 def _slope_of_height(ray: Ray, dem: Dem, distance: Scalar) -> Scalar:
-    """How much height the ray gains by m of range."""
+    """Height gain of the ray per m of range."""
     return jax.jvp(lambda s: dem.over(ray.at(s))[1], (distance,), (jnp.ones_like(distance),))[1]

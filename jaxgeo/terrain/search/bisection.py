@@ -1,4 +1,4 @@
-"""Bisection over the interval between the highest and the lowest ground."""
+"""Bisection between the highest and the lowest ground."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ STEPS = 100
 
 
 class Bisection(AbstractSearch):
-    """Sign-bracketing bisection: keeps one end above the surface and one below, and halves.
+    """Sign-bracketing bisection: keeps one end above the surface and one below, and halves the interval.
 
-    It finds *a* crossing. Over rough ground seen at a shallow angle it may be one on a hidden slope behind the first;
-    `FirstHit` returns the one the camera sees. Rays that never reach below the lowest ground (looking up or along)
-    have no bracket: `not_converged`. A ray whose search ends beside the grid `leaves_terrain`.
+    It finds *a* crossing. Over rough ground at a shallow angle that may be on a hidden slope behind the first one;
+    `FirstHit` returns the crossing visible to the camera. Rays that never go below the lowest ground (upward or level)
+    have no bracket: `not_converged`. A ray whose search ends beside the grid gets `leaves_terrain`.
     """
 
     def bracket(self, ray: Ray, dem: Dem) -> Bracket:
@@ -62,7 +62,7 @@ def _bisect(ray: Ray, dem: Dem, start: Scalar, end: Scalar) -> tuple[Scalar, Sca
 
 
 def _is_below(ray: Ray, dem: Dem, distance: Scalar) -> Flag:
-    """Whether the ray is below the surface there; beside the grid the nearest edge goes on level."""
+    """Whether the ray is below the surface there; beside the grid the nearest edge is extended level."""
     rowcol, height = dem.over(ray.at(distance))
     last = (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
     inside = jnp.clip(rowcol, 0.0, last)

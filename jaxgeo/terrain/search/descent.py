@@ -1,4 +1,4 @@
-"""The sinking part of a ray as a function of height: what the searches of the papers ask of a terrain."""
+"""The sinking part of a ray as a function of height, the terrain access of the published searches."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from jaxgeo.earth.ray import Ray
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-EARTH_RADIUS = 6.371e6  # m: a first value's curvature; Newton on the exact height follows
-NEWTON_STEPS = 2  # from 1 m off over 20 km; each squares the error times 1e-7 per m
+EARTH_RADIUS = 6.371e6  # m: curvature for a first estimate; Newton on the exact height follows
+NEWTON_STEPS = 2  # the estimate is 1 m off over 20 km; each step squares the error times 1e-7 per m
 LEAST_SINKING = 1e-6  # sine of the depression below which Newton takes no step
 
 
 class DemSample(Record):
-    """One evaluation of the DEM: the height Z asked about, the ground h(Z) under the ray there, m, and the range."""
+    """One evaluation of the DEM: the height Z, the ground h(Z) under the ray there (m), and the range."""
 
     height: Scalar
     ground: Scalar
@@ -38,10 +38,10 @@ class DemSample(Record):
 
 
 class Descent(Record):
-    """A ray over a DEM by the height Z of its points above the ellipsoid, from a range `anchor` where it sinks.
+    """A ray over a DEM by the ellipsoidal height Z of its points, from a range `anchor` where it sinks.
 
-    h(Z) is the height of the DEM under the ray's point at height Z. Beside the grid the nearest edge goes on level, so
-    that a search may start there.
+    h(Z) is the height of the DEM under the ray's point at height Z. Beside the grid the nearest edge is extended level,
+    so that a search may start there.
     """
 
     ray: Ray
@@ -52,12 +52,12 @@ class Descent(Record):
 
     @classmethod
     def of(cls, ray: Ray, dem: Dem, anchor: Scalar) -> Descent:
-        """Of a ray that sinks at the range `anchor` in m; ranges before it may be asked for too."""
+        """For a ray that sinks at the range `anchor` in m; ranges before it are valid too."""
         up, height = WGS84.normal_and_height(ray.at(anchor))
         return cls(ray, dem, anchor, height, jnp.dot(up, ray.heading_at(anchor)))
 
     def range_at(self, height: Scalar) -> Scalar:
-        """Range in m at which the sinking ray is at `height`; where it never is so low, about its lowest point."""
+        """Range in m at which the sinking ray is at `height`; if it never gets that low, near its lowest point."""
         bend = (1.0 - self.slope**2) / EARTH_RADIUS
         fall = height - self.height
         distance = self.anchor - 2.0 * fall / (safe_sqrt(self.slope**2 + 2.0 * bend * fall) - self.slope)
@@ -75,7 +75,7 @@ class Descent(Record):
         return self._look_from(self.range_at(height), height)
 
     def look_along(self, distance: Scalar, height: Scalar) -> DemSample:
-        """The ground under the ray's point at a range, beside another height than the ray's: one evaluation."""
+        """The ground under the ray's point at a range, paired with a height other than the ray's: one evaluation."""
         return self._look_from(distance, height)
 
     def _look_from(self, distance: Scalar, height: Scalar) -> DemSample:
@@ -90,11 +90,11 @@ class Descent(Record):
         return self.dem.cell_of(rowcol)
 
     def sinking(self, distance: Scalar) -> Scalar:
-        """Metres of height the ray loses per metre of range, at a range."""
+        """Height loss of the ray per m of range, at a range."""
         up, _ = WGS84.normal_and_height(self.ray.at(distance))
         return -jnp.dot(up, self.ray.heading_at(distance))
 
     def post_step(self) -> Scalar:
-        """The range in m in which the ray passes over one post spacing, the shorter of row and col."""
+        """Range in m over which the ray passes one post spacing, the shorter of row and col."""
         level = jnp.sqrt(1.0 - jnp.minimum(self.slope**2, 0.99))
         return jnp.min(self.dem.grid.cell_size()) / level

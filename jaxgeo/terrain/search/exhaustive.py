@@ -1,8 +1,8 @@
 """Exhaustive search over height (Qiao 2019).
 
 C. Qiao, "Research on ground target geo-location technology based on digital elevation model for high-altitude
-long-range aerial camera", Changchun, 2019, named in Li et al. (2023), section 3, which says no more than that all
-heights near the target are tried. Two readings, and they differ:
+long-range aerial camera", Changchun, 2019, named in Li et al. (2023), section 3, which only states that all heights
+near the target are tried. Two interpretations, with different results:
 
     first:   for Z = Zmax, Zmax - step, ... Zmin: if Z - h(Z) <= eps return Z
     nearest: return the Z of all Zmax, Zmax - step, ... Zmin with the least |Z - h(Z)|
@@ -22,11 +22,11 @@ from jaxgeo.terrain.search.window import AbstractWindow, WholeTerrain
 
 
 class ExhaustiveFirst(AbstractStudiedSearch):
-    """Goes down in steps and returns the first height with D <= eps.
+    """Steps down and returns the first height with D <= eps.
 
     `step` in m is the height between tries, `eps` in m the tolerance, both 0.2 m as in the experiments of Li et al.
-    (2023); `window` says between which heights to look: the whole terrain, so that nothing in the way is left out.
-    A ridge between two tries is not seen, and the point may be below the ground by what D falls in one step.
+    (2023); `window` gives the heights to search: the whole terrain, so that no ground in the way is left out.
+    Ridges between two tries are missed, and the point may be below the ground by the change of D in one step.
     """
 
     eps: ScalarField = EPS
@@ -52,11 +52,11 @@ class ExhaustiveFirst(AbstractStudiedSearch):
 
 
 class ExhaustiveNearest(AbstractStudiedSearch):
-    """Tries every height and returns the one with the least |D|, wherever on the ray it is.
+    """Tries every height and returns the one with the least |D|, anywhere on the ray.
 
-    `step` in m is the height between tries: 0.2 m, the tolerance of Li et al. (2023). There is none of its own: of all
-    crossings it takes the one that a try happens to come nearest, and fails where none comes within `farthest` m, which
-    happens only where there is no crossing in the window.
+    `step` in m is the height between tries: 0.2 m, the tolerance of Li et al. (2023). It has no tolerance of its own:
+    of all crossings it returns the one that a try happens to be nearest to. It fails if no try is within `farthest` m,
+    which happens only without a crossing in the window.
     """
 
     step: ScalarField = EPS
@@ -73,12 +73,12 @@ class ExhaustiveNearest(AbstractStudiedSearch):
 
 
 def tries(lowest: Scalar, highest: Scalar, step: Scalar) -> Index:
-    """How many heights from the highest down to the lowest, the last one at it or below it."""
+    """Number of heights from the highest down to the lowest; the last one is at or below the lowest."""
     return jnp.ceil((highest - lowest) / step).astype(jnp.int32) + 1
 
 
 def nearest_of(descent: Descent, highest: Scalar, step: Scalar, count: Index) -> DemSample:
-    """Of `count` heights from `highest` down, the look with the least |D|; the highest of equals."""
+    """Of `count` heights from `highest` down, the sample with the least |D|; the highest among equals."""
 
     def try_next(k: Index, best: DemSample) -> DemSample:
         look = descent.look(highest - step * k)

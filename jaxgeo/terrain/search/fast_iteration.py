@@ -10,9 +10,9 @@ based on DEM", Chinese Optics 16(4), 2023, section 4.2 and figure 11, literally:
     (4) if D < 0: Zlo = m, go to (3)
         return m
 
-It is called a bisection there, but [Zlo, Zhi] brackets nothing: from a point above the ground it goes half way down
-to the height of the ground below it, a damped photogrammetric iteration. On a plane the error shrinks by (1 - k) / 2 a
-step, k = tan(slope along the look) / tan(depression).
+The paper calls it a bisection, but [Zlo, Zhi] is not a bracket: from a point above the ground it goes half way down to
+the height of the ground below it, a damped photogrammetric iteration. On a plane the error shrinks by (1 - k) / 2 per
+step, k = tan(slope along the line of sight) / tan(depression).
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
 from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
 
-STUCK = 1e-9  # m between the middle and the upper end: heights are known no better
+STUCK = 1e-9  # m between the middle and the upper end: resolution of heights
 
 
 class FastIteration(AbstractStudiedSearch):
-    """The fast iteration of Li et al. (2023), without repairs.
+    """The fast iteration of Li et al. (2023), without corrections.
 
     `eps` in m is the printed 0.2 m of the experiments (section 5.2; the text's tenth of the DEM's accuracy is 2 m).
-    `window` gives Zmax: that of the target's area as printed, or `WholeTerrain()`, which no near peak can spoil.
-    `limit` is the most steps: a plane 1 % short of grazing takes 900 from 200 m above. A start below the ground that
-    never comes out of it, and a ray that reaches the limit, failed.
+    `window` gives Zmax: that of the target's area as printed, or `WholeTerrain()`, which includes every near peak.
+    `limit` is the maximum number of steps: a plane 1 % short of grazing takes 900 from 200 m above. A search that
+    starts below the ground and stays there, or reaches the limit, failed.
     """
 
     eps: ScalarField = EPS
@@ -68,7 +68,7 @@ class FastIteration(AbstractStudiedSearch):
 
 
 class _State(Record):
-    """The last look, the two heights whose middle is next, m, and the steps taken."""
+    """The last sample, the two heights to be averaged next, m, and the number of steps."""
 
     look: DemSample
     high: Scalar

@@ -1,4 +1,4 @@
-"""The first point at which a ray meets the terrain: the one that the camera sees."""
+"""First-hit search: the first intersection of a ray with the terrain, the one visible to the camera."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ from jaxgeo.terrain.track import Track
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-AT_ONCE = 131_072  # rays; the memory of the search is bounded by so many
-LIFT = 2.0 * ON_GROUND  # m; far less than the room for the polish, which takes it off again
+AT_ONCE = 131_072  # rays; bounds the memory of the search
+LIFT = 2.0 * ON_GROUND  # m; far less than the room for the polish, which removes it again
 ROOM = 2e-3  # m on either side of the crossing of track and surface, for the polish on the exact map
 ROOT_STEPS = 3  # and one more on the exact map
-SLACK = 1e-7  # of the piece of track: far more than rounding moves a root, far less than is left to the polish
+SLACK = 1e-7  # of the track section: far more than rounding moves a root, far less than the polish allows
 TINY = 1e-300
 
 
 class FirstHit(AbstractSearch):
-    """Walks the ray over a pyramid of upper bounds and settles every cell it cannot pass with the exact bilinear patch.
+    """Skips intervals above a pyramid of upper bounds and settles the others exactly on the bilinear patches.
 
-    Along a track the ray is cut into dyadic intervals no longer than one cell at the finest level. An interval whose
-    lowest point clears the bound over all cells it can touch is skipped and the next one tried is twice as long where
-    aligned; otherwise it is halved; an interval of the finest level is settled exactly (`leaf.first_event`). So no cell
-    is passed unseen, and the crossing found is the first.
+    Along a track the ray is cut into dyadic intervals, at the finest level no longer than one cell. An interval whose
+    lowest point clears the bound over all cells it can touch is skipped, and the next one tried is twice as long where
+    aligned; otherwise it is halved; an interval of the finest level is settled exactly (`march.step`). So no cell is
+    missed, and the crossing found is the first.
 
-    Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out; also where
-    each has a field of its own (`Dem.with_field`). Terrains that differ in more are searched one after the other.
+    Under `jax.vmap` the rays of a batch are walked together (`batched.walk_all`) and finished rays drop out, also if
+    each has its own field (`Dem.with_field`). Terrains that differ in anything else are searched one after the other.
 
-    A `beam` changes no answer but in its last digits: rays within it are known to have nothing before its start.
+    A `beam` changes results only in their last digits: rays within it are known to be clear up to its start.
     """
 
     beam: Beam | None = None
@@ -82,7 +82,7 @@ def _(axis_size, in_batched, ray: Ray, dem: Dem, beam: Beam | None):
 
 @custom_vmap
 def _first_hits(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
-    """Brackets of many rays (leading axis); more than `AT_ONCE` go in parts."""
+    """Brackets of many rays (leading axis); more than `AT_ONCE` are split into parts."""
     count = rays.origin.shape[0]
     parts = -(-count // AT_ONCE)
     size = -(-count // parts) if count else 0
@@ -117,7 +117,7 @@ def _(axis_size, in_batched, rays: Ray, ground: Ground, beam: Beam | None):
 
 
 def _flat_ground(ground: Ground, batched: Ground, axis_size: int, count: int) -> Ground:
-    """The ground of a batch of batches: what differs between the batches or within them is each ray's own."""
+    """The ground of a batch of batches: data that differ between or within the batches become each ray's own."""
     own = _broadcast(ground.own, batched.own, axis_size)
     per_batch, shared = eqx.partition(ground.shared, batched.shared)
     repeated = jax.tree.map(lambda x: jnp.broadcast_to(x[:, None], (axis_size, count, *x.shape[1:])), per_batch)
@@ -132,7 +132,7 @@ def _broadcast(tree, batched, axis_size: int):
 
 
 def _one_terrain_each(search, axis_size: int, rays: Ray, dem: Dem | Ground, dem_batched):
-    """A batch in which every item has a terrain of its own: one after the other."""
+    """A batch in which every item has its own terrain: one after the other."""
     leaves, structure = jax.tree.flatten(dem)
     flags = jax.tree.leaves(dem_batched)
 
@@ -151,7 +151,7 @@ def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
         above = ground.each(above_ground, rays)
         on_ground = begins_low & (jnp.abs(above) <= ON_GROUND)
         up = jax.vmap(lambda p_ecef: WGS84.normal_and_height(p_ecef)[0])(rays.origin)
-        lifted = rays.origin + LIFT * up  # so that it is seen on which side of the ground it goes on
+        lifted = rays.origin + LIFT * up  # so that the ray's side of the ground is detected
         return jnp.where(on_ground[:, None], lifted, rays.origin), begins_low & (above < -ON_GROUND)
 
     origin, buried = jax.lax.cond(jnp.any(begins_low), at_ground, lambda: (rays.origin, begins_low & False))
@@ -162,7 +162,7 @@ def _search(rays: Ray, ground: Ground, beam: Beam | None) -> Bracket:
 
 
 def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket:
-    """The walk's result: where on its track the ray meets the surface, or the status of one that met nothing."""
+    """The result of a walk: where on its track the ray meets the surface, or the status of a miss."""
     met = happened(walker.news)
     begin, end = walker.tau, walker.exit
     cell = jnp.stack(cell_between(track, begin, end))
@@ -185,9 +185,9 @@ def _as_bracket(walker: Walker, track: Track, reach: Reach, dem: Dem) -> Bracket
 
 
 def _root(track: Track, dem: Dem, cell: Int[Array, "2"], begin: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
-    """Where in tau the track first sinks below the patch of a cell, and a place behind at which it is below.
+    """Tau at which the track first sinks below the patch of a cell, and a later tau at which it is below.
 
-    The parabola through three values gives the start; then Newton on the polynomials, kept in its bracket by halving.
+    Starts from the parabola through three values, then Newton on the polynomials, bracketed by bisection.
     """
     row, col = cell
     patch, _ = dem.patch(cell)

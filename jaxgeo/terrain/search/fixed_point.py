@@ -1,4 +1,4 @@
-"""The loop that photogrammetric and improved iteration share: from one height to the next until the ray is met."""
+"""Fixed-point loop shared by photogrammetric and improved iteration: from one height to the next."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import Search, ending_where
 
 Step = Callable[[Descent, DemSample], tuple[Scalar, Index]]
-"""From a look at Z to the next height, and the evaluations that finding it took."""
+"""From a sample at Z to the next height, and the number of evaluations used."""
 
 
 class _State(Record):
@@ -26,7 +26,7 @@ class _State(Record):
 
 
 def middle_height(descent: Descent, height: ScalarField | None) -> Scalar:
-    """The approximate height to start from in m: the one given, or the middle between lowest and highest post."""
+    """Start height in m: the given one, or the middle between lowest and highest post."""
     lowest, highest = descent.dem.known_heights
     return 0.5 * (lowest + highest) if height is None else jnp.asarray(height, jnp.float64)
 
@@ -34,8 +34,8 @@ def middle_height(descent: Descent, height: ScalarField | None) -> Scalar:
 def iterate(descent: Descent, start: Scalar, step: Step, eps: Scalar, limit: Index) -> Search:
     """Iterate `step` from the height `start` until |D| <= eps (m): converged.
 
-    Diverged: the next height is beyond the ray (behind its origin, or lower than it ever is), or over ground beside
-    the grid after the search was over it. Cycled: `limit` steps were taken and neither happened.
+    Diverged: the next height is beyond the ray (before its origin, or below its lowest height), or the search left
+    the grid after being over it. Cycled: neither happened within `limit` steps.
     """
     bottom = descent.dem.floor - (descent.dem.ceiling - descent.dem.floor) - 1000.0
 

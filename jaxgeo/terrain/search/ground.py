@@ -1,4 +1,4 @@
-"""One terrain under many rays, of which each may have a field of heights of its own."""
+"""One terrain shared by many rays, with an optional height field per ray."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class Ground(Record):
-    """A terrain in two parts: `shared` by all rays, and what is each ray's `own`, with a leading axis of rays.
+    """A terrain in two parts: `shared` by all rays, and each ray's `own`, with a leading axis of rays.
 
-    Each part is a `Dem` with None for what the other one has. A ray's own may be leaves of the field, and nothing that
-    the pyramid's bounds depend on.
+    Each part is a `Dem` with None for the leaves of the other part. A ray's own leaves may be those of the field, and
+    none on which the pyramid's bounds depend.
     """
 
     own: Dem
@@ -26,7 +26,7 @@ class Ground(Record):
 
     @classmethod
     def of(cls, dem: Dem, is_own: Dem) -> Ground:
-        """Split a terrain by a flag for each leaf."""
+        """Split a terrain by a flag per leaf."""
         return cls(*eqx.partition(dem, is_own))
 
     @classmethod
@@ -39,11 +39,11 @@ class Ground(Record):
         return jax.vmap(lambda own, *args: function(*args, eqx.combine(own, self.shared)))(self.own, *args)
 
     def of_rays(self, pick: Callable[[Any], Any]) -> Ground:
-        """The ground of other rays: `pick` takes them from an array with a leading axis of rays."""
+        """The ground of selected rays: `pick` selects from an array with a leading axis of rays."""
         return Ground(jax.tree.map(pick, self.own), self.shared)
 
 
 def fits_together(dem_batched: Dem) -> bool:
-    """Whether items whose terrains differ in the flagged leaves can share a walk: if only their fields do."""
+    """Whether items whose terrains differ in the flagged leaves can be walked together: only if just fields differ."""
     rest = eqx.tree_at(lambda dem: dem.field, dem_batched, None, is_leaf=lambda x: x is None)
     return not any(jax.tree.leaves(rest))

@@ -28,16 +28,16 @@ from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
 
 
 class ImprovedLiteral(AbstractStudiedSearch):
-    """The line through the ground below the point and the ground it sees horizontally outward, met with the ray.
+    """Intersects the ray with the line through the ground below the point and the ground hit horizontally outward.
 
-    Outward is away from the camera for a point in the air, and out of the hill, back towards the camera, for one in the
-    ground: the reading under which the method converges on slopes that face the camera, as printed. (Away from the
-    camera in both cases it finds the first hit for 65 instead of 90 % of the rays over rough mountains.)
+    Outward is away from the camera for a point above ground, and out of the hill, back towards the camera, for one
+    below: the interpretation under which the method converges on slopes that face the camera, as printed. (Away from
+    the camera in both cases it finds the first hit for 65 instead of 90 % of the rays over rough mountains.)
 
-    `eps` in m ends it; `start` is the approximate height to begin with in m (the middle between lowest and highest post
-    if None); `limit` the most steps, far more than a ray that converges takes. The horizontal line is followed over
-    `outward` posts at most, every look at the DEM counted; where it meets no ground (it never does on level or falling
-    ground) the line through 1 is level, which makes the step a photogrammetric one.
+    `eps` in m ends it; `start` is the initial height in m (the middle between lowest and highest post if None); `limit`
+    the maximum number of steps, far more than a converging ray takes. The horizontal line is followed over at most
+    `outward` posts, with every DEM evaluation counted; if it hits no ground (never on level or falling ground), the
+    line through 1 is level, which makes the step photogrammetric.
     """
 
     eps: ScalarField = EPS
@@ -56,10 +56,10 @@ class ImprovedLiteral(AbstractStudiedSearch):
 
 
 class ImprovedSecant(AbstractStudiedSearch):
-    """The secant of D through Z and h(Z), two evaluations a step; the practical reading of the improved iteration.
+    """Secant of D through Z and h(Z), two evaluations per step; the practical variant of the improved iteration.
 
-    `eps` in m ends it; `start` is the approximate height to begin with in m (the middle between lowest and highest post
-    if None); `limit` the most steps, far more than a ray that converges takes.
+    `eps` in m ends it; `start` is the initial height in m (the middle between lowest and highest post if None); `limit`
+    the maximum number of steps, far more than a converging ray takes.
     """
 
     eps: ScalarField = EPS
@@ -72,7 +72,7 @@ class ImprovedSecant(AbstractStudiedSearch):
 
 
 def secant_step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
-    """The next height by the secant through (Z, D(Z)) and (h, D(h)); infinite where that is level."""
+    """Next height by the secant through (Z, D(Z)) and (h, D(h)); infinite if the secant is level."""
     below = descent.look(look.ground)
     rise = below.clearance - look.clearance
     height = look.height + look.clearance**2 / jnp.where(rise == 0.0, 1.0, rise)
@@ -80,7 +80,7 @@ def secant_step(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
 
 
 class _Outward(Record):
-    """The walk along the horizontal line: posts passed, and clearances of the last two looks."""
+    """State of the walk along the horizontal line: posts passed, and clearances of the last two samples."""
 
     count: Index
     before: Scalar
@@ -88,7 +88,7 @@ class _Outward(Record):
 
 
 def _to_line(descent: Descent, look: DemSample, most: Index) -> tuple[Scalar, Index]:
-    """Where the line through 1 (ground below A) and 2 (ground met horizontally outward) meets the ray."""
+    """Intersection of the ray with the line through 1 (ground below A) and 2 (ground hit horizontally outward)."""
     unit = descent.post_step() * jnp.where(look.clearance > 0.0, 1.0, -1.0)
 
     def is_going_on(walk: _Outward) -> Flag:

@@ -1,4 +1,4 @@
-"""A ray goes from cell to cell over ground that is too near to be skipped, each settled exactly on its patch."""
+"""Cell-by-cell march over ground too near to skip; each cell is settled exactly on its patch."""
 
 from __future__ import annotations
 
@@ -22,30 +22,29 @@ if TYPE_CHECKING:
 Rays = Float[Array, " rays"]
 
 WALL = 1e-6  # m: a surface without voids is continuous to far less
-LEAST_STEP = 2.0**-52  # of tau, which changes any in [-1, 1]
-ON_A_LINE = 1e-9  # cells: a line of posts nearer than this has been crossed
-SAME_PLACE = 1e-9  # of what is left of the march: a turning point nearer than this has been passed
+LEAST_STEP = 2.0**-52  # of tau: changes any value in [-1, 1]
+ON_A_LINE = 1e-9  # cells: a line of posts nearer than this counts as crossed
+SAME_PLACE = 1e-9  # of the rest of the march: a turning point nearer than this counts as passed
 
 
 class March(Record):
-    """Where in `tau` a ray is on its way from cell to cell, where it leaves the cell that it has settled last, and what
-    it has met so far (see `news_of`)."""
+    """State of a march: position in `tau`, exit of the last settled cell, and the news so far (see `news_of`)."""
 
     tau: ScalarField
     exit: ScalarField
     news: IndexField
 
     def is_done(self, end: Numbers) -> Flags:
-        """Whether the march has met an event or has come to its end."""
+        """Whether the march has met an event or reached its end."""
         return (self.tau >= end) | happened(self.news)
 
 
-# What a march has met is one int32: bit 0 says that it has come over the grid, bit 1 that it did so below the ceiling,
-# and the bits above are the status it ends with, counted from 1, or 0 while nothing has ended it.
+# News of a march as one int32: bit 0 is set once it is over the grid, bit 1 if it entered below the ceiling, and the
+# bits above hold the final status, counted from 1, or 0 before any event.
 
 
 def news_of(entered: Flags, from_side: Flags) -> Indices:
-    """The news of a march that has met nothing yet."""
+    """News of a march without an event yet."""
     return entered.astype(jnp.int32) + 2 * from_side.astype(jnp.int32)
 
 
@@ -55,12 +54,12 @@ def happened(news: Indices) -> Flags:
 
 
 def has_entered(news: Indices) -> Flags:
-    """Whether the ray has come over the grid."""
+    """Whether the ray has entered the grid."""
     return (news & 1) == 1
 
 
 def came_from_side(news: Indices) -> Flags:
-    """Whether it came over the grid's edge below the ceiling."""
+    """Whether it entered over the grid's edge below the ceiling."""
     return (news & 2) == 2
 
 
@@ -70,7 +69,7 @@ def status_of(news: Index) -> StatusCode:
 
 
 def step(march: March, track: Track, end: Scalar, dem: Dem) -> March:
-    """Settle the cell ahead and go on to the next one; a march that has met an event stays before its cell."""
+    """Settle the cell ahead and go on to the next; a march with an event stays before its cell."""
     exit_ = jax.lax.optimization_barrier(cell_exit(march.tau, track, end))
     is_done = march.is_done(end)
     exit_ = jnp.where(is_done, march.exit, exit_)
@@ -84,7 +83,7 @@ def cell_exit(tau: Scalar, track: Track, end: Scalar) -> Scalar:
 
 
 def cell_between(track: Track, begin: Scalar, end: Scalar) -> tuple[Index, Index]:
-    """(row, col) of the cell that a piece of track lies in."""
+    """(row, col) of the cell that contains a section of the track."""
     middle = 0.5 * (begin + end)
     return jnp.floor(track.row.at(middle)).astype(jnp.int32), jnp.floor(track.col.at(middle)).astype(jnp.int32)
 
@@ -103,7 +102,7 @@ def _settle(march: March, track: Track, dem: Dem, exit_: Scalar) -> Index:
     leaves = (exit_ > march.tau) & entered & ~within
     from_side |= enters & (track.height.at(march.tau) < dem.ceiling)
     status = jnp.where(from_side, Status.enters_from_side.code, Status.hit.code)
-    out_of_void = begins_below & ~enters  # into the wall of its neighbour
+    out_of_void = begins_below & ~enters  # into the wall of the neighbouring cell
     status = status_where(is_void | out_of_void, Status.hits_void, status)
     status = status_where(enters & begins_below & ~is_void, Status.enters_below_terrain, status)
     status = status_where(leaves, Status.leaves_terrain, status)
@@ -114,10 +113,10 @@ def _settle(march: March, track: Track, dem: Dem, exit_: Scalar) -> Index:
 def lowest_clearance(
     track: Track, patch: Patch, row: Index, col: Index, begin: Scalar, end: Scalar
 ) -> tuple[tuple[Scalar, Scalar, Scalar], Scalar, Scalar]:
-    """Clearance in m over a cell's patch at `begin`, halfway and `end`; the lowest between them, and its place in tau.
+    """Clearance in m over a cell's patch at `begin`, halfway and `end`; its minimum between them, and the tau of that.
 
-    Over a bilinear patch the clearance is a parabola of range but for terms of the track's curvature within one cell;
-    the parabola only says where to look for its lowest, the values are exact.
+    Over a bilinear patch the clearance is a parabola of range, except for the track's curvature within one cell; the
+    parabola only locates the minimum, the values are exact.
     """
     first, half, last = (clearance(track, patch, row, col, tau) for tau in (begin, 0.5 * (begin + end), end))
     bend = 2.0 * (first + last - 2.0 * half)
@@ -134,7 +133,7 @@ def clearance(track: Track, patch: Patch, row: Index, col: Index, tau: Scalar) -
 def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     """Where row or column crosses the next line, or first turns back, or `end`.
 
-    Up to the turning point the track goes one way, so the side is known from where it gets to, not from a slope.
+    Up to the turning point the track is monotonic, so its end value gives the side, without relying on a slope.
     """
     slope, last_slope = axis.slope(tau), axis.slope(end)
     turn = tau + (end - tau) * slope / jnp.where(slope == last_slope, 1.0, slope - last_slope)
@@ -144,7 +143,7 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
     above, below = jnp.floor(now + ON_A_LINE) + 1.0, jnp.ceil(now - ON_A_LINE) - 1.0
     line = jnp.where(then > now, above, below)
     crosses = (then > above) | (then < below)
-    # the parabola through both ends with the slope at the first says where; a Newton step does better, or is not taken
+    # estimate by the parabola through both ends with the slope at the first; a Newton step is used if it is better
     length, per_rise = stop - tau, 1.0 / jnp.where(crosses, then - now, 1.0)
     share, start_slope = (line - now) * per_rise, slope * length * per_rise
     root = safe_sqrt(start_slope * start_slope - 4.0 * (start_slope - 1.0) * share)
@@ -159,7 +158,7 @@ def _exit(axis: Quartic, tau: Scalar, end: Scalar) -> Scalar:
 def march_all(
     track: Track, ground: Ground, begin: Rays, end: Rays, news: Int32[Array, " rays"], few: Index | int
 ) -> March:
-    """March a crowd (leading axis) from `begin` to `end`, until no more than `few` are still on the way."""
+    """March a batch (leading axis) from `begin` to `end`, until at most `few` rays are still marching."""
 
     def move(march: March) -> March:
         return ground.each(step, march, track, end)

@@ -7,8 +7,8 @@ aerial images", Computers & Geosciences 30(3), 2004, as described by Li et al. (
     repeat: Z = h(Z)
     until |Z - h(Z)| <= eps
 
-On a plane the error is multiplied by -k in each step, k = tan(slope along the look) / tan(depression): it goes round
-for k = 1 and runs away for |k| > 1.
+On a plane the error is multiplied by -k per step, k = tan(slope along the line of sight) / tan(depression): the
+iteration cycles for k = 1 and diverges for |k| > 1.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
 
 
 class Photogrammetric(AbstractStudiedSearch):
-    """Takes the ground's height under the last point for the height of the next.
+    """Uses the ground height under the last point as the next height.
 
-    `eps` in m ends it; `start` is the approximate height to begin with in m (the middle between lowest and highest post
-    if None). `limit` is the most steps: with |k| = 0.9 a start 500 m off takes 75, so 100 cut off hardly any ray that
-    would still converge.
+    `eps` in m ends it; `start` is the initial height in m (the middle between lowest and highest post if None). `limit`
+    is the maximum number of steps: with |k| = 0.9 a start 500 m off takes 75, so 100 stops hardly any ray that would
+    still converge.
     """
 
     eps: ScalarField = EPS

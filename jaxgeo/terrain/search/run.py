@@ -1,4 +1,4 @@
-"""What one run of a studied search reports, and how it compares with the first hit."""
+"""Report of one run of a studied search, and its comparison with the first hit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Ending(enum.IntEnum):
 
 
 class Outcome(enum.IntEnum):
-    """What a run of a search is worth beside the guaranteed first hit."""
+    """Quality of a search's result compared with the guaranteed first hit."""
 
     first_hit = 0
     farther_hit = 1
@@ -61,10 +61,10 @@ _OUTCOMES = {
 class Run(Record):
     """One run of a search along one ray.
 
-    `distance` is the range in m of its last point, `height` that point's in m above the ellipsoid, `clearance` its
-    height above the surface in m; `cell` the cell it lies over. `evaluations` counts every height asked of the DEM,
-    `iterations` the rounds of the method's own loop. `ending` is an int8 `Ending`, `status` the int8 `Status` that the
-    bracket carries. A run that did not converge keeps its last point for study; its bracket has none.
+    `distance` is the range in m of its last point, `height` the ellipsoidal height of that point in m, `clearance` its
+    height above the surface in m; `cell` the cell below it. `evaluations` counts all DEM evaluations, `iterations` the
+    rounds of the method's own loop. `ending` is an int8 `Ending`, `status` the int8 `Status` of the bracket. A run that
+    did not converge keeps its last point for study; its bracket has none.
     """
 
     distance: Scalar
@@ -78,16 +78,16 @@ class Run(Record):
 
 
 def ending_code(ending: Ending) -> Int8[Array, ""]:
-    """The ending as the int8 scalar that runs carry."""
+    """The ending as an int8 scalar, as in `Run`."""
     return jnp.asarray(ending.value, jnp.int8)
 
 
 def outcome_of(run: Run, first: Scalar, tolerance: Scalar) -> Int8[Array, ""]:
     """The int8 `Outcome` of a run along a ray whose first hit is at the range `first` in m (`Fix.slant_range`).
 
-    Ranges within `tolerance` m are the same crossing: a search that stops at a clearance eps is short of the surface by
-    eps over the sine of the angle between ray and ground; one post spacing tells neighbouring slopes apart. Where there
-    is no first hit (NaN) every point is a wrong one, and counts as farther.
+    Ranges within `tolerance` m count as the same crossing: a search that stops at a clearance eps is short of the
+    surface by eps over the sine of the angle between ray and ground; one post spacing separates neighbouring slopes.
+    Without a first hit (NaN) every point is wrong, and counts as farther.
     """
     away = run.distance - first
     reached = jnp.where(away < -tolerance, Outcome.nearer_hit.value, Outcome.farther_hit.value)

@@ -1,4 +1,4 @@
-"""First hit of a ray with ground of bounded slope: steps that are proven to pass nothing."""
+"""First hit of a ray with ground of bounded slope: every step is proven to pass no ground."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from jaxgeo.terrain.search.base import FLOOR_MARGIN, ON_GROUND, reach_between
 if TYPE_CHECKING:
     from jaxgeo.terrain.height_function import HeightFunction
 
-RESOLUTION = 1e-3  # m along the ray: a crossing and its way back that lie closer together may be passed
+RESOLUTION = 1e-3  # m along the ray: two crossings closer together may be missed
 LONGEST = 10_000.0  # m: a longer step could turn the ray against the ground's normal by more than `TURN`
 TURN = 2e-3  # rad
-PLACES = 1024  # at which a ray is looked at where no slope is known
+PLACES = 1024  # samples of a ray if no slope is known
 MOST = 100_000  # steps
 ROUNDING = 1e-6  # m of height
 LEAST_RADIUS = 6.33e6  # m: of curvature of the ellipsoid
@@ -29,8 +29,8 @@ ON_THE_WAY = -1  # in place of a status
 
 
 class Place(NamedTuple):
-    """A point of a ray: range in m, clearance and height of the ground in m, and bounds from there on over `LONGEST`
-    m: of the foot's speed over the ellipsoid, and of the ray's fall, m per m."""
+    """A point of a ray: range in m, clearance and height of the ground in m, and bounds over the next `LONGEST` m: of
+    the speed of its foot over the ellipsoid, and of the ray's fall, m per m."""
 
     distance: Scalar
     clearance: Scalar
@@ -40,8 +40,8 @@ class Place(NamedTuple):
 
 
 class March(NamedTuple):
-    """Where a ray is known to be free up to, the place ahead that ended that, the longest step to take, and what has
-    been met (a `Status`, or `ON_THE_WAY`)."""
+    """State: the last point known to be clear, the point ahead that ended the march, the longest next step, and the
+    result (a `Status`, or `ON_THE_WAY`)."""
 
     free: Place
     ahead: Place
@@ -53,10 +53,10 @@ class March(NamedTuple):
 def safe_march(ray: Ray, terrain: HeightFunction) -> Bracket:
     """The first crossing of a ray and a `HeightFunction`; without derivatives.
 
-    Height along a ray is convex, so that it falls fastest at once, and the ground rises by no more than its slope times
-    the way of the ray's foot: over clearance / (fall + slope * speed) nothing can be met. Where that is less than
-    `RESOLUTION`, so long a step is taken. Without a slope the steps are equal, and prove nothing.
-    A height that is not between its bounds, or changes by more than its slope allows, is `invalid_input`.
+    Height along a ray is convex, so it falls fastest at first, and the ground rises by at most its slope times the path
+    of the ray's foot: a step of clearance / (fall + slope * speed) is clear. Steps are at least `RESOLUTION` long.
+    Without a slope the steps are equal and not proven clear.
+    A height outside its bounds, or a change of more than its slope allows, is `invalid_input`.
     """
     low, high = terrain.bounds()
     start, end, exists, sinks = reach_between(ray, low, high)
@@ -74,7 +74,7 @@ def safe_march(ray: Ray, terrain: HeightFunction) -> Bracket:
 
     def go_on(march: March) -> March:
         ahead = _place(ray, terrain, jnp.minimum(march.free.distance + _step(march, terrain, start, end), end))
-        at_end = status_where(sinks, Status.invalid_input, Status.rises_away.code)  # ground lower than its bound
+        at_end = status_where(sinks, Status.invalid_input, Status.rises_away.code)  # ground below its lower bound
         news = jnp.where(ahead.distance >= end, at_end, march.news)
         news = status_where(ahead.clearance <= 0.0, Status.hit, news)
         news = status_where(~_is_true(march.free, ahead, terrain), Status.invalid_input, news)
@@ -115,7 +115,7 @@ def _place(ray: Ray, terrain: HeightFunction, distance: Scalar) -> Place:
 
 
 def _least(terrain: HeightFunction) -> Scalar:
-    """The lowest height in m on a ray's way, if it is negative: feet are faster than what is below the ellipsoid."""
+    """The lowest height in m on a ray's path, if negative: below the ellipsoid, feet move faster than the ray."""
     return jnp.minimum(terrain.bounds()[0] - FLOOR_MARGIN, 0.0)
 
 
@@ -129,7 +129,7 @@ def _step(march: March, terrain: HeightFunction, start: Scalar, end: Scalar) -> 
 
 
 def _is_true(here: Place, there: Place, terrain: HeightFunction) -> Flag:
-    """Whether the ground keeps what is promised of it between two places; unknown ground does."""
+    """Whether the ground respects its bounds between two points; unknown ground does."""
     kept = _within(there.ground, *terrain.bounds())
     if terrain.lipschitz is None:
         return kept

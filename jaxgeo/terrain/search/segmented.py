@@ -27,17 +27,17 @@ from jaxgeo.terrain.search.run import Ending, ending_code
 from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
 from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
 
-SHORTEST = 1e-6  # m between tries: with one so fine and still no crossing there is none where the search looks
+SHORTEST = 1e-6  # m between tries; without a crossing at this step there is none in the window
 
 
 class Segmented(AbstractStudiedSearch):
-    """K improved (secant) steps, then the window of the target's heights cut into M segments again and again.
+    """K improved (secant) steps, then repeated subdivision of the target's height window into M segments.
 
-    `eps` in m ends it; `start` is the height to begin the improved steps with in m (the middle between lowest and
-    highest post if None); `window` the heights of the target's area. Li et al. give neither K nor M ("to be adjusted to
-    the circumstances"): after `steps` K = 6 secants most rays over rough mountains are settled, and `segments` M = 16
-    narrow the window 8 times a round. The cost depends on them: over ten mountains the fast iteration needs 22 % fewer
-    evaluations than K = 6, M = 10 and 35 % fewer than K = 5, M = 10. A window that shrinks to nothing without a
+    `eps` in m ends it; `start` is the initial height of the improved steps in m (the middle between lowest and highest
+    post if None); `window` the heights of the target's area. Li et al. give neither K nor M ("to be adjusted to the
+    circumstances"): after `steps` K = 6 secants most rays over rough mountains are settled, and `segments` M = 16
+    narrow the window 8 times per round. The cost depends on them: over ten mountains the fast iteration needs 22 %
+    fewer evaluations than K = 6, M = 10 and 35 % fewer than K = 5, M = 10. A window that shrinks to nothing without a
     crossing: failed.
     """
 
@@ -77,7 +77,7 @@ class Segmented(AbstractStudiedSearch):
 
 
 class _State(Record):
-    """The best look so far, the window as its middle and half width, and the step that made it, m."""
+    """The best sample so far, the window as its middle and half width, and its step, m."""
 
     look: DemSample
     middle: Scalar

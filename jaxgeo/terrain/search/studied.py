@@ -1,4 +1,4 @@
-"""The searches of the papers: heights asked of the DEM one by one, counted, and ended with a reason."""
+"""Published searches: DEM heights evaluated one by one, counted, with a reason for the ending."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EPS = 0.2  # m: the tolerance of the experiments of Li et al. (2023), section 5.
 
 
 class Search(Record):
-    """Where a studied search ended: its last look, what it cost, and the int8 `Ending`."""
+    """End of a studied search: its last sample, its cost, and the int8 `Ending`."""
 
     look: DemSample
     evaluations: Index
@@ -34,8 +34,8 @@ class Search(Record):
 
 
 class Approach(Record):
-    """A ray ready to be searched: the ray (or a stand-in), the range in m where it begins to sink towards the ground,
-    and the int8 `Status` that keeps it from being searched, `hit` if nothing does."""
+    """A ray prepared for a search: the ray (or a placeholder), the range in m where it starts to sink towards the
+    ground, and the int8 `Status` that prevents a search, `hit` if none does."""
 
     ray: Ray
     start: Scalar
@@ -43,7 +43,7 @@ class Approach(Record):
 
 
 def approach(ray: Ray, dem: Dem) -> Approach:
-    """What every studied search needs to know of one `ray` (ECEF) first; the same for all of them."""
+    """Common preparation of one `ray` (ECEF) for all studied searches."""
     reach = reach_of(ray, dem)
     obstacle = status_where(reach.sinks, Status.hit, Status.not_converged.code)
     obstacle = status_where(~reach.exists, Status.rises_away, obstacle)
@@ -55,11 +55,11 @@ def approach(ray: Ray, dem: Dem) -> Approach:
 
 
 class AbstractStudiedSearch(AbstractSearch):
-    """A search of the literature over heights Z, kept as it was published, its faults included.
+    """A search of the literature over heights Z, as published, including its faults.
 
-    `run` reports what it cost and how it ended; `bracket` gives its own point, within its own tolerance of the surface,
-    so that `intersect` and `locate` return the answer of the method and not a polished one. It may not be the first
-    crossing: `FirstHit` finds that. Rays that never sink below the lowest ground have nothing to search.
+    `run` reports its cost and ending; `bracket` gives its own point, within its own tolerance of the surface, so that
+    `intersect` and `locate` return the method's result and not a polished one. It may not be the first crossing:
+    `FirstHit` finds that. Rays that never sink below the lowest ground are not searched.
     """
 
     @abstractmethod
@@ -71,7 +71,7 @@ class AbstractStudiedSearch(AbstractSearch):
         return self.run_from(approach(ray, dem), dem)
 
     def run_from(self, approach: Approach, dem: Dem) -> Run:
-        """`run` for a ray whose `approach` over `dem` is known, so that several searches can share it."""
+        """`run` for a ray with a known `approach` over `dem`, so that several searches can share it."""
         done = self.search(Descent.of(approach.ray, dem, approach.start))
         look = done.look
         cell = dem.cell_of(look.rowcol)
@@ -89,7 +89,7 @@ class AbstractStudiedSearch(AbstractSearch):
 
 
 def _status(done: Search, dem: Dem) -> StatusCode:
-    """What the point of a search is, or why there is none."""
+    """Status of a search's point, or the reason for having none."""
     _, is_void = dem.patch(dem.cell_of(done.look.rowcol))
     status = status_where(is_void, Status.hits_void, Status.hit.code)
     status = status_where(~done.look.is_inside, Status.leaves_terrain, status)

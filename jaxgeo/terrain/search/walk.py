@@ -1,4 +1,4 @@
-"""One ray's walk along one track: intervals that surely hold nothing are skipped, the others settled exactly."""
+"""Walk of one ray along one track: skips intervals proven clear and leaves the others to be settled exactly."""
 
 from __future__ import annotations
 
@@ -21,9 +21,8 @@ _LEVELS = 32  # a place is position * 32 + level + 1 in one int32
 class Stretch(Record):
     """A track cut into `count` = 2^`finest` intervals of `unit` tau, none longer than a cell.
 
-    `rough` are its row, col and `headroom` again, in 32 bits and with what bounds the error of that: intervals are
-    skipped on them, which takes half the time, and settled on the track itself. `lowered` is the headroom over ground
-    with a field, else None.
+    `rough` holds row, col and `headroom` in 32 bits with error bounds: skipping uses these, at half the time, settling
+    uses the track itself. `lowered` is the headroom over ground with a field, else None.
     """
 
     track: Track
@@ -34,7 +33,7 @@ class Stretch(Record):
 
     @classmethod
     def of(cls, track: Track, rise: ScalarField | None = None) -> Stretch:
-        """Cut up a track over ground that may `rise` so many m above the pyramid's bounds (see `Dem.rise`)."""
+        """Cut up a track over ground that may `rise` this many m above the pyramid's bounds (see `Dem.rise`)."""
         cells = jnp.ceil(jnp.clip(2.0 * track.speed(), 1.0, 2.0**FINEST)).astype(jnp.int32)
         finest = 32 - jax.lax.clz(cells - 1)
         unit = 2.0 / jnp.left_shift(jnp.ones_like(finest), finest)
@@ -44,16 +43,16 @@ class Stretch(Record):
 
     @property
     def headroom(self) -> Quartic:
-        """The track's height less what a field may add to the ground: to be above the pyramid's bounds."""
+        """The track's height minus the largest field value, to compare with the pyramid's bounds."""
         return self.track.height if self.lowered is None else self.lowered
 
     @property
     def count(self) -> Indices:
-        """How many intervals of the finest level there are."""
+        """Number of intervals of the finest level."""
         return jnp.left_shift(jnp.ones_like(self.finest), self.finest)
 
     def tau(self, position: Indices) -> Numbers:
-        """Where the finest interval `position` begins."""
+        """Start of the finest interval `position`."""
         return self.unit * position - 1.0
 
 
@@ -68,22 +67,22 @@ class Rough(Record):
     def of(cls, quartic: Quartic) -> Rough:
         """Round to 32 bits.
 
-        Five products and sums, the coefficients and tau, each rounded to 2^-24, err by less than 2^-20 of the sum of
-        the coefficients' sizes and of the largest slope.
+        Error bound: five products and sums, the coefficients and tau, each rounded to 2^-24, are off by less than 2^-20
+        of the sum of the coefficients' magnitudes and of the largest slope.
         """
         size = sum(abs(coefficient) for coefficient in jax.tree.leaves(quartic))
         error = 2.0**-20 * (size + quartic.speed())
         return jax.tree.map(lambda x: x.astype(jnp.float32), cls(quartic, 1.001 * quartic.sag(), 1.001 * error))
 
     def box(self, begin: ScalarLike, end: ScalarLike, spread: ScalarLike) -> tuple[ScalarLike, ScalarLike]:
-        """Lower and upper bound between two places, in 32 bits, widened by `spread`."""
+        """Lower and upper bound between two taus, in 32 bits, widened by `spread`."""
         first, last, width = self.quartic.at(begin), self.quartic.at(end), end - begin
         bend = self.sag * width * width + self.error + spread
         return jnp.minimum(first, last) - bend, jnp.maximum(first, last) + bend
 
 
-# A place on a stretch is one int32, so that one fused kernel moves a whole crowd of rays on: the interval
-# [position, position + 2^level) to look at next, or, with level -1, the finest one there, to be settled.
+# A place on a stretch is one int32, so that one fused kernel advances a whole batch of rays: the interval
+# [position, position + 2^level) to test next or, with level -1, the finest one there, to be settled.
 
 
 def place(position: Indices, level: Indices) -> Indices:
@@ -92,7 +91,7 @@ def place(position: Indices, level: Indices) -> Indices:
 
 
 def position_of(here: Indices) -> Indices:
-    """Where the interval begins, in finest intervals."""
+    """Start of the interval, in finest intervals."""
     return jnp.right_shift(here, 5)
 
 
@@ -107,14 +106,14 @@ def is_passing(here: Indices, stretch: Stretch) -> Flags:
 
 
 def first_place(stretch: Stretch) -> Index:
-    """A quarter of the track, for all of it is never clear: it begins just below the ceiling."""
+    """A quarter of the track; the whole is never clear, because it starts just below the ceiling."""
     return place(jnp.zeros_like(stretch.finest), jnp.maximum(stretch.finest - 2, 0))
 
 
 def place_at(stretch: Stretch, tau: ScalarLike, longest: int) -> Index:
-    """Where to go on from `tau`: with intervals of up to 2^`longest` of the finest or, with -1, to settle one.
+    """Place to continue at from `tau`: with intervals of up to 2^`longest` finest ones or, with -1, to settle one.
 
-    The first place, if it is none behind that.
+    Not before the first place.
     """
     position = jnp.floor((tau + 1.0) / stretch.unit).astype(jnp.int32)
     level = jnp.clip(31 - jax.lax.clz(position & -position), min(0, longest), longest)
@@ -122,7 +121,7 @@ def place_at(stretch: Stretch, tau: ScalarLike, longest: int) -> Index:
 
 
 def clear_ahead(stretch: Stretch, dem: Dem, spread: tuple[ScalarLike, ScalarLike, ScalarLike]) -> ScalarLike:
-    """The tau up to which nothing is before tracks over the grid that are no farther off one than `spread`."""
+    """The tau up to which all tracks over the grid within `spread` of this one are clear."""
     over = jnp.asarray(True)
     move = lambda here: advance(here, stretch, dem, over, spread)  # noqa: E731
     here = jax.lax.while_loop(lambda here: is_passing(here, stretch), move, first_place(stretch))
@@ -132,7 +131,7 @@ def clear_ahead(stretch: Stretch, dem: Dem, spread: tuple[ScalarLike, ScalarLike
 def advance(
     here: Index, stretch: Stretch, dem: Dem, entered: Flag, spread: tuple[ScalarLike, ScalarLike, ScalarLike]
 ) -> Index:
-    """The next place: the following interval, twice as long where that is aligned, or the first half of this one.
+    """The next place: the following interval, twice as long where aligned, or the first half of this one.
 
     `spread` in cells, cells and m widens the track on all sides (zero for one ray).
     """
@@ -156,8 +155,8 @@ def _is_clear(
 ) -> Flag:
     """Whether the interval surely holds no event: above all ground it can touch, or (before entry) beside the grid.
 
-    A position is within the grid only if the whole box is, so its (row, col) can be cut off to integers. All is done in
-    32 bits, with boxes widened by more than that errs.
+    A position is within the grid only if the whole box is, so its (row, col) can be truncated to integers. Computed in
+    32 bits, with boxes widened by more than the rounding error.
     """
     unit = stretch.unit.astype(jnp.float32)
     begin, stop = unit * position.astype(jnp.float32) - 1.0, unit * end.astype(jnp.float32) - 1.0

@@ -1,4 +1,4 @@
-"""One ray's state on its way over the terrain, and how a crowd's states are packed to be gathered and scattered."""
+"""State of one ray's walk over the terrain, and packing of a batch's states for gather and scatter."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from jaxgeo.terrain.track import LONGEST_TRACK, TRACK_TOLERANCE, Quartic, Track,
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
 
-SHORTEST_TRACK = 10.0  # m; shorter ones are taken as they are, unless they miss by more than their length
-LEAP = 1e-7  # m; so short a piece on which the map jumps, as at the seam of longitudes, is passed over
-AT_END = 1e-9  # of a range: what is left of it is rounding
+SHORTEST_TRACK = 10.0  # m; shorter tracks are accepted, unless their error exceeds their length
+LEAP = 1e-7  # m; a section this short with a jump of the map, as at the seam of longitudes, is passed over
+AT_END = 1e-9  # of a range: the rest is rounding
 MOST_TRACKS = 4096
 
 
 class Walker(Record):
-    """Where one ray is on its way: the track it walks from range `passed` on, its place there, and what it has met.
+    """State of one ray: the track it walks from range `passed` on, its place there, and its news.
 
-    `fresh` asks for a new track; `begun` is false until the first good one; `is_over` says that the walk has ended,
-    by an event in the `news` (see `march.news_of`) between `tau` and `exit`, or without one.
+    `fresh` requests a new track; `begun` is false until the first valid one; `is_over` marks the end of the walk, by an
+    event in the `news` (see `march.news_of`) between `tau` and `exit`, or without one.
     """
 
     passed: ScalarField
@@ -48,14 +48,14 @@ class Walker(Record):
 
     @classmethod
     def at_start(cls, way: Way) -> Walker:
-        """A ray at the start of its way, or over already if it has none."""
+        """A ray at the start of its way, or already over if it has none."""
         no, zero = jnp.zeros_like(way.exists), jnp.zeros_like(way.start, dtype=jnp.int32)
         length = jnp.minimum(next_stop(way.start, way) - way.start, LONGEST_TRACK)
         begin = -jnp.ones_like(length)
         return cls(way.start, length, begin, begin, zero, zero, zero, ~no, no, ~way.exists)
 
     def within(self, ray: Ray, way: Way, is_of_beam: Flag, rise: Scalar, beam: Beam) -> tuple[Walker, Track]:
-        """This ray, or, if it is of a beam whose start lies farther on its way, one that begins there; its track."""
+        """This ray, or, if it is in the beam whose start is farther on its way, one that starts there; its track."""
         begins = is_of_beam & way.exists & (beam.start > way.start)
         track, clear_to = beam.track(ray, rise)
         there = Walker(
@@ -74,17 +74,17 @@ class Walker(Record):
 
 
 def next_stop(passed: Scalar, way: Way) -> Scalar:
-    """The range in m at which tracks end: where a ray that came in from above must have met the ground, and behind that
-    where any can come over the grid for the last time."""
+    """The range in m at which tracks end: where a ray that entered from above must have met the ground, and after that
+    the last range at which any can be over the grid."""
     return jnp.where(passed < (1.0 - AT_END) * way.end, way.end, way.last)
 
 
 def new_track(walker: Walker, ray: Ray, dem: Dem, way: Way) -> tuple[Walker, Track]:
-    """Give a ray that asks for it the next track, if that is true to the exact map, and begin to walk it.
+    """Give a ray that requests it the next track, if accurate, and start to walk it.
 
-    The first track begins where the ray sinks below the ceiling. If that is not over the grid, the ray walks from where
-    it comes near the grid, to see it come in. A track that is not true enough is tried again with half the length, down
-    to a `LEAP`, over which longitude jumps by a turn: what lies behind that is on the other side of the grid.
+    The first track starts where the ray sinks below the ceiling. If that is not over the grid, the walk starts where
+    the ray comes near the grid, to detect its entry. An inaccurate track is tried again with half the length, down to a
+    `LEAP`, over which longitude jumps by a full turn: the ray behind it is on the other side of the grid.
     """
     track = make_track(ray, dem, walker.passed, walker.passed + walker.length)
     is_true = (track.error < TRACK_TOLERANCE) & (2.0 * track.speed() < 2.0**FINEST)
@@ -112,7 +112,7 @@ def new_track(walker: Walker, ray: Ray, dem: Dem, way: Way) -> tuple[Walker, Tra
 
 
 def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
-    """At the end of its track a ray that has met nothing asks for the next one, or is at its end."""
+    """At the end of its track a ray without an event requests the next one, or is at its end."""
     at_end = ~walker.fresh & ~walker.is_over & (position_of(walker.here) >= stretch.count)
     passed = walker.passed + walker.length
     remaining = next_stop(passed, way) - passed
@@ -130,15 +130,15 @@ def after_track(walker: Walker, stretch: Stretch, way: Way) -> Walker:
 
 
 def take_down(walker: Walker, stretch: Stretch, march: March, settled: Index) -> Walker:
-    """What a march has met, or that it has `settled` so many intervals without an event (0 if it is not finished)."""
+    """Record the event of a march, or that it `settled` this many intervals without one (0 if it is not finished)."""
     beyond = jnp.minimum(position_of(walker.here) + settled, stretch.count)
-    onwards = jnp.where(settled > 0, place(beyond, (beyond & 1) ^ 1), walker.here)  # not with a long step, so near
+    onwards = jnp.where(settled > 0, place(beyond, (beyond & 1) ^ 1), walker.here)  # the ground is near: a short step
     found = onwards, march.tau, march.exit, march.news, happened(march.news)
     after = eqx.tree_at(lambda w: (w.here, w.tau, w.exit, w.news, w.is_over), walker, found)
     return tree_where(~walker.fresh & ~walker.is_over & must_settle(walker.here), after, walker)
 
 
-# What is gathered and scattered goes in three arrays with one column per ray.
+# Gathered and scattered data are three arrays with one column per ray.
 
 
 class Store(Record):
@@ -171,12 +171,12 @@ class Store(Record):
 
 
 def nothing_like(x: Array) -> Array:
-    """Zeros that are spread over devices as `x` is; `zeros_like` would have them the same on all."""
+    """Zeros distributed over devices as `x` is; `zeros_like` would replicate them."""
     return x - x
 
 
 def no_tracks(like: Float[Array, " rays"]) -> Track:
-    """Tracks to be replaced, of as many rays."""
+    """Placeholder tracks, one per ray."""
     nowhere = nothing_like(like)
     flat = Quartic(*[nowhere] * 5)
     return Track(flat, flat, flat, nowhere, nowhere, nowhere)

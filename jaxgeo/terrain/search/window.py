@@ -1,4 +1,4 @@
-"""The heights between which a search looks: of the whole terrain, or of the target's area."""
+"""Height windows of a search: the whole terrain, or the target's area."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from jaxgeo.terrain.search.descent import Descent
 
 
 class AbstractWindow(Record):
-    """A choice of the lowest and the highest height that a search considers."""
+    """Choice of the lowest and the highest height considered by a search."""
 
     @abstractmethod
     def heights(self, descent: Descent) -> tuple[Scalar, Scalar]:
-        """The lowest and the highest height in m. Reading posts for it counts as no evaluation of h(Z)."""
+        """Lowest and highest height in m. Reading posts for it does not count as evaluations of h(Z)."""
 
 
 class WholeTerrain(AbstractWindow):
-    """All heights of the DEM as it was loaded."""
+    """All heights of the DEM as loaded."""
 
     def heights(self, descent: Descent) -> tuple[Scalar, Scalar]:
         return descent.dem.floor, descent.dem.ceiling
 
 
 class HeightsBetween(AbstractWindow):
-    """Heights in m that the caller names."""
+    """Heights in m given by the caller."""
 
     lowest: ScalarField
     highest: ScalarField
@@ -39,13 +39,13 @@ class HeightsBetween(AbstractWindow):
 
 
 class TargetArea(AbstractWindow):
-    """The heights of the posts around the place where the ray meets the ellipsoid model of one height.
+    """Heights of the posts around the ray's intersection with a constant-height ellipsoid model.
 
     Step 1 of Li et al. (2023), section 4.2: estimate the target's place with the ellipsoid model, take the heights of
-    that area. The paper gives neither: `height` in m is that of the ellipsoid model (the paper uses a mean height for
-    it; the middle between lowest and highest if None), and the area is `half` posts to each side of the place, moved
-    inward at an edge of the terrain. 100 posts of 30 m make up for 600 m of error in that height at a depression of
-    11.2 degrees. Peaks beyond it are not known to the search.
+    that area. The paper gives neither: `height` in m is that of the ellipsoid model (the paper uses a mean height; the
+    middle between lowest and highest if None), and the area is `half` posts to each side of the place, moved inward at
+    an edge of the terrain. 100 posts of 30 m compensate 600 m of error in that height at a depression of 11.2 degrees.
+    Peaks outside the area are not considered.
     """
 
     height: ScalarField | None = None
