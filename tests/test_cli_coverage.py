@@ -253,11 +253,11 @@ MISTAKES = [
     ([*TARGET, "--target", "46.2,-84.2", "--dem", DEM], ["the elevation model reaches from", "beside it"]),
     ([*TARGET, "--line-of-sight", "250"], ["'250'", "AZIMUTH,DEPRESSION"]),
     ([*TARGET, "--line-of-sight", "250,100"], ["depression", "90"]),
-    ([*TARGET, "--line-of-sight", "250,18", "--dem", DEM], ["--dem goes with --target"]),
+    ([*TARGET, "--line-of-sight", "250,18", "--dem", DEM], ["--dem needs --target"]),
     ([*OVERLAP], ["--navigation", "--shots"]),
     ([*OVERLAP, "--navigation", "FLIGHT"], ["--times"]),
-    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "101"], ["fewer than two exposures"]),
-    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103,101"], ["time running backwards", "103 s to 101 s"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "101"], ["at least two exposure times"]),
+    ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103,101"], ["decreasing times", "103 s to 101 s"]),
     ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103;101"], ["'103;101'", "numbers in s"]),
     ([*OVERLAP, "--navigation", "FLIGHT", "--times", "103,400"], ["400 s is not in", "100 to 120 s"]),
     ([*OVERLAP, "--shots", "nowhere.csv"], ["nowhere.csv"]),
@@ -310,7 +310,7 @@ def test_records_that_run_backwards(tmp_path: pathlib.Path, flight) -> None:
 def test_a_table_of_one_shot(tmp_path: pathlib.Path) -> None:
     path = tmp_path / "shots.csv"
     path.write_text(f"{POSE}{READINGS}\n{SHOTS['whole']}\n")
-    assert_refused(run(*OVERLAP, "--shots", path), "fewer than two exposures")
+    assert_refused(run(*OVERLAP, "--shots", path), "at least two rows")
 
 
 def test_a_camera_without_a_field(tmp_path: pathlib.Path) -> None:

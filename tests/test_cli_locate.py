@@ -150,7 +150,7 @@ WRONG = [
     (["{image}", *GROUND, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
     (["{image}", *GROUND, "--mgrs"], ["--crs, --heights and --mgrs go with --output"]),
     (["{image}", *GROUND, "--shots", "shots.csv"], ["--shots shots.csv", "--scene"]),
-    (["{image}", *GROUND, "-o", "{image}"], ["--output", "the ending .JPG is not one that is known"]),
+    (["{image}", *GROUND, "-o", "{image}"], ["--output", "unsupported file type .JPG"]),
     (["--ground", "300"], ["give a FILE", "--scene"]),
     ([str(scene_file()), "--dem", DEM, "--height-datum", "ellipsoid"], ["--height-datum", "leave it out"]),
     ([str(scene_file()), "--dem", DEM, "--exposure", "a"], ["--exposure", "a scene has one"]),
