@@ -210,7 +210,7 @@ WRONG_PLACES = [
     ("nowhere/x.png", "there is no folder nowhere"),
     ("fixes.xyz", "unsupported file type .xyz"),
     ("fixes.txt", "unsupported file type .txt"),
-    ("fixes", "the name has no ending"),
+    ("fixes", "the name has no extension"),
     ("x" * 300 + ".csv", "it cannot be written: File name too long"),
 ]
 

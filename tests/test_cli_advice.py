@@ -118,7 +118,7 @@ def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
     assert result.exit_code == 0, result.stderr
     assert "Only the camera, its lens errors and the atmosphere of" in result.stderr
     both = CliRunner().invoke(app, [*words, "--scene", str(scene), "--camera", "focal=3666px"])
-    assert "both are a camera; leave one out" in both.stderr
+    assert "both give a camera; leave one out" in both.stderr
 
 
 @pytest.mark.parametrize(

@@ -414,7 +414,7 @@ def test_the_version_is_told() -> None:
 
 def test_help_tells_the_codes_of_exit() -> None:
     text = " ".join(run("--help").stdout.split())
-    for words in ("0 done", "1 done, but without an answer", "2 a mistake", "70 a fault", "130 interrupted"):
+    for words in ("0 done", "1 done, but without a result", "2 usage", "70 internal error", "130 interrupted"):
         assert words in text
 
 

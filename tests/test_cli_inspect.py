@@ -194,7 +194,7 @@ def test_a_table_against_something_else_than_the_scene_is_refused(
     result = CliRunner().invoke(app, [str(one) for one in line])
     assert result.exit_code == 2
     assert words in result.stderr
-    assert f"by its column {column}" in result.stderr
+    assert f"(column {column})" in result.stderr
     assert result.stderr.count("\n") == 1
 
 

@@ -98,7 +98,7 @@ COMMANDS = (
         "outside the image of 2400 x 4800 pixels",
     ),
     ("jaxgeo point --scene scene.toml --line-of-sight 250,18 --vertical-datum EPSG:5773", "leave it out"),
-    ("jaxgeo point --scene scene.toml --line-of-sight 250,18 --nodata 0", "--nodata goes with --dem"),
+    ("jaxgeo point --scene scene.toml --line-of-sight 250,18 --nodata 0", "--nodata needs --dem"),
     (f"{OVERLAP} --times 101", "give two times or more"),
     (f"{OVERLAP} --times 1,2", "1 s is not in flight.csv"),
     (f"{OVERLAP} --times 103,101", "decreasing times"),

@@ -220,9 +220,9 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     assert "No fix" in text
     assert "rises away" in text
     assert detail.to_dict()["because"] in text
-    assert "Made 2020-02-03 04:05 UTC" in text
+    assert "Created 2020-02-03 04:05 UTC" in text
     assert "MGRS" not in text
-    assert "CE90 " not in text.split("How to read this")[0]
+    assert "CE90 " not in text.split("Definitions")[0]
 
 
 @pytest.mark.parametrize(
