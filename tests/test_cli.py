@@ -208,9 +208,9 @@ WRONG_PLACES = [
     (".", "this is a folder"),
     ("nowhere/x.csv", "there is no folder nowhere"),
     ("nowhere/x.png", "there is no folder nowhere"),
-    ("fixes.xyz", "the ending .xyz is not one that is known"),
-    ("fixes.txt", "the ending .txt is not one that is known"),
-    ("fixes", "the name has no ending"),
+    ("fixes.xyz", "unsupported file type .xyz"),
+    ("fixes.txt", "unsupported file type .txt"),
+    ("fixes", "the name has no extension"),
     ("x" * 300 + ".csv", "it cannot be written: File name too long"),
 ]
 

@@ -116,9 +116,9 @@ def test_a_scene_gives_its_camera(tmp_path: pathlib.Path) -> None:
     words = ["locate", str(path), *GROUND, "--no-accuracy", "--json"]
     result = CliRunner().invoke(app, [*words, "--scene", str(scene)])
     assert result.exit_code == 0, result.stderr
-    assert "the camera, the errors of its lens and its air are taken" in result.stderr
+    assert "Only the camera, its lens errors and the atmosphere of" in result.stderr
     both = CliRunner().invoke(app, [*words, "--scene", str(scene), "--camera", "focal=3666px"])
-    assert "both are a camera; leave one out" in both.stderr
+    assert "both give a camera; leave one out" in both.stderr
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_options_of_a_dem_need_one(option: str) -> None:
     for line in ("point --scene s.toml --line-of-sight 1,2", "locate --scene s.toml --ground 300"):
         result = run([*line.split(), *option.split()])
         assert result.exit_code == 2
-        assert f"{option.split()[0]} goes with --dem FILE." in result.stderr
+        assert f"{option.split()[0]} needs --dem FILE." in result.stderr
 
 
 HERE = Affine(DEGREE, 0, -84.27, 0, -DEGREE, 36.28)

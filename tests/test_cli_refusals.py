@@ -60,7 +60,7 @@ ADVICE = (
     ),
     Advice(
         f"jaxgeo locate DJI_0042.JPG {IMAGE} --exposure a.jpg",
-        "there are DJI_0042.JPG",
+        "known: DJI_0042.JPG",
         f"jaxgeo locate DJI_0042.JPG {IMAGE} --exposure DJI_0042.JPG",
     ),
     Advice(
@@ -84,21 +84,21 @@ ADVICE = (
         "jaxgeo inspect DJI_0042.JPG --height-datum ellipsoid",
     ),
     Advice(
-        "jaxgeo inspect DJI_0042.JPG --tags", "--tags goes with --json", "jaxgeo inspect DJI_0042.JPG --tags --json"
+        "jaxgeo inspect DJI_0042.JPG --tags", "--tags needs --json", "jaxgeo inspect DJI_0042.JPG --tags --json"
     ),
     Advice(
         "jaxgeo inspect flight.klv -o shots.txt",
-        "Give a name that ends in .csv",
+        "use .csv",
         "jaxgeo inspect flight.klv -o shots.csv",
     ),
     Advice(
         f"jaxgeo locate DJI_0042.JPG {IMAGE} -o fixes.txt",
-        "or say --format table, csv or geojson",
+        "or give --format table, csv or geojson",
         f"jaxgeo locate DJI_0042.JPG {IMAGE} -o fixes.txt --format csv",
     ),
     Advice(
         f"jaxgeo locate DJI_0042.JPG {IMAGE} --mgrs",
-        "--mgrs go with --output FILE",
+        "--mgrs need --output FILE",
         f"jaxgeo locate DJI_0042.JPG {IMAGE} --mgrs --output fixes.csv",
     ),
     Advice("jaxgeo inspect DJI_0042.JPG --jsn", "did you mean --json?", "jaxgeo inspect DJI_0042.JPG --json"),

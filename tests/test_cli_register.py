@@ -147,7 +147,7 @@ def test_register(files, tmp_path: pathlib.Path) -> None:
     assert result.exit_code == 0, result.output
     assert names_in(folder) == {"scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png"}
     assert Outcome.registered.message in result.stdout
-    assert "jaxgeo: assumed: the reference lies within 10 m" in result.stderr
+    assert "jaxgeo: assumed: reference position sigma: 10 m" in result.stderr
     report = json.loads((folder / "report.json").read_text())
     assert report["registered"]
     assert report["assumed"]
@@ -263,7 +263,7 @@ MISTAKES = [
     ([*RECTIFY[:1], "SCENE", *RECTIFY[2:]], ["not an image that GDAL can open"]),
     ([*RECTIFY[:-1], "out.png"], ["out.png", "ends in .tif"]),
     ([*RECTIFY[:-1], "no/such/folder/out.tif"], ["there is no folder no/such/folder"]),
-    ([*RECTIFY, "--like", "MAP", "--crs", "EPSG:32616"], ["--like says where the cells are"]),
+    ([*RECTIFY, "--like", "MAP", "--crs", "EPSG:32616"], ["--like sets the grid"]),
     ([*RECTIFY, "--bounds", "1,2,3,4"], ["--bounds 1,2,3,4", "--crs"]),
     ([*RECTIFY, "--crs", "EPSG:32616", "--bounds", "1,2,3"], ["'1,2,3'", "WEST,SOUTH,EAST,NORTH"]),
     ([*RECTIFY, "--resolution", "fine"], ["'fine'", "ACROSS,DOWN"]),
@@ -272,19 +272,19 @@ MISTAKES = [
     ([*REGISTER, *SIGMAS[:1], "1,2", *SIGMAS[2:]], ["'1,2'", "one number in m"]),
     ([*REGISTER, *SIGMAS[:3], "-0.3"], ["--attitude-sigma -0.3", "zero or more"]),
     ([*REGISTER, *SIGMAS[:3], "nan"], ["--attitude-sigma 'nan'", "one number in deg"]),
-    ([*REGISTER, *SIGMAS[:3], "0"], ["--attitude-sigma 0", "nothing errs"]),
+    ([*REGISTER, *SIGMAS[:3], "0"], ["--attitude-sigma 0", "above zero"]),
     ([*REGISTER, *SIGMAS, "--reference-sigma", "-1"], ["--reference-sigma -1"]),
-    ([*REGISTER, *SIGMAS, "--dem-correlation", "-500"], ["--dem-correlation -500", "a distance is zero or more"]),
+    ([*REGISTER, *SIGMAS, "--dem-correlation", "-500"], ["--dem-correlation -500", "a distance must be zero or more"]),
     ([*REGISTER, *SIGMAS, "--gimbal-sigma", "0.1"], ["--gimbal-sigma 0.1", "is fixed"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "5"], ["--focal-sigma '5'", "5px or 0.05mm"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "5,2,2px"], ["--focal-sigma '5,2,2'", "--principal-sigma"]),
-    ([*REGISTER, *SIGMAS, "--principal-sigma", "0px"], ["--principal-sigma", "left out"]),
+    ([*REGISTER, *SIGMAS, "--principal-sigma", "0px"], ["--principal-sigma", "leave out"]),
     ([*REGISTER, *SIGMAS, "--focal-sigma", "0.1mm"], ["in pixels", "in px"]),
     ([*REGISTER, *SIGMAS, "--pixel", "256,10"], ["--pixel 256,10", "outside the image of 256 x 192 pixels"]),
     ([*REGISTER, *SIGMAS, "--pixel", "10"], ["--pixel '10'", "COLUMN,ROW"]),
     ([*REGISTER, *SIGMAS, "--probability", "1"], ["--probability 1", "between 0.5 and 1"]),
-    ([*REGISTER, *SIGMAS, "--probability", "0.01"], ["--probability 0.01", "outside what is searched"]),
-    ([*REGISTER, *SIGMAS, "--block", "8"], ["--block 8", "32 cells on a side at least"]),
+    ([*REGISTER, *SIGMAS, "--probability", "0.01"], ["--probability 0.01", "outside the search window"]),
+    ([*REGISTER, *SIGMAS, "--block", "8"], ["--block 8", "at least 32 cells"]),
     ([*REGISTER[:3], "NOCRS", *REGISTER[4:], *SIGMAS], ["without a CRS", "gdal_edit -a_srs"]),
     ([*REGISTER[:3], "IMAGE", *REGISTER[4:], *SIGMAS], ["on no map", "no geotransform"]),
     ([*REGISTER[:3], "nowhere.tif", *REGISTER[4:], *SIGMAS], ["nowhere.tif: no such file"]),
@@ -396,7 +396,7 @@ def test_cells_of_a_turned_raster_have_their_own_size(capsys) -> None:
     "error, words",
     [
         (MemoryError("Unable to allocate 7 TiB for an array"), "(Unable to allocate 7 TiB for an array)"),
-        (MemoryError(), "not enough memory for this;"),
+        (MemoryError(), "out of memory;"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 9 bytes."), "Out of memory allocating 9 bytes"),
     ],
 )
@@ -406,7 +406,7 @@ def test_a_lack_of_memory_is_one_line(capsys, error: Exception, words: str) -> N
     assert end.value.exit_code == 2
     told = capsys.readouterr().err
     assert words in told.replace("\n", " ")
-    assert told.startswith("jaxgeo: there is not enough memory")
+    assert told.startswith("jaxgeo: out of memory")
     with pytest.raises(typer.Exit), report_errors(debug=True):
         raise error
     assert capsys.readouterr().err.startswith("Traceback")
@@ -417,7 +417,7 @@ def test_other_failures_are_told_as_faults_of_the_program(capsys) -> None:
         raise RuntimeError("mine\nand mine")
     assert end.value.exit_code == 70
     (told,) = capsys.readouterr().err.splitlines()
-    assert told.startswith("jaxgeo: unexpected RuntimeError (mine and mine): a fault of jaxgeo's")
+    assert told.startswith("jaxgeo: internal error: unexpected RuntimeError (mine and mine);")
     assert "--debug" in told
 
 

@@ -54,5 +54,5 @@ def test_what_a_lens_bends_is_told_as_it_is_among_the_errors(tmp_path: pathlib.P
     told = assumed(path, Sigmas(focal=focal))
     assert not any("counts as an error" in one or one.startswith("Focal lengths err") for one in told)
     (bent,) = [one for one in told if "free of distortion" in one]
-    assert bent.endswith(f"what it bends at the corners errs only as far as --focal-sigma {focal} allows for it.")
+    assert bent.endswith(f"distortion at the corners is covered only as far as --focal-sigma {focal} allows.")
     assert any(one.startswith("Principal points err") for one in told)

@@ -160,7 +160,7 @@ def test_what_was_asked_and_with_what_is_told(page: str) -> None:
 
 WRONG = [
     (["{image}", *GROUND], ["--output is missing"]),
-    (["{image}", *GROUND, "-o", "page.pdf"], ["--output page.pdf", "the ending .pdf", ".html"]),
+    (["{image}", *GROUND, "-o", "page.pdf"], ["--output page.pdf", "unsupported file type .pdf", ".html"]),
     (["{image}", *GROUND, "-o", "nowhere/page.html"], ["--output nowhere/page.html", "there is no folder"]),
     (["{image}", *GROUND, "-o", "page.html", "--details", "-1"], ["--details -1", "0 or more"]),
     (["{image}", *GROUND, "-o", "page.html", "--probability", "90"], ["--probability 90", "between 0 and 1"]),
@@ -220,9 +220,9 @@ def test_a_pixel_that_sees_the_sky_has_no_numbers(tmp_path: pathlib.Path) -> Non
     assert "No fix" in text
     assert "rises away" in text
     assert detail.to_dict()["because"] in text
-    assert "Made 2020-02-03 04:05 UTC" in text
+    assert "Created 2020-02-03 04:05 UTC" in text
     assert "MGRS" not in text
-    assert "CE90 " not in text.split("How to read this")[0]
+    assert "CE90 " not in text.split("Definitions")[0]
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_many_pixels_have_a_summary_and_a_table(errors) -> None:
         order = np.flatnonzero(subject.is_fix)[np.argsort(radii)]
         picks = chosen(subject, 3)
         assert [index for index, _ in picks] == [order[len(order) // 2], order[-1], order[0]]
-        assert [why for _, why in picks] == ["the usual one", "the least sure", "the surest"]
+        assert [why for _, why in picks] == ["median CE90", "largest CE90", "smallest CE90"]
         assert say.length(float(radii.max())) in text
 
 
@@ -267,7 +267,7 @@ def test_labels_are_one_for_each_pixel() -> None:
         (137.4, "137 m"),
         (999.6, "1000 m"),
         (16_375.2, "16.4 km"),
-        (math.inf, "without end"),
+        (math.inf, "infinite"),
         (math.nan, "–"),
         (None, "–"),
     ],

@@ -1,12 +1,11 @@
-"""The command line.
+"""The command line `jaxgeo`.
 
-`jaxgeo inspect` for the content of a file; `jaxgeo locate` for pixels and tables of shots, `report` for a page about
-them; `jaxgeo footprint`, `point`, `overlap` and `plan` for where a camera will look, and when; `jaxgeo rectify` for
-images on a map, `register` for their pose from a map; `jaxgeo demo` for a first look; `jaxgeo study` for what papers
-print.
+`inspect` shows the content of a file; `locate` geolocates pixels and tables of shots, `report` writes a page on them;
+`footprint`, `point`, `overlap` and `plan` are for coverage and mission planning; `rectify` orthorectifies images,
+`register` estimates their orientation from a map; `demo` is an example; `study` reproduces published results.
 
-One interface for all: results on stdout, messages and progress on stderr; `--json` prints one object (`_results.py`),
-`-o` writes a file that appears when it is whole; exit codes are those of `_common.py`.
+All commands share one interface: results on stdout, messages and progress on stderr; `--json` prints one object
+(`_results.py`), `-o` writes a file atomically; exit codes are those of `_common.py`.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ from jaxgeo.cli.study import studies
 
 EPILOG = """[bold]Exit codes[/bold]
     0  done
-    1  done, but without an answer: no fix, not registered, no picture
-    2  a mistake of yours, told in one line
-   70  a fault of jaxgeo's; --debug shows where
+    1  done, but without a result: no fix, not registered, no figure
+    2  usage or input error, reported in one line
+   70  internal error; --debug shows the traceback
   130  interrupted
   143  terminated
 
@@ -48,7 +47,7 @@ Help on a command, with examples: [bold]jaxgeo locate --help[/bold]"""
 app = typer.Typer(
     name="jaxgeo",
     cls=Commands,
-    help="Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain.",
+    help="Geolocation of aerial images on real terrain: ground coordinates of pixels and their accuracy.",
     epilog=EPILOG,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -67,10 +66,10 @@ def _show_version(is_asked: bool) -> bool:
 @app.callback()
 def of_all(
     show_version: Annotated[
-        bool, typer.Option("--version", help="Show the version and leave.", callback=_show_version, is_eager=True)
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Where is what this pixel sees, and how sure can I be? Geolocation of aerial images on real terrain."""
+    """Geolocation of aerial images on real terrain: ground coordinates of pixels and their accuracy."""
 
 
 def _add(name: str, command: Any) -> None:
@@ -91,8 +90,8 @@ app.add_typer(studies, name="study")
 
 
 def main() -> None:
-    """Entry point of the command `jaxgeo`; it ends the process."""
+    """Entry point of the command `jaxgeo`; ends the process."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=UNWRITABLE)  # a name that the screen cannot show is no reason to stop
+            stream.reconfigure(errors=UNWRITABLE)  # a name the terminal cannot encode must not fail
     run(app)

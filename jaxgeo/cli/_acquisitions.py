@@ -1,4 +1,4 @@
-"""Options of commands that read exposures from a file of a camera or an aircraft, whatever its kind."""
+"""Options of commands that read exposures from image, telemetry or navigation files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SourceDatum = Annotated[
     typer.Option(
         "--height-datum",
         metavar="DATUM",
-        help='What the file\'s heights are above: "ellipsoid", "EPSG:5773", metres.',
+        help='Vertical datum of the file\'s heights: "ellipsoid", "EPSG:5773", or an undulation in m.',
         rich_help_panel=READING,
     ),
 ]
@@ -24,7 +24,7 @@ TakeoffHeight = Annotated[
     float | None,
     typer.Option(
         metavar="HEIGHT",
-        help="Drone images: the point of take-off, m above the ellipsoid; in place of a datum.",
+        help="Drone images: height of the take-off point, m above the ellipsoid; replaces --height-datum.",
         rich_help_panel=READING,
     ),
 ]
@@ -33,7 +33,7 @@ SourceCrs = Annotated[
     typer.Option(
         "--source-crs",
         metavar="CRS",
-        help='Map of the file\'s positions: "EPSG:32651"; if it has them in one.',
+        help='CRS of the file\'s positions, if they are projected: "EPSG:32651".',
         rich_help_panel=READING,
     ),
 ]
@@ -42,8 +42,8 @@ CameraName = Annotated[
     typer.Option(
         "--camera",
         metavar="CAMERA",
-        help="The camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), or the NAME of one "
-        "of the file's cameras, of drone images one of the table of cameras.",
+        help="Camera: focal=8.8mm,pitch=2.41um or focal=3666px, a camera or scene file (.toml), or the NAME of a "
+        "camera in the file (drone images: in the camera table).",
         rich_help_panel=READING,
     ),
 ]
@@ -52,8 +52,8 @@ GimbalAngles = Annotated[
     typer.Option(
         "--gimbal",
         metavar="ANGLES",
-        help="Drone images: YAW,PITCH,ROLL of the camera, deg from true north and the horizon, in place of tags; "
-        "aircraft,PITCH,ROLL takes yaw from the heading of the aircraft.",
+        help="Drone images: YAW,PITCH,ROLL of the camera, deg from true north and the horizon; replaces the "
+        "tags. aircraft,PITCH,ROLL takes the yaw from the aircraft heading.",
         rich_help_panel=READING,
     ),
 ]
@@ -62,50 +62,52 @@ VideoSize = Annotated[
     typer.Option(
         "--image-size",
         metavar="SIZE",
-        help="Telemetry: WIDTH,HEIGHT of the video, in pixels.",
+        help="Telemetry: WIDTH,HEIGHT of the video, pixels.",
         rich_help_panel=READING,
     ),
 ]
 Upright = Annotated[
     bool,
-    typer.Option("--upright", help="Telemetry: images are held level with the horizon.", rich_help_panel=READING),
+    typer.Option(
+        "--upright", help="Telemetry: the image is stabilised level with the horizon.", rich_help_panel=READING
+    ),
 ]
 KeepDamaged = Annotated[
     bool,
-    typer.Option("--keep-damaged", help="Telemetry: packets with a wrong checksum too.", rich_help_panel=READING),
+    typer.Option("--keep-damaged", help="Telemetry: also use packets with a wrong checksum.", rich_help_panel=READING),
 ]
 Stream = Annotated[
     int | None,
     typer.Option(
         "--stream",
         metavar="NUMBER",
-        help="Telemetry: which data stream of a transport stream.",
+        help="Telemetry: number of the data stream in a transport stream.",
         rich_help_panel=READING,
     ),
 ]
 SbetErrors = Annotated[
     pathlib.Path | None,
-    typer.Option("--errors", metavar="FILE", help="SBET: its file of errors (smrmsg).", rich_help_panel=READING),
+    typer.Option("--errors", metavar="FILE", help="SBET: accuracy file (smrmsg).", rich_help_panel=READING),
 ]
 PositionsFile = Annotated[
     pathlib.Path | None,
     typer.Option(
         "--positions",
         metavar="FILE",
-        help="Drone images: a file of better positions (geo.txt, Timestamp.MRK, shots.geojson, a table).",
+        help="Drone images: file of refined positions (geo.txt, Timestamp.MRK, shots.geojson, a table).",
         rich_help_panel=READING,
     ),
 ]
 NoVelocities = Annotated[
     bool,
-    typer.Option("--no-velocities", help="SBET: leave its velocities out.", rich_help_panel=READING),
+    typer.Option("--no-velocities", help="SBET: ignore the velocities.", rich_help_panel=READING),
 ]
 InteriorFile = Annotated[
     pathlib.Path | None,
     typer.Option(
         "--interior",
         metavar="FILE",
-        help="Orthority: the file of interior parameters (.yaml).",
+        help="Orthority: interior parameter file (.yaml).",
         rich_help_panel=READING,
     ),
 ]
@@ -125,7 +127,7 @@ def how_to_read(
     *,
     positions: pathlib.Path | None = None,
 ) -> dict[str, Any]:
-    """Options of `read_acquisition` from those of the command line; `telemetry` are (upright, keep damaged, stream).
+    """Keyword arguments of `read_acquisition` from options; `telemetry` is (upright, keep damaged, stream).
 
     Raises `UserError`.
     """

@@ -1,4 +1,4 @@
-"""The commands as a whole: wrong flags, Ctrl-C and closed pipes, each reported in one line or not at all."""
+"""Command group: one-line reports of usage errors, handling of Ctrl-C and closed pipes."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
 from jaxgeo.cli._screen import tell
 
-MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, wherever typer has it from
-WORDS = {"nodata": ("nan",)}  # that stand for numbers, by the option
-KINDS = {"integer": "a whole number", "float": "a number", "number": "a number"}  # as typer says, and as we do
+MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, from typer's own or the installed click
+WORDS = {"nodata": ("nan",)}  # accepted as numbers, by option
+KINDS = {"integer": "a whole number", "float": "a number", "number": "a number"}  # typer's word: ours
 
 
 class Commands(TyperGroup):
-    """Commands whose mistakes of use are reported as all others are, in one line and with exit code 2."""
+    """Command group that reports usage errors like all others: one line, exit code 2."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """As that of Typer, numbers of the command being read as those of files are."""
+        """As in Typer, but numbers are parsed like those in files."""
         command = super().get_command(ctx, cmd_name)
         for param in getattr(command, "params", ()):
             if "process_value" not in vars(param):
@@ -42,7 +42,7 @@ class Commands(TyperGroup):
         windows_expand_args: bool = True,
         **extra: Any,
     ) -> Any:
-        """As that of Typer."""
+        """As in Typer."""
         given: Any = {"args": args, "prog_name": prog_name, "complete_var": complete_var}
         given |= {"windows_expand_args": windows_expand_args, "standalone_mode": False}
         if not standalone_mode:
@@ -51,7 +51,7 @@ class Commands(TyperGroup):
             code = super().main(**given, **extra)
             _flush_stdout(is_told=code == MISTAKE)
         except MistakeOfUse as error:
-            if type(error).__name__ != "NoArgsIsHelpError":  # what it has to say is on the screen
+            if type(error).__name__ != "NoArgsIsHelpError":  # help is already printed
                 tell(in_a_line(error))
             code = MISTAKE
         except (KeyboardInterrupt, typer.Abort):
@@ -59,7 +59,7 @@ class Commands(TyperGroup):
         except BrokenPipeError:
             _close_stdout()
             code = NO_ANSWER
-        except OSError as error:  # of help, and of what was left to be written
+        except OSError as error:  # while writing help or flushing output
             reason = reason_of_system(error)
             if not reason:
                 raise
@@ -72,9 +72,9 @@ class Commands(TyperGroup):
 
 
 def _flush_stdout(is_told: bool) -> None:
-    """Write what is left; if that cannot be done, say so, unless it `is_told` already."""
+    """Flush stdout; raises `OSError` if that fails, unless an error `is_told` (reported) already."""
     try:
-        print(end="", flush=True)  # of no effect where stdout was closed
+        print(end="", flush=True)  # no effect if stdout is closed
     except OSError:
         if not is_told:
             raise
@@ -82,12 +82,12 @@ def _flush_stdout(is_told: bool) -> None:
 
 
 def _close_stdout() -> None:
-    """What is left to be written goes nowhere."""
+    """Redirect stdout to the null device, dropping unwritten output."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any) -> Any:
-    """A value of the command line as Typer converts it; numbers must be written as those in files (`number_in`)."""
+    """A command-line value as converted by Typer; numbers must have the syntax of those in files (`number_in`)."""
     found = convert(ctx, value)
     typed, numbers = (one if isinstance(one, list | tuple) else [one] for one in (value, found))
     for text, number in zip(typed, numbers, strict=False):
@@ -107,7 +107,7 @@ def _is_written_so(param: Any, text: str, number: float | int) -> bool:
 
 
 def in_a_line(error: Any) -> str:
-    """What is wrong with the flags, a suggestion, and where to read more."""
+    """One-line usage error: the cause, a suggestion, and the help command."""
     where = "jaxgeo" if error.ctx is None else error.ctx.command_path
     return f"{_wrong(error)} See {where} --help."
 
@@ -116,7 +116,7 @@ def _wrong(error: Any) -> str:
     kind, param = type(error).__name__, getattr(error, "param", None)
     name = None if param is None else _name(param)
     if kind == "NoSuchOption":
-        return f"{error.option_name}: there is no such option{_nearest(error.option_name, _options(error.ctx))}"
+        return f"{error.option_name}: no such option{_nearest(error.option_name, _options(error.ctx))}"
     if kind == "MissingParameter" and name is not None:
         return f"{name} is missing: {_meaning(param)}"
     message = " ".join(error.format_message().split())
@@ -132,22 +132,22 @@ def _wrong(error: Any) -> str:
     command = re.match(r"No such command '([^']*)'", message)
     if command is not None:
         names = error.ctx.command.list_commands(error.ctx)
-        return f"{command[1]}: there is no such command{_nearest(command[1], names)}"
+        return f"{command[1]}: no such command{_nearest(command[1], names)}"
     surplus = re.match(r"Got unexpected extra argument(?:\(s\)|s)? \((.*)\)", message)
     if surplus is not None:
-        return f"{surplus[1]}: nobody asked for this; does an option stand before it that takes one value only?"
+        return f"{surplus[1]}: unexpected argument; does the option before it take only one value?"
     option = re.match(r"Option '?([^' ]*)'? requires an argument", message)
     return f"{option[1]}: its value is missing." if option is not None else f"{message.rstrip('.')}."
 
 
 def _name(param: Any) -> str:
-    """An option as it is typed, an argument as the help calls it."""
+    """An option as typed, an argument by its metavar."""
     longest = max((one for one in param.opts if one.startswith("-")), key=len, default=None)
     return longest or (param.metavar or param.name or "").upper()
 
 
 def _meaning(param: Any) -> str:
-    text = (getattr(param, "help", None) or "it has to be given").strip()
+    text = (getattr(param, "help", None) or "it is required").strip()
     return text if text.endswith(".") else f"{text}."
 
 
@@ -156,13 +156,13 @@ def _options(context: Any) -> list[str]:
 
 
 def _value_and_choices(message: str) -> tuple[str, list[str]]:
-    """What was typed, and what might have been, of a message about a choice."""
+    """(typed value, allowed choices) from an invalid-choice message."""
     quoted = re.search(r"'([^']*)' is not one of (.*)\.$", message)
     return ("", []) if quoted is None else (quoted[1], re.findall(r"'([^']*)'", quoted[2]))
 
 
 def _nearest(typed: str, known: Sequence[str]) -> str:
-    """The end of a sentence: what was meant perhaps."""
+    """End of a sentence: the closest known name, or a full stop."""
     by_word = {one.lstrip("-"): one for one in known if len(one) > 2}
     found = [by_word[one] for one in difflib.get_close_matches(typed.lstrip("-"), by_word, n=1)]
     return f"; did you mean {found[0]}?" if found else "."

@@ -18,18 +18,18 @@ UNOPTIMISED = "--xla_backend_optimization_level=0"
 OLDER_EMITTER = "--xla_cpu_use_fusion_emitters=false"
 QUICK_TO_COMPILE = f"{UNOPTIMISED} {OLDER_EMITTER}"
 QUICK_TO_RUN = f"--xla_backend_optimization_level=1 {OLDER_EMITTER}"
-FOLDER = "JAXGEO_CACHE_DIR"  # of the environment; empty: nothing is kept
-LARGEST = 500_000_000  # bytes of programs that are kept; the oldest go first
-EVEN_SHORT_ONES = 0.0  # s of compiling from which on a program is kept
+FOLDER = "JAXGEO_CACHE_DIR"  # environment variable; empty: no cache
+LARGEST = 500_000_000  # bytes in the cache; the oldest programs are removed first
+EVEN_SHORT_ONES = 0.0  # s, least compile time of a cached program
 
 
 def compile_quickly(samples_of_field: bool = False, *, runs_long: bool = False) -> None:
-    """Have XLA compile in half the time what is computed only a few times, and keep it for the next command.
+    """Halve compile time at the cost of run time, and cache the programs for later commands.
 
-    Before anything is computed. Samples of a field of heights take XLA's older, quicker emitter more memory than a
-    machine has: they are compiled by the usual one. A command that `runs_long`, for minutes, gains by programs that
-    are optimised a little. A version of XLA that does not know the flags would end the process, so another process
-    tries them first, once for each version. An environment that says how JAX is to compile is left as it is.
+    Call it before the first computation. Sampling a correlated height field with XLA's older, faster emitter takes more
+    memory than a machine has, so it uses the default one. A command that `runs_long` (minutes) gains from lightly
+    optimised programs. A version of XLA without these flags would abort, so a subprocess tries them first, once per
+    version. JAX compile settings in the environment are left unchanged.
     """
     folder, flags = cache_folder(), UNOPTIMISED if samples_of_field else QUICK_TO_COMPILE
     flags = QUICK_TO_RUN if runs_long else flags
@@ -40,7 +40,7 @@ def compile_quickly(samples_of_field: bool = False, *, runs_long: bool = False) 
 
 
 def cache_folder() -> pathlib.Path | None:
-    """Where programs of this machine and these versions are kept; None if they are not to be, or cannot be."""
+    """Cache folder for this machine and these versions; None if disabled or not writable."""
     asked = os.environ.get(FOLDER)
     if asked == "":
         return None
@@ -54,7 +54,7 @@ def cache_folder() -> pathlib.Path | None:
 
 
 def _processor() -> str:
-    """What a program compiled here needs of a processor, in a short word: homes may be shared by several machines."""
+    """Short hash of the processor features: several machines may share a home directory."""
     told = platform.machine() + platform.processor()
     with contextlib.suppress(OSError):
         lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -63,7 +63,7 @@ def _processor() -> str:
 
 
 def _knows(flags: str, folder: pathlib.Path | None) -> bool:
-    """Whether XLA knows the flags; tried once, where that can be noted."""
+    """Whether XLA accepts the flags; tried once and noted in the cache folder, if there is one."""
     note = None if folder is None else folder / f"knows-{hashlib.sha256(flags.encode()).hexdigest()[:8]}"
     if note is not None and note.exists():
         return True
@@ -81,11 +81,11 @@ def _knows(flags: str, folder: pathlib.Path | None) -> bool:
 def _keep_programs(folder: pathlib.Path) -> None:
     import jax
 
-    if jax.config.values["jax_compilation_cache_dir"] is not None:  # whoever calls the command has chosen
+    if jax.config.values["jax_compilation_cache_dir"] is not None:  # set by the caller
         return
     with contextlib.suppress(OSError):
         _forget_oldest(folder)
-    # What cannot be read or kept is compiled.
+    # A program that cannot be read from or written to the cache is compiled.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", EVEN_SHORT_ONES)
@@ -93,7 +93,7 @@ def _keep_programs(folder: pathlib.Path) -> None:
 
 
 def _forget_oldest(folder: pathlib.Path) -> None:
-    """Remove what was used least lately, until half of what may be kept is left."""
+    """Remove the least recently used programs until the cache is at half its limit."""
     files = [(one.stat(), one) for one in folder.iterdir() if one.is_file()]
     total = sum(told.st_size for told, _ in files)
     if total <= LARGEST:

@@ -1,4 +1,4 @@
-"""Consoles that show the texts of files as text: nothing in a name colours, clears or turns round a terminal."""
+"""Console output with control characters escaped, so that text from files cannot control the terminal."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from rich.console import Console as AnyConsole
 from rich.console import ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-ACTING = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode: control, format, half characters, separators
+ACTING = ("Cc", "Cf", "Cs", "Zl", "Zp")  # Unicode categories: control, format, surrogate, separators
 
 
 class Console(AnyConsole):
-    """Rich's, but characters that act in place of being shown are written as escapes (`\\x1b`)."""
+    """Rich console that writes control characters as escapes (`\\x1b`)."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         for segment in super().render(renderable, options):
@@ -23,12 +23,12 @@ class Console(AnyConsole):
 
 
 def as_text(words: str, escape: Callable[[str], str] = ascii) -> str:
-    """Words with acting characters as escapes, but for line breaks."""
+    """Text with control characters escaped, except line breaks."""
     if words.isprintable():
         return words
     return "".join(escape(c)[1:-1] if c != "\n" and unicodedata.category(c) in ACTING else c for c in words)
 
 
 def as_json(written: str) -> str:
-    """The same of JSON, whose escapes a reader takes for the characters."""
+    """JSON text with control characters as JSON escapes."""
     return as_text(written, json.dumps)

@@ -1,4 +1,4 @@
-"""Options of standard deviations, and the error sources made of them."""
+"""Standard-deviation options and the error sources built from them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import numbers_in
 from jaxgeo.cli._options import SURE
 
-DEM_SIGMA = 5.0  # m, where nobody says how the heights err
-GROUND_SIGMA = 10.0  # m, of ground that is taken to be level
+DEM_SIGMA = 5.0  # m, default for elevation models
+GROUND_SIGMA = 10.0  # m, default for level ground
 
 PositionSigma = Annotated[
     str | None,
     typer.Option(
         "--position-sigma",
         metavar="SIGMA",
-        help="How positions err, m: one number, or NORTH,EAST,DOWN.",
+        help="Position standard deviation, m: one number, or NORTH,EAST,DOWN.",
         rich_help_panel=SURE,
     ),
 ]
@@ -30,7 +30,7 @@ AttitudeSigma = Annotated[
     typer.Option(
         "--attitude-sigma",
         metavar="SIGMA",
-        help="How attitudes err, deg: one number, or HEADING,PITCH,ROLL.",
+        help="Attitude standard deviation, deg: one number, or HEADING,PITCH,ROLL.",
         rich_help_panel=SURE,
     ),
 ]
@@ -39,7 +39,7 @@ GimbalSigma = Annotated[
     typer.Option(
         "--gimbal-sigma",
         metavar="SIGMA",
-        help="How readings of the gimbal err, deg: one number, or one for each.",
+        help="Standard deviation of gimbal readings, deg: one number, or one per axis.",
         rich_help_panel=SURE,
     ),
 ]
@@ -48,7 +48,7 @@ FocalSigma = Annotated[
     typer.Option(
         "--focal-sigma",
         metavar="SIGMA",
-        help="How the focal length errs, alone: 5px or 0.05mm; 0 for not at all.",
+        help="Standard deviation of the focal length alone: 5px or 0.05mm; 0 for exact.",
         rich_help_panel=SURE,
     ),
 ]
@@ -57,27 +57,27 @@ PrincipalSigma = Annotated[
     typer.Option(
         "--principal-sigma",
         metavar="SIGMA",
-        help="How the principal point errs: 5px or 0.05mm; or COLUMN,ROWpx; 0 for not at all.",
+        help="Standard deviation of the principal point: 5px or 0.05mm; or COLUMN,ROWpx; 0 for exact.",
         rich_help_panel=SURE,
     ),
 ]
 DemSigma = Annotated[
     float | None,
-    typer.Option("--dem-sigma", metavar="SIGMA", help="How heights of the ground err, m.", rich_help_panel=SURE),
+    typer.Option("--dem-sigma", metavar="SIGMA", help="DEM height standard deviation, m.", rich_help_panel=SURE),
 ]
 DemCorrelation = Annotated[
     float | None,
     typer.Option(
         "--dem-correlation",
         metavar="DISTANCE",
-        help="Over this distance, m, they err alike; without it all do.",
+        help="Correlation length of DEM errors, m (default: fully correlated).",
         rich_help_panel=SURE,
     ),
 ]
 
 
 class Sigmas(NamedTuple):
-    """Standard deviations as they were typed; None where nothing was."""
+    """Standard deviations as typed; None if not given."""
 
     position: str | None = None
     attitude: str | None = None
@@ -89,17 +89,17 @@ class Sigmas(NamedTuple):
 
     @property
     def are_given(self) -> bool:
-        """Whether anything was typed."""
+        """Whether any was given."""
         return any(one is not None for one in self)
 
 
 def errors_given(
     stated: tuple[Any, ...], sigmas: Sigmas, gimbal: Any, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> tuple[Any, ...]:
-    """Sources that are stated, with those typed in their place; what was typed as zero does not err.
+    """Stated error sources, with typed ones replacing them; a typed zero removes a source.
 
-    `where` is the file they belong to, `pixel_pitch` in mm if that is known. Of the ground there is none in it, but a
-    stated one. Raises `UserError`.
+    `where` is the file they belong to, `pixel_pitch` is in mm if known. Typed ground errors are not added here
+    (`ground_errors` does that). Raises `UserError`.
     """
     from jaxgeo.uncertainty import sources
 
@@ -109,8 +109,8 @@ def errors_given(
     if sigmas.attitude is not None:
         if gimbal.reference == "level":
             raise UserError(
-                f"--attitude-sigma {sigmas.attitude}: the camera of {where} has its angles against the level and "
-                f"north, so that the aircraft's have no part in a fix; give --gimbal-sigma."
+                f"--attitude-sigma {sigmas.attitude}: the camera angles of {where} are relative to the horizon and "
+                f"north, so the aircraft attitude does not affect the fix; give --gimbal-sigma."
             )
         typed[sources.Attitude] = attitude_errors(sigmas.attitude, zero=True)
     if sigmas.gimbal is not None:
@@ -124,7 +124,7 @@ def errors_given(
 
 
 def ground_errors(stated: tuple[Any, ...], sigmas: Sigmas, *, level: bool) -> tuple[tuple[Any, ...], list[str]]:
-    """(sources of the ground's heights, what was assumed), stated ones if nothing else is typed. Raises `UserError`."""
+    """(error sources of the ground height, assumptions); the stated ones without options. Raises `UserError`."""
     from jaxgeo.uncertainty import sources
 
     own = tuple(one for one in stated if isinstance(one, sources.TerrainHeight | sources.TerrainField))
@@ -133,22 +133,23 @@ def ground_errors(stated: tuple[Any, ...], sigmas: Sigmas, *, level: bool) -> tu
     assumed = []
     usual = GROUND_SIGMA if level else DEM_SIGMA
     if sigmas.dem is None:
-        what = "The level of the ground errs" if level else "Heights of the elevation model err"
-        assumed.append(f"{what} by {usual:g} m. (--dem-sigma)")
+        assumed.append(f"{'Ground' if level else 'DEM'} height sigma: {usual:g} m (default). (--dem-sigma)")
     sigma = checked_sigma("--dem-sigma", usual if sigmas.dem is None else sigmas.dem)
     if sigmas.dem_correlation is None:
         return ((sources.TerrainHeight.from_metres(sigma),) if sigma else ()), assumed
     length = checked_sigma("--dem-correlation", sigmas.dem_correlation, "a distance")
     if level:
-        raise UserError(f"--dem-correlation {length:g}: level ground errs alike everywhere; it goes with --dem.")
+        raise UserError(f"--dem-correlation {length:g}: level ground has one common height error; use it with --dem.")
     if not length:
-        raise UserError("--dem-correlation 0: heights err alike over some distance; leave it out for all alike.")
+        raise UserError(
+            "--dem-correlation 0: the correlation length must be above 0; leave it out for full correlation."
+        )
     field = sources.TerrainField.of_variograms(gaussian=[(sigma, length)])
     return ((field,) if sigma else ()), assumed
 
 
 def position_errors(text: str, *, zero: bool = False) -> Any:
-    """Errors of the position; None for zero, where that is allowed. Raises `UserError`."""
+    """Position error source; None for zero, if allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import Position
 
     north, east, down = sigmas_in("--position-sigma", text, 3, "one number in m, or NORTH,EAST,DOWN", zero=zero)
@@ -156,7 +157,7 @@ def position_errors(text: str, *, zero: bool = False) -> Any:
 
 
 def attitude_errors(text: str, *, zero: bool = False) -> Any:
-    """Errors of the attitude; None for zero, where that is allowed. Raises `UserError`."""
+    """Attitude error source; None for zero, if allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import Attitude
 
     form = "one number in deg, or HEADING,PITCH,ROLL"
@@ -165,12 +166,12 @@ def attitude_errors(text: str, *, zero: bool = False) -> Any:
 
 
 def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path | str, *, zero: bool = False) -> Any:
-    """Errors of a gimbal's readings; None for zero, where that is allowed. Raises `UserError`."""
+    """Error source of the gimbal readings; None for zero, if allowed. Raises `UserError`."""
     from jaxgeo.uncertainty.sources import GimbalAngles
 
     names = gimbal.names
     if not names:
-        raise UserError(f"--gimbal-sigma {text}: the gimbal of {where} is fixed and has no readings that could err.")
+        raise UserError(f"--gimbal-sigma {text}: the gimbal of {where} is fixed and has no readings.")
     form = f"one number in deg, or {','.join(name.upper() for name in names)}"
     values = sigmas_in("--gimbal-sigma", text, len(names), form, zero=zero)
     axes: dict[str, Any] = dict(zip(names, values, strict=True))
@@ -180,9 +181,9 @@ def gimbal_errors(text: str, gimbal: Any, where: pathlib.Path | str, *, zero: bo
 def interior_errors(
     focal: str | None, principal: str | None, where: pathlib.Path | str, pixel_pitch: float | None, stated: Any = None
 ) -> Any:
-    """Errors of the focal length, of the principal point, or both, as typed; what is not typed is as `stated`, or zero.
+    """Interior-orientation error source as typed; a part that is not typed is as `stated`, or zero.
 
-    `pixel_pitch` in mm is that of the camera in the file `where`, None if it is not said. None where nothing is left.
+    `pixel_pitch` in mm is that of the camera in the file `where`, None if unknown. Returns None if all parts are zero.
     Raises `UserError`.
     """
     import equinox as eqx
@@ -195,19 +196,19 @@ def interior_errors(
         form = "a length with its unit, 5px or 0.05mm (the principal point has --principal-sigma)"
         sigma[..., :1] = _in_pixels("--focal-sigma", focal, 1, form, where, pixel_pitch)
     if principal is not None:
-        form = "a length with its unit, 5px or 0.05mm, or two: COLUMN,ROW with the unit behind, 5,3px"
+        form = "a length with its unit, 5px or 0.05mm, or two: COLUMN,ROW followed by the unit, 5,3px"
         sigma[..., 1:] = _in_pixels("--principal-sigma", principal, 2, form, where, pixel_pitch)
     if not np.any(sigma):
         return None
     if stated is None:
         return InteriorOrientation(sigma)
-    return eqx.tree_at(lambda source: source.sigma, stated, sigma)  # which may have an entry for each image
+    return eqx.tree_at(lambda source: source.sigma, stated, sigma)  # may have an entry per image
 
 
 def _in_pixels(
     option: str, text: str, count: int, form: str, where: pathlib.Path | str, pixel_pitch: float | None
 ) -> list[float]:
-    """Lengths on the detector in pixels; zero needs no unit. Raises `UserError`."""
+    """Detector lengths in pixels; zero needs no unit. Raises `UserError`."""
     if _is_zero(text, count):
         return [0.0] * count
     unit = text.strip()[-2:]
@@ -217,12 +218,12 @@ def _in_pixels(
     if unit == "px":
         return values
     if pixel_pitch is None:
-        raise UserError(f"{option} {text}: the camera of {where} is given in pixels; so give this in px.")
+        raise UserError(f"{option} {text}: the camera of {where} is given in pixels; give this in px too.")
     return [value / pixel_pitch for value in values]
 
 
 def _is_zero(text: str, count: int) -> bool:
-    """Whether a text is one zero, or `count` of them, without a unit."""
+    """Whether a text is one zero, or `count` zeros, without a unit."""
     parts = text.split(",")
     try:
         return len(parts) in (1, count) and all(float(part) == 0.0 for part in parts)
@@ -231,25 +232,25 @@ def _is_zero(text: str, count: int) -> bool:
 
 
 def pixel_pitch_of(scene: pathlib.Path) -> float | None:
-    """Size of a pixel in mm, as a scene file says it."""
+    """Pixel pitch in mm from a scene file; None if absent."""
     pitch = tomllib.loads(scene.read_text(encoding="utf-8-sig"))["camera"].get("pixel_pitch_um")
     return None if pitch is None else 1e-3 * pitch
 
 
 def sigmas_in(option: str, text: str, count: int, form: str, *, zero: bool = False) -> list[float]:
-    """Standard deviations with commas between, or one for all; all of them zero only if that is allowed.
+    """Comma-separated standard deviations, or one for all; all zero only if allowed.
 
     Raises `UserError`.
     """
     found = [checked_sigma(option, one) for one in numbers_in(option, text, (1, count), form)]
     found = found * count if len(found) == 1 else found
     if not any(found) and not zero:
-        raise UserError(f"{option} {text}: nothing errs by nothing at all; give standard deviations above zero.")
+        raise UserError(f"{option} {text}: give a standard deviation above zero.")
     return found
 
 
 def checked_sigma(option: str, value: float, what: str = "a standard deviation") -> float:
-    """A number that may be one. Raises `UserError`."""
+    """The value, if zero or more and finite. Raises `UserError`."""
     if not 0.0 <= value < math.inf:
-        raise UserError(f"{option} {value:g}: {what} is zero or more, and finite.")
+        raise UserError(f"{option} {value:g}: {what} must be zero or more, and finite.")
     return value

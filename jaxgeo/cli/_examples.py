@@ -1,4 +1,4 @@
-"""Examples of every command, as its help shows them; the tests run them all."""
+"""Command examples shown in the help; the tests run them all."""
 
 from __future__ import annotations
 
@@ -53,5 +53,5 @@ EXAMPLES = {
 
 
 def examples_of(command: str) -> str:
-    """The end of a command's help."""
+    """Epilog of a command's help."""
     return "\n".join(["[bold]Examples[/bold]", *(f"$ {line}" for line in EXAMPLES[command])])

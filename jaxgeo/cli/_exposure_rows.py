@@ -1,4 +1,4 @@
-"""Exposures of files as rows of a table, those of all cameras in the order of the files."""
+"""Exposures as table rows, in file order across all cameras."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxgeo.cli._poses import rows_of as as_rows
 
 
 def rows_of(found: Any) -> list[dict[str, Any]]:
-    """A row for each exposure, in the order of the files; None for what is not known, or no column of its camera."""
+    """One row per exposure, in file order; None for unknown values and for columns its camera does not have."""
     by_place = {
         int(place): row
         for part, places in zip(found.parts, found.places, strict=True)
@@ -20,7 +20,7 @@ def rows_of(found: Any) -> list[dict[str, Any]]:
 
 
 def _rows_of_part(found: Any) -> list[dict[str, Any]]:
-    """A row for each exposure, numbers in degrees and metres, None for what is not known."""
+    """One row per exposure, in degrees and metres; None for unknown values."""
     import numpy as np
 
     from jaxgeo.io.acquisitions import compare_reported
@@ -43,7 +43,7 @@ def _rows_of_part(found: Any) -> list[dict[str, Any]]:
 
 
 def middles_of(found: Any) -> list[dict[str, Any]]:
-    """The middle of each image as its pixel, and what its gimbal's angles are against, in the order of the files."""
+    """Centre pixel of each image and the reference of its gimbal angles, in file order."""
     from jaxgeo.io.tables import GIMBAL_REFERENCE
 
     by_place: dict[int, dict[str, Any]] = {}
@@ -59,7 +59,7 @@ def middles_of(found: Any) -> list[dict[str, Any]]:
 
 
 def tags_of(found: Any) -> list[dict[str, Any]]:
-    """All tags of each exposure, in the order of the files."""
+    """All tags of each exposure, in file order."""
     by_place = {
         int(place): dict(tags)
         for part, places in zip(found.parts, found.places, strict=True)

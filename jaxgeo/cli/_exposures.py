@@ -1,4 +1,4 @@
-"""Exposures and their pixels, of a scene or of files, before anything is known of the ground."""
+"""Exposures and pixels from a scene or from files, before the ground is read."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from jaxgeo.cli._option_names import reason_not_read
 
 
 class Seen(NamedTuple):
-    """n pixels whose exposures have one structure, such as those of one camera, as in `Batch`; `rows` (n,) are theirs.
+    """n pixels whose exposures share one structure (one camera), as in `Batch`; `rows` (n,) are their row numbers.
 
-    `centre_heights` (n,) in m are of the ground in the middle of the images, as their files report it.
+    `centre_heights` (n,) are the ground heights at the image centres in m, as reported by their files.
     """
 
     sensor: Any
@@ -27,10 +27,10 @@ class Seen(NamedTuple):
 
 
 class ExposureSet(NamedTuple):
-    """All pixels and their exposures, before anything is known of the ground.
+    """All pixels and their exposures, before the ground is read.
 
-    `carried` are the columns of each row, in order; `unread` are reasons of rows whose file could not be read.
-    `is_each`: whether each pixel has a sensor and sources of its own. `where` is their file in words.
+    `carried` holds the input columns of each row, in order; `unread` the reasons of rows whose file could not be read.
+    `is_each`: whether each pixel has its own sensor and error sources. `where` names their file.
     """
 
     seen: list[Seen]
@@ -45,12 +45,12 @@ class ExposureSet(NamedTuple):
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Names of the gimbal's axes."""
+        """Names of the gimbal axes."""
         return tuple(self.seen[0].sensor.gimbal.names)
 
     @property
     def position(self) -> Any:
-        """Positions of all rows, a `Geodetic`; NaN where the file could not be read."""
+        """Positions of all rows, a `Geodetic`; NaN if the file could not be read."""
         import jax
         import numpy as np
 
@@ -65,12 +65,12 @@ class ExposureSet(NamedTuple):
 
     @property
     def reasons(self) -> list[str | None] | None:
-        """For each row why its file could not be read, or None; None if all could."""
+        """Reason per row why its file could not be read, or None; None if all were read."""
         return reasons_of(self.unread, len(self.carried))
 
 
 def joined_positions(parts: Sequence[Any]) -> Any:
-    """Positions of the shots of several parts, one behind the other, a `Geodetic`."""
+    """Concatenated positions of the shots of several parts, a `Geodetic`."""
     import jax
     import numpy as np
 
@@ -79,7 +79,7 @@ def joined_positions(parts: Sequence[Any]) -> Any:
 
 
 def reasons_of(unread: Mapping[int, Any], count: int) -> list[str | None] | None:
-    """For each of `count` rows why its file could not be read, or None; None if all could."""
+    """Reason for each of `count` rows why its file could not be read, or None; None if all were read."""
     if not unread:
         return None
     found = {row: reason_not_read(one) for row, one in unread.items()}
@@ -97,9 +97,9 @@ def views_of_scene(asked: LocateOptions) -> ExposureSet:
     path = asked.scene_file
     assert path is not None
     if asked.files and asked.scene is not None:
-        raise UserError(f"{path} is a scene file by itself; leave --scene {asked.scene} out.")
+        raise UserError(f"{path} is itself a scene file; leave out --scene {asked.scene}.")
     if asked.how:
-        raise UserError(f"--{next(iter(asked.how)).replace('_', '-')} is of other FILEs than scenes; leave it out.")
+        raise UserError(f"--{next(iter(asked.how)).replace('_', '-')} does not apply to scene files; leave it out.")
     scene = read_scene(path)
     sources = () if scene.errors is None else scene.errors.sources
     if asked.shots is None:
@@ -121,7 +121,7 @@ def views_of_scene(asked: LocateOptions) -> ExposureSet:
 
 
 def pixels_of(texts: list[str], camera: Any) -> Any:
-    """Pixels (n, 2) from the command line, the middle of the image without any. Raises `UserError`."""
+    """Pixels (n, 2) from the command line; the image centre if none is given. Raises `UserError`."""
     import numpy as np
 
     found = [numbers_in("--pixel", text, (2,), "COLUMN,ROW, two numbers, e.g. --pixel 100,200") for text in texts]
@@ -129,14 +129,14 @@ def pixels_of(texts: list[str], camera: Any) -> Any:
 
 
 def in_air(views: ExposureSet) -> ExposureSet:
-    """The views through the standard atmosphere above mean sea level at the first exposure. Raises `UserError`."""
+    """The exposures with a standard atmosphere, sea level taken at the first exposure. Raises `UserError`."""
     import numpy as np
 
     from jaxgeo.earth import Atmosphere
     from jaxgeo.io import undulation
 
     if views.atmosphere is not None:
-        raise UserError(f"--refraction: {views.where} has air of its own, [air]; leave the option out.")
+        raise UserError(f"--refraction: {views.where} already has an [air] table; leave the option out.")
     position = views.seen[0].shots.pose.position
     lat, lon = (float(np.rad2deg(np.asarray(angle)[0])) for angle in (position.lat, position.lon))
     return views._replace(atmosphere=Atmosphere(sea_level=float(undulation(lat, lon))))

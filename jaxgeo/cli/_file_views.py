@@ -1,4 +1,4 @@
-"""Exposures and their pixels, of files and folders of cameras and aircraft."""
+"""Exposures and pixels from image, telemetry and navigation files and folders."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from jaxgeo.cli._option_names import as_typed, reason_not_read, reason_of, words
 from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._screen import progress_bar, tell, working
 
-TOLD = 10  # reasons why files could not be read that are printed
+TOLD = 10  # unread files whose reasons are printed
 
 
 def read_files(files: Sequence[pathlib.Path], how: dict[str, Any]) -> Any:
-    """The exposures of files and folders, an `AcquisitionSet`, and what could not be read.
+    """Exposures of files and folders, an `AcquisitionSet` that includes the unread files.
 
-    Raises `UserError` where none can be read, a mistake in an option, and as `read_acquisitions`.
+    Raises `UserError` if none can be read or an option is wrong, and as `read_acquisitions`.
     """
     from jaxgeo.io.acquisitions import read_acquisitions
 
@@ -33,10 +33,10 @@ def read_files(files: Sequence[pathlib.Path], how: dict[str, Any]) -> Any:
         found = read_acquisitions(files, progress=lambda n, of: bar.update(task, completed=n, total=of), **how)
         if found.parts:
             return found
-        first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # a fault before refusals
+        first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # internal errors first
         if not others or not is_refusal(first.error):
             raise first.error
-    raise UserError(f"none of {len(found.unread)} files can be read. The first: {reason_of(first.error)}")
+    raise UserError(f"none of {len(found.unread)} files can be read. First error: {reason_of(first.error)}")
 
 
 def _one(file: pathlib.Path, how: dict[str, Any]) -> Any:
@@ -49,16 +49,16 @@ def _one(file: pathlib.Path, how: dict[str, Any]) -> Any:
 
 
 def tell_unread(unread: Iterable[Any]) -> None:
-    """Which files could not be read, and why; not more than fit on a screen."""
+    """Report the unread files and their reasons on stderr, at most `TOLD`."""
     each = list(unread)
     for one in each[:TOLD]:
         tell(f"not read: {reason_not_read(one)}")
     if len(each) > TOLD:
-        tell(f"not read: {len(each) - TOLD} more files; --json has the reason of each.")
+        tell(f"not read: {len(each) - TOLD} more files; --json lists all reasons.")
 
 
 def views_of_files(asked: LocateOptions) -> ExposureSet:
-    """The pixels asked for of each exposure; a row for each file that could not be read. Raises as `read_files`."""
+    """The requested pixels of each exposure, and one row per unread file. Raises as `read_files`."""
     import numpy as np
 
     from jaxgeo.uncertainty import sources
@@ -95,22 +95,20 @@ def views_of_files(asked: LocateOptions) -> ExposureSet:
     )
 
 
-# How a reader's sentences on errors that it gives go on, and the options that replace these.
+# Phrases in the readers' sentences about error sources, and the options that replace these sources.
 ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
 
-# Of lenses that are taken to be free of distortion; not where an option states the error of the focal length.
+# Phrase for lenses without a distortion model; replaced if --focal-sigma is given.
 BENT = "what it bends at the corners counts as an error of the focal length"
 
 
 def _apart(assumed: list[str], asked: LocateOptions) -> tuple[list[str], list[str]]:
-    """(what was assumed, those of the errors with the option that replaces them, less those that are replaced)."""
+    """(assumptions, assumptions on errors with the option that replaces them), without those replaced."""
     others, of_errors = [], []
     focal = asked.sigmas.focal
     for one in assumed:
         if focal is not None:
-            one = one.replace(
-                BENT, f"what it bends at the corners errs only as far as --focal-sigma {focal} allows for it"
-            )
+            one = one.replace(BENT, f"distortion at the corners is covered only as far as --focal-sigma {focal} allows")
         option = next((name for words, name in ERRORS_TOLD.items() if words in one), None)
         if option is None:
             others.append(one)
@@ -119,26 +117,26 @@ def _apart(assumed: list[str], asked: LocateOptions) -> tuple[list[str], list[st
     return others, of_errors
 
 
-WITHOUT_ERROR = "The camera is taken as it is given, without error"  # what a reader says that got a camera alone
+WITHOUT_ERROR = "The camera is taken as it is given, without error"  # of a reader given a camera alone
 
 
 def _are_images(files: Sequence[pathlib.Path], scene: pathlib.Path) -> bool:
-    """Whether all files are drone images, or folders of them, which take the camera of a scene and no more of it.
+    """Whether all files are drone images or folders of them, which take only the camera of a scene.
 
-    Raises `UserError` for a mixture. Files of no known kind are left to the reader.
+    Raises `UserError` for a mixture. Files of unknown type are left to the reader.
     """
     from jaxgeo.io.acquisitions.detect import DRONE_IMAGES
 
     kinds = {form is DRONE_IMAGES for form in map(_form, files) if form is not None}
     if len(kinds) > 1:
         raise UserError(
-            f"--scene {scene}: drone images take its camera alone, the other files all of it; locate them apart."
+            f"--scene {scene}: drone images use only its camera, the other files all of it; locate them separately."
         )
     return kinds == {True}
 
 
 def _form(file: pathlib.Path) -> Any:
-    """What kind of file it is, or None."""
+    """File type, or None."""
     from jaxgeo.io.acquisitions.detect import form_of
     from jaxgeo.io.errors import TableError
 
@@ -149,14 +147,14 @@ def _form(file: pathlib.Path) -> Any:
 
 
 def _with_camera_of_scene(asked: LocateOptions) -> dict[str, Any]:
-    """How to read drone images with the camera of a scene. Raises `UserError`."""
+    """Reader options for drone images with the camera of a scene. Raises `UserError`."""
     if "camera" in asked.how:
-        raise UserError(f"--scene {asked.scene} and --camera {asked.how['camera']}: both are a camera; leave one out.")
+        raise UserError(f"--scene {asked.scene} and --camera {asked.how['camera']}: both give a camera; leave one out.")
     return {**asked.how, "camera": asked.scene}
 
 
 def _name(unread: Any, found: Any) -> str:
-    """What the row of a file that could not be read is called: as the others, by its path if two have one name."""
+    """Row name of an unread file: its name, or its path if the name is not unique."""
     names = [str(name) for part in found.parts for name in part.names] + [one.name for one in found.unread]
     return unread.name if names.count(unread.name) == 1 else unread.path
 
@@ -168,7 +166,7 @@ def _row(name: str, time: Any, u: float | None, v: float | None, has_times: bool
 
 
 def _chosen(found: Any, names: list[str], places: list[int]) -> list[int]:
-    """Places of the exposures with names, all without. Raises `UserError`."""
+    """Indices of the named exposures; all if no names are given. Raises `UserError`."""
     if not names:
         return places
     known: dict[str, int] = {}
@@ -179,12 +177,12 @@ def _chosen(found: Any, names: list[str], places: list[int]) -> list[int]:
     own = [_own_name(name, found) if name not in known else name for name in names]
     for name, typed in zip(own, names, strict=True):
         if name not in known:
-            raise UserError(f"--exposure {typed}: no exposure has this name; there are {some}.")
+            raise UserError(f"--exposure {typed}: no exposure has this name; known: {some}.")
     return [known[name] for name in own]
 
 
 def _own_name(name: str, found: Any) -> str:
-    """The number of a record for FILE/NUMBER, its name among several files, where its file is the only one."""
+    """Record number for FILE/NUMBER (its name among several files), if its file is the only one."""
     from jaxgeo.io.acquisitions._exposure_names import number_in_file
 
     is_alone = len(found.parts) == 1 and not found.unread
@@ -192,7 +190,7 @@ def _own_name(name: str, found: Any) -> str:
 
 
 def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:
-    """Pixels of a part, by (row, exposure) of each."""
+    """Pixels of a part, given (row, exposure) of each."""
     import jax
     import numpy as np
 
@@ -205,16 +203,16 @@ def _seen(part: Any, lanes: list[tuple[int, int]], pixels: Any) -> Seen:
 
 
 def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any, Any, list[str], list[str]]:
-    """(exposures with a camera, that of the scene if they have none, and with errors; the scene's air; what was
-    assumed of the gimbal; of errors). `by_scene`: their camera was read from the scene already."""
+    """(exposures with a camera, the scene's if they have none, and with errors; the scene's atmosphere; assumptions on
+    the gimbal; on errors). `by_scene`: their camera was already read from the scene."""
     from jaxgeo.io.acquisitions.sentences import told_once
     from jaxgeo.io.scene import read_scene
 
     bare = [part for part in found.parts if part.sensor is None]
     if asked.scene is not None and not bare and not by_scene:
-        if found.unread:  # among which may be what the scene is for
+        if found.unread:  # the scene may be meant for these
             raise UserError(reason_not_read(found.unread[0]))
-        raise UserError(f"--scene {asked.scene}: {asked.named}: there is a camera in it already; leave the scene out.")
+        raise UserError(f"--scene {asked.scene}: {asked.named} already has a camera; leave the scene out.")
     if bare and asked.scene is None:
         found = _without_bare(found, asked)
     scene = None if asked.scene is None else read_scene(asked.scene)
@@ -228,7 +226,7 @@ def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any
             part, beside = _seen_by(part, scene, asked.scene, held), _of_scene(part, stated)
         elif by_scene:
             part = _with_lens_errors(part, stated, scene.sensor.camera)  # pyright: ignore[reportOptionalMemberAccess]
-            held.append(f"Of {asked.scene} the camera, the errors of its lens and its air are taken, and nothing else.")
+            held.append(f"Only the camera, its lens errors and the atmosphere of {asked.scene} are used.")
         part, told = _with_errors(part, beside, asked)
         usual.extend([told] * len(part))
         return part
@@ -239,7 +237,7 @@ def _with_cameras(found: Any, asked: LocateOptions, by_scene: bool) -> tuple[Any
 
 
 def _without_bare(found: Any, asked: LocateOptions) -> Any:
-    """The exposures with a camera; files without one cannot be located. Raises `UserError` if none has one."""
+    """The exposures with a camera; files without one become unread. Raises `UserError` if none has one."""
     from jaxgeo.io.acquisitions.several import Unread
     from jaxgeo.io.errors import TableError
 
@@ -259,7 +257,7 @@ def _without_bare(found: Any, asked: LocateOptions) -> Any:
 
 
 def _with_lens_errors(found: Any, stated: tuple[Any, ...], camera: Any) -> Any:
-    """Exposures with the errors of the lens that a scene states for its `camera`, in pixels of their own images."""
+    """Exposures with the lens errors a scene states for its `camera`, scaled to pixels of their own images."""
     import numpy as np
 
     from jaxgeo.io.acquisitions import for_each
@@ -278,7 +276,7 @@ def _with_lens_errors(found: Any, stated: tuple[Any, ...], camera: Any) -> Any:
 
 
 def _of_scene(found: Any, stated: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Errors of a scene that have a part: none of gimbal and mount where the angles are the camera's own."""
+    """Error sources of a scene that apply: without those of gimbal and mount if the angles are the camera's own."""
     from jaxgeo.uncertainty import sources
 
     if not found.of_camera:
@@ -289,16 +287,16 @@ def _of_scene(found: Any, stated: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _without_a_camera(found: Any, asked: LocateOptions) -> str:
-    """That a file has no camera, and which options give one."""
+    """Message that a file has no camera, with the options that give one."""
     from jaxgeo.io.acquisitions.detect import form_of
 
-    lens = ", or --camera focal=8.8mm,pitch=2.41um,size=5472x3648, the camera's own numbers"
+    lens = ", or --camera focal=8.8mm,pitch=2.41um,size=5472x3648"
     ways = lens if any(not file.is_dir() and "cameras" in form_of(file).takes for file in asked.files) else ""
-    return f"{found.path}: there is no camera in a {found.form}; give --scene SCENE.toml, which has one{ways}."
+    return f"{found.path}: a {found.form} has no camera; give --scene SCENE.toml{ways}."
 
 
 def _seen_by(found: Any, scene: Any, path: Any, held: list[str]) -> Any:
-    """Exposures without a camera, taken by that of a scene, its gimbal held."""
+    """Exposures with the camera of a scene, its gimbal readings held fixed."""
     import numpy as np
 
     from jaxgeo.io.acquisitions import for_each
@@ -307,21 +305,19 @@ def _seen_by(found: Any, scene: Any, path: Any, held: list[str]) -> Any:
     count = len(found)
     if found.of_camera:
         sensor = Sensor(scene.sensor.camera, Gimbal.fixed(), Mount.nadir())
-        held.append(
-            f"Of {path} the camera is taken, without gimbal and mount: the angles in the file are the camera's own."
-        )
+        held.append(f"Only the camera of {path} is used, without gimbal and mount: the file has camera angles.")
         return dataclasses.replace(found, sensor=for_each(sensor, count))
     readings = np.zeros(0) if scene.shot is None else np.asarray(scene.shot.gimbal_readings)
     names = scene.sensor.gimbal.names
     if len(readings) != len(names):
-        raise UserError(f"{path}: [pose] and readings in [gimbal] are missing; {found.path} does not have them.")
+        raise UserError(f"{path}: [pose] and [gimbal] readings are missing; {found.path} has none either.")
     shots = Shot(found.shots.pose, np.broadcast_to(readings, (count, len(names))), found.shots.time)
-    held += [f"The gimbal is held at the readings in {path}."] if names else []
+    held += [f"Gimbal readings are held at those in {path}."] if names else []
     return dataclasses.replace(found, sensor=for_each(scene.sensor, count), shots=shots)
 
 
 def _with_errors(found: Any, stated: tuple[Any, ...], asked: LocateOptions) -> tuple[Any, list[str]]:
-    """(exposures with the errors that the file states, those `stated` beside it, then usual ones; what was assumed)."""
+    """(exposures with error sources of the file, then those `stated`, then default ones; assumptions)."""
     from jaxgeo.io.acquisitions import for_each
     from jaxgeo.io.acquisitions.usual_errors import usual_errors_of
     from jaxgeo.uncertainty import sources

@@ -1,4 +1,4 @@
-"""What commands read: terrain, tables of shots and navigation records, each with the scene that they belong to."""
+"""Input readers of the commands: terrain, tables of shots and navigation records, with their scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxgeo.cli._screen import working
 
 
 class DemReading(NamedTuple):
-    """How the files of --dem are read: options that go with it."""
+    """Reading options for the files of --dem."""
 
     nodata: list[float] | None = None
     height_unit: str | None = None
@@ -27,22 +27,22 @@ class DemReading(NamedTuple):
 
     @property
     def reach(self) -> Any:
-        """What the reading of rasters may touch."""
+        """Places that raster reading may access."""
         from jaxgeo.io.reach import Reach
 
         return Reach(bool(self.allow_remote), bool(self.allow_outside))
 
     def check_goes_with_dem(self) -> None:
-        """Raises `UserError` where one is given; to be called where no --dem is."""
+        """Raises `UserError` if an option is given; call it if there is no --dem."""
         options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84", "--allow-remote",
                    "--allow-outside")  # fmt: skip
         given = [name for name, value in zip(options, self, strict=True) if value is not None]
         if given:
-            raise UserError(f"{given[0]} goes with --dem FILE.")
+            raise UserError(f"{given[0]} needs --dem FILE.")
 
 
 def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> Any:
-    """The elevation model of one file or several tiles."""
+    """Elevation model from one file or several tiles."""
     from jaxgeo.io import read_dem
 
     edges: Any = None
@@ -63,7 +63,7 @@ def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReadi
 
 
 def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> list[str]:
-    """All files that make up the elevation model: tiles, what a VRT is put together from, a geoid's grid."""
+    """All files of the elevation model: tiles, sources of a VRT, a geoid grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
     tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile, reading.reach)]
@@ -76,28 +76,27 @@ def keep_inputs(
     read: Iterable[pathlib.Path | None],
     ground: tuple[list[str], str | None, DemReading] = ([], None, DemReading()),
 ) -> None:
-    """Raises `ValueError` where a result would take the place of what is read; `ground` are DEM files, datum and
-    how they are read."""
+    """Raises `ValueError` if an output would overwrite an input; `ground` is (DEM files, datum, reading options)."""
     if output is not None:
         tiles = terrain_files(*ground) if ground[0] else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
 
 
 def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str | float) -> None:
-    """Raises `UserError` where a table of shots says otherwise than a scene what its angles or heights are against."""
+    """Raises `UserError` if a table of shots and its scene disagree on the gimbal reference or the vertical datum."""
     from jaxgeo.io.tables import GIMBAL_REFERENCE
 
-    meant = {GIMBAL_REFERENCE: ("angles of the gimbal", gimbal.reference), "height_datum": ("heights", height_datum)}
+    meant = {GIMBAL_REFERENCE: ("gimbal angles", gimbal.reference), "height_datum": ("heights", height_datum)}
     for name, (what, ours) in meant.items():
         for stated in {str(row.get(name) or "") for row in table.rows} - {"", str(ours)}:
             raise UserError(
-                f"{path}: its {what} are against {stated!r}, by its column {name}, and the scene takes them against "
-                f"{str(ours)!r}; use a scene that agrees, or jaxgeo locate FILE on what the table was made of."
+                f"{path}: its {what} are relative to {stated!r} (column {name}), in the scene to {str(ours)!r}; use a "
+                f"matching scene, or run jaxgeo locate FILE on the original file."
             )
 
 
 def datum(text: str | None) -> str | float | None:
-    """A datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
+    """A DEM datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
     if text is None:
         return None
     whole, number = whole_in(text), number_in(text)
@@ -107,13 +106,13 @@ def datum(text: str | None) -> str | float | None:
 
 
 def said_datum(text: str) -> str | float:
-    """A datum as scene files have it, from the command line: a number is an undulation in m."""
+    """A datum from the command line, as in scene files: a number is an undulation in m."""
     number = number_in(text)
     return text if number is None else number
 
 
 def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
-    """The shot of a scene; raises `SceneError` where it has none."""
+    """The shot of a scene; raises `SceneError` if it has none."""
     from jaxgeo.io.scene import SceneError
 
     if scene.shot is None:
@@ -122,20 +121,20 @@ def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
 
 
 def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None = None) -> str | float:
-    """What the heights of a table are measured from: as asked, or as the scene says, which otherwise is refused."""
+    """Vertical datum of a table's heights: the option or the scene's; raises `SceneError` if neither states it."""
     from jaxgeo.io.scene import SceneError
 
     stated = scene.height_datum if asked is None else said_datum(asked)
     if stated is None:
         raise SceneError(
-            f"{path}: what are the heights of {table} measured from? Say it in the scene file: "
+            f"{path}: the vertical datum of the heights in {table} is unknown. State it in the scene file: "
             f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
         )
     return stated
 
 
 def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
-    """(a batch of shots, their rows as written) of a table without pixels."""
+    """(batch of shots, rows as text) of a table without pixels."""
     from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
@@ -151,9 +150,9 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
 
 
 def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> Any:
-    """The flight of a file of navigation records; the gimbal stays as in the scene where they do not say how it turns.
+    """Trajectory from a file of navigation records; without gimbal columns the scene's readings are held.
 
-    Raises `UserError` where nobody says it.
+    Raises `UserError` if the scene has none either.
     """
     from jaxgeo.io import read_navigation
     from jaxgeo.io._csv import gimbal_columns, read_csv
@@ -173,7 +172,7 @@ def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: st
 
 
 def single(batch: Any) -> Iterator[Any]:
-    """The items of a batch of records, one by one, as arrays of JAX."""
+    """The items of a batch of records, one by one, as JAX arrays."""
     import jax
     import jax.numpy as jnp
 
@@ -183,7 +182,7 @@ def single(batch: Any) -> Iterator[Any]:
 
 
 def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
-    """Numbers with commas between; raises `UserError` for other text, and unless there are as many as one of counts."""
+    """Comma-separated numbers; raises `UserError` for other text, or if their number is not in `counts`."""
     found = number_list(text.split(","))
     if found is None or len(found) not in counts:
         raise UserError(f"{option} {text!r}: expected {form}.")
@@ -191,7 +190,7 @@ def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> li
 
 
 def check_on_image(text: str, uv: Any, camera: Any) -> None:
-    """Raises `UserError` for a pixel, as it was typed, that is not on the image of a camera."""
+    """Raises `UserError` for a pixel (`text` as typed) outside the image of a camera."""
     column, row = uv
     if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
         raise UserError(

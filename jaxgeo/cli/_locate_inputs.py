@@ -1,4 +1,4 @@
-"""What `jaxgeo locate` and `jaxgeo report` ask: exposures, pixels, ground and errors, read from all that is given."""
+"""Inputs of `jaxgeo locate` and `jaxgeo report`: exposures, pixels, ground and error sources."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ REPORTED = "reported"
 
 
 class Batch(NamedTuple):
-    """n pixels, each of its own exposure, of one structure: such as those of images of one camera.
+    """n pixels, each with its exposure, of one structure (images of one camera).
 
-    `shots` and `uv` (n, 2) have an entry for each pixel; `sensor`, `terrain` and `errors` (sources, without any: None)
-    too where `axes`, for (sensor, shot, uv, terrain, errors), has 0, and are one for all where it has None. `rows` (n,)
-    are their places among all pixels.
+    `shots` and `uv` (n, 2) have an entry per pixel. `axes`, for (sensor, shot, uv, terrain, errors), is 0 for an entry
+    per pixel and None for a shared one. `errors` are sources, None without. `rows` (n,) are indices among all pixels.
     """
 
     sensor: Any
@@ -38,10 +37,10 @@ class Batch(NamedTuple):
 
 
 class LocateInputs(NamedTuple):
-    """All pixels, by batches, and what is known of them.
+    """All pixels in batches, with their row data.
 
-    `carried` are columns of each row beside its fix; `unread` are those rows, by number, whose file could not be read.
-    `readings` are the names of the gimbal's axes, `assumed` sentences; `reads` all files.
+    `carried` are the columns of each row besides its fix; `unread` the rows, by number, whose file could not be read.
+    `readings` are the names of the gimbal axes, `assumed` sentences; `reads` all input files.
     """
 
     batches: list[Batch]
@@ -57,18 +56,18 @@ class LocateInputs(NamedTuple):
 
     @property
     def reasons(self) -> list[str | None] | None:
-        """For each row why its file could not be read, or None; None if all could."""
+        """Reason per row why its file could not be read, or None; None if all were read."""
         return reasons_of(self.unread, len(self.carried))
 
     @property
     def read(self) -> Any:
-        """Rows whose file could be read, in order."""
+        """Row numbers whose file was read, in order."""
         import numpy as np
 
         return np.sort(np.concatenate([batch.rows for batch in self.batches]))
 
     def look(self, row: int) -> tuple[Any, ...]:
-        """(sensor, shot, pixel, terrain, errors) of one row that could be read."""
+        """(sensor, shot, pixel, terrain, errors) of one row whose file was read."""
         import jax
         import numpy as np
 
@@ -80,12 +79,12 @@ class LocateInputs(NamedTuple):
 
     @property
     def has_faults(self) -> bool:
-        """Whether a file could not be read by a fault of the program's."""
+        """Whether a file could not be read because of an internal error."""
         return any(not is_refusal(one.error) for one in self.unread.values())
 
     @property
     def position(self) -> Any:
-        """Positions of all exposures that could be read, a `Geodetic`."""
+        """Positions of all exposures whose file was read, a `Geodetic`."""
         return joined_positions(self.batches)
 
 
@@ -95,7 +94,7 @@ def told_question(
     output: pathlib.Path | None,
     check: Callable[[ExposureSet, bool], object] | None = None,
 ) -> LocateInputs:
-    """The question, its assumptions printed on stderr. An `output` that would replace what is read is refused."""
+    """The inputs, with assumptions reported on stderr. Raises `ValueError` if `output` would overwrite an input."""
     check_asked(asked)
     if output is not None:
         check_no_input("--output", [output], _reads(asked))
@@ -108,7 +107,7 @@ def told_question(
 
 
 def _tell_of_pixels_outside(texts: list[str], question: LocateInputs) -> None:
-    """On stderr, before anything is computed, which of the pixels typed are not on the image; they keep their rows."""
+    """Report typed pixels outside the image on stderr, before computing; they keep their rows."""
     import numpy as np
 
     told: dict[str, None] = {}
@@ -127,7 +126,7 @@ def _tell_of_pixels_outside(texts: list[str], question: LocateInputs) -> None:
 
 
 def on_image(camera: Any, uv: Any) -> Any:
-    """Which of the pixels (n, 2) lie on the image of a camera, the outer edges of its pixels included."""
+    """Which of the pixels (n, 2) lie on the image, including the outer edges of its pixels."""
     import numpy as np
 
     uv = np.asarray(uv, np.float64)
@@ -137,12 +136,12 @@ def on_image(camera: Any, uv: Any) -> Any:
 def read_question(
     asked: LocateOptions, *, with_errors: bool | None, check: Callable[[ExposureSet, bool], object] | None = None
 ) -> LocateInputs:
-    """All input, what is small and likely to be mistaken first.
+    """Read all inputs, small and error-prone ones first.
 
-    `check` is called with the views, and with whether there are errors, before the ground is read.
+    `check` is called with the exposures, and whether there are error sources, before the ground is read.
 
-    Errors are there `with_errors`; if that is None, where a FILE is given, or something says how it errs: a table
-    [errors] of the scene, or an option. Raises `UserError`, and as the readers.
+    Error sources are included if `with_errors`; if that is None, for a FILE, or if the scene ([errors] table) or an
+    option states them. Raises `UserError`, and as the readers.
     """
     check_asked(asked)
     if with_errors is None and asked.shots is None:
@@ -184,7 +183,7 @@ def _axes(is_each: bool, has_ground_each: bool) -> tuple[int | None, ...]:
 
 
 def _sources(seen: Seen, views: ExposureSet, asked: LocateOptions) -> tuple[tuple[Any, ...], list[str]]:
-    """(sources of error, one entry for each pixel where exposures have their own; what was assumed of the ground)."""
+    """(error sources, one entry per pixel if exposures have their own; assumptions on the ground)."""
     import numpy as np
 
     from jaxgeo.io.acquisitions import for_each
@@ -204,14 +203,14 @@ def _sources(seen: Seen, views: ExposureSet, asked: LocateOptions) -> tuple[tupl
     found = (*given, *ground)
     if not found:
         raise UserError(
-            f"nothing says how {views.where} errs: write a table [errors] in the scene, or give --position-sigma, "
+            f"{views.where}: no error sources; add an [errors] table to the scene, or give --position-sigma, "
             f"--attitude-sigma, --gimbal-sigma, --dem-sigma."
         )
     return found, of_heights
 
 
 def _terrain(asked: LocateOptions, views: ExposureSet) -> list[tuple[Any, bool]]:
-    """For each part of what is seen (the ground, whether there is one for each pixel)."""
+    """For each batch (the ground, whether there is one per pixel)."""
     import numpy as np
 
     from jaxgeo.terrain import ConstantHeight
@@ -221,7 +220,7 @@ def _terrain(asked: LocateOptions, views: ExposureSet) -> list[tuple[Any, bool]]
     if asked.ground == REPORTED:
         known = [seen.centre_heights for seen in views.seen if seen.centre_heights is not None]
         if not any(np.isfinite(heights).any() for heights in known):
-            raise UserError(f"--ground {REPORTED}: {views.where} reports no height of what its images show; give it.")
+            raise UserError(f"--ground {REPORTED}: {views.where} reports no frame centre height; give a height in m.")
         heights = [np.nan if seen.centre_heights is None else seen.centre_heights for seen in views.seen]
         pairs = zip(views.seen, heights, strict=True)
         return [(ConstantHeight(np.broadcast_to(height, len(seen.uv))), True) for seen, height in pairs]
@@ -234,7 +233,7 @@ def _terrain(asked: LocateOptions, views: ExposureSet) -> list[tuple[Any, bool]]
 
 
 def _level(seen: Seen, height: float, datum: str | float) -> Any:
-    """Level ground below each pixel, at a height in m above a datum."""
+    """Level ground for each pixel, at a height in m above a datum."""
     import numpy as np
 
     from jaxgeo.io.scene import ellipsoidal_heights
@@ -246,7 +245,7 @@ def _level(seen: Seen, height: float, datum: str | float) -> Any:
 
 
 def _inputs(asked: LocateOptions) -> dict[str, Any]:
-    """What was typed, in plain words."""
+    """The options as typed, by name."""
     paths = {"file": asked.files[0] if len(asked.files) == 1 else None, "scene": asked.scene, "shots": asked.shots}
     found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
     if len(asked.files) > 1:

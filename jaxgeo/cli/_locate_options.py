@@ -1,4 +1,4 @@
-"""What `jaxgeo locate` and `jaxgeo report` may be asked: options of what is seen, and what was typed of them."""
+"""Options of `jaxgeo locate` and `jaxgeo report`, and their values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SceneOption = Annotated[
     typer.Option(
         "--scene",
         metavar="FILE",
-        help="Scene file (TOML): camera, gimbal, mount and pose; for FILEs without a camera too.",
+        help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
         rich_help_panel=SEEN,
     ),
 ]
@@ -34,7 +34,7 @@ GroundDem = Annotated[
     typer.Option(
         "--dem",
         metavar="FILE",
-        help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles.",
+        help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles.",
         rich_help_panel=SEEN,
     ),
 ]
@@ -43,7 +43,7 @@ GroundDatum = Annotated[
     typer.Option(
         "--vertical-datum",
         metavar="DATUM",
-        help='What heights of the ground are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.',
+        help='Vertical datum of the ground: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
         rich_help_panel=SEEN,
     ),
 ]
@@ -52,8 +52,8 @@ Ground = Annotated[
     typer.Option(
         "--ground",
         metavar="HEIGHT",
-        help="Level ground in place of --dem: its height in m, above the ellipsoid or --vertical-datum; or 'reported': "
-        "the height of the frame centre that telemetry reports.",
+        help="Level ground instead of --dem: height in m above the ellipsoid or --vertical-datum; or 'reported': the "
+        "frame centre height in the telemetry.",
         rich_help_panel=SEEN,
     ),
 ]
@@ -62,7 +62,7 @@ Pixels = Annotated[
     typer.Option(
         "--pixel",
         metavar="PIXEL",
-        help="COLUMN,ROW of a pixel; repeat it for more; the middle of the image if left out.",
+        help="COLUMN,ROW of a pixel (repeatable; default: image centre).",
         rich_help_panel=SEEN,
     ),
 ]
@@ -71,7 +71,7 @@ Exposures = Annotated[
     typer.Option(
         "--exposure",
         metavar="NAME",
-        help="Which of the FILE's exposures, by name; repeat it; all if not.",
+        help="Exposure name (repeatable; default: all).",
         rich_help_panel=SEEN,
     ),
 ]
@@ -80,20 +80,18 @@ TableOfShots = Annotated[
     typer.Option(
         "--shots",
         metavar="FILE",
-        help="With --scene: CSV with a shot and a pixel in each row.",
+        help="With --scene: CSV with a shot and a pixel per row.",
         rich_help_panel=SEEN,
     ),
 ]
 Refraction = Annotated[
     bool,
-    typer.Option(
-        "--refraction", help="Bend lines of sight by the US Standard Atmosphere of 1976.", rich_help_panel=SEEN
-    ),
+    typer.Option("--refraction", help="Apply refraction (US Standard Atmosphere 1976).", rich_help_panel=SEEN),
 ]
 
 
 class LocateOptions(NamedTuple):
-    """What was typed."""
+    """Option values as typed."""
 
     files: list[pathlib.Path]
     scene: pathlib.Path | None
@@ -110,49 +108,49 @@ class LocateOptions(NamedTuple):
 
     @property
     def is_scene(self) -> bool:
-        """Whether the exposures are those of a scene file, by --scene or as the only FILE."""
+        """Whether the exposures come from a scene file: by --scene, or as the only FILE."""
         return not self.files or (len(self.files) == 1 and is_scene_file(self.files[0]))
 
     @property
     def scene_file(self) -> pathlib.Path | None:
-        """The scene file, however it was given."""
+        """The scene file, from --scene or as FILE."""
         return self.files[0] if self.files and self.is_scene else self.scene
 
     @property
     def named(self) -> str:
-        """The FILEs in a message."""
+        """The FILEs as named in messages."""
         more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
         return f"{self.files[0]}{more}" if self.files else f"{self.scene}"
 
     @property
     def samples_of_field(self) -> bool:
-        """Whether height errors of the ground are spatially correlated: by an option, or by a table of the scene."""
+        """Whether ground height errors are spatially correlated, by an option or by the scene's [errors] table."""
         scenes = [path for path in (self.scene, self.scene_file) if path is not None and is_scene_file(path)]
         told = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
         return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in told)
 
 
 def is_scene_file(path: pathlib.Path) -> bool:
-    """Whether a file is a scene by its name."""
+    """Whether a file name is that of a scene (.toml)."""
     return path.suffix.lower() == ".toml"
 
 
 def check_asked(asked: LocateOptions) -> None:
     if not asked.files and asked.scene is None:
-        raise UserError("give a FILE of a camera or an aircraft, as jaxgeo inspect reads it, or --scene SCENE.toml.")
+        raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
     if len(asked.files) > 1:
         for path in filter(is_scene_file, asked.files):
-            raise UserError(f"{path} is a scene: give it alone, or as --scene {path} for files without a camera.")
+            raise UserError(f"{path} is a scene file: give it alone, or as --scene {path} for files without a camera.")
     if asked.shots is not None:
         if asked.files:
-            raise UserError(f"--shots {asked.shots}: it goes with --scene, and not with {asked.named}.")
+            raise UserError(f"--shots {asked.shots}: use it with --scene, not with {asked.named}.")
         if asked.pixels:
-            raise UserError("give either --pixel COLUMN,ROW (once or more) or --shots FILE.")
+            raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
     if bool(asked.dem) == (asked.ground is not None):
         raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
     if not asked.dem:
         asked.reading.check_goes_with_dem()
     if asked.exposures and asked.is_scene:
-        raise UserError("--exposure goes with a FILE of exposures; a scene has one.")
+        raise UserError("--exposure needs a FILE of exposures; a scene has only one.")
     if asked.sigmas.dem_correlation is not None and asked.ground is not None:
-        raise UserError("--dem-correlation: level ground errs alike everywhere; it goes with --dem.")
+        raise UserError("--dem-correlation: level ground has one common height error; use it with --dem.")

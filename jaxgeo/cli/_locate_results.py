@@ -1,4 +1,4 @@
-"""What `jaxgeo locate` finds: fixes of a question, how sure they are, and how they are shown."""
+"""Results of `jaxgeo locate`: fixes, their accuracy, and their tables."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from jaxgeo.cli._common import FAULT, NO_ANSWER
 from jaxgeo.cli._locate_inputs import Batch, LocateInputs, on_image
 from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell, working
 
-CHUNKS = (1, 16, 1024)  # fixes that are computed at a time: few shapes, so few compilations
-FEW = 20  # fixes up to which samples are as many as for one
-SAMPLES_OF_MANY = 2000  # for each of more, whose figures then are good to some 3 %
-WIDE = 120  # characters of a screen on which there is room for all columns
+CHUNKS = (1, 16, 1024)  # fixes computed at a time: few shapes, few compilations
+FEW = 20  # up to this many fixes, each gets the full number of samples
+SAMPLES_OF_MANY = 2000  # per fix if there are more; radii are then good to about 3 %
+WIDE = 120  # terminal width, characters, from which all columns are shown
 
 
 class LocateResults(NamedTuple):
-    """Fixes (n) and how sure they are, an `AccuracyOfEach` or None; a row without a file has the status of that."""
+    """Fixes (n) and their accuracy, an `AccuracyOfEach` or None; rows of unread files have status `file_not_read`."""
 
     fixes: Any
     accuracy: Any
 
     def rows(self, name: str, question: LocateInputs) -> list[dict[str, Any]]:
-        """Output rows: carried columns, and the columns of `write_fixes` without a number."""
+        """Output rows: carried columns, then the columns of `write_fixes` without `index`."""
         from jaxgeo.io._fix_columns import figures_of, rows_of
 
         figures = figures_of(name, self.fixes, self.accuracy, None, None, None)
@@ -36,7 +36,7 @@ class LocateResults(NamedTuple):
         return [more | {key: row[key] for key in row if key != "index"} for row, more in pairs]
 
     def part(self, rows: Any) -> LocateResults:
-        """Some of the rows."""
+        """A subset of the rows."""
         if self.accuracy is None:
             return LocateResults(_part(self.fixes, rows), None)
         one = self.accuracy
@@ -45,7 +45,7 @@ class LocateResults(NamedTuple):
 
 
 def located(question: LocateInputs, probability: float) -> LocateResults:
-    """The fixes, and how sure they are if the question has errors; with bars on stderr."""
+    """The fixes, and their accuracy if there are error sources; progress bars on stderr."""
     import jax
     import numpy as np
 
@@ -72,12 +72,12 @@ def located(question: LocateInputs, probability: float) -> LocateResults:
 
 
 def _with(one: Any, fixes: Any, arrays: tuple[Any, ...]) -> Any:
-    """An `AccuracyOfEach` with other fixes and arrays."""
+    """An `AccuracyOfEach` with replaced fixes and arrays."""
     return type(one)(fixes, one.probability, *arrays, one.count)
 
 
 def _arrays(one: Any) -> tuple[Any, ...]:
-    """The arrays of an `AccuracyOfEach` but for its fixes, as NumPy's."""
+    """The arrays of an `AccuracyOfEach` except its fixes, as NumPy arrays."""
     import jax
     import numpy as np
 
@@ -86,7 +86,7 @@ def _arrays(one: Any) -> tuple[Any, ...]:
 
 
 def _fixes_of_each(question: LocateInputs) -> Iterator[list[Any]]:
-    """Fixes of each batch, in parts; a bar on stderr."""
+    """Fixes of each batch, in parts; progress bar on stderr."""
     total = sum(len(batch.uv) for batch in question.batches)
     with progress_bar() as progress:
         task = progress.add_task("locating", total=total)
@@ -99,14 +99,14 @@ def _fixes_of_each(question: LocateInputs) -> Iterator[list[Any]]:
 
 
 def _blank(leaf: Any, count: int, code: int) -> Any:
-    """An array for `count` rows, in which nothing is known; of whole numbers the code."""
+    """An array for `count` rows filled with NaN, or with `code` for integers."""
     import numpy as np
 
     return np.full((count, *np.shape(leaf)[1:]), np.nan if leaf.dtype.kind == "f" else code, leaf.dtype)
 
 
 def _spread(each: list[Any], rows: Any, blank: Any) -> Any:
-    """Arrays of batches at their rows among all."""
+    """Scatter batch arrays into their rows of `blank`."""
     import jax
     import numpy as np
 
@@ -118,7 +118,7 @@ def _spread(each: list[Any], rows: Any, blank: Any) -> Any:
 
 
 def fixes_in_parts(question: LocateInputs) -> Iterator[tuple[int, Any]]:
-    """(number of the first, fixes) of parts of all pixels of the only batch, one after the other; a bar on stderr."""
+    """(index of the first, fixes) of consecutive parts of the only batch; progress bar on stderr."""
     (batch,) = question.batches
     with progress_bar() as progress:
         task = progress.add_task("locating", total=len(batch.uv))
@@ -128,11 +128,11 @@ def fixes_in_parts(question: LocateInputs) -> Iterator[tuple[int, Any]]:
 
 
 def _fixes_in_parts(batch: Batch, atmosphere: Any) -> Iterator[tuple[int, Any]]:
-    """(number of the first, fixes) of parts of the pixels of a batch, one after the other."""
+    """(index of the first, fixes) of consecutive parts of a batch."""
     import numpy as np
 
     total = len(batch.uv)
-    if _are_outside(batch, atmosphere):  # which needs no program
+    if _are_outside(batch, atmosphere):  # needs no compilation
         yield 0, _outside(total)
         return
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
@@ -145,7 +145,7 @@ def _fixes_in_parts(batch: Batch, atmosphere: Any) -> Iterator[tuple[int, Any]]:
 
 
 def _are_outside(batch: Batch, atmosphere: Any) -> bool:
-    """Whether no pixel lies on its image, and nothing else is wrong with any."""
+    """Whether all pixels lie outside the image and all inputs are finite."""
     import jax
     import numpy as np
 
@@ -155,7 +155,7 @@ def _are_outside(batch: Batch, atmosphere: Any) -> bool:
 
 
 def _outside(count: int) -> Any:
-    """Fixes of so many pixels outside the image."""
+    """Fixes of `count` pixels outside the image."""
     import numpy as np
 
     from jaxgeo.earth import Geodetic
@@ -170,7 +170,7 @@ def _outside(count: int) -> Any:
 
 @functools.cache
 def _program(sensor_axis: int | None, terrain_axis: int | None, is_alone: bool) -> Any:
-    """`locate` of a batch; of a batch of one without `vmap`, which is traced in half the time."""
+    """Jitted `locate` of a batch; without `vmap` for a batch of one, which halves tracing time."""
     import jax
 
     from jaxgeo.locate import locate
@@ -190,13 +190,13 @@ def _program(sensor_axis: int | None, terrain_axis: int | None, is_alone: bool) 
 
 
 def _taken(batch: Batch, index: Any) -> list[Any]:
-    """(sensor, shots, uv, terrain) of some pixels."""
+    """(sensor, shots, uv, terrain) of the indexed pixels."""
     given = (batch.sensor, batch.shots, batch.uv, batch.terrain)
     return [_part(one, index) if axis == 0 else one for one, axis in zip(given, batch.axes, strict=False)]
 
 
 def _part(tree: Any, index: Any) -> Any:
-    """Items of every leaf, as NumPy arrays."""
+    """Indexed items of every leaf, as NumPy arrays."""
     import jax
     import numpy as np
 
@@ -204,7 +204,7 @@ def _part(tree: Any, index: Any) -> Any:
 
 
 def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, is_long: bool) -> Any:
-    """How sure the fixes are, an `AccuracyOfEach`, without figures for those that are none; None where all are."""
+    """Accuracy of the fixes, an `AccuracyOfEach`, NaN for pixels without a fix; None if no pixel has one."""
     import jax
     import numpy as np
 
@@ -218,7 +218,7 @@ def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, 
         return None
     sensor, shots, uv, terrain = _taken(batch, index)
     errors = _part(batch.errors, index) if batch.axes[4] == 0 else batch.errors
-    waiting = contextlib.nullcontext() if is_long else working("computing how sure that is")
+    waiting = contextlib.nullcontext() if is_long else working("estimating accuracy")
     with waiting, bars_on_stderr() as is_shown:
         found = accuracy_of_each(
             sensor,
@@ -238,7 +238,7 @@ def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, 
 
 
 def fixes_table(rows: list[dict[str, Any]], probability: float | None, width: int) -> Table:
-    """Fixes for the screen, with the columns that there is room for."""
+    """Table of fixes for the terminal, with the columns that fit."""
     first, is_wide = rows[0], width >= WIDE
     columns: dict[str, tuple[str, str]] = {}
     if "name" in first:
@@ -254,14 +254,15 @@ def fixes_table(rows: list[dict[str, Any]], probability: float | None, width: in
     if is_wide or probability is None:
         columns |= {"fix_height_msl_m": ("msl", ".2f"), "slant_range_m": ("range", ".1f")}
         columns |= {"incidence_surface_deg": ("inc.", ".1f")}
-    caption = "height, msl: m above WGS 84 and above EGM96 mean sea level; range: slant range, m; inc.: incidence, deg"
+    caption = "height, msl: m above WGS 84 and EGM96 mean sea level; range: slant range, m; inc.: incidence angle, deg"
     if probability is not None:
         percent = f"{100.0 * probability:.10g}"
         column = percent.replace(".", "_")
         columns |= {f"ce{column}_m": (f"CE{percent}", ".2f"), f"le{column}_m": (f"LE{percent}", ".2f")}
         columns |= {"accuracy_method": ("by", "")} if is_wide else {}
         caption = (caption if is_wide else "height: m above WGS 84") + (
-            f"; CE{percent}, LE{percent}: radius, and half a height, that hold the truth with {percent} %, m"
+            f"; CE{percent}: radius of the {percent} % horizontal circle; "
+            f"LE{percent}: {percent} % vertical half-interval (m)"
         )
     columns["status"] = ("status", "")
     shown = [{name: _plain(row.get(name), spec) for name, (_, spec) in columns.items()} for row in rows]
@@ -269,16 +270,16 @@ def fixes_table(rows: list[dict[str, Any]], probability: float | None, width: in
 
 
 def _plain(value: Any, spec: str) -> Any:
-    """A cell of a CSV file as a number, if it is one; a text that is not there is empty."""
+    """A CSV cell as a number if its column is numeric; a missing text is empty."""
     if value is None:
         return "" if not spec else None
     return float(value) if spec and isinstance(value, str) else value
 
 
 def leave_without_a_fix(question: LocateInputs, found: LocateResults) -> None:
-    """Exit with 1 where no pixel at all has a fix; what was to be written says so, and is written before.
+    """Exit with code 1 if no pixel has a fix; call it after the output is written.
 
-    With 70 where a file could not be read by a fault of the program's.
+    Exits with code 70 if a file could not be read because of an internal error.
     """
     import numpy as np
 
@@ -292,7 +293,7 @@ def leave_without_a_fix(question: LocateInputs, found: LocateResults) -> None:
 
 
 def where_from(question: LocateInputs) -> str | None:
-    """Why there may be no fix at all, in words: the elevation model lies elsewhere than the first camera."""
+    """Possible reason why no pixel has a fix: the DEM does not cover the first camera; None otherwise."""
     import numpy as np
 
     from jaxgeo.io.extent import place_beside

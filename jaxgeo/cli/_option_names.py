@@ -1,4 +1,4 @@
-"""Python's words for options, in those of the command line."""
+"""Translation of Python keyword names in messages to command-line options."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from typing import Any
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._refusals import is_refusal
 
-# Options of `read_acquisition` that have another name on the command line than with dashes for underscores.
+# Options of `read_acquisition` whose command-line name differs by more than dashes.
 OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities"}
-# Options of readers that the command line has; others are Python's alone.
+# Reader options available on the command line; the others are Python only.
 READING = (
     "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
     "gimbal_deg", "positions", "errors", "interior",
 )  # fmt: skip
-# Options of a reader with a value that is a flag of its own on the command line.
+# Reader options whose value is a flag on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
-_VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a text, or several in parentheses, as Python has them
+_VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a Python string, or a tuple
 _OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
 def typed(name: str) -> str:
-    """An option of a reader as it is typed."""
+    """Command-line name of a reader option."""
     return "--" + OTHER_NAMES.get(name, name.replace("_", "-"))
 
 
 def as_typed(text: str) -> str:
-    """A sentence that names options of a reader, with those of the command line."""
+    """A sentence with reader options replaced by command-line options."""
 
     def replaced(found: re.Match[str]) -> str:
         option = typed(found[1])
@@ -47,24 +47,24 @@ def as_typed(text: str) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """Why a file cannot be read, in a line and in the words of the command line."""
+    """Reason why a file cannot be read, in one line, with command-line options."""
     from jaxgeo.io.acquisitions.detect import WrongOption
 
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
-        takes = f"it takes {', '.join(options)}" if options else "it takes no option of how it is read"
+        takes = f"it takes {', '.join(options)}" if options else "it takes no reading options"
         return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
     return as_typed(" ".join(str(error).split())) or type(error).__name__
 
 
 def reason_not_read(unread: Any) -> str:
-    """Why one of many files could not be read; a fault of the program is called one."""
+    """Reason why one of many files could not be read, including internal errors."""
     if is_refusal(unread.error):
         return reason_of(unread.error)
     name, reason = type(unread.error).__name__, " ".join(str(unread.error).split())
     return (
-        f"{unread.path}: unexpected {name}{f' ({reason})' if reason else ''}: a fault of jaxgeo's, not of the file; "
-        f"see where with jaxgeo inspect {unread.path} --debug, and report it."
+        f"{unread.path}: internal error: unexpected {name}{f' ({reason})' if reason else ''}; run jaxgeo inspect "
+        f"{unread.path} --debug for the traceback, and report it."
     )
 
 
@@ -90,7 +90,7 @@ _DEM_WORDS = (
 
 
 def dem_as_typed(text: str) -> str:
-    """A sentence that names options of `read_dem`, with those of the command line."""
+    """A sentence with options of `read_dem` replaced by command-line options."""
 
     def typed(found: re.Match[str]) -> str:
         follows = text[found.end() : found.end() + 1]
@@ -105,7 +105,7 @@ def dem_as_typed(text: str) -> str:
 
 @contextlib.contextmanager
 def dem_words_as_typed() -> Iterator[None]:
-    """What refuses an elevation model, with the options of the command line in place of Python's."""
+    """Raise `read_dem` errors as `UserError` with command-line options."""
     try:
         yield
     except (ValueError, ImportError) as error:
@@ -114,7 +114,7 @@ def dem_words_as_typed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def reach_as_typed() -> Iterator[None]:
-    """What refuses an image that reaches too far, with the options of the command line in place of Python's."""
+    """Raise remote- or outside-access errors of images as `UserError` with command-line options."""
     try:
         yield
     except ValueError as error:
@@ -128,7 +128,7 @@ def reach_as_typed() -> Iterator[None]:
 
 @contextlib.contextmanager
 def words_as_typed() -> Iterator[None]:
-    """Readers' refusals with the options of the command line in place of Python's."""
+    """Raise reader errors as `UserError` with command-line options."""
     try:
         yield
     except (ValueError, ImportError) as error:

@@ -1,4 +1,4 @@
-"""Options that several commands have."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-SEEN, SURE = "What is seen", "How sure it is"  # panels of the help of commands with many options
-READING, WRITING = "How the FILE is read", "What comes out"
-OF_DEM = "How the elevation model is read"
+SEEN, SURE = "Inputs", "Accuracy"  # help panels of commands with many options
+READING, WRITING = "Reading the FILE", "Output"
+OF_DEM = "Reading the elevation model"
 
 SceneFile = Annotated[
     pathlib.Path,
@@ -19,7 +19,7 @@ SceneFile = Annotated[
 DemFiles = Annotated[
     list[str],
     typer.Option(
-        "--dem", metavar="FILE", help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles."
+        "--dem", metavar="FILE", help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles."
     ),
 ]
 Nodata = Annotated[
@@ -27,7 +27,7 @@ Nodata = Annotated[
     typer.Option(
         "--nodata",
         metavar="VALUE",
-        help="Value that marks voids of --dem beside its own tag, as stored; repeat it for more.",
+        help="Stored value that marks voids of --dem, besides its nodata tag (repeatable).",
         rich_help_panel=OF_DEM,
     ),
 ]
@@ -36,34 +36,34 @@ HeightUnit = Annotated[
     typer.Option(
         "--height-unit",
         metavar="UNIT",
-        help='Unit of the heights of --dem, over what the file states: "m", "ft", "us-ft", "dm", "cm".',
+        help='Height unit of --dem, overrides the file: "m", "ft", "us-ft", "dm", "cm".',
         rich_help_panel=OF_DEM,
     ),
 ]
-_BAND = "Band of --dem that holds the heights, from 1; 1 if left out."
+_BAND = "Height band of --dem, from 1 (default 1)."
 DemBand = Annotated[int | None, typer.Option("--dem-band", "--band", help=_BAND, rich_help_panel=OF_DEM)]
 DemBandBesideBand = Annotated[int | None, typer.Option("--dem-band", help=_BAND, rich_help_panel=OF_DEM)]
-"""Of commands in which --band is that of an image."""
+"""For commands in which --band selects an image band."""
 DemBounds = Annotated[
     str | None,
     typer.Option(
         "--dem-bounds",
         metavar="EDGES",
-        help="WEST,SOUTH,EAST,NORTH in deg: the part of --dem to read.",
+        help="Extent of --dem to read: WEST,SOUTH,EAST,NORTH in deg.",
         rich_help_panel=OF_DEM,
     ),
 ]
 AssumeWgs84 = Annotated[
     bool | None,
     typer.Option(
-        "--assume-wgs84", help="Take latitudes and longitudes of --dem as those of WGS 84.", rich_help_panel=OF_DEM
+        "--assume-wgs84", help="Assume that the geographic coordinates of --dem are WGS 84.", rich_help_panel=OF_DEM
     ),
 ]
 AllowRemote = Annotated[
     bool | None,
     typer.Option(
         "--allow-remote",
-        help="Let rasters be, or take values from, URLs and other places that only GDAL resolves (/vsi..., a WMS).",
+        help="Allow rasters at URLs and other GDAL data sources (/vsi..., a WMS).",
         rich_help_panel=OF_DEM,
     ),
 ]
@@ -71,27 +71,28 @@ AllowOutside = Annotated[
     bool | None,
     typer.Option(
         "--allow-outside",
-        help="Let rasters (a VRT) take values from files outside their own folder.",
+        help="Allow rasters (a VRT) to read files outside their own folder.",
         rich_help_panel=OF_DEM,
     ),
 ]
 VerticalDatum = Annotated[
     str | None,
     typer.Option(
-        metavar="DATUM", help='What the DEM heights are above: "EPSG:5773", "ellipsoid", metres, a geoid grid.'
+        metavar="DATUM",
+        help='Vertical datum of the DEM: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
     ),
 ]
 HeightDatum = Annotated[
     str | None,
     typer.Option(
         metavar="DATUM",
-        help='What other heights are above: "EPSG:5773", "ellipsoid", metres; that of the scene if left out.',
+        help='Vertical datum of other heights: "EPSG:5773", "ellipsoid", an undulation in m (default: the scene\'s).',
     ),
 ]
-ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", metavar="FILE", help="CSV with a shot in each row.")]
+ShotsFile = Annotated[pathlib.Path | None, typer.Option("--shots", metavar="FILE", help="CSV with a shot per row.")]
 NavigationFile = Annotated[
     pathlib.Path | None,
-    typer.Option("--navigation", metavar="FILE", help="CSV with a navigation record of the flight in each row."),
+    typer.Option("--navigation", metavar="FILE", help="CSV with a navigation record per row."),
 ]
 
 
@@ -102,6 +103,4 @@ class Axis(StrEnum):
     rows = "rows"
 
 
-Along = Annotated[
-    Axis | None, typer.Option("--along", help="Axis of the image that lies along the flight; found if left out.")
-]
+Along = Annotated[Axis | None, typer.Option("--along", help="Image axis along track (default: detected).")]

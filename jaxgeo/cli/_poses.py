@@ -1,4 +1,4 @@
-"""Poses as rows of a table: degrees and metres, a name for each column."""
+"""Poses as table rows in degrees and metres, with named columns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def pose_columns(shots: Any, names: tuple[str, ...] | None) -> dict[str, Any]:
-    """Time, position, attitude and, of axes with `names`, readings of n shots: an array of n for each column."""
+    """Time, position, attitude and, for axes with `names`, gimbal readings of n shots: an array (n,) per column."""
     import numpy as np
 
     from jaxgeo.io._csv import POSE_COLUMNS, gimbal_columns
@@ -24,7 +24,7 @@ def pose_columns(shots: Any, names: tuple[str, ...] | None) -> dict[str, Any]:
 
 
 def rows_of(columns: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A row for each entry of the columns; None for what is not known."""
+    """One row per entry of the columns; None for unknown values."""
     import numpy as np
 
     found = {name: np.asarray(values).tolist() for name, values in columns.items()}

@@ -1,4 +1,4 @@
-"""Which exceptions are refusals of a caller's mistake, and which are faults of the program."""
+"""Distinction of input errors raised by this package from internal errors."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ RAISE = opcode.opmap["RAISE_VARARGS"]  # the statement `raise`
 
 
 def is_refusal(error: BaseException) -> bool:
-    """Whether an exception reports a mistake of the caller's in words meant for them.
+    """Whether an exception reports an input error with a message for the caller.
 
-    That is a `ValueError` or `ImportError` that a `raise` statement of this package raised, and any `OSError`, by which
-    the system says that a file cannot be read or written. A `ValueError` of NumPy's or JAX's, of `int("x")` or of an
-    unpacking is a fault, wherever it comes from.
+    True for a `ValueError` or `ImportError` from a `raise` statement of this package, and for any `OSError` (a file
+    cannot be read or written). A `ValueError` of NumPy or JAX, of `int("x")` or of unpacking is an internal error.
     """
     if isinstance(error, OSError):
         return True

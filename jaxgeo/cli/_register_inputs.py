@@ -1,4 +1,4 @@
-"""What `jaxgeo register` makes of its options, and what it writes of a registration."""
+"""Inputs of `jaxgeo register`: error sources, pixels, checks and output folder."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from jaxgeo.cli._inputs import check_on_image, numbers_in
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 OLD = ".old"
 DEM_CORRELATION = 500.0  # m, default correlation length of height errors
-LEAST_BLOCK = 32  # cells on a side; what is smaller looks like too much else
-PICTURED = 1024  # cells along a side of what a picture shows, at most
-TILE = 256  # as registration rectifies: the same programs serve
+LEAST_BLOCK = 32  # cells per side; smaller blocks match too many places
+PICTURED = 1024  # cells per side of the figure, at most
+TILE = 256  # as in registration, to reuse compiled programs
 
 
 class Sigmas(NamedTuple):
-    """Standard deviations as they were typed; None where nothing was."""
+    """Standard deviations as typed; None if not given."""
 
     position: str
     attitude: str
@@ -48,8 +48,7 @@ class Sigmas(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Sources of the navigation, errors of ties, by how many m the height of one place errs beside what is common to
-    all, and what was assumed, in words."""
+    """Error sources of the navigation, tie errors, the local part of the DEM height sigma in m, and assumptions."""
 
     sources: tuple[Any, ...]
     tie_errors: Any
@@ -58,7 +57,7 @@ class Errors(NamedTuple):
 
 
 def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float) -> Errors:
-    """Error sources from options; `cell` in m is that of the reference. Raises `UserError`."""
+    """Error sources from options; `cell` is the cell size of the reference in m. Raises `UserError`."""
     from jaxgeo.register import TieErrors
     from jaxgeo.uncertainty import sources
 
@@ -68,21 +67,21 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
     if sigmas.focal is not None or sigmas.principal is not None:
         lens = interior_errors(sigmas.focal, sigmas.principal, scene_path, pixel_pitch_of(scene_path))
         if lens is None:
-            raise UserError("--focal-sigma and --principal-sigma are zero: what is exact is left out.")
+            raise UserError("--focal-sigma and --principal-sigma are zero: leave out what is exact.")
         found.append(lens)
     assumed = []
     if sigmas.reference is None:
-        assumed.append(f"the reference lies within {cell:.3g} m, one of its cells, of the truth (--reference-sigma)")
+        assumed.append(f"reference position sigma: {cell:.3g} m, one cell (--reference-sigma)")
     if sigmas.dem is None:
-        assumed.append(f"heights of the elevation model err by {DEM_SIGMA:g} m (--dem-sigma)")
+        assumed.append(f"DEM height sigma: {DEM_SIGMA:g} m (--dem-sigma)")
     if sigmas.dem_correlation is None and sigmas.dem != 0.0:
-        assumed.append(f"they err alike over some {DEM_CORRELATION:g} m (--dem-correlation)")
+        assumed.append(f"correlation length of DEM errors: {DEM_CORRELATION:g} m (--dem-correlation)")
     shift = checked_sigma("--reference-sigma", cell if sigmas.reference is None else sigmas.reference)
     terrain = checked_sigma("--dem-sigma", DEM_SIGMA if sigmas.dem is None else sigmas.dem)
     registration = checked_sigma("--registration-sigma", sigmas.registration)
     length = DEM_CORRELATION if sigmas.dem_correlation is None else sigmas.dem_correlation
     length = checked_sigma("--dem-correlation", length, "a distance")
-    half = terrain / math.sqrt(2.0)  # of the variance: one part common to all heights, the other alike over the length
+    half = terrain / math.sqrt(2.0)  # half the variance is common to all heights, half correlated over the length
     if half > 0.0:
         found.append(sources.TerrainHeight.from_metres(half))
     ties = TieErrors(registration=registration, shift=shift)
@@ -95,7 +94,7 @@ def errors_of(sigmas: Sigmas, scene: Any, scene_path: pathlib.Path, cell: float)
 
 
 def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:
-    """Pixels from the command line; the middle of the image without any. Raises `UserError` for one beside it."""
+    """Pixels from the command line; the image centre if none. Raises `UserError` for one outside the image."""
     found = [numbers_in("--pixel", text, (2,), "COLUMN,ROW, e.g. --pixel 100,200") for text in texts]
     for text, uv in zip(texts, found, strict=True):
         check_on_image(text, uv, camera)
@@ -103,34 +102,30 @@ def pixels_in(texts: list[str], camera: Any) -> list[list[float]]:
 
 
 def check_search(block: int, probability: float) -> None:
-    """Raises `UserError` for options of the search with which nothing would be found."""
+    """Raises `UserError` for search options with which no match could be found."""
     if block < LEAST_BLOCK:
-        raise UserError(
-            f"--block {block}: blocks have {LEAST_BLOCK} cells on a side at least, as smaller ones look like too many "
-            f"places; this is how large they may become."
-        )
+        raise UserError(f"--block {block}: must be at least {LEAST_BLOCK} cells; smaller blocks match too many places.")
     if not 0.5 < probability < 1.0:
         raise UserError(
-            f"--probability {probability:g}: it lies between 0.5 and 1; with less, most shifts would lie outside what "
-            f"is searched."
+            f"--probability {probability:g}: must be between 0.5 and 1; with less, most shifts would be outside the "
+            f"search window."
         )
 
 
 def check_folder(folder: pathlib.Path, inputs: Iterable[str | os.PathLike[str]]) -> None:
-    """Raises `ValueError` where a result would take the place of one of the inputs, or cannot be written to a folder,
-    which need not be there."""
+    """Raises `ValueError` if a result would overwrite an input, `UserError` if the folder cannot be written to; it need
+    not exist."""
     results = [folder / name for name in FILES]
     check_no_input("--output", results, inputs)
     check_writable(folder)
     for path in results:
         if path.is_dir():
-            raise UserError(f"--output {folder}: {path} is a folder, where a file is to be written; name another.")
+            raise UserError(f"--output {folder}: {path} is a folder, but a file is to be written there; name another.")
 
 
 @contextlib.contextmanager
 def new_results(folder: pathlib.Path) -> Iterator[None]:
-    """What an earlier registration left in a folder is gone when new results are all written, so that nothing of it
-    seems to be new; where they cannot be written, it comes back."""
+    """Replace the results of an earlier registration once all new ones are written; on failure restore them."""
     for one in left_over(folder, OLD):
         _put_back(one, folder)
     aside = hidden_name(folder / FILES[0], OLD)
@@ -154,21 +149,21 @@ def _put_back(aside: pathlib.Path, folder: pathlib.Path) -> None:
 
 
 def _move(source: pathlib.Path, target: pathlib.Path) -> None:
-    """The results that are in one folder into another."""
+    """Move existing results from one folder to another."""
     for name in FILES:
         with contextlib.suppress(FileNotFoundError):
             (source / name).replace(target / name)
 
 
 class Seen(NamedTuple):
-    """What an image shows of a reference: from which (row, col) on, and how many of its cells, (rows, cols)."""
+    """The part of a reference an image covers: first (row, col), and shape (rows, cols) in cells."""
 
     corner: tuple[int, int]
     shape: tuple[int, int]
 
 
 def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: Any) -> Seen | None:
-    """The part of a reference on which an image lies; None if it lies beside it."""
+    """The part of a reference an image covers; None without overlap."""
     from jaxgeo.observation import Exposure
     from jaxgeo.register.prediction import window_of
     from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -181,7 +176,7 @@ def seen_part(sensor: Any, shot: Any, terrain: Any, atmosphere: Any, reference: 
 
 
 def fixes_of(scene: Any, shot: Any, terrain: Any, errors: Errors, found: Any, pixels: list[list[float]]) -> list[Any]:
-    """(pixel, fix by the navigation, fix as registered or None) of pixels."""
+    """(pixel, fix from the navigation, fix after registration or None) of each pixel."""
     from jaxgeo.uncertainty import propagate
     from jaxgeo.uncertainty.sharing import PerMeasurement
     from jaxgeo.uncertainty.sources import TerrainHeight
@@ -198,9 +193,9 @@ def fixes_of(scene: Any, shot: Any, terrain: Any, errors: Errors, found: Any, pi
 def picture_of(
     found: Any, reference: Any, look: tuple[Any, Any, Any, Any], image: Any, errors: Errors, fix: Any
 ) -> Any:
-    """The page of figures, drawn; None where there is nothing to see. Raises `ImportError` without matplotlib.
+    """The registration figure; None if image and reference do not overlap. Raises `ImportError` without matplotlib.
 
-    `look` is (sensor, shot, terrain, atmosphere) as given, `image` grey values and where they are known.
+    `look` is (sensor, shot, terrain, atmosphere) as given, `image` is (grey values, mask of known pixels).
     """
     from jaxgeo.plot.registration_page import registration_figure
     from jaxgeo.register import Prior

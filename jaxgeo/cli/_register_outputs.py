@@ -1,4 +1,4 @@
-"""What `jaxgeo register` writes and shows of a registration."""
+"""Output files and report of `jaxgeo register`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgeo.cli._results import print_json
 from jaxgeo.cli._screen import bars_on_stderr, number_table, tell
 
 UNKNOWNS = {
-    "name": ("error of", ""),
+    "name": ("parameter", ""),
     "unit": ("unit", ""),
     "change": ("change", ".5g"),
     "sigma_before": ("sigma before", ".3g"),
@@ -30,7 +30,7 @@ FIXES = {
 
 
 class Work(NamedTuple):
-    """What is registered with what."""
+    """Image, scene, reference and terrain of one registration."""
 
     image: pathlib.Path
     values: Any
@@ -45,7 +45,7 @@ class Work(NamedTuple):
 
 
 def written(work: Work, errors: Errors, pixels: list[list[float]], found: Any, folder: pathlib.Path) -> dict[str, Any]:
-    """All files but the report, and what that is to hold."""
+    """Write all files except the report; returns the report content."""
     from jaxgeo.io import write_tie_points, write_updated_scene
     from jaxgeo.io.registration_report import fix_report, report_of, tie_rows, versions
     from jaxgeo.register.places import places_of_blocks
@@ -72,7 +72,7 @@ def written(work: Work, errors: Errors, pixels: list[list[float]], found: Any, f
 
 
 def _ortho(work: Work, found: Any, path: pathlib.Path) -> dict[str, Any]:
-    """The image on the very cells of the reference, as far as it reaches there."""
+    """Orthoimage on the cell grid of the reference, over their overlap."""
     from jaxgeo.io import MapRaster, rectify_file
 
     air = work.scene.atmosphere
@@ -102,7 +102,7 @@ def _ortho(work: Work, found: Any, path: pathlib.Path) -> dict[str, Any]:
 
 
 def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Path) -> bool:
-    """Draw the page of figures; whether there is one."""
+    """Write the registration figure; returns whether there is one."""
     import numpy as np
 
     grey = np.asarray(work.values, np.float32).mean(axis=0, keepdims=True)
@@ -110,7 +110,7 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
     try:
         figure = picture_of(found, work.reference, look, (grey, work.known), errors, fix)
     except ImportError as error:
-        tell(f"there is no picture, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        tell(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         return False
     if figure is None:
         return False
@@ -120,7 +120,7 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
 
 
 def reported(content: dict[str, Any], folder: pathlib.Path, found: Any, as_json: bool) -> None:
-    """The report on the screen."""
+    """Print the report."""
     if as_json:
         print_json("register", content)
         return
@@ -131,10 +131,10 @@ def reported(content: dict[str, Any], folder: pathlib.Path, found: Any, as_json:
         ties = content["ties"]
         caption = (
             f"{ties['count']} ties, residuals {ties['residuals_rms_px']:.2f} px, sigma0 {ties['sigma0_ties']:.2f}; "
-            f"a match errs by {ties['registration_sigma_m']:.3g} m on the map"
+            f"match sigma {ties['registration_sigma_m']:.3g} m on the map"
         )
         console.print(number_table(rows, UNKNOWNS, caption))
-    console.print(number_table(_fix_rows(content["pixels"]), FIXES, "CE90: radius that holds the point with 90 %"))
+    console.print(number_table(_fix_rows(content["pixels"]), FIXES, "CE90: radius of the 90 % horizontal circle"))
     names = ", ".join([*content["files"], "report.json"])
     console.print(f"{folder}: {names}; {content['seconds']['all']:.1f} s", highlight=False, soft_wrap=True)
 

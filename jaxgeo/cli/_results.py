@@ -1,4 +1,4 @@
-"""Results for machines: one JSON object on stdout, of the same shape for every command."""
+"""Machine-readable results: one JSON object on stdout, of the same shape for every command."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ import typer
 
 from jaxgeo.cli._console import as_json
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the whole result as one JSON object, and nothing else.")]
-NOT_ASKED = {"as_json", "debug"}  # how it is said, not what is asked
+AsJson = Annotated[bool, typer.Option("--json", help="Print the whole result as one JSON object only.")]
+NOT_ASKED = {"as_json", "debug"}  # output options, not inputs
 
 
 def print_json(command: str, content: Mapping[str, Any]) -> None:
     """Print the result of a command.
 
-    It is one object: `command`, `jaxgeo` (the version), `inputs` (what was asked), `assumed` (sentences: what nobody
-    said), then the command's own, and `versions` of what computed it. Angles are in degrees where names say `_deg`,
-    lengths in m; numbers have all their digits; what is unknown is null; a status is its name, and `status_text` says
-    it in a sentence.
+    It is one object: `command`, `jaxgeo` (the version), `inputs` (options), `assumed` (sentences), then the command's
+    own keys, and `versions` of the software. Angles are in degrees where names end in `_deg`, lengths in m; numbers
+    have full precision; unknown values are null; a status is its name, with its sentence in `status_text`.
     """
     from jaxgeo.io.registration_report import versions
 
@@ -34,7 +33,7 @@ def print_json(command: str, content: Mapping[str, Any]) -> None:
 
 
 def version() -> str:
-    """That of the package, as it was installed."""
+    """Installed version of the package."""
     try:
         return importlib.metadata.version("jaxgeo")
     except importlib.metadata.PackageNotFoundError:
@@ -42,12 +41,12 @@ def version() -> str:
 
 
 def asked(options: Mapping[str, Any]) -> dict[str, Any]:
-    """What was asked for, of the `locals()` with which a command begins: options by name, but for those left out."""
+    """Given options by name, from the `locals()` at the start of a command."""
     return {name: plain(value) for name, value in options.items() if name not in NOT_ASKED and value is not None}
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: NaN and infinities are null, arrays lists, members of enums and paths texts."""
+    """A JSON value: NaN and infinities become null, arrays lists, enum members and paths strings."""
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, enum.Enum):
@@ -64,7 +63,7 @@ def plain(value: Any) -> Any:
 
 
 def status_words(status: Any, instead: str | None = None) -> dict[str, str]:
-    """`status` and `status_text` of a result; `instead` is what `hit` means here."""
+    """`status` and `status_text` of a result; `instead` replaces the sentence of `hit`."""
     from jaxgeo.status import Status
 
     found = Status(int(status))

@@ -1,4 +1,4 @@
-"""What a command shows: messages and counts on stderr, fixes as a table."""
+"""Terminal output: messages, progress and status counts on stderr, tables of fixes."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Item = TypeVar("Item")
 
 
 def tell(message: str) -> None:
-    """A message on stderr, every line of it under the name of the command."""
+    """Print a message on stderr, each line prefixed with `jaxgeo:`."""
     text = "\n".join(f"jaxgeo: {line}" for line in message.splitlines())
     stderr().print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def stderr() -> Console:
-    """The console of messages, made anew: stderr may have been redirected."""
+    """A new console on stderr, which may have been redirected."""
     return Console(stderr=True)
 
 
 @contextlib.contextmanager
 def working(words: str) -> Iterator[None]:
-    """A spinner on stderr, if that is a terminal, for as long as work goes on."""
+    """Show a spinner on stderr, if that is a terminal, during the `with` block."""
     console = stderr()
     if console.is_terminal:
         with console.status(f"{words} ..."):
@@ -40,16 +40,16 @@ def working(words: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def bars_on_stderr() -> Iterator[bool]:
-    """What the library shows of its progress on the screen goes to stderr: stdout is for results.
+    """Redirect the library's progress output to stderr: stdout is for results.
 
-    Gives whether it is to show any: whether stderr is a terminal.
+    Yields whether to show progress: whether stderr is a terminal.
     """
     with contextlib.redirect_stdout(sys.stderr):
         yield stderr().is_terminal
 
 
 def track(items: Sequence[Item], words: str) -> Iterator[Item]:
-    """The items with a bar on stderr, which says of the first that its programs are compiled."""
+    """Iterate with a progress bar on stderr, labelled `compiling` during the first item."""
     with progress_bar() as progress:
         task = progress.add_task(f"compiling, {words}", total=len(items))
         for count, item in enumerate(items, 1):
@@ -58,14 +58,14 @@ def track(items: Sequence[Item], words: str) -> Iterator[Item]:
 
 
 def progress_bar() -> Progress:
-    """A bar on stderr, if that is a terminal, that goes away when the work is done."""
+    """A transient progress bar on stderr, disabled if that is no terminal."""
     console = stderr()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def print_counts(counts: dict[str, int], total: int, noun: str = "pixel", hit: str | None = None) -> None:
-    """How many pixels, or what else, have which status, and what each means (`hit` says what that one), on stderr."""
+    """Print the number of pixels (or `noun`) per status on stderr; `hit` replaces the sentence of that status."""
     from jaxgeo.status import Status
 
     console = stderr()
@@ -76,7 +76,7 @@ def print_counts(counts: dict[str, int], total: int, noun: str = "pixel", hit: s
 
 
 def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
-    """Fixes as a table for the screen, 80 columns wide."""
+    """Table of fixes, 80 characters wide."""
     columns = {
         "u": ("u", ".0f"),
         "v": ("v", ".0f"),
@@ -89,8 +89,8 @@ def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
         "status": ("status", ""),
     }
     caption = (
-        "u, v: column and row; height, msl: m above WGS 84 and above EGM96 mean sea level; "
-        "range: slant range, m; inc.: incidence at the surface, deg"
+        "u, v: column and row; height, msl: m above WGS 84 and EGM96 mean sea level; "
+        "range: slant range, m; inc.: incidence angle, deg"
     )
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
     table.caption_justify = "left"
@@ -103,7 +103,7 @@ def fix_table(rows: list[dict[str, Any]], title: str | None = None) -> Table:
 
 
 def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], caption: str = "") -> Table:
-    """Rows as a table for the screen: `columns` name the cells shown, with a header and a format; None is blank."""
+    """Table of rows: `columns` maps keys to (header, format); None is blank."""
     table = Table(caption=caption or None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
     for header, spec in columns.values():
         table.add_column(header, justify="right" if spec else "left", no_wrap=True)
@@ -114,7 +114,7 @@ def number_table(rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]]
 
 
 def _plain(value: Any) -> Any:
-    """A cell of a CSV file as a number, if it is one."""
+    """A CSV cell as a number, if it is one."""
     try:
         return float(value)
     except ValueError:

@@ -1,7 +1,7 @@
-"""The four studies in processes of their own, as many at a time as there are cores, up to two.
+"""The four studies in subprocesses, as many at a time as there are cores, up to two.
 
-Most of a study is compiling, which takes one core. A process that is left alone, because the command was interrupted,
-ends by itself: its standard input is closed then.
+Most of a study is compilation, which uses one core. A subprocess ends when its standard input closes, so it does not
+outlive an interrupted command.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from jaxgeo.studies.all_studies import RUNS, Study
 
 AT_A_TIME = 2
 LONGEST_FIRST = ("gu2017", "li2023", "xue2019", "li2020")
-WAIT = 0.1  # s between looks at the processes
+WAIT = 0.1  # s between polls of the processes
 MODULE = "jaxgeo.cli._studies_apart"
 
 
 def found_apart(seed: int, folder: pathlib.Path | None) -> list[Study]:
-    """What all studies find, in the order of `RUNS`; tables and pictures go into a folder that is there.
+    """Results of all studies, in the order of `RUNS`; tables and figures go into an existing folder.
 
-    Progress is shown on stderr. Raises `RuntimeError` with what a study wrote to stderr where it fails.
+    Progress is shown on stderr. Raises `RuntimeError` with the stderr of a study that fails.
     """
     waiting, going, done = list(LONGEST_FIRST), {}, {}
     with tempfile.TemporaryDirectory() as place, progress_bar() as progress:
@@ -46,7 +46,7 @@ def found_apart(seed: int, folder: pathlib.Path | None) -> list[Study]:
                     if process.returncode != 0 or not written.exists():
                         told = (pathlib.Path(place) / f"{name}.txt").read_text(encoding="utf-8", errors="replace")
                         raise RuntimeError(f"study {name} ended with {process.returncode}: {told[-2000:]}")
-                    done[name] = pickle.loads(written.read_bytes())  # of our own process
+                    done[name] = pickle.loads(written.read_bytes())  # written by our own subprocess
                     progress.update(task, completed=len(done), description=_words(going))
                 time.sleep(WAIT)
         finally:
@@ -75,12 +75,12 @@ def _close(process: subprocess.Popen[bytes]) -> None:
 
 
 def _end_with_parent() -> None:
-    os.read(0, 1)  # not by sys.stdin, whose lock a thread would hold when the process ends
+    os.read(0, 1)  # not sys.stdin: its lock would be held at exit
     os._exit(1)
 
 
 def main(words: list[str]) -> None:
-    """One study: its name, the seed, the file for what it finds, and perhaps a folder for tables and pictures."""
+    """Run one study; `words` are its name, seed, result file and, optionally, a folder for tables and figures."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from jaxgeo._checks import enable_x64

@@ -1,4 +1,4 @@
-"""`jaxgeo demo`: an oblique camera over real terrain."""
+"""`jaxgeo demo`: geolocation example with an oblique camera over real terrain."""
 
 from __future__ import annotations
 
@@ -15,23 +15,21 @@ from jaxgeo.cli._inputs import keep_inputs
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import fix_table, print_counts, tell, working
 
-PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # that matplotlib writes by itself
+PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # written by matplotlib itself
 
 
 def demo_command(
     output: Annotated[
         pathlib.Path,
-        typer.Option("--output", "-o", metavar="FILE", help="The picture: .png, .pdf, .svg, ..."),
+        typer.Option("--output", "-o", metavar="FILE", help="Figure file: .png, .pdf, .svg, ..."),
     ] = pathlib.Path("jaxgeo-demo.png"),
-    write_scene: Annotated[
-        pathlib.Path | None, typer.Option(metavar="FILE", help="Also write the scene file, to start from.")
-    ] = None,
+    write_scene: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Also write the scene file.")] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """An oblique camera over real terrain: a table of fixes and a picture.
+    """Geolocation example with an oblique camera over real terrain: a table of fixes and a figure.
 
-    Without matplotlib (pip install 'jaxgeo\\[plot]') there is the table only, and the exit code is 1.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') only the table is printed, and the exit code is 1.
     """
     inputs = asked(locals())
     with report_errors(debug):
@@ -39,7 +37,7 @@ def demo_command(
 
 
 def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
-    """With `inputs`, what is found is printed as JSON."""
+    """Run the demo; with `inputs`, print the result as JSON."""
     from jaxgeo import demo
 
     _check_one_is_not_the_other(output, write_scene)
@@ -53,12 +51,12 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
             print_json("demo", {"inputs": inputs, **_content(made, rows)})
         _draw(made, stream, picture_format)
     if inputs is None:
-        Console().print(f"picture: {output}", highlight=False, soft_wrap=True)
+        Console().print(f"figure: {output}", highlight=False, soft_wrap=True)
 
 
 def _check_one_is_not_the_other(output: pathlib.Path, write_scene: pathlib.Path | None) -> None:
     if write_scene is not None and write_scene.resolve() == output.resolve():
-        raise UserError(f"--write-scene {write_scene}: the picture goes there; name another file.")
+        raise UserError(f"--write-scene {write_scene}: the figure is written there; name another file.")
 
 
 def _picture_format(output: pathlib.Path) -> str:
@@ -66,7 +64,7 @@ def _picture_format(output: pathlib.Path) -> str:
         return output.suffix.lower().removeprefix(".")
     if is_device(output):
         return "png"
-    raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(PICTURES)}.")
+    raise UserError(f"--output {output}: {name_says(output)}; use {', '.join(PICTURES)}.")
 
 
 def _write_demo_scene(path: pathlib.Path) -> None:
@@ -77,7 +75,7 @@ def _write_demo_scene(path: pathlib.Path) -> None:
 
 
 def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
-    """(rows of fixes, all that was made), on the screen if it `shows` them."""
+    """(rows of fixes, the demo), printed if `shows`."""
     from jaxgeo import demo
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import height_msl
@@ -97,21 +95,21 @@ def _show_demo(shows: bool) -> tuple[list[dict[str, Any]], Any]:
         {name: sum(row["status"] == name for row in rows) for name in {row["status"] for row in rows}}, len(rows)
     )
     if shows:
-        console.print(f"\nHow sure fix {made.errors.number} of them is, by every method:", highlight=False)
+        console.print(f"\nAccuracy of fix {made.errors.number}, by method:", highlight=False)
         for part in (made.errors.comparison, made.errors.accuracy, made.errors.budget):
             console.print(str(part), highlight=False, soft_wrap=True)
     return rows, made
 
 
 def _content(made: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The fixes, and how sure one of them is."""
+    """The fixes, and the accuracy of one of them."""
     errors = made.errors
     sure = {"number": errors.number, "comparison": str(errors.comparison), "accuracy": str(errors.accuracy)}
     return {"title": made.title, "fixes": _numbers(made, rows), "errors": sure | {"budget": errors.budget.to_dict()}}
 
 
 def _numbers(made: Any, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows with all digits."""
+    """The rows with full precision."""
     found = made.fix.to_dict()
     return [
         {"u": row["u"], "v": row["v"], **{name: values[i] for name, values in found.items()}}
@@ -120,11 +118,11 @@ def _numbers(made: Any, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _draw(made: Any, stream: Any, picture_format: str) -> None:
-    """The picture into a stream; without matplotlib a message and exit code 1."""
+    """Write the figure to a stream; without matplotlib a message and exit code 1."""
     from jaxgeo import demo
 
     try:
         demo.draw(made, stream, picture_format)
     except ImportError as error:
-        tell(f"there is no picture, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        tell(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(NO_ANSWER) from None

@@ -1,4 +1,4 @@
-"""`jaxgeo footprint`: the ground that images cover."""
+"""`jaxgeo footprint`: image footprints on the ground."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ COLUMNS = {
     "status": ("status", ""),
 }
 CAPTION = (
-    "hidden: length of the outline over ground that nearer ground hides; m that the ground moves from a column to the "
-    "next, from a row to the next, and for a pixel along and across the line of sight, at the middle of the image"
+    "hidden: length of the outline over ground hidden by terrain; columns, rows, along, across: GSD (m) per column, "
+    "per row, along and across the line of sight, at the image centre"
 )
 
 
@@ -64,29 +64,27 @@ def footprint_command(
     height_datum: HeightDatum = None,
     output: Annotated[
         pathlib.Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); none if left out."
-        ),
+        typer.Option("--output", "-o", metavar="FILE", help="File to write (.geojson, .json, .gpkg); default: none."),
     ] = None,
     crs: Annotated[
-        str, typer.Option(metavar="CRS", help='Map of the file: "EPSG:4326", "EPSG:32616", ...')
+        str, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:4326", "EPSG:32616", ...')
     ] = "EPSG:4326",
-    tolerance: Annotated[float, typer.Option(help="How near the outline comes to the true one, m.")] = 1.0,
-    edges: Annotated[bool, typer.Option("--edges", help="Also lines along what is seen, and over what is hidden.")] = (
+    tolerance: Annotated[float, typer.Option(help="Tolerance of the outline, m.")] = 1.0,
+    edges: Annotated[bool, typer.Option("--edges", help="Also write lines along visible and over hidden ground.")] = (
         False
     ),
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The ground that images cover: outlines for a map, their areas, and how large a pixel is in their middle."""
+    """Image footprints on the terrain: outlines for a map, areas, and ground sample distance (GSD) at the centre."""
     inputs = asked(locals())
     with report_errors(debug):
         if output is not None:
             _check_output(output)
         if not tolerance > 0.0:
-            raise UserError(f"--tolerance {tolerance:g}: it must be above 0 m.")
+            raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         if height_datum is not None and shots is None:
-            raise UserError(f"--height-datum {height_datum} is that of the heights of --shots FILE; leave it out.")
+            raise UserError(f"--height-datum {height_datum} applies to the heights of --shots FILE; leave it out.")
         ground = (
             dem,
             vertical_datum,
@@ -99,7 +97,7 @@ def footprint_command(
 
 def _check_output(output: pathlib.Path) -> None:
     if output.suffix.lower() not in ENDINGS:
-        raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(ENDINGS)}.")
+        raise UserError(f"--output {output}: {name_says(output)}; use {', '.join(ENDINGS)}.")
     check_place("--output", output)
 
 
@@ -111,7 +109,7 @@ def _footprint(
     output: pathlib.Path | None,
     drawn: tuple[str, float, bool],
 ) -> tuple[list[dict[str, Any]], list[Any]]:
-    """(numbers of each footprint, the footprints), written if there is an output."""
+    """(table rows, footprints) of the shots, written to `output` if given."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import write_footprints
     from jaxgeo.io.footprints import check_footprint_file
@@ -130,7 +128,7 @@ def _footprint(
         check_footprint_file(output, crs, _attributes(carried), len(shots))
     terrain = read_terrain(*ground)
     outlines, rows = [], []
-    for index, shot in enumerate(track(shots, "outlining")):
+    for index, shot in enumerate(track(shots, "computing footprints")):
         outline, row = _outlined(scene, shot, terrain, tolerance)
         outlines.append(outline)
         rows.append({"shot": index, **row})
@@ -140,7 +138,7 @@ def _footprint(
 
 
 def _show(rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any] | None) -> None:
-    """A table, or with `inputs` all there is as JSON; the count of statuses on stderr."""
+    """Print a table, or with `inputs` the full result as JSON; status counts on stderr."""
     from jaxgeo.io.footprints import WHOLE
 
     names = [row["status"] for row in rows]
@@ -154,7 +152,7 @@ def _show(rows: list[dict[str, Any]], outlines: list[Any], inputs: dict[str, Any
 
 
 def _places(outline: Any) -> list[dict[str, Any]]:
-    """What the edge of the image sees, place by place: clockwise in the image, from its upper left corner."""
+    """Ground points of the image edge: clockwise in the image, from its upper left corner."""
     import numpy as np
 
     numbers = zip(*(np.asarray(one) for one in outline.fix.position.to_degrees()), strict=True)
@@ -167,7 +165,7 @@ def _places(outline: Any) -> list[dict[str, Any]]:
 
 
 def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
-    """(the footprint of a shot, its numbers)."""
+    """(footprint of a shot, its table row)."""
     from jaxgeo.coverage import footprint, ground_sample_distance
     from jaxgeo.status import Status
 
@@ -186,7 +184,7 @@ def _known(number: Any) -> float | None:
 
 
 def _attributes(carried: Iterable[dict[str, str]]) -> list[dict[str, Any]]:
-    """What a table of shots says of them, but for names that the file has by itself: numbers where all are."""
+    """Columns of a table of shots, except names used by the file itself; numeric if all cells are."""
     from jaxgeo.io.footprints import TAKEN
 
     rows = list(carried)

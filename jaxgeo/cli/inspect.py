@@ -1,4 +1,4 @@
-"""`jaxgeo inspect`: the exposures in a file, and what had to be assumed."""
+"""`jaxgeo inspect`: the exposures in a file, and the assumptions of its reader."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import number_table
 
-SHOWN = 5  # exposures on the screen
+SHOWN = 5  # exposures printed
 
 
 def inspect_command(
@@ -64,14 +64,14 @@ def inspect_command(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write all exposures to a table (.csv), with the middle of each image as its pixel.",
+            help="Write all exposures to a table of shots (.csv), with the image centre as pixel.",
         ),
     ] = None,
-    tags: Annotated[bool, typer.Option("--tags", help="With --json: all that the file says of each exposure.")] = False,
+    tags: Annotated[bool, typer.Option("--tags", help="With --json: all tags of each exposure.")] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The exposures in a file: cameras, poses, errors, and what its reader had to assume."""
+    """Exposures in a file: cameras, poses, error sources, and the assumptions of its reader."""
     inputs = asked(locals())
     inputs |= {"file": inputs.pop("files")[0]} if len(files) == 1 else {}
     with report_errors(debug):
@@ -79,11 +79,11 @@ def inspect_command(
 
         if output is not None:
             if output.suffix.lower() != ".csv":
-                raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
+                raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
             check_place("--output", output)
             keep_inputs("--output", output, [*_files_in(files), errors, interior, positions])
         if tags and not as_json:
-            raise UserError("--tags goes with --json.")
+            raise UserError("--tags needs --json.")
         enable_x64()
         how = how_to_read(
             height_datum,
@@ -118,7 +118,7 @@ def _files_in(files: list[pathlib.Path]) -> list[pathlib.Path]:
 
 
 def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[Any, str | None]:
-    """(the exposures, why their heights are not known): without a datum they are shown as the files have them."""
+    """(exposures, why their vertical datum is unknown or None); without a datum heights are as in the files."""
     from jaxgeo.io.acquisitions import UnstatedDatum
 
     try:
@@ -127,12 +127,12 @@ def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[Any, str | No
         if not isinstance(error.__cause__, UnstatedDatum):
             raise
         found = read_files(files, {**how, "height_datum": "ellipsoid"})
-        assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # nobody said so
+        assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # not stated
         return dataclasses.replace(found, assumed=assumed), str(error)
 
 
 def _write(output: pathlib.Path, found: Any, rows: list[dict[str, Any]]) -> None:
-    """A table of shots, with what its columns do not say: what heights and the gimbal's angles are measured from."""
+    """Write a table of shots, with columns for the vertical datum and the gimbal reference."""
     from jaxgeo.io.tables import write_csv
 
     more = {"height_datum": "ellipsoid"}
@@ -150,7 +150,7 @@ def _text(name: str, value: Any) -> Any:
 def _content(
     files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool
 ) -> dict[str, Any]:
-    """Content of all exposures and of each part of one structure, such as those of one camera."""
+    """JSON content: all exposures, and each part of one structure (one camera)."""
     parts = [
         {"form": one.form, "facts": dict(one.facts), "sensor": _sensor(one), "errors": _errors(one), "count": len(one)}
         for one in found.parts
@@ -220,13 +220,13 @@ def _show(files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], uns
         console.print("  errors: " + ("; ".join(words) if words else "none"), markup=False)
     console.print(number_table(rows[:SHOWN], _columns(rows)))
     if count > SHOWN:
-        console.print(f"  ... and {count - SHOWN} more; --json and --output have them all", markup=False)
+        console.print(f"  ... and {count - SHOWN} more; --json and --output list all", markup=False)
     if unread:
-        console.print(f"  {_counted(unread, 'file')} could not be read; --json has the reason of each", markup=False)
+        console.print(f"  {_counted(unread, 'file')} could not be read; --json lists the reasons", markup=False)
     if "range_off_m" in rows[0]:
         console.print(_comparison(rows), markup=False)
     if unstated is not None:
-        console.print("Vertical datum unknown: heights are as the file has them.", markup=False)
+        console.print("Vertical datum unknown: pass --height-datum (below).", markup=False)
         console.print(f"  {as_typed(unstated)}", markup=False)
     if found.assumed:
         console.print("assumed:")
@@ -239,7 +239,7 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
-    """Headers and formats of what the screen shows of exposures."""
+    """Headers and formats of the printed exposure table."""
     row, compared = rows[0], any(one.get("centre_lat_deg") is not None for one in rows)
     shown = {"name": ("name", ""), "lat_deg": ("lat, deg", ".7f"), "lon_deg": ("lon, deg", ".7f")}
     shown |= {"height_m": ("height, m", ".2f")}
@@ -247,11 +247,11 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     gimbal = [name for name in row if name.startswith("gimbal_")]
     shown |= {name: (name.removeprefix("gimbal_").removesuffix("_deg"), ".2f") for name in gimbal}
     beside = {
-        "range_off_m": "range, m",
-        "axis_off_azimuth_mrad": "azimuth",
-        "axis_off_elevation_mrad": "elevation, mrad",
+        "range_off_m": "range m",
+        "axis_off_azimuth_mrad": "azimuth mrad",
+        "axis_off_elevation_mrad": "elevation mrad",
     }
-    return shown | {name: (f"off: {title}", ".2f") for name, title in beside.items() if name in row and compared}
+    return shown | {name: (f"diff {title}", ".2f") for name, title in beside.items() if name in row and compared}
 
 
 def _sensor_line(found: Any) -> str:
@@ -260,7 +260,7 @@ def _sensor_line(found: Any) -> str:
         return "  sensor: none in this file"
     (fu, fv), (across, down) = told["focal_px"], told["field_of_view_deg"]
     gimbal = ", ".join(told["gimbal"])
-    held = f"gimbal {gimbal} against the {told['gimbal_reference']}" if gimbal else "fixed, no gimbal"
+    held = f"gimbal {gimbal} relative to the {told['gimbal_reference']}" if gimbal else "fixed, no gimbal"
     return (
         f"  sensor: {told['width']} x {told['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, field of view "
         f"{across:.2f} x {down:.2f} deg, {held}"
@@ -268,7 +268,7 @@ def _sensor_line(found: Any) -> str:
 
 
 def _comparison(rows: list[dict[str, Any]]) -> str:
-    """How far the file's own figures are apart, over all exposures."""
+    """Percentiles of the differences to the reported range, frame centre and corners, over all exposures."""
     import numpy as np
 
     def middle(name: str, places: int) -> str:
@@ -279,10 +279,10 @@ def _comparison(rows: list[dict[str, Any]]) -> str:
         return f"{mid:+.{places}f} ({low:+.{places}f} to {high:+.{places}f})"
 
     if all(row["centre_lat_deg"] is None for row in rows):
-        return "the file reports no centre of its images to compare our lines of sight with"
+        return "the file reports no frame centres to compare the lines of sight with"
     return (
-        "against the centre of the image that the file reports, medians (5 to 95 %): its slant range less the distance "
-        f"{middle('range_off_m', 2)} m; our line of sight {middle('axis_off_azimuth_mrad', 2)} mrad across, "
-        f"{middle('axis_off_elevation_mrad', 2)} mrad in elevation, which is {middle('axis_off_east_m', 1)} m east and "
-        f"{middle('axis_off_north_m', 1)} m north; reported corners turned by {middle('image_off_turn_deg', 2)} deg"
+        "comparison with the reported frame centre, medians (5 to 95 %): reported slant range minus computed: "
+        f"{middle('range_off_m', 2)} m; line of sight off by {middle('axis_off_azimuth_mrad', 2)} mrad in azimuth, "
+        f"{middle('axis_off_elevation_mrad', 2)} mrad in elevation: {middle('axis_off_east_m', 1)} m east, "
+        f"{middle('axis_off_north_m', 1)} m north; reported corners rotated by {middle('image_off_turn_deg', 2)} deg"
     )

@@ -1,4 +1,4 @@
-"""`jaxgeo locate`: the ground points that pixels see, and how sure they are."""
+"""`jaxgeo locate`: ground coordinates of pixels and their accuracy."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
 
 
 class Format(StrEnum):
-    """How fixes are written to the screen, a pipe, or a file of any name."""
+    """Output format for the terminal, a pipe, or a file of any name."""
 
     table = "table"
     csv = "csv"
@@ -104,16 +104,14 @@ def locate_command(
         bool | None,
         typer.Option(
             "--accuracy/--no-accuracy",
-            help="How sure each fix is; by default where it is known how a FILE or a scene errs, but not for --shots.",
+            help="Report CE/LE/SE; on by default if the input states errors, except for --shots.",
             show_default=False,
             rich_help_panel=SURE,
         ),
     ] = None,
     probability: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE", help="Of the truth to lie within the radii that are given.", rich_help_panel=SURE
-        ),
+        typer.Option(metavar="SHARE", help="Confidence level of CE/LE/SE.", rich_help_panel=SURE),
     ] = 0.9,
     position_sigma: PositionSigma = None,
     attitude_sigma: AttitudeSigma = None,
@@ -142,7 +140,7 @@ def locate_command(
             "--output",
             "-o",
             metavar="FILE",
-            help=f"File to write ({', '.join(ENDINGS)}); the screen if left out.",
+            help=f"File to write ({', '.join(ENDINGS)}); default: the terminal.",
             rich_help_panel=WRITING,
         ),
     ] = None,
@@ -150,7 +148,7 @@ def locate_command(
         Format | None,
         typer.Option(
             "--format",
-            help="On the screen: table, or csv for --shots, if left out.",
+            help="Terminal format (default: table, or csv for --shots).",
             show_default=False,
             rich_help_panel=WRITING,
         ),
@@ -158,25 +156,25 @@ def locate_command(
     crs: Annotated[
         str,
         typer.Option(
-            metavar="CRS", help='Map of the --output: "EPSG:4326", "EPSG:32616", ...', rich_help_panel=WRITING
+            metavar="CRS", help='CRS of the --output: "EPSG:4326", "EPSG:32616", ...', rich_help_panel=WRITING
         ),
     ] = "EPSG:4326",
     heights: Annotated[
         str | None,
         typer.Option(
             metavar="DATUM",
-            help='Heights of the --output are above: "ellipsoid", "EPSG:5773", ...',
+            help='Vertical datum of the --output: "ellipsoid", "EPSG:5773", ...',
             rich_help_panel=WRITING,
         ),
     ] = None,
     mgrs: Annotated[
         bool,
-        typer.Option("--mgrs", help="With --output: squares of the Military Grid as well.", rich_help_panel=WRITING),
+        typer.Option("--mgrs", help="With --output: also MGRS coordinates.", rich_help_panel=WRITING),
     ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The ground points that pixels see, and how sure they are: a row for each pixel, whatever became of it."""
+    """Ground coordinates of pixels and their accuracy: one row per pixel, with a status."""
     with report_errors(debug):
         how = how_to_read(
             height_datum,
@@ -209,32 +207,31 @@ def locate_command(
             DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
         )
         if not 0.0 < probability < 1.0:
-            raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
+            raise UserError(f"--probability {probability:g}: must be between 0 and 1.")
         if accuracy is False and sigmas.are_given:
-            raise UserError("--no-accuracy: standard deviations (--...-sigma) say how sure fixes are; leave one out.")
+            raise UserError("--no-accuracy contradicts standard deviations (--...-sigma); leave one out.")
         is_file = _is_file(output, output_format)
         if not is_file and (crs != "EPSG:4326" or heights is not None or mgrs):
-            raise UserError(f"--crs, --heights and --mgrs go with --output FILE ({', '.join(ENDINGS)}).")
+            raise UserError(f"--crs, --heights and --mgrs need --output FILE ({', '.join(ENDINGS)}).")
         _locate(asked, accuracy, probability, (output, is_file, output_format), (crs, heights, mgrs), as_json)
 
 
 def _is_file(output: pathlib.Path | None, asked: Format | None) -> bool:
-    """Whether the output is a file whose name says how it is written."""
+    """Whether the output is a file whose extension determines its format."""
     if output is None or is_device(output):
         return False
     check_place("--output", output)
     if asked is None and output.suffix.lower() not in ENDINGS:
         raise UserError(
-            f"--output {output}: {name_says(output)}. Give a name that ends in {', '.join(ENDINGS)}, or say --format "
-            f"table, csv or geojson."
+            f"--output {output}: {name_says(output)}; use {', '.join(ENDINGS)}, or give --format table, csv or geojson."
         )
     if asked is not None and output.suffix.lower() in ENDINGS and output.suffix.lower() not in OF_FORMAT[asked]:
-        raise UserError(f"--format {asked.value} does not go with --output {output}; leave one of them out.")
+        raise UserError(f"--format {asked.value} conflicts with --output {output}; leave one out.")
     return asked is None
 
 
 def _format(output: pathlib.Path | None, asked: Format | None, shots: pathlib.Path | None) -> Format:
-    """How rows are written to the screen, or a pipe, whose name may say it."""
+    """Format of rows on the terminal or a pipe, whose name may have an extension."""
     by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
     usual = Format.table if shots is None else Format.csv
     return asked or (usual if output is None else by_name.get(output.suffix.lower(), usual))
@@ -271,13 +268,13 @@ def _locate(
             counts |= _counts(rows)
         else:
             found, rows = None, _rows(question, counts)
-            if stream.isatty():  # bars on the same screen would break the rows
+            if stream.isatty():  # a progress bar on the same terminal would break the rows
                 rows = list(rows)
         if chosen is Format.table:
             print_counts(counts, len(question.carried))
         _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
         stream.flush()
-    if chosen is not Format.table:  # not within rows that a program is to read
+    if chosen is not Format.table:  # after the rows, not between them
         print_counts(counts, len(question.carried))
     if found is not None:
         leave_without_a_fix(question, found)
@@ -286,7 +283,7 @@ def _locate(
 def _check_file(
     output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: ExposureSet, has_errors: bool
 ) -> None:
-    """Raises for an output file that cannot be written as asked, before the ground is read."""
+    """Raises if the output file cannot be written as requested, before the ground is read."""
     from jaxgeo.io.fix_files import check_fix_file
 
     crs, heights, mgrs = drawn
@@ -310,7 +307,7 @@ def _finish(
     drawn: tuple[str, str | None, bool],
     as_json: bool,
 ) -> None:
-    """The file, then the screen."""
+    """Write the file, then the terminal output."""
     rows = found.rows("locate", question)
     if output is not None:
         from jaxgeo.io import write_fixes
@@ -336,7 +333,7 @@ def _finish(
 
 
 def _typed(carried: list[dict[str, Any]], readings: tuple[str, ...]) -> list[dict[str, Any]]:
-    """What is carried through; numbers of a table of shots as numbers, NaN as unknown."""
+    """Carried columns; numeric columns of a table of shots as numbers, NaN as None."""
     from jaxgeo.io.tables import number_columns
 
     numbers = number_columns(readings)
@@ -351,7 +348,7 @@ def _number(value: Any) -> float | None:
 
 
 def _rows(question: LocateInputs, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
-    """Rows of fixes alone, as they are computed; statuses are counted in `counts`."""
+    """Rows of fixes without accuracy, as they are computed; statuses are counted in `counts`."""
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 

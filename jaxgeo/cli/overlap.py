@@ -1,4 +1,4 @@
-"""`jaxgeo overlap`: how much of the ground each image shares with the one before."""
+"""`jaxgeo overlap`: overlap of consecutive images on the terrain."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ COLUMNS = {
     "status": ("status", ""),
 }
 CAPTION = (
-    "near, far, least: share of the first image's length along the flight at its near end, its far end, and where it "
-    "is least; side: share of its extent across the flight that both reach; area: share of its area"
+    "near, far, least: along-track overlap at near edge, far edge, minimum, as a share of the first image's length; "
+    "side: cross-track overlap, as a share of its width; area: share of its area"
 )
-BOTH = "All of both images' edges sees ground, and they reach over the same of it."
+BOTH = "Both footprints are complete and overlap."
 
 
 class Format(StrEnum):
-    """How overlaps are written."""
+    """Output format."""
 
     table = "table"
     csv = "csv"
@@ -66,7 +66,7 @@ def overlap_command(
     dem: DemFiles,
     navigation: NavigationFile = None,
     times: Annotated[
-        str | None, typer.Option(metavar="TIMES", help="T1,T2[,...]: when images are taken, s, with --navigation.")
+        str | None, typer.Option(metavar="TIMES", help="Exposure times T1,T2[,...], s, with --navigation.")
     ] = None,
     shots: ShotsFile = None,
     along: Along = None,
@@ -80,16 +80,16 @@ def overlap_command(
     allow_outside: AllowOutside = None,
     height_datum: HeightDatum = None,
     output_format: Annotated[
-        Format | None, typer.Option("--format", help="Default: csv with --output, on the screen table.")
+        Format | None, typer.Option("--format", help="Default: csv with --output, table on the terminal.")
     ] = None,
     output: Annotated[
         pathlib.Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv); the screen if left out."),
+        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv); default: the terminal."),
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """How much of the ground each image shares with the one before it, one row for each pair."""
+    """Overlap of consecutive images on the terrain, one row per pair."""
     inputs = asked(locals())
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
@@ -129,11 +129,11 @@ def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:
         return Format.table
     if output.suffix.lower() == ".csv":
         return Format.csv
-    raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv, or say --format table.")
+    raise UserError(f"--output {output}: {name_says(output)}; use .csv, or give --format table.")
 
 
 def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
-    """The times asked for, in s."""
+    """The exposure times in s."""
     if (navigation is None) == (shots is None) or (navigation is None) != (times is None):
         raise UserError("give either --navigation FILE with --times T1,T2[,...], or --shots FILE.")
     if times is None:
@@ -142,18 +142,18 @@ def _moments(navigation: Any, times: str | None, shots: Any) -> list[float]:
     if found is None:
         raise UserError(f"--times {times!r}: expected T1,T2[,...], numbers in s.")
     if len(found) < 2:
-        raise UserError(f"--times {times}: fewer than two exposures have no overlap; give two times or more.")
+        raise UserError(f"--times {times}: give at least two exposure times.")
     for before, after in itertools.pairwise(found):
         if not after > before:
-            how = "time stands still" if after == before else "time running backwards"
-            raise UserError(f"--times {times}: {how}, from {before:.9g} s to {after:.9g} s; give them in order.")
+            how = "repeated time" if after == before else "decreasing times"
+            raise UserError(f"--times {times}: {how}, {before:.9g} s to {after:.9g} s; give increasing times.")
     return found
 
 
 def _exposures(
     scene: Any, path: pathlib.Path, navigation: pathlib.Path, times: list[float], height_datum: str | None
 ) -> list[tuple[str, Any]]:
-    """(name, exposure) at times of a flight."""
+    """(name, exposure) at times on a trajectory."""
     import jax.numpy as jnp
 
     from jaxgeo.coverage import MovingExposure
@@ -162,21 +162,19 @@ def _exposures(
     start, end = float(flight.start), float(flight.end)
     for time in times:
         if not start <= time <= end:
-            raise UserError(
-                f"--times: {time:.9g} s is not in {navigation}, which goes from {start:.9g} to {end:.9g} s."
-            )
+            raise UserError(f"--times: {time:.9g} s is outside {navigation}, which covers {start:.9g} to {end:.9g} s.")
     return [(f"{time:.9g} s", MovingExposure(flight, jnp.asarray(time))) for time in times]
 
 
 def _images(
     scene: Any, path: pathlib.Path, table: pathlib.Path | None, height_datum: str | None
 ) -> list[tuple[str, Any]]:
-    """(name, shot) of a table, in its order."""
+    """(name, shot) of each table row, in order."""
     if table is None:
         return []
     batch, rows = shots_of(scene, path, table, height_datum)
     if len(rows) < 2:
-        raise UserError(f"{table}: fewer than two exposures have no overlap; the table needs two rows or more.")
+        raise UserError(f"{table}: overlap needs at least two rows.")
     return [(str(index), shot) for index, shot in enumerate(single(batch))]
 
 
@@ -185,7 +183,7 @@ def _overlaps(scene: Any, images: list[tuple[str, Any]], terrain: Any, along: An
     from jaxgeo.status import Status
 
     rows = []
-    for (name, before), (next_name, after) in track(list(itertools.pairwise(images)), "looking"):
+    for (name, before), (next_name, after) in track(list(itertools.pairwise(images)), "computing overlaps"):
         found: Any = overlap(scene.sensor, before, after, terrain, along=along, atmosphere=scene.atmosphere)
         numbers = [getattr(found, key.removesuffix("_m")) for key in DECIMALS]
         row = {key: float(x) if math.isfinite(x) else None for key, x in zip(DECIMALS, numbers, strict=True)}

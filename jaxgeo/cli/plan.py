@@ -36,7 +36,7 @@ WAYS = "ground, velocity-height or fixed:PERIOD"
 
 
 class Place(StrEnum):
-    """Where the overlap counts."""
+    """Position in the image at which the overlap is required."""
 
     near = "near"
     least = "least"
@@ -45,27 +45,25 @@ class Place(StrEnum):
 def plan_command(
     scene: SceneFile,
     dem: DemFiles,
-    navigation: Annotated[
-        pathlib.Path, typer.Option(metavar="FILE", help="CSV with a navigation record of the flight in each row.")
-    ],
+    navigation: Annotated[pathlib.Path, typer.Option(metavar="FILE", help="CSV with a navigation record per row.")],
     output: Annotated[
         pathlib.Path,
-        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv): a row for each exposure."),
+        typer.Option("--output", "-o", metavar="FILE", help="File to write (.csv), one row per exposure."),
     ],
     overlap: Annotated[
-        float | None, typer.Option(help="Wished share of an image's length: 0.15 for 15 %; not with a fixed period.")
+        float | None,
+        typer.Option(help="Required along-track overlap: 0.15 for 15 %; not with a fixed period."),
     ] = None,
     timing: Annotated[
         str,
         typer.Option(
-            help="ground: by the ground that both images see; velocity-height: by the integral of speed over slant "
-            "range; fixed:PERIOD, in s."
+            help="ground: overlap on the terrain; velocity-height: integral of speed over slant range; fixed:PERIOD, s."
         ),
     ] = "ground",
     place: Annotated[
-        Place | None, typer.Option(help="With ground: where the overlap counts, at the near end or where it is least.")
+        Place | None, typer.Option(help="With ground: require the overlap at the near edge, or where it is least.")
     ] = None,
-    start: Annotated[float | None, typer.Option(help="Time of the first exposure, s; the first record's.")] = None,
+    start: Annotated[float | None, typer.Option(help="Time of the first exposure, s (default: first record).")] = None,
     along: Along = None,
     vertical_datum: VerticalDatum = None,
     nodata: Nodata = None,
@@ -79,14 +77,14 @@ def plan_command(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """When to expose on a flight: navigation records in, exposures and the overlap to expect out.
+    """Plan exposure times on a flight for a required overlap, from navigation records; also reports the overlap.
 
-    Heights in the output are above the ellipsoid.
+    Output heights are above the ellipsoid.
     """
     inputs = asked(locals())
     with report_errors(debug):
         if output.suffix.lower() != ".csv":
-            raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .csv.")
+            raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
         check_place("--output", output)
         ground = (
             dem,
@@ -108,24 +106,24 @@ def plan_command(
 
 
 def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> float | None:
-    """The period in s of a fixed timing, or None."""
+    """Check the options; the period in s of a fixed timing, or None."""
     way, _, number = timing.partition(":")
     if way not in ("ground", "velocity-height", "fixed") or bool(number) != (way == "fixed"):
         raise UserError(f"--timing {timing!r}: expected {WAYS} (in s, such as fixed:2.3).")
     if place is not None and way != "ground":
-        raise UserError(f"--place {place} goes with --timing ground.")
+        raise UserError(f"--place {place} needs --timing ground.")
     if way == "fixed":
         return _period(timing, number, overlap)
     if overlap is None:
-        raise UserError(f"--timing {timing} needs --overlap, a share of an image's length: 0.15 for 15 %.")
+        raise UserError(f"--timing {timing} needs --overlap, a share: 0.15 for 15 %.")
     if not 0.0 <= overlap < 1.0:
-        raise UserError(f"--overlap {overlap:g}: it must lie in [0, 1), a share of an image's length: 0.15 for 15 %.")
+        raise UserError(f"--overlap {overlap:g}: must be in [0, 1), a share: 0.15 for 15 %.")
     return None
 
 
 def _period(timing: str, number: str, overlap: float | None) -> float:
     if overlap is not None:
-        raise UserError(f"--overlap is what --timing {timing} leads to, not what it goes by; leave one of them out.")
+        raise UserError(f"--overlap conflicts with --timing {timing}, which determines it; leave one out.")
     period = number_in(number)
     if period is None or not period > 0.0:
         raise UserError(f"--timing {timing!r}: the period must be a number above 0 s, such as fixed:2.3.")
@@ -140,7 +138,7 @@ def _plan(
     course: tuple[float | None, Any],
     output: pathlib.Path,
 ) -> list[dict[str, Any]]:
-    """The exposures, which are written too."""
+    """Compute and write the exposures; returns their rows."""
     import jax
 
     from jaxgeo._checks import enable_x64
@@ -156,7 +154,7 @@ def _plan(
     flight = trajectory_of(scene, scene_path, navigation, height_datum)
     _check_count(wishes, flight, start)
     terrain = read_terrain(*ground)
-    with working("compiling and flying"):
+    with working("compiling and planning"):
         found = plan(
             scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
         )
@@ -167,7 +165,7 @@ def _plan(
 
 
 def _check_count(wishes: tuple[str, float | None, Place], flight: Any, start: float | None) -> None:
-    """Raises `UserError` for a fixed period of which there would be more exposures than a plan may have."""
+    """Raises `UserError` for a fixed period that gives more exposures than a plan may have."""
     from jaxgeo.coverage.timing import MOST
 
     timing, period, _ = wishes
@@ -181,7 +179,7 @@ def _check_count(wishes: tuple[str, float | None, Place], flight: Any, start: fl
 
 
 def _exposures(shots: Any, names: tuple[str, ...], overlaps: Any) -> list[dict[str, Any]]:
-    """A row for each exposure, with what it shares with the one before."""
+    """One row per exposure, with its overlap with the one before."""
     import numpy as np
 
     rows = rows_of({"exposure": np.arange(np.size(shots.time)), **pose_columns(shots, names)})
@@ -200,7 +198,7 @@ def _timing(way: str, number: float | None, place: Place) -> Any:
 
 
 def _summarise(found: Any, output: pathlib.Path) -> None:
-    """How many exposures, and what overlap is to be expected, on stderr."""
+    """Print the number of exposures and their overlap on stderr."""
     import numpy as np
 
     from jaxgeo.status import Status

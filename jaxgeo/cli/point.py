@@ -1,4 +1,4 @@
-"""`jaxgeo point`: where to turn the gimbal."""
+"""`jaxgeo point`: gimbal readings for a target or a line of sight."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from jaxgeo.cli._options import (
 from jaxgeo.cli._results import AsJson, asked, print_json, status_words
 from jaxgeo.cli._screen import stderr, working
 
-UNHIDDEN = "The readings look there; whether ground lies before it, nobody asked."
+UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
 
 
 def point_command(
@@ -35,21 +35,22 @@ def point_command(
         list[str] | None,
         typer.Option(
             metavar="FILE",
-            help="Elevation model that may hide the target: a file, or a URL with --allow-remote; repeat it for tiles.",
+            help="Elevation model, to check visibility: a file, or a URL with --allow-remote; repeatable for tiles.",
         ),
     ] = None,
     target: Annotated[
         str | None,
-        typer.Option(metavar="PLACE", help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, the ground of --dem."),
+        typer.Option(metavar="PLACE", help="LAT,LON in deg, or LAT,LON,HEIGHT; without a height, that of --dem."),
     ] = None,
     line_of_sight: Annotated[
         str | None,
         typer.Option(
-            metavar="DIRECTION", help="AZIMUTH,DEPRESSION in deg, instead of a target: true, and below the horizontal."
+            metavar="DIRECTION",
+            help="AZIMUTH,DEPRESSION in deg instead of a target: from true north; downwards.",
         ),
     ] = None,
     pixel: Annotated[
-        str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to look with; the optical axis if left out.")
+        str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to point (default: optical axis).")
     ] = None,
     vertical_datum: VerticalDatum = None,
     nodata: Nodata = None,
@@ -63,9 +64,9 @@ def point_command(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Gimbal readings that look at a place on the ground, or along a line of sight, from the pose of a scene.
+    """Gimbal readings that point a pixel at a ground point, or along a line of sight, from the pose of a scene.
 
-    The exit code is 1 where they do not: out of the gimbal's range (then they are the nearest), or hidden by terrain.
+    The exit code is 1 if the target is outside the gimbal range (the nearest readings are given) or hidden by terrain.
     """
     inputs = asked(locals())
     with report_errors(debug):
@@ -73,7 +74,7 @@ def point_command(
         if not dem:
             reading.check_goes_with_dem()
             if vertical_datum is not None:
-                raise UserError(f"--vertical-datum {vertical_datum} is that of the heights of --dem; leave it out.")
+                raise UserError(f"--vertical-datum {vertical_datum} applies to --dem; leave it out.")
         ground = dem or [], vertical_datum, reading
         names, found, aim = _point(scene, ground, (target, line_of_sight, pixel), height_datum)
         code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
@@ -91,17 +92,17 @@ def _point(
     texts: tuple[str | None, str | None, str | None],
     height_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
-    """(names of the axes, the pointing, what was aimed at)."""
+    """(axis names, pointing, target)."""
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
     if direction is not None and ground[0]:
-        raise UserError("--dem goes with --target: along a line of sight there is no target that terrain could hide.")
+        raise UserError("--dem needs --target: a line of sight has no target to check for visibility.")
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
     if len(place) == 2 and not ground[0]:
-        raise UserError(f"--target {target}: give its height too, LAT,LON,HEIGHT, or --dem for the ground there.")
+        raise UserError(f"--target {target}: give its height, LAT,LON,HEIGHT, or --dem.")
     if height_datum is not None and len(place) != 3:
-        raise UserError(f"--height-datum {height_datum} is that of a target's height: --target LAT,LON,HEIGHT.")
+        raise UserError(f"--height-datum {height_datum} applies to a target height: --target LAT,LON,HEIGHT.")
     uv = None if pixel is None else numbers_in("--pixel", pixel, (2,), "COLUMN,ROW, two numbers")
     from jaxgeo._checks import enable_x64
     from jaxgeo.coverage import point_gimbal
@@ -130,7 +131,7 @@ def _aim(text: str) -> Any:
 
 
 def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | None) -> Any:
-    """The point to look at, its height as said, or that of the ground; shown on stderr."""
+    """The target point, with the given height or that of the ground; printed on stderr."""
     import math
 
     from jaxgeo.earth import Geodetic
@@ -147,25 +148,25 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
         assert terrain is not None
         height = float(terrain.height_at(position))
         if not math.isfinite(height):
-            raise UserError(f"--target {lat:g},{lon:g}: the DEM has no ground there; give a height, or another DEM.")
+            raise UserError(f"--target {lat:g},{lon:g}: the DEM has no height there; give a height, or another DEM.")
     said = f"target: {lat:.6f} deg, {lon:.6f} deg (lat, lon), {height:.2f} m above the ellipsoid"
     stderr().print(said, highlight=False, soft_wrap=True)
     return Geodetic.from_degrees(lat=lat, lon=lon, height=height)
 
 
 def _check_is_on(terrain: Any, place: list[float]) -> None:
-    """Raises `UserError` for a target beside the elevation model, which then cannot tell what hides it."""
+    """Raises `UserError` for a target outside the DEM, where visibility cannot be checked."""
     from jaxgeo.io.extent import place_beside
 
     beside = place_beside(terrain, place[0], place[1], "the target")
     if beside is not None:
         way = "leave --dem out" if len(place) == 3 else "give LAT,LON,HEIGHT without --dem"
         typed = ",".join(f"{number:g}" for number in place)
-        raise UserError(f"--target {typed}: {beside}. Give the elevation model of that place, or {way}.")
+        raise UserError(f"--target {typed}: {beside}. Give a DEM that covers it, or {way}.")
 
 
 def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:
-    """Readings and what they look at, in deg and m."""
+    """Readings in deg, and the target in deg and m."""
     import numpy as np
 
     from jaxgeo.earth import Geodetic
@@ -179,9 +180,9 @@ def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:
 
 
 def _shown(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
-    """The code of exit. Readings as a scene file has them, on the screen unless as JSON; on stderr what became of it.
+    """Print readings as in a scene file, unless `as_json`, and the status on stderr; returns the exit code.
 
-    `unhidden` is what a hit means where no terrain was asked.
+    `unhidden` replaces the sentence of a hit if no terrain was given.
     """
     import numpy as np
 
@@ -195,6 +196,6 @@ def _shown(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bo
     meaning = status_words(status, unhidden)["status_text"]
     stderr().print(f"{status.name}: {meaning}", highlight=False, soft_wrap=True)
     if status == Status.outside_gimbal_range:
-        off = f"the line of sight then misses by {np.rad2deg(float(found.miss)):.4f} deg"
+        off = f"pointing error {np.rad2deg(float(found.miss)):.4f} deg"
         stderr().print(off, highlight=False, soft_wrap=True)
     return DONE if status == Status.hit else NO_ANSWER

@@ -1,4 +1,4 @@
-"""`jaxgeo rectify`: an image as it lies on the ground."""
+"""`jaxgeo rectify`: orthorectification of an image."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from jaxgeo.cli._options import (
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
 
-QUICK_PIXELS = 40_000_000  # fewer are not worth the time that it takes to compile well
-SHOWN = "The image shows this cell (where the image itself is unknown, so is the cell)."
+QUICK_PIXELS = 40_000_000  # below this, optimised compilation does not pay off
+SHOWN = "The cell is visible in the image (it is unknown where the image is)."
 
 
 class Interpolation(StrEnum):
@@ -44,7 +44,7 @@ class Interpolation(StrEnum):
 
 def rectify_command(
     image: Annotated[
-        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, of the size of the scene's camera.")
+        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, same size as the scene's camera.")
     ],
     scene: SceneFile,
     dem: DemFiles,
@@ -58,33 +58,33 @@ def rectify_command(
     allow_remote: AllowRemote = None,
     allow_outside: AllowOutside = None,
     crs: Annotated[
-        str | None, typer.Option(metavar="CRS", help='Map of the file: "EPSG:32616", ...; the zone of UTM if left out.')
+        str | None, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).')
     ] = None,
     bounds: Annotated[
         str | None,
-        typer.Option(metavar="EDGES", help="WEST,SOUTH,EAST,NORTH in the unit of --crs; all that is seen if left out."),
+        typer.Option(metavar="EDGES", help="WEST,SOUTH,EAST,NORTH in units of --crs (default: the whole footprint)."),
     ] = None,
     resolution: Annotated[
         str | None,
-        typer.Option(metavar="SIZE", help="Size of a cell in that unit, or ACROSS,DOWN; that of a pixel if left out."),
+        typer.Option(metavar="SIZE", help="Cell size in units of --crs, or ACROSS,DOWN (default: the GSD)."),
     ] = None,
     like: Annotated[
         pathlib.Path | None,
-        typer.Option(metavar="FILE", help="Orthoimage onto whose cells to write, in place of the three."),
+        typer.Option(metavar="FILE", help="Orthoimage whose grid to use, instead of --crs, --bounds and --resolution."),
     ] = None,
-    band: Annotated[list[int] | None, typer.Option(help="Band of the image, from 1; repeat it for more.")] = None,
+    band: Annotated[list[int] | None, typer.Option(help="Image band, from 1 (repeatable).")] = None,
     interpolation: Annotated[Interpolation, typer.Option(help="Resampling method.")] = (Interpolation.bilinear),
     cog: Annotated[bool, typer.Option("--cog", help="Write a cloud-optimised GeoTIFF.")] = False,
     status: Annotated[
-        bool, typer.Option("--status", help="Also *_status.tif: the code of what became of each cell.")
+        bool, typer.Option("--status", help="Also write *_status.tif: status code of each cell.")
     ] = False,
     no_hidden_mask: Annotated[
-        bool, typer.Option("--no-hidden-mask", help="Fill cells that ground hides with what hides them; faster.")
+        bool, typer.Option("--no-hidden-mask", help="Do not mask cells hidden by terrain; faster.")
     ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """An image as it lies on the ground: a GeoTIFF on a map, without what the terrain hides."""
+    """Orthorectify an image: a GeoTIFF on a map grid, cells hidden by terrain masked."""
     inputs = asked(locals())
     with report_errors(debug):
         edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
@@ -92,9 +92,9 @@ def rectify_command(
         cell = None if resolution is None else tuple(numbers_in("--resolution", resolution, (1, 2), form))
         placed = {"crs": crs, "bounds": edges, "resolution": cell[0] if cell and len(cell) == 1 else cell, "like": like}
         if like is not None and any(one is not None for one in (crs, bounds, resolution)):
-            raise UserError("--like says where the cells are: leave out --crs, --bounds and --resolution.")
+            raise UserError("--like sets the grid: leave out --crs, --bounds and --resolution.")
         if bounds is not None and crs is None:
-            raise UserError(f"--bounds {bounds}: in the unit of which map? Name it with --crs.")
+            raise UserError(f"--bounds {bounds}: give the CRS of the bounds with --crs.")
         wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
         ground = (
             dem,
@@ -117,7 +117,7 @@ def _rectify(
     wishes: dict[str, Any],
     interpolation: Interpolation,
 ) -> tuple[Any, float]:
-    """(what was written, seconds that it took)."""
+    """(the result, seconds taken)."""
     from jaxgeo._checks import enable_x64
     from jaxgeo._destination import check_no_input
     from jaxgeo.io import rectify_file
@@ -157,7 +157,7 @@ def _rectify(
 
 
 def pixels_of(path: pathlib.Path, reach: Any) -> int:
-    """How many an image has. Raises `ImageError` or `FileNotFoundError` for what is none, before all else is done."""
+    """Number of pixels of an image. Raises `ImageError` or `FileNotFoundError` early if it cannot be read."""
     from jaxgeo.io.images import opened
 
     with opened(str(path), reach) as data:
@@ -165,7 +165,7 @@ def pixels_of(path: pathlib.Path, reach: Any) -> int:
 
 
 def print_raster(done: Any, seconds: float) -> None:
-    """What was written, on stdout."""
+    """Print the result on stdout."""
     rows, cols = done.raster.shape
     unit = done.raster.crs.axis_info[0].unit_name
     name = _crs_name(done.raster)
@@ -181,13 +181,13 @@ def print_raster(done: Any, seconds: float) -> None:
 
 
 def count_cells(done: Any) -> None:
-    """What became of the cells, on stderr."""
+    """Print the number of cells per status on stderr."""
     rows, cols = done.raster.shape
     print_counts({one.name: count for one, count in done.counts.items()}, rows * cols, "cell", SHOWN)
 
 
 def _content(done: Any, seconds: float) -> dict[str, Any]:
-    """What was written, for machines; `transform` as rasterio has it: (a, b, c, d, e, f)."""
+    """JSON content; `transform` is (a, b, c, d, e, f) as in rasterio."""
     rows, cols = done.raster.shape
     cells = {"rows": rows, "columns": cols, "known": done.known}
     statuses = {one.name: count for one, count in done.counts.items()}
@@ -196,7 +196,7 @@ def _content(done: Any, seconds: float) -> dict[str, Any]:
 
 
 def _cell(raster: Any) -> tuple[float, float]:
-    """Sides of a cell, across and down, also where the raster is turned."""
+    """Cell size, across and down, also of a rotated raster."""
     a, b, _, d, e, _ = raster.transform[:6]
     return math.hypot(a, d), math.hypot(b, e)
 

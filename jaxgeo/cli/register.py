@@ -1,4 +1,4 @@
-"""`jaxgeo register`: the pose of an image from a map, and how sure every pixel then is."""
+"""`jaxgeo register`: exterior orientation of an image from a map, and the accuracy of its pixels."""
 
 from __future__ import annotations
 
@@ -32,47 +32,50 @@ from jaxgeo.cli._screen import tell, working
 
 def register_command(
     image: Annotated[
-        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, of the size of the scene's camera.")
+        pathlib.Path, typer.Argument(metavar="IMAGE", help="Image file, same size as the scene's camera.")
     ],
-    reference: Annotated[pathlib.Path, typer.Option(metavar="FILE", help="Orthoimage of the same ground, on any map.")],
+    reference: Annotated[pathlib.Path, typer.Option(metavar="FILE", help="Orthoimage of the same area, in any CRS.")],
     dem: DemFiles,
     scene: SceneFile,
     output: Annotated[
         pathlib.Path,
-        typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the results; made if it is not there."),
+        typer.Option("--output", "-o", metavar="FOLDER", help="Output folder; created if missing."),
     ],
-    position_sigma: Annotated[str, typer.Option(metavar="SIGMA", help="How the position errs: m, or NORTH,EAST,DOWN.")],
+    position_sigma: Annotated[
+        str, typer.Option(metavar="SIGMA", help="Position standard deviation, m, or NORTH,EAST,DOWN.")
+    ],
     attitude_sigma: Annotated[
-        str, typer.Option(metavar="SIGMA", help="How the attitude errs: deg, or HEADING,PITCH,ROLL.")
+        str, typer.Option(metavar="SIGMA", help="Attitude standard deviation, deg, or HEADING,PITCH,ROLL.")
     ],
     gimbal_sigma: Annotated[
         str | None,
-        typer.Option(metavar="SIGMA", help="How the gimbal's readings err: deg, or one for each; exact if left out."),
+        typer.Option(metavar="SIGMA", help="Gimbal reading standard deviation, deg, or one per axis (default: exact)."),
     ] = None,
     focal_sigma: Annotated[
         str | None,
-        typer.Option(metavar="SIGMA", help="Also find the focal length, which errs by so much: 5px, 0.1mm."),
+        typer.Option(metavar="SIGMA", help="Also estimate the focal length, with prior sigma 5px, 0.1mm."),
     ] = None,
     principal_sigma: Annotated[
         str | None,
-        typer.Option(metavar="SIGMA", help="Also find the principal point: 5px, 0.1mm, or COLUMN,ROWpx."),
+        typer.Option(
+            metavar="SIGMA",
+            help="Also estimate the principal point, with prior sigma 5px, 0.1mm, or COLUMN,ROWpx.",
+        ),
     ] = None,
     reference_sigma: Annotated[
         float | None,
         typer.Option(
-            help="By how much the whole reference may be off, m; one cell if left out. Nothing in one image can tell "
-            "it: the figure is your guarantee."
+            help="Position sigma of the whole reference, m (default: one cell). It cannot be estimated "
+            "from one image: the value is your guarantee."
         ),
     ] = None,
     registration_sigma: Annotated[
-        float, typer.Option(help="Least error of a match beside its own, m; residuals raise it.")
+        float, typer.Option(help="Minimum sigma of a match besides its own, m; increased by residuals.")
     ] = 0.0,
-    dem_sigma: Annotated[
-        float | None, typer.Option(help="How heights of the elevation model err, m; 5 if left out.")
-    ] = None,
+    dem_sigma: Annotated[float | None, typer.Option(help="DEM height standard deviation, m (default 5).")] = None,
     dem_correlation: Annotated[
         float | None,
-        typer.Option(help="Over which distance these errors are alike, m; 500 if left out, 0 if each errs for itself."),
+        typer.Option(help="Correlation length of DEM errors, m (default 500; 0: uncorrelated)."),
     ] = None,
     vertical_datum: VerticalDatum = None,
     nodata: Nodata = None,
@@ -82,23 +85,23 @@ def register_command(
     assume_wgs84: AssumeWgs84 = None,
     allow_remote: AllowRemote = None,
     allow_outside: AllowOutside = None,
-    block: Annotated[int, typer.Option(help="Cells on a side of a block, at most; 32 or more.")] = 300,
+    block: Annotated[int, typer.Option(help="Largest block size, cells; 32 or more.")] = 300,
     probability: Annotated[
-        float, typer.Option(help="With which a shift lies in what is searched; between 0.5 and 1.")
+        float, typer.Option(help="Probability that the true shift is inside the search window; between 0.5 and 1.")
     ] = 0.999,
     pixel: Annotated[
         list[str] | None,
-        typer.Option(metavar="PIXEL", help="COLUMN,ROW of a pixel to fix; repeat it for more; else the middle."),
+        typer.Option(metavar="PIXEL", help="COLUMN,ROW of a pixel to locate (repeatable; default: image centre)."),
     ] = None,
-    band: Annotated[list[int] | None, typer.Option(help="Band of the image, from 1; repeat it for more.")] = None,
-    reference_band: Annotated[list[int] | None, typer.Option(help="The same of the reference.")] = None,
+    band: Annotated[list[int] | None, typer.Option(help="Image band, from 1 (repeatable).")] = None,
+    reference_band: Annotated[list[int] | None, typer.Option(help="Reference band, from 1 (repeatable).")] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find the pose of an image from a map, and say how sure each pixel's ground point then is.
+    """Estimate the exterior orientation of an image from a map, and the accuracy of its pixels' ground points.
 
     Writes scene.toml, ties.geojson, ortho.tif, report.json and registration.png into the folder. The exit code is 1
-    where the image is not registered: then there is no scene and no orthoimage, and the report says why.
+    if the image is not registered: then there is no scene and no orthoimage, and the report has the reason.
     """
     typed = asked(locals())
     with report_errors(debug):
@@ -152,7 +155,7 @@ def _read(
     pixels: list[str],
     bands: tuple[list[int] | None, list[int] | None],
 ) -> tuple[Work, Errors, list[list[float]]]:
-    """All input, what is small and likely to be mistaken first."""
+    """Read all inputs, small and error-prone ones first."""
     from jaxgeo._checks import enable_x64
     from jaxgeo.io import read_image, read_orthoimage_and_report
     from jaxgeo.io.images import check_size
@@ -163,7 +166,7 @@ def _read(
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "a registration")
-    errors_of(sigmas, scene, scene_path, 1.0)  # for mistakes
+    errors_of(sigmas, scene, scene_path, 1.0)  # checks the options early
     uv = pixels_in(pixels, scene.sensor.camera)
     reach = ground[2].reach
     how = {"allow_remote": reach.remote, "allow_outside": reach.outside}

@@ -1,4 +1,4 @@
-"""`jaxgeo report`: where pixels look and how sure that is, as one page to send and to open anywhere."""
+"""`jaxgeo report`: ground coordinates of pixels and their accuracy, as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ ENDINGS = (".html", ".htm")
 def report_command(
     output: Annotated[
         pathlib.Path,
-        typer.Option("--output", "-o", metavar="FILE", help="Page to write (.html).", rich_help_panel=WRITING),
+        typer.Option("--output", "-o", metavar="FILE", help="HTML page to write (.html).", rich_help_panel=WRITING),
     ],
     files: Source = None,
     scene: SceneOption = None,
@@ -90,9 +90,7 @@ def report_command(
     allow_outside: AllowOutside = None,
     probability: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE", help="Of the truth to lie within the radii that are given.", rich_help_panel=SURE
-        ),
+        typer.Option(metavar="SHARE", help="Confidence level of CE/LE/SE.", rich_help_panel=SURE),
     ] = 0.9,
     position_sigma: PositionSigma = None,
     attitude_sigma: AttitudeSigma = None,
@@ -117,20 +115,20 @@ def report_command(
     positions: PositionsFile = None,
     title: Annotated[
         str | None,
-        typer.Option(metavar="TEXT", help="Title of the page; the scene's or the file's.", rich_help_panel=WRITING),
+        typer.Option(metavar="TEXT", help="Page title (default: from the scene or file).", rich_help_panel=WRITING),
     ] = None,
     details: Annotated[
         int,
         typer.Option(
             metavar="COUNT",
-            help="Fixes shown with section, budget and samples; of more, the usual, the least sure and the surest.",
+            help="Number of fixes shown in detail (median, worst, best CE90 first).",
             rich_help_panel=WRITING,
         ),
     ] = 3,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """One page that needs no network: the map, the fixes and how sure they are, what errs, and what was assumed."""
+    """Write a self-contained HTML page: map, fixes and their accuracy, error budgets, and assumptions."""
     with report_errors(debug):
         _check_report(output, probability, details)
         how = how_to_read(
@@ -162,11 +160,11 @@ def _check_report(output: pathlib.Path, probability: float, details: int) -> Non
     if not is_device(output):
         check_place("--output", output)
         if output.suffix.lower() not in ENDINGS:
-            raise UserError(f"--output {output}: {name_says(output)}. Give a name that ends in .html.")
+            raise UserError(f"--output {output}: {name_says(output)}; use .html.")
     if not 0.0 < probability < 1.0:
-        raise UserError(f"--probability {probability:g}: it lies between 0 and 1.")
+        raise UserError(f"--probability {probability:g}: must be between 0 and 1.")
     if details < 0:
-        raise UserError(f"--details {details}: it is a number of fixes, 0 or more.")
+        raise UserError(f"--details {details}: must be a number of fixes, 0 or more.")
 
 
 def _report(
@@ -187,7 +185,7 @@ def _report(
     question = told_question(asked, _errs(asked), output)
     found = located(question, probability)
     subject = _subject(question, found, probability)
-    with working("looking closer"):
+    with working("computing details"):
         details = details_of(subject, most=most)
     told = ReportHeader(title or _title(asked), _inputs(asked, question), [*question.assumed, *_unread(question)])
     with working("drawing"):
@@ -202,7 +200,7 @@ def _report(
 
 
 def _subject(question: LocateInputs, found: LocateResults, probability: float) -> Any:
-    """What the page is of: the pixels whose file could be read."""
+    """Report data of the pixels whose file was read."""
     import jax
     import numpy as np
 
@@ -238,7 +236,7 @@ def _unread(question: LocateInputs) -> list[str]:
 
 
 def _errs(asked: LocateOptions) -> bool | None:
-    """Whether fixes of a table of shots are to be judged: where its scene or an option says how the world errs."""
+    """For a table of shots, whether its scene or an option states error sources; None for other inputs."""
     from jaxgeo.io.scene import read_scene
 
     if asked.shots is None or asked.scene is None:
@@ -247,18 +245,18 @@ def _errs(asked: LocateOptions) -> bool | None:
 
 
 def _title(asked: LocateOptions) -> str:
-    """The title of the scene, or the name of what was read."""
+    """Title of the scene, or one with the file name."""
     from jaxgeo.io.scene import read_scene
 
     if not asked.is_scene:
         more = f" and {len(asked.files) - 1} more" if len(asked.files) > 1 else ""
-        return f"What {asked.files[0].name}{more} sees, and how sure that is"
+        return f"Ground coordinates and accuracy: {asked.files[0].name}{more}"
     path = asked.scene_file
     assert path is not None
-    return read_scene(path).title or f"What the camera of {path.name} sees, and how sure that is"
+    return read_scene(path).title or f"Ground coordinates and accuracy: {path.name}"
 
 
 def _inputs(asked: LocateOptions, question: LocateInputs) -> dict[str, Any]:
-    """What was typed, with pixels and exposures."""
+    """The options as typed, with pixels and exposures."""
     named = {"pixel": " and ".join(asked.pixels), "exposure": ", ".join(asked.exposures)}
     return question.inputs | {name: text for name, text in named.items() if text}

@@ -1,4 +1,4 @@
-"""`jaxgeo study`: what papers print, made again."""
+"""`jaxgeo study`: reproduction of published results."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from jaxgeo.cli._options import (
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import tell, working
 
-WIDE = 150  # characters of a line in a file
-POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, of a real image's navigation where nobody says it
+WIDE = 150  # characters per line in a file
+POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
 
-studies = typer.Typer(cls=Commands, help="What papers print, made again.", no_args_is_help=True)
+studies = typer.Typer(cls=Commands, help="Reproduce published results.", no_args_is_help=True)
 
 Folder = Annotated[
     pathlib.Path | None,
     typer.Option(
-        "--output", "-o", metavar="FOLDER", help="Folder for tables (CSV, Markdown) and pictures; none if left out."
+        "--output", "-o", metavar="FOLDER", help="Folder for tables (CSV, Markdown) and figures; default: none."
     ),
 ]
 
@@ -45,14 +45,14 @@ Folder = Annotated[
 @studies.command("li2020", epilog=examples_of("li2020"))
 def li2020_command(
     output: Folder = None,
-    seed: Annotated[int, typer.Option(help="Of errors of the gimbal's control and of fractal ground.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the gimbal control errors and the fractal terrain.")] = 0,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The overlap analysis of Li et al. (2020) beside ours: attitude, compensation, strips in flight, timing,
-    and what errors of the gimbal's control and relief of the ground do.
+    """Overlap analysis of Li et al. (2020) compared with ours: attitude, compensation, strips, timing,
+    and effects of gimbal control errors and terrain relief.
 
-    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
     with report_errors(debug):
@@ -66,14 +66,14 @@ def li2020_command(
 @studies.command("li2023", epilog=examples_of("li2023"))
 def li2023_command(
     output: Folder = None,
-    samples: Annotated[int, typer.Option(help="Samples for each row of a table.")] = 50_000,
-    seed: Annotated[int, typer.Option(help="Of all that is random: samples, terrains, places, rays.")] = 0,
+    samples: Annotated[int, typer.Option(help="Samples per table row.")] = 50_000,
+    seed: Annotated[int, typer.Option(help="Random seed of samples, terrains, places and rays.")] = 0,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The error analysis of Li et al. (2023) beside ours: pointing, targets, RMS and CEP, searches over many terrains.
+    """Error analysis of Li et al. (2023) compared with ours: pointing, targets, RMS and CEP, terrain searches.
 
-    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
     with report_errors(debug):
@@ -88,23 +88,25 @@ def li2023_command(
 def xue2019_command(
     output: Folder = None,
     size: Annotated[
-        float, typer.Option(help="Side of the area, m; the paper's is 5000, with some 1600 images.")
+        float, typer.Option(help="Side of the area, m; 5000 in the paper, with about 1600 images.")
     ] = 1000.0,
     trials: Annotated[int, typer.Option(help="Smaller blocks with other noise, to test the standard deviations.")] = 0,
-    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
     plane_limit: Annotated[
-        float | None, typer.Option(help="Largest error in plan of a standard for maps at 1:500, m; 0.3 if left out.")
+        float | None, typer.Option(help="Largest horizontal error of a 1:500 mapping standard, m (default 0.3).")
     ] = None,
-    height_limit: Annotated[float | None, typer.Option(help="The same in height, m; 0.4 if left out.")] = None,
+    height_limit: Annotated[
+        float | None, typer.Option(help="Largest vertical error of the standard, m (default 0.4).")
+    ] = None,
     limit_source: Annotated[
-        str | None, typer.Option(help="The standard that says so; given with either limit.")
+        str | None, typer.Option(help="The standard that states them; needed with either limit.")
     ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The block of Xue et al. (2019), simulated: direct georeferencing, free net, self-calibration, boresight.
+    """Simulated block of Xue et al. (2019): direct georeferencing, free network, self-calibration, boresight.
 
-    Takes minutes, most of them to compile. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and
+    Takes minutes, mostly compilation. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and
     with --output the exit code is 1.
     """
     inputs = asked(locals())
@@ -122,14 +124,15 @@ def xue2019_command(
 @studies.command("gu2017", epilog=examples_of("gu2017"))
 def gu2017_command(
     output: Folder = None,
-    seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
     image: Annotated[
-        pathlib.Path | None, typer.Option(help="A real image, with --reference, --dem and --scene; else one is made.")
+        pathlib.Path | None,
+        typer.Option(help="A real image, with --reference, --dem and --scene (default: simulated)."),
     ] = None,
-    reference: Annotated[pathlib.Path | None, typer.Option(help="Orthoimage of the same ground.")] = None,
+    reference: Annotated[pathlib.Path | None, typer.Option(help="Orthoimage of the same area.")] = None,
     dem: Annotated[
         list[str] | None,
-        typer.Option(help="Elevation model: a file, or a URL with --allow-remote; repeat it for tiles."),
+        typer.Option(help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles."),
     ] = None,
     scene: Annotated[
         pathlib.Path | None, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")
@@ -143,23 +146,25 @@ def gu2017_command(
     allow_remote: AllowRemote = None,
     allow_outside: AllowOutside = None,
     position_sigma: Annotated[
-        float | None, typer.Option(help="How the position of a real image errs, m; 50 if left out.")
+        float | None, typer.Option(help="Position standard deviation of a real image, m (default 50).")
     ] = None,
-    attitude_sigma: Annotated[float | None, typer.Option(help="How its attitude errs, deg; 0.5 if left out.")] = None,
+    attitude_sigma: Annotated[
+        float | None, typer.Option(help="Attitude standard deviation of a real image, deg (default 0.5).")
+    ] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """The registration of Gu and Qiao (2017): its table, an image end to end, blocks and ties, searches, frames.
+    """Registration of Gu and Qiao (2017): its table, an image end to end, blocks and ties, searches, frames.
 
-    Takes minutes, most of them to compile. Without a real image one is made over the package's own elevation model.
-    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no pictures, and with --output the exit code is 1.
+    Takes minutes, mostly compilation. Without a real image, one is simulated over the packaged elevation model.
+    Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
     inputs = asked(locals())
     with report_errors(debug):
         files = {"--image": image, "--reference": reference, "--dem": dem or None, "--scene": scene}
         missing = [name for name, value in files.items() if value is None]
         if missing and len(missing) < len(files):
-            raise UserError(f"a real image needs {', '.join(missing)} as well; leave all four out, and one is made.")
+            raise UserError(f"a real image needs {', '.join(missing)} as well; leave out all four to simulate one.")
         _check_seed(seed)
         sigmas = _sigmas(position_sigma, attitude_sigma, is_given=image is not None)
         reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
@@ -180,13 +185,13 @@ def gu2017_command(
 @studies.command("all", epilog=examples_of("all"))
 def all_command(
     output: Folder = None,
-    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """All four studies: every numbered equation, table and figure as printed, as obtained, and the verdict.
+    """All four studies: every numbered equation, table and figure as published, as obtained, and the verdict.
 
-    With --output a page index.html of verdicts, tables and pictures, and a folder of each study. Takes minutes. Without
+    With --output, writes index.html with verdicts, tables and figures, and a folder per study. Takes minutes. Without
     jinja2 and matplotlib (pip install 'jaxgeo\\[report]') there is no page, and with --output the exit code is 1.
     """
     inputs = asked(locals())
@@ -211,27 +216,27 @@ def all_command(
         write_verdicts(found, output)
         missing = next((one.missing for one in found if one.missing), "")
         try:
-            from jaxgeo.studies.page import write_page  # only who wants a page needs jinja2
+            from jaxgeo.studies.page import write_page  # needs jinja2, only for the page
 
             write_page(output / "index.html", found)
         except ImportError as error:
             missing = missing or str(error)
         if missing:
-            tell(f"there are no pictures or no page ({missing}); pip install 'jaxgeo[report]'")
+            tell(f"no figures or no page ({missing}); pip install 'jaxgeo[report]'")
             raise typer.Exit(NO_ANSWER) from None
         if not as_json:
-            console.print(f"page, tables and pictures: {output / 'index.html'}", highlight=False, soft_wrap=True)
+            console.print(f"page, tables and figures: {output / 'index.html'}", highlight=False, soft_wrap=True)
 
 
 def _limits(plane: float | None, height: float | None, source: str | None) -> Any:
-    """The limits for maps at 1:500 that were given, or the usual ones. Raises `UserError`."""
+    """The given limits for 1:500 maps, or the default ones. Raises `UserError`."""
     from jaxgeo.studies.xue2019.limits import HILLS_AT_1_500, Limits
 
     if (plane is None and height is None) != (source is None):
-        raise UserError("--plane-limit and --height-limit go with --limit-source, the standard that states them.")
+        raise UserError("--plane-limit and --height-limit need --limit-source, the standard that states them.")
     for option, value in (("--plane-limit", plane), ("--height-limit", height)):
         if value is not None and not 0.0 < value < math.inf:
-            raise UserError(f"{option} {value:g}: it is a length in m, above zero and finite.")
+            raise UserError(f"{option} {value:g}: must be a length in m, above zero and finite.")
     if source is None:
         return HILLS_AT_1_500
     if not source.strip():
@@ -242,7 +247,7 @@ def _limits(plane: float | None, height: float | None, source: str | None) -> An
 
 def _check_seed(seed: int) -> None:
     if seed < 0:
-        raise UserError(f"--seed {seed}: it is a whole number, 0 or more.")
+        raise UserError(f"--seed {seed}: must be a whole number, 0 or more.")
 
 
 def _sigmas(position: float | None, attitude: float | None, *, is_given: bool) -> tuple[float, float]:
@@ -251,14 +256,14 @@ def _sigmas(position: float | None, attitude: float | None, *, is_given: bool) -
         if value is None:
             continue
         if not is_given:
-            raise UserError(f"{option} {value:g} is of a real image: give --image, --reference, --dem and --scene too.")
+            raise UserError(f"{option} {value:g} applies to a real image: give --image, --reference, --dem, --scene.")
         if not 0.0 < value < math.inf:
-            raise UserError(f"{option} {value:g}: a registration needs a standard deviation above zero, and finite.")
+            raise UserError(f"{option} {value:g}: must be a standard deviation above zero, and finite.")
     return POSITION_SIGMA if position is None else position, ATTITUDE_SIGMA if attitude is None else attitude
 
 
 def _begin(folder: pathlib.Path | None, *, runs_long: bool = False) -> None:
-    """Check the folder before the work."""
+    """Check the output folder and set up JAX."""
     from jaxgeo._checks import enable_x64
 
     if folder is not None:
@@ -268,7 +273,7 @@ def _begin(folder: pathlib.Path | None, *, runs_long: bool = False) -> None:
 
 
 def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, inputs: dict[str, Any] | None) -> None:
-    """Tables on the screen, or as JSON with `inputs`; and with pictures into a folder."""
+    """Print the tables, or JSON with `inputs`; write tables and figures to a folder."""
     console = _console()
     with working("compiling and computing"):
         report = run()
@@ -286,18 +291,18 @@ def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, input
     try:
         study.write_pictures(report, folder)
     except ImportError as error:
-        tell(f"there are no pictures, as matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        tell(f"no figures: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(NO_ANSWER) from None
     if inputs is None:
-        console.print(f"tables and pictures: {folder}", highlight=False, soft_wrap=True)
+        console.print(f"tables and figures: {folder}", highlight=False, soft_wrap=True)
 
 
 def _console() -> Console:
     console = Console()
-    return console if console.is_terminal else Console(width=WIDE)  # a file has room for all of a table
+    return console if console.is_terminal else Console(width=WIDE)  # wide tables fit in a file
 
 
 def _content(sheet: Any) -> dict[str, Any]:
-    """A table with all digits."""
+    """A table as JSON content, full precision."""
     rows = [dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows]
     return {"name": sheet.name, "title": sheet.title, "rows": rows, "note": sheet.note}

@@ -1,6 +1,6 @@
-"""The demonstration: an oblique camera over real terrain, its fixes, what it cannot see, and how sure they are.
+"""Example data: an oblique camera over real terrain (`make_demo`), and a simulated drone image (`drone_image`).
 
-And a drone's image to try things on, made over the same terrain, of which the truth is known: `drone_image`.
+The demo has fixes, hidden ground and accuracy. The true sensor and pose of the drone image are known.
 """
 
 from jaxgeo.demo.drone import DroneImage, drone_image

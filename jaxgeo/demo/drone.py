@@ -1,4 +1,4 @@
-"""A drone's image to try things on: packaged terrain as its camera sees it, with a drone's tags and their errors."""
+"""Simulated drone image: packaged terrain rendered from a known pose, with DJI tags that contain errors."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sources import GimbalAngles, Position
 
 COLUMNS = 1200
-FILM, DIAGONAL = 24.0, math.hypot(36.0, 24.0)  # mm, focal length and film: the wide lens of usual drones
-LAT, LON, HEIGHT = 36.335, -84.2285, 592.0  # deg, m above the ellipsoid: over a ridge
+FILM, DIAGONAL = 24.0, math.hypot(36.0, 24.0)  # mm, focal length and diagonal of 35 mm film: typical wide drone lens
+LAT, LON, HEIGHT = 36.335, -84.2285, 592.0  # deg, deg, m above the ellipsoid: over a ridge
 TAKEOFF = 472.0  # m above the ellipsoid
-YAW, PITCH = 155.0, -9.0  # deg: along a valley, at the foot of mountains
+YAW, PITCH = 155.0, -9.0  # deg: along a valley, towards mountains
 TAKEN = "2024:05:14 09:26:41"
 
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
@@ -35,24 +35,24 @@ MAKE, MODEL, DESCRIPTION, SOFTWARE, EXIF, GPS = 0x010F, 0x0110, 0x010E, 0x0131, 
 
 
 class DroneImage(NamedTuple):
-    """What is true of the image at `path`: the sensor, and the shot as it was, not as its tags have it."""
+    """Ground truth of the image at `path`: its sensor, and the true shot, which differs from the tags."""
 
     path: str
     sensor: Sensor
     shot: Shot
 
     def fixes(self, uv: Any) -> Fix:
-        """What pixels (n, 2), columns and rows, truly see of `jaxgeo.io.example_dem()`: fixes (n)."""
+        """True fixes (n) of pixels (n, 2), columns and rows, on `jaxgeo.io.example_dem()`."""
         return located(self.sensor, self.shot, np.asarray(uv, float).reshape(-1, 2), example_dem())
 
 
 def drone_image(path: str | os.PathLike[str] = "drone.jpg", *, seed: int = 0, columns: int = COLUMNS) -> DroneImage:
-    """Write a JPEG, 4 : 3, as a small drone would bring it home, and tell the truth about it.
+    """Write a simulated 4:3 drone JPEG, and return its ground truth.
 
-    It looks over the terrain of `jaxgeo.io.example_dem()`; colours, light and haze are made up, the ground is where the
-    terrain has it. Its tags are those of DJI, altitudes above mean sea level included, whose datum they do not state
-    (it is EGM96, "EPSG:5773"). They err, drawn with the `seed`, by the errors that `jaxgeo.io.with_usual_errors`
-    assumes: so a fix by the tags can be held against `jaxgeo.locate` with the sensor and the shot that are returned.
+    The image is rendered from the terrain of `jaxgeo.io.example_dem()`; colours, light and haze are made up. The tags
+    are those of DJI, with altitudes above mean sea level whose datum is not stated (it is EGM96, "EPSG:5773"). Their
+    errors are drawn with `seed` from the sigmas that `jaxgeo.io.with_usual_errors` assumes, so a fix from the tags can
+    be compared with `jaxgeo.locate` for the returned sensor and shot.
     """
     require_x64()
     sensor, shot = true_view(check_size(columns, "columns"))
@@ -68,7 +68,7 @@ def drone_image(path: str | os.PathLike[str] = "drone.jpg", *, seed: int = 0, co
 
 
 def true_view(columns: int = COLUMNS) -> tuple[Sensor, Shot]:
-    """The camera, so many columns wide, and the shot as it truly was."""
+    """The camera, `columns` pixels wide, and the true shot."""
     rows = columns * 3 // 4
     camera = FrameCamera.from_pixels(focal_px=FILM * math.hypot(columns, rows) / DIAGONAL, width=columns, height=rows)
     sensor = Sensor(camera, Gimbal.three_axis(), Mount.forward())
@@ -77,7 +77,7 @@ def true_view(columns: int = COLUMNS) -> tuple[Sensor, Shot]:
 
 
 def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
-    """The shot as the drone has it: with a draw of the errors of its position and of its camera's angles."""
+    """The shot as in the tags: with random errors of position and camera angles."""
     rng = np.random.default_rng(seed)
     north, east, down = POSITION
     angles: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) for name in sensor.gimbal.names}
@@ -90,7 +90,7 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
 
 
 def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> None:
-    """A JPEG of colours (rows, columns, 3) between 0 and 1, with the tags of a shot."""
+    """Write a JPEG of colours (rows, columns, 3) between 0 and 1, with the tags of a shot."""
     from PIL import Image
     from PIL.TiffImagePlugin import IFDRational
 
@@ -117,7 +117,7 @@ def _write(path: str, image: np.ndarray, camera: FrameCamera, shot: Shot) -> Non
 
 
 def _degrees(angle: float) -> tuple[Any, ...]:
-    """Degrees, minutes and seconds of EXIF."""
+    """An angle in deg as degrees, minutes and seconds of EXIF."""
     from PIL.TiffImagePlugin import IFDRational
 
     seconds = round(abs(angle) * 3600.0 * 10_000)
@@ -126,7 +126,7 @@ def _degrees(angle: float) -> tuple[Any, ...]:
 
 
 def _angles(shot: Shot) -> dict[str, str]:
-    """How camera and aircraft are turned, deg, by the names of DJI's tags."""
+    """Camera and aircraft angles in deg, by DJI tag name."""
     pose = shot.pose
     angles = {"Gimbal": tuple(np.asarray(shot.gimbal_readings)), "Flight": (pose.heading, pose.pitch, pose.roll)}
     return {
@@ -145,5 +145,5 @@ def _packet(values: dict[str, str]) -> bytes:
 
 
 def _turn(angle_deg: float) -> float:
-    """An angle between -180 and 180 deg."""
+    """An angle wrapped to -180 to 180 deg."""
     return (angle_deg + 180.0) % 360.0 - 180.0

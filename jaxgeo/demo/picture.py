@@ -1,4 +1,4 @@
-"""The demonstration's pictures."""
+"""Figure of the demo."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ TYPE: dict[Any, Any] = {
 
 
 def draw(demo: Demo, target: pathlib.Path | str | BinaryIO, picture_format: str | None = None) -> None:
-    """Map, view, section, and how sure one of the fixes is, in one picture. Needs matplotlib.
+    """Write a figure with map, camera view, section, and the accuracy of one fix. Needs matplotlib.
 
-    `picture_format` is one of matplotlib's, such as "png"; left out, it is taken from the name of the file.
+    `picture_format` is a matplotlib format, such as "png"; by default it is taken from the file name.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -53,19 +53,19 @@ def _draw_map(demo: Demo, ax: Any) -> None:
 
     plot.map_axes(demo.dem, ax)
     plot.hillshade(demo.dem, ax)
-    plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera, along its heading")
-    plot.footprints(demo.outline, ax, labels=["footprint of the image"])
+    plot.camera(demo.centre, float(demo.shot.pose.heading), ax, label="camera and heading")
+    plot.footprints(demo.outline, ax, labels=["image footprint"])
     plot.sight_lines(demo.centre, demo.fix, ax)
     plot.fixes(demo.fix, ax, label="fixes")
-    plot.hidden_ground(demo.dem, demo.hidden, ax, label="in the image, but behind terrain")
+    plot.hidden_ground(demo.dem, demo.hidden, ax, label="hidden by terrain")
     plot.scale_bar(ax)
     plot.north_arrow(ax)
     plot.legend(ax, loc="upper left")
-    ax.set_title("Where each pixel lies")
+    ax.set_title("Ground points of pixels")
 
 
 def _draw_view(demo: Demo, ax: Any) -> None:
-    """The ground as the camera sees it: far at the top, flight to the left."""
+    """Draw the ground as seen by the camera: far at the top, flight direction to the left."""
     from jaxgeo import plot
 
     camera = demo.sensor.camera
@@ -83,7 +83,7 @@ def _draw_view(demo: Demo, ax: Any) -> None:
     ax.plot(demo.uv[:, 1], demo.uv[:, 0], "o", color=plot.FIX, markeredgecolor="white", markersize=5.5)
     ax.set_xlabel("row (against the flight), pixels")
     ax.set_ylabel("column (outwards), pixels")
-    ax.set_title("What the camera sees, ray by ray")
+    ax.set_title("Camera view, one ray per pixel")
 
 
 def _draw_section(demo: Demo, ax: Any) -> None:
@@ -106,7 +106,7 @@ def _draw_section(demo: Demo, ax: Any) -> None:
     ax.set_ylabel("height above WGS 84, m")
     ax.grid(alpha=0.3)
     ax.legend(loc="upper right", framealpha=0.92, fontsize=10.5)
-    ax.set_title(f"Under the optical axis: slant range {reach / 1000.0:.2f} km")
+    ax.set_title(f"Section under the optical axis: slant range {reach / 1000.0:.2f} km")
 
 
 @jax.jit
@@ -119,7 +119,7 @@ def _draw_errors(demo: Demo, part: Any) -> None:
 
     compared, trusted = demo.errors.comparison, demo.errors.accuracy
     plot.error_cloud(compared, part.subplots(), dem=demo.dem)
-    _head(f"How sure fix {demo.errors.number} is: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}", part)
+    _head(f"Accuracy of fix {demo.errors.number}: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}", part)
 
 
 def _draw_budget(demo: Demo, part: Any) -> None:
@@ -128,9 +128,9 @@ def _draw_budget(demo: Demo, part: Any) -> None:
     ax = part.subplots()
     ax.spines[["top", "right"]].set_visible(False)
     plot.budget_bars(demo.errors.budget, ax)
-    _head("Where its errors come from", part)
+    _head("Error budget", part)
 
 
 def _head(words: str, part: Any) -> None:
-    """A title above all that a drawing has above its axes."""
+    """Set a title above the subfigure."""
     part.suptitle(words, x=0.02, ha="left", fontsize=13, fontweight="bold")

@@ -1,4 +1,4 @@
-"""What the demonstration shows: fixes of an oblique camera over real terrain, what it cannot see, how sure one is."""
+"""Demo computation: fixes of an oblique camera over real terrain, hidden ground, and the accuracy of one fix."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from jaxgeo.uncertainty import (
 )
 
 GRID = (4, 5)  # fixes across the image, along columns and rows
-VIEW = (100, 200)  # pixels of the camera's own view, along columns and rows
+VIEW = (100, 200)  # pixels of the rendered view, along columns and rows
 EDGE = 40  # points along each edge of the image
 PROFILE = 800  # samples of the section under the optical axis
 REACH = 24_000.0  # m along the optical axis
-CHUNK = 4096  # pixels that are located at a time
-HIDDEN_BY = 1.0  # m by which what is seen is nearer than what is hidden
-DOUBTED = 13  # of the grid's fixes: a ridge behind which some of the lines of sight that err would come down
+CHUNK = 4096  # pixels located at a time
+HIDDEN_BY = 1.0  # m, least range difference between visible and hidden ground
+DOUBTED = 13  # grid fix near a ridge: some perturbed lines of sight hit the ground behind it
 SAMPLES = 20_000
 
 
 class Errors(Record):
-    """How sure one fix is, by every method; `number` is that of the fix in the grid."""
+    """Accuracy of one fix by every method; `number` is its index in the grid."""
 
     number: int
     comparison: Comparison
@@ -52,19 +52,19 @@ class Errors(Record):
 
 
 class Demo(Record):
-    """All that the demonstration shows; angles in rad, lengths in m."""
+    """Results of the demo; angles in rad, lengths in m."""
 
     title: str
     dem: Dem
     sensor: Sensor
     shot: Shot
-    centre: Geodetic  # of projection
+    centre: Geodetic  # perspective centre
     uv: np.ndarray  # (n, 2)
     fix: Fix  # (n,)
     outline: Geodetic  # (m,)
     axis: Fix  # (1,), of the optical axis
     view: Fix  # (columns, rows)
-    hidden: np.ndarray  # (rows, cols) of the DEM: inside the image but behind terrain
+    hidden: np.ndarray  # (rows, cols) of the DEM: inside the image but hidden by terrain
     section: tuple[np.ndarray, ...]  # distance on the ground, height of the optical axis, of the ground, hidden
     errors: Errors
 
@@ -75,7 +75,7 @@ def scene_file() -> pathlib.Path:
 
 
 def make_demo() -> Demo:
-    """Locate a grid of pixels, the outline and the view of the demonstration's shot, and find the hidden ground."""
+    """Locate a grid of pixels, the outline and the view of the demo shot, and find the hidden ground."""
     scene = read_scene(scene_file())
     sensor, shot = scene.sensor, scene.shot
     assert shot is not None
@@ -87,7 +87,7 @@ def make_demo() -> Demo:
     edges, view = _edges(camera), _mesh(camera, VIEW, 0.5 / VIEW[0]).reshape(-1, 2)
     uv = np.concatenate([grid, edges, _middle(camera)[None], view])
     n, m = len(grid), len(grid) + len(edges)
-    with ThreadPoolExecutor() as pool:  # XLA compiles the parts side by side
+    with ThreadPoolExecutor() as pool:  # XLA compiles the parts in parallel
         posts = pool.submit(_posts_in_image, sensor, shot, dem)
         section = pool.submit(_section_under_axis, sensor, shot, dem)
         errors = pool.submit(_errors, sensor, shot, grid[DOUBTED], dem, scene.errors)
@@ -110,7 +110,7 @@ def make_demo() -> Demo:
 
 
 def located(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem) -> Fix:
-    """Fixes of pixels (n, 2), in chunks of one size, so that one compilation does for all."""
+    """Fixes of pixels (n, 2), in chunks of one size to compile only once."""
     chunks = []
     for start in range(0, len(uv), CHUNK):
         chunk = uv[start : start + CHUNK]
@@ -127,7 +127,7 @@ def _locate_chunk(sensor: Sensor, shot: Shot, uv: jax.Array, dem: Dem) -> Fix:
 def _hidden(
     sensor: Sensor, shot: Shot, dem: Dem, posts: np.ndarray, uv: np.ndarray, distance: np.ndarray
 ) -> np.ndarray:
-    """Which posts (rows, cols) are hidden: at the pixel that they project to, the camera sees nearer ground."""
+    """Mask (rows, cols) of hidden posts: at the pixel they project to, the camera sees nearer ground."""
     nearer = located(sensor, shot, uv, dem).slant_range < distance - HIDDEN_BY
     hidden = np.zeros(np.shape(dem.posts), bool)
     hidden[tuple(posts[nearer].T)] = True
@@ -135,7 +135,7 @@ def _hidden(
 
 
 def _posts_in_image(sensor: Sensor, shot: Shot, dem: Dem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(row and col, pixel, distance in m) of the posts that project into the image, seen or hidden."""
+    """(row and col, pixel, distance in m) of the posts that project into the image, visible or hidden."""
     posts = np.indices(np.shape(dem.posts)).reshape(2, -1).T
     uv, distance, ok = (np.asarray(x) for x in _projected(sensor, shot, dem, posts))
     return posts[ok], uv[ok], distance[ok]
@@ -190,7 +190,7 @@ def _middle(camera: AbstractCamera) -> np.ndarray:
 
 
 def _mesh(camera: FrameCamera, counts: tuple[int, int], margin: float) -> np.ndarray:
-    """Pixels (columns, rows, 2) evenly over the image, from `margin` (a share of the image) inside its edges."""
+    """Evenly spaced pixels (columns, rows, 2), from `margin` (a share of the image size) inside the edges."""
     sides = [
         np.linspace(margin, 1.0 - margin, count) * size - 0.5
         for count, size in zip(counts, (camera.width, camera.height), strict=True)
@@ -199,7 +199,7 @@ def _mesh(camera: FrameCamera, counts: tuple[int, int], margin: float) -> np.nda
 
 
 def _edges(camera: FrameCamera) -> np.ndarray:
-    """Pixels (n, 2) once around the image."""
+    """Pixels (n, 2) along the edge of the image."""
     mesh = _mesh(camera, (EDGE, EDGE), 0.0)
     return np.concatenate([mesh[:-1, 0], mesh[-1, :-1], mesh[:0:-1, -1], mesh[0, :0:-1]])
 
@@ -209,7 +209,7 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
 
 
 def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Errors:
-    """How sure the fix of a pixel is."""
+    """Accuracy of the fix of a pixel, by every method."""
     scene, key = (sensor, shot, uv, dem), jax.random.key(0)
     compared = compare(*scene, model, key=key, count=SAMPLES, chunk=SAMPLES)
     trusted = accuracy(*scene, model, key=key, count=SAMPLES)
@@ -217,7 +217,7 @@ def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorMo
 
 
 def sampled(image: np.ndarray, rowcol: np.ndarray) -> np.ndarray:
-    """Values (..., bands) between the posts of (rows, cols, bands), bilinear."""
+    """Bilinear interpolation (..., bands) of an image (rows, cols, bands)."""
     first = np.clip(np.floor(rowcol).astype(int), 0, np.array(image.shape[:2]) - 2)
     row, col = first[..., 0], first[..., 1]
     r, c = np.moveaxis(np.clip(rowcol - first, 0.0, 1.0)[..., None], -2, 0)

@@ -1,4 +1,4 @@
-"""Colours of made-up scenery: woods on slopes, meadows in valleys, light, haze and a sky."""
+"""Synthetic scene colours: woods on slopes, meadows in valleys, shading, haze and sky."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.fix import Fix
 from jaxgeo.terrain import Dem
 
-LIGHT = np.array([0.80, -0.35, 0.42])  # towards the sun: east, north, up; a morning
+LIGHT = np.array([0.80, -0.35, 0.42])  # direction to the sun: east, north, up
 MEADOW, MOWN, WOOD, CROWN = (
     np.array(rgb) for rgb in ([0.56, 0.62, 0.33], [0.74, 0.70, 0.46], [0.17, 0.27, 0.14], [0.34, 0.43, 0.20])
 )
 ZENITH, HORIZON = np.array([0.36, 0.56, 0.83]), np.array([0.83, 0.89, 0.94])
-CLEAR = 11_000.0  # m, over which all but 1/e of a colour is lost in haze
-OCTAVES = (260.0, 120.0, 55.0, 25.0, 11.0, 5.0, 2.3)  # m: how coarse what grows there is
-TABLE = 256  # numbers along each side of a table of chance, which repeats
+CLEAR = 11_000.0  # m, haze length: contrast falls to 1/e
+OCTAVES = (260.0, 120.0, 55.0, 25.0, 11.0, 5.0, 2.3)  # m, wavelengths of the vegetation texture
+TABLE = 256  # side length of the periodic random table
 
 
 def painted(dem: Dem, fix: Fix, focal_px: float) -> np.ndarray:
-    """Colours (rows, columns, 3) of an image from the fixes (rows, columns) of its pixels; sky where there are none.
+    """Colours (rows, columns, 3) of an image from the fixes (rows, columns) of its pixels; sky where there is no fix.
 
-    The grid of the terrain lies along north and east, as geographic ones do.
+    The DEM grid must be aligned with north and east, as geographic grids are.
     """
     ok = np.asarray(fix.ok)
     shape, flat = ok.shape, jax.tree.map(np.ravel, fix.position)
@@ -46,7 +46,7 @@ def _sky(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _grown(east: np.ndarray, north: np.ndarray, steep: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Colours (n, 3) of what grows at places, m, on slopes (their tangents); no detail finer than a pixel sees, m."""
+    """Vegetation colours (n, 3) at places (m) with slopes (tangents); no detail finer than the pixel footprint (m)."""
     parts = [_chance(east / size, north / size, seed) for seed, size in enumerate(OCTAVES)]
     seen = [np.clip(size / (3.0 * footprint) - 0.5, 0.0, 1.0) for size in OCTAVES]
     patches = 0.5 * parts[0] + 0.3 * parts[1] * seen[1] + 0.15 * parts[2] * seen[2]
@@ -64,7 +64,7 @@ def _step(x: np.ndarray) -> np.ndarray:
 
 
 def _chance(x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
-    """Smooth noise between -1 and 1 that is alike over a length of 1."""
+    """Smooth noise between -1 and 1 with correlation length 1."""
     table = np.random.default_rng(seed).uniform(-1.0, 1.0, (TABLE, TABLE))
     col, row = np.floor(x).astype(int), np.floor(y).astype(int)
     s, t = (part * part * (3.0 - 2.0 * part) for part in (x - col, y - row))
@@ -74,7 +74,7 @@ def _chance(x: np.ndarray, y: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _relief(dem: Dem, north: float, east: float) -> tuple[np.ndarray, np.ndarray]:
-    """(light, tangent of the slope) of the posts (rows, cols) of a grid along north and east, spaced in m."""
+    """(shading, slope tangent) of DEM posts (rows, cols); `north`, `east` are the post spacings in m."""
     down, across = np.gradient(np.asarray(dem.posts, float), north, east)
     steep = np.hypot(down, across)
     light = LIGHT / np.linalg.norm(LIGHT)

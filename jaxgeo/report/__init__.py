@@ -1,6 +1,6 @@
-"""Reports: one page that shows where pixels look, how sure that is and why, and that needs no network.
+"""Self-contained HTML reports: ground points of pixels, their accuracy, and error budgets.
 
-`write_report(path, subject)` writes one of a `Subject`: what was looked at, through what, and what was found.
+`write_report(path, subject)` writes the report of a `ReportData`: exposures, pixels, terrain, error sources and fixes.
 """
 
 try:

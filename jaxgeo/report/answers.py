@@ -1,4 +1,4 @@
-"""The answers of a page in words: where a pixel looks, how sure that is, by which method and why."""
+"""Template data of fixes: coordinates, accuracy, method and its reason, comparison with samples."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ VERDICTS = {
     Method.footprint: "Linear propagation is valid with the mean slope over the error footprint, not that at the fix.",
     Method.samples: "Linear propagation is not valid here; the figures are from Monte Carlo samples.",
 }
-MARKS = {"valid": ("✓", "valid"), "not valid": ("✗", "not valid"), "undecided": ("?", "undecided until more are drawn")}
+MARKS = {"valid": ("✓", "valid"), "not valid": ("✗", "not valid"), "undecided": ("?", "needs more samples")}
 
 
 def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
-    """Where one pixel looks and how sure that is; without a fix no coordinates, but why."""
+    """Coordinates and accuracy of one pixel; without a fix, the reason."""
     index = detail.index
     word, sentence = words.status(np.asarray(subject.fixes.status)[index])
     found = bool(subject.has_place[index])
@@ -49,15 +49,15 @@ def answer_of(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
 
 
 def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
-    """How sure a fix is, by which method, why, and what samples say of that."""
+    """Accuracy of a fix, its method and reason, and the comparison with samples."""
     if subject.accuracy is None or not subject.is_fix[detail.index]:
         return {"verdict": "", "because": detail.unsure, "agreed": ""}
     one, index = subject.accuracy, detail.index
     percent = words.percent_name(subject.probability)
     radii = (
-        ("CE", one.circular, "on the level plane"),
-        ("LE", one.linear, "in height"),
-        ("SE", one.spherical, "in space"),
+        ("CE", one.circular, "horizontal"),
+        ("LE", one.linear, "vertical"),
+        ("SE", one.spherical, "3-D"),
     )
     figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
     trust = Method(int(np.asarray(one.trust)[index]))
@@ -67,29 +67,29 @@ def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
 
 
 def _agreed(comparison: Comparison, trust: Method, probability: float) -> str:
-    """What samples say of linear propagation, in a sentence or two."""
+    """Comparison of linear propagation with samples, one or two sentences."""
     name = f"CE{words.percent_name(probability)}"
     one = comparison.sampled.circular_error(probability)
     linear = {key: float(p.circular_error(probability)) for key, p in comparison.propagations.items()}
     count = words.count(comparison.sampled.count)
     said = f"{count} samples give {name} {words.length(one.value)} ({words.length(one.low)} to {words.length(one.high)}"
-    said += " with 95 %)"
+    said += ", 95 % interval)"
     if trust is Method.samples:
-        said += f"; linear propagation says {words.length(linear[FACET])} over the facet and "
-        said += f"{words.length(linear[FOOTPRINT])} over the footprint."
+        said += f"; linear propagation gives {words.length(linear[FACET])} with the facet slope and "
+        said += f"{words.length(linear[FOOTPRINT])} with the footprint slope."
     else:
         radius = linear[FACET if trust is Method.facet else FOOTPRINT]
         inside = one.low <= radius <= one.high
         off = f"{100.0 * abs(radius / one.value - 1.0):.1f} % {'more' if radius > one.value else 'less'}"
-        said += f": linear propagation's {words.length(radius)} is {'within that' if inside else off}."
+        said += f": linear propagation, {words.length(radius)}, is {'inside' if inside else off}."
     if comparison.jumped > 0.0 or comparison.failed > 0.0:
         jumped, failed = words.share(comparison.jumped), words.share(comparison.failed)
-        said += f" {jumped} of them jump to other ground, {failed} have no fix."
+        said += f" {jumped} of them hit a nearer or farther slope, {failed} have no fix."
     return said
 
 
 def _mgrs(lat: float, lon: float) -> str | None:
-    """The square metre of the Military Grid; None without the library, or where the grid does not reach."""
+    """MGRS coordinates to 1 m; None without the library or outside the grid."""
     try:
         (square,) = mgrs_of(np.array([lat]), np.array([lon]))
     except ImportError:
@@ -100,7 +100,7 @@ def _mgrs(lat: float, lon: float) -> str | None:
 
 
 def comparison_of(comparison: Comparison) -> dict[str, Any]:
-    """A table of methods: figures in m with a mark, the samples' own, their intervals, and the verdict."""
+    """Comparison table: figures in m with validity marks per method, sampled figures, their intervals, the verdict."""
     rows = [
         {
             "method": row.method,
@@ -128,7 +128,7 @@ def comparison_of(comparison: Comparison) -> dict[str, Any]:
 
 
 def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:
-    """Many pixels at a glance: how many have a fix, what became of the others, how sure they are."""
+    """Summary of many pixels: number of fixes, status counts, accuracy, methods."""
     names = [row["status"] for row in rows]
     statuses = [
         (name.replace("_", " "), words.count(names.count(name)), Status[name].message)
@@ -161,7 +161,7 @@ def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def camera_of(subject: ReportData, index: int) -> list[tuple[str, str]]:
-    """Camera and pose of one pixel's exposure in words, in the units that people read."""
+    """Camera and pose of one pixel's exposure as (name, text) pairs."""
     sensor, shot, _, _, _ = subject.look(index)
     width, height = image_size(sensor)
     pose = shot.pose

@@ -1,4 +1,4 @@
-"""An error budget as rows of a page: bars, and what is told beside them."""
+"""Template data of an error budget: bars and tooltips."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from jaxgeo.report import words
 from jaxgeo.uncertainty import Budget
 from jaxgeo.uncertainty.budget import READ_AS, SigmaShare, SourceShare, Variance
 
-MOST = 12  # bars; all others are one together
-SMALL = 1e-4  # of the variance: what has no more in both is not listed by itself
+MOST = 12  # bars; the rest are one bar
+SMALL = 1e-4  # share of variance below which (in both) a source is not listed
 
 
 class _Line(NamedTuple):
@@ -23,7 +23,7 @@ class _Line(NamedTuple):
 
 
 def budget_of(budget: Budget) -> dict[str, Any]:
-    """Rows, the largest first, each with its shares in percent, and the whole in words."""
+    """Rows, largest first, with their shares in percent, and the totals as text."""
     lines = sorted(_lines(budget), key=lambda one: (-one.variance.horizontal, -one.variance.vertical))
     shown = [one for one in lines[: MOST - 1] if max(_shares(one.variance, budget.total)) > SMALL]
     rest = lines[len(shown) :]
@@ -51,18 +51,18 @@ def _row(one: _Line, budget: Budget, name: str) -> dict[str, Any]:
     saved = 1.0 - one.without / budget.circular_error if known and budget.circular_error > 0.0 else math.nan
     tip = [
         (
-            "has alone, level",
+            "alone, horizontal",
             f"{words.length(math.sqrt(one.variance.horizontal))} (1 sigma), {words.share(across)} of the variance",
         ),
         (
-            "has alone, height",
+            "alone, vertical",
             f"{words.length(math.sqrt(one.variance.vertical))} (1 sigma), {words.share(up)} of the variance",
         ),
     ]
     if known:
         tip.append((f"{name} without it", f"{words.length(one.without)}, {words.share(saved)} less"))
     if one.slope:
-        tip.append((f"{name} grows by", one.slope))
+        tip.append((f"{name} sensitivity", one.slope))
     return {
         "name": one.name,
         "sigma": one.sigma,
@@ -79,7 +79,7 @@ def _shares(variance: Variance, total: Variance) -> tuple[float, float]:
 
 
 def _lines(budget: Budget) -> Iterator[_Line]:
-    """All that has a share of its own: each independent standard deviation, each block of correlated ones."""
+    """Lines of a budget: each independent standard deviation, each block of correlated ones."""
     for source in budget.sources:
         if source.is_block:
             yield _block(source)
@@ -93,11 +93,11 @@ def _block(source: SourceShare) -> _Line:
 
 
 def _sigma(line: SigmaShare) -> str:
-    """A standard deviation as people read it."""
+    """A standard deviation in display units."""
     unit, factor = READ_AS.get(line.unit, (line.unit, 1.0))
     return f"{line.sigma * factor:.3g}°" if unit == "deg" else f"{line.sigma * factor:.3g} {unit}"
 
 
 def _slope(line: SigmaShare) -> str:
     unit, factor = READ_AS.get(line.unit, (line.unit, 1.0))
-    return f"{line.slope / factor:.3g} m for one {unit} more"
+    return f"{line.slope / factor:.3g} m per {unit}"

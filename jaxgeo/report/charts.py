@@ -1,4 +1,4 @@
-"""Charts of one fix: the ground under its line of sight, and its errors by samples and by linear propagation."""
+"""Charts of one fix: terrain section under its line of sight, and its error cloud with linear propagation."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from jaxgeo.report.map import dress
 from jaxgeo.report.places import samples_of
 from jaxgeo.uncertainty import Propagation
 
-MOST_POINTS = 900  # of a section; every bend of the ground on a screen
+MOST_POINTS = 900  # per section, enough for a screen
 MOST_DOTS = 3000
-SHOWN = 0.99  # of the samples
-FAR = 8.0  # times the largest circle: no chart goes farther by itself
+SHOWN = 0.99  # share of the samples
+FAR = 8.0  # times the largest circle: limit of the initial extent
 
 
 def section_chart(section: Section, name: str) -> Any:
-    """The line of sight over the ground under it, with the places where it goes into the ground."""
+    """Chart of the line of sight over its terrain section, with its intersections."""
     keep = _thinned(section)
     unit, scale = ("km", 1e-3) if section.distance[-1] >= 3000.0 else ("m", 1.0)
     km, sight, ground = scale * section.distance[keep], section.sight[keep], section.ground[keep]
@@ -56,7 +56,7 @@ def section_chart(section: Section, name: str) -> Any:
 
 
 def _thinned(section: Section) -> np.ndarray:
-    """Which samples are shown: evenly, with those about the hits."""
+    """Indices of the samples shown: evenly spaced, plus those around the hits."""
     count = len(section.distance)
     even = np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(int)
     near = [np.searchsorted(section.distance, hit) + np.arange(-20, 21) for hit in section.hits[:, 0]]
@@ -64,13 +64,13 @@ def _thinned(section: Section) -> np.ndarray:
 
 
 def _told_along(chart: Any, along: np.ndarray, sight: np.ndarray, ground: np.ndarray, unit: str) -> None:
-    """What a pointer over the chart is told, at the nearest place."""
+    """Add tooltips at the nearest sample."""
     source = {
         "x": along,
         "y": sight,
         "distance": [f"{value:.{3 if unit == 'km' else 1}f} {unit}" for value in along],
         "sight": [f"{words.metres(float(value), 1)} m" for value in sight],
-        "ground": ["not known" if np.isnan(value) else f"{words.metres(float(value), 1)} m" for value in ground],
+        "ground": ["unknown" if np.isnan(value) else f"{words.metres(float(value), 1)} m" for value in ground],
         "clear": [
             "" if np.isnan(g) else f"{words.metres(float(s - g), 1)} m" for s, g in zip(sight, ground, strict=True)
         ],
@@ -90,7 +90,7 @@ def _hits(chart: Any, section: Section, scale: float) -> None:
 
 
 def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
-    """The samples of a fix in m east and north of it, with ellipses and circles of a probability; None without."""
+    """Chart of the sampled errors of a fix, m east and north, with ellipses and circles; None without samples."""
     comparison = detail.comparison
     points, jumped = samples_of(detail, MOST_DOTS)
     if comparison is None or not len(points):
@@ -106,7 +106,7 @@ def cloud_chart(detail: Detail, name: str, probability: float = 0.9) -> Any:
     dots = [_dots(chart, points[~jumped], SKY)]
     if jumped.any():
         dots.append(_dots(chart, points[jumped], JUMPED))
-    tip = [("east", "@x{0.00} m"), ("north", "@y{0.00} m"), ("up", "@up{0.00} m"), ("off on the level", "@off{0.00} m")]
+    tip = [("east", "@x{0.00} m"), ("north", "@y{0.00} m"), ("up", "@up{0.00} m"), ("horizontal", "@off{0.00} m")]
     chart.add_tools(HoverTool(renderers=dots, tooltips=tip, point_policy="snap_to_data", limit=1, visible=False))
     lines = []
     drawn = comparison.sampled
@@ -132,7 +132,7 @@ def _linear(chart: Any, key: str, one: Propagation, probability: float, colour: 
 def _curves(
     chart: Any, key: str, mean: np.ndarray, cov: np.ndarray, held: tuple[float, float], colour: str
 ) -> list[Any]:
-    """The ellipse of a covariance, and the circle, that hold (probability, radius in m of the circle)."""
+    """Draw the covariance ellipse and the circle; `held` is (probability, radius of the circle in m)."""
     probability, radius = held
     percent = words.percent_name(probability)
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -140,7 +140,7 @@ def _curves(
     lines = []
     values, vectors = np.linalg.eigh(np.nan_to_num(np.asarray(cov)[:2, :2]))
     root = vectors * np.sqrt(np.maximum(values, 0.0)) * math.sqrt(-2.0 * math.log1p(-probability))
-    curves = [(f"ellipse of the covariance, {percent} %", np.asarray(mean)[:2, None] + root @ ring, "solid")]
+    curves = [(f"covariance ellipse, {percent} %", np.asarray(mean)[:2, None] + root @ ring, "solid")]
     if math.isfinite(radius):
         curves.append((f"CE{percent} {words.length(radius)}", radius * ring, "dashed"))
     for what, (x, y), dash in curves:

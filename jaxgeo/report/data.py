@@ -1,4 +1,4 @@
-"""What a report is of: pixels, each of its own exposure, what they see, and how sure that is."""
+"""Report input: pixels with their exposures, fixes and accuracy."""
 
 from __future__ import annotations
 
@@ -24,13 +24,12 @@ ONE_SCENE: Axes = (None, None, 0, None, None)
 
 @dataclass(frozen=True)
 class ReportData:
-    """n pixels `uv` (n, 2), the exposures that they are of, and their `fixes` (n,).
+    """n pixels `uv` (n, 2), their exposures and their `fixes` (n,).
 
-    `axes`, for (sensor, shots, uv, terrain, errors), has 0 where there is one for each pixel and None where one is for
-    all. `errors` are sources or an `ErrorModel`, None if it is not known how the world errs; `accuracy` is then None
-    too, as it is where no pixel has a fix. `labels` tell of each pixel what it is: a `name`, or columns of a table.
-    `looks` gives what `look` does where exposures have no common structure, such as those of several cameras; `sensor`
-    and `errors` are then those of the first.
+    `axes`, for (sensor, shots, uv, terrain, errors), is 0 if there is an entry per pixel and None if one is shared.
+    `errors` are error sources or an `ErrorModel`, or None; `accuracy` is None without errors or without any fix.
+    `labels` hold a `name` or table columns per pixel. `looks` replaces `look` if exposures have no common structure
+    (several cameras); `sensor` and `errors` are then those of the first.
     """
 
     sensor: Sensor
@@ -60,10 +59,10 @@ class ReportData:
         atmosphere: Atmosphere | None = None,
         labels: Sequence[Mapping[str, Any]] = (),
     ) -> ReportData:
-        """What these pixels see, and how sure that is: by default pixels (n, 2), or one, of one shot.
+        """Locate pixels and compute their accuracy: by default pixels (n, 2), or one, of one shot.
 
-        `in_axes` as for `accuracy_of_each`. Raises as `locate` and `accuracy_of_each`, and `ValueError` for labels of
-        another number.
+        `in_axes` as for `accuracy_of_each`. Raises as `locate` and `accuracy_of_each`, and `ValueError` if the
+        number of labels differs.
         """
         uv = np.atleast_2d(np.asarray(uv, np.float64))
         if labels and len(labels) != len(uv):
@@ -100,16 +99,16 @@ class ReportData:
 
     @property
     def is_fix(self) -> np.ndarray:
-        """Which pixels (n,) have a fix whose ground is known to be the first that was met."""
+        """Mask (n,) of pixels whose fix is known to be the first intersection with the terrain."""
         return np.asarray(counts_as_fix(jnp.asarray(self.fixes.status)))
 
     @property
     def has_place(self) -> np.ndarray:
-        """Which pixels (n,) have coordinates at all."""
+        """Mask (n,) of pixels with coordinates."""
         return np.isfinite(np.asarray(self.fixes.slant_range))
 
     def name(self, index: int) -> str:
-        """What a pixel is called: its name, if it has one, and its column and row."""
+        """Display name of a pixel: its name, if any, with column and row."""
         u, v = np.asarray(self.uv)[index]
         label = self.labels[index].get("name") if self.labels else None
         pixel = f"pixel {u:g}, {v:g}"

@@ -1,4 +1,4 @@
-"""What is shown of a few fixes beside their numbers: the section under the line of sight, errors by every method."""
+"""Details of selected fixes: section under the line of sight, comparison of methods, error budget."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from jaxgeo.terrain import ConstantHeight, Dem
 from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, budget, compare
 from jaxgeo.uncertainty.compare import FIGURES
 
-SAMPLES = 20_000  # as many as `accuracy` draws, and with the same key: the same ones
-ON_A_SIDE = 24  # places of an image's edge that are put on the ground
+SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
+ON_A_SIDE = 24  # points per image edge located on the ground
 LEVEL_SAMPLES = 512
-BEHIND = 1.06  # of the way to the fix
+BEHIND = 1.06  # section length, times the slant range
 FACET, FOOTPRINT = "linear, facet", "linear, footprint"
 
 
 class Detail(NamedTuple):
-    """What is shown of one pixel; what there is not is None, and `unsure` says why nothing tells how sure it is.
+    """Details of one pixel; missing parts are None, `unsure` is the reason why there is no accuracy.
 
-    `chosen` says why this one is shown, if not all are. `outline` (m, 2) is the edge of its image on the ground,
-    longitude and latitude in deg, NaN where no ground is seen.
+    `chosen` is the reason why it is shown, if not all are. `outline` (m, 2) is the footprint outline, longitude and
+    latitude in deg, NaN where no ground is seen.
     """
 
     index: int
@@ -44,7 +44,7 @@ class Detail(NamedTuple):
     unsure: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words."""
+        """Plain numbers and strings."""
         told: dict[str, Any] = {"index": self.index}
         told |= {"budget": None if self.budget is None else self.budget.to_dict()}
         if self.comparison is None:
@@ -63,7 +63,7 @@ class Detail(NamedTuple):
 
 
 def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
-    """Details of up to `most` pixels: of all, if there are no more, or of the usual, the best and the worst fix.
+    """Details of up to `most` pixels: of all, if no more, else median, largest and smallest CE90 first.
 
     Raises `ValueError` for a negative `most`.
     """
@@ -74,20 +74,20 @@ def details_of(subject: ReportData, *, most: int = 3) -> list[Detail]:
 
 
 def chosen(subject: ReportData, most: int) -> list[tuple[int, str]]:
-    """(index, why) of the pixels that details are shown of."""
+    """(index, reason) of the pixels shown in detail."""
     if len(subject) <= most:
         return [(index, "") for index in range(len(subject))]
     found = np.flatnonzero(subject.is_fix)
     if not most:
         return []
     if not found.size:
-        return [(0, "the first")]
+        return [(0, "first pixel")]
     if subject.accuracy is None:
-        return [(int(index), "one of the first") for index in found[:most]]
+        return [(int(index), "first fixes") for index in found[:most]]
     radii = np.asarray(subject.accuracy.circular)[found]
     order = found[np.argsort(np.nan_to_num(radii, nan=math.inf), kind="stable")]
-    picks = [(len(order) // 2, "the usual one"), (len(order) - 1, "the least sure"), (0, "the surest")]
-    places = [*picks, *((k, "one more") for k in np.linspace(0, len(order) - 1, most + 2).astype(int)[1:-1])]
+    picks = [(len(order) // 2, "median CE90"), (len(order) - 1, "largest CE90"), (0, "smallest CE90")]
+    places = [*picks, *((k, "further fix") for k in np.linspace(0, len(order) - 1, most + 2).astype(int)[1:-1])]
     unique = {int(order[place]): why for place, why in reversed(places)}
     told = [(index, unique[index]) for index in dict.fromkeys(int(order[place]) for place, _ in places)]
     return told[:most]
@@ -103,33 +103,35 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
     if not subject.is_fix[index]:
         return detail._replace(unsure=Status(int(np.asarray(subject.fixes.status)[index])).message)
     if errors is None or subject.accuracy is None:
-        return detail._replace(unsure="Nothing says how the camera, its position and the ground err.")
+        return detail._replace(unsure="No error sources are given.")
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
     options: dict[str, Any] = {"key": jax.random.key(0), "count": SAMPLES, "atmosphere": subject.atmosphere}
     told = compare(sensor, shot, uv, terrain, model, **options)
     is_facet = int(np.asarray(subject.accuracy.trust)[index]) == Method.facet
     linear = told.propagations[FACET if is_facet else FOOTPRINT]
     if not np.isfinite(np.asarray(linear.cov_enu)).all():
-        return detail._replace(comparison=told, unsure="The ground has no slope to propagate errors over.")
+        return detail._replace(
+            comparison=told, unsure="The ground slope is undefined here, so errors cannot be propagated."
+        )
     return detail._replace(comparison=told, budget=budget(linear, subject.probability))
 
 
 def _section(subject: ReportData, index: int, ray: Ray, terrain: Any) -> Section | None:
-    """The section under a line of sight; None where there is none."""
+    """The section under a line of sight; None if it cannot be drawn."""
     if not all(np.isfinite(np.asarray(x)).all() for x in (ray.origin, ray.direction)):
         return None
     if isinstance(terrain, Dem):
         try:
             return section_under(ray, terrain, atmosphere=subject.atmosphere)
-        except ValueError:  # the line is plumb, or never over the terrain
+        except ValueError:  # vertical line, or never over the terrain
             return None
     if not isinstance(terrain, ConstantHeight):
-        return None  # it is not level, and there is no grid to draw
+        return None  # neither level nor gridded
     return _level_section(subject, index, ray.through(subject.atmosphere))
 
 
 def _level_section(subject: ReportData, index: int, ray: Ray) -> Section | None:
-    """The section over level ground, up to a little behind the fix."""
+    """The section over level ground, to a little beyond the fix."""
     fix = subject.fix(index)
     if not math.isfinite(float(fix.slant_range)):
         return None
@@ -148,7 +150,7 @@ def _level_section(subject: ReportData, index: int, ray: Ray) -> Section | None:
 
 @eqx.filter_jit
 def _feet(ray: Ray, along: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """(foot on the ellipsoid in ECEF, height) in m at ranges along a ray."""
+    """(foot point on the ellipsoid in ECEF, height) in m at ranges along a ray."""
 
     def one(distance: jax.Array) -> tuple[jax.Array, jax.Array]:
         p_ecef = ray.at(distance)
@@ -159,7 +161,7 @@ def _feet(ray: Ray, along: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def _outline(sensor: Any, shot: Any, terrain: Any, atmosphere: Any) -> np.ndarray:
-    """(m, 2) longitude and latitude in deg of the ground along the edge of an image, closed; NaN where none is seen."""
+    """Closed footprint outline (m, 2), longitude and latitude in deg; NaN where no ground is seen."""
     width, height = image_size(sensor)
     corners = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
     steps = np.linspace(0.0, 1.0, ON_A_SIDE, endpoint=False)[:, None]

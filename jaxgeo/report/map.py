@@ -1,4 +1,4 @@
-"""The map of a report: the ground, and all that lies on it, to be zoomed and asked."""
+"""Interactive map of a report: relief, footprints, lines of sight, samples, ellipses, cameras and fixes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FIX_TIP = [
     ("latitude", "@lat"),
     ("longitude", "@lon"),
     ("height", "@height"),
-    ("how sure", "@sure"),
+    ("accuracy", "@sure"),
     ("range", "@range"),
     ("status", "@status"),
 ]
@@ -33,7 +33,7 @@ FIX_TIP = [
 def map_of(
     subject: ReportData, details: Sequence[Detail], rows: Sequence[Row], places: Places, reliefs: Sequence[Relief]
 ) -> Any:
-    """The map, in degrees of longitude and latitude, with layers by name."""
+    """The map, longitude and latitude in deg, with named layers."""
     chart = _empty(places.box)
     for relief in reliefs:
         box = relief.box
@@ -71,7 +71,7 @@ def _empty(box: Box) -> Any:
     )
     dress(chart)
     east, _ = metres_per_degree(box.centre[1])
-    scale = ImperialLength(  # the one whose basis may be set: pages cannot make a CustomDimensional
+    scale = ImperialLength(  # its basis can be set; CustomDimensional is not available in pages
         basis={"m": (1.0, "m", "metre"), "km": (1000.0, "km", "kilometre"), "deg": (east, "deg", "degree")},
         ticks=[1, 2, 5, 10, 20, 50, 100, 200, 500],
     )
@@ -92,7 +92,7 @@ def _empty(box: Box) -> Any:
 
 
 def dress(chart: Any) -> None:
-    """The look that all charts of a page share."""
+    """Apply the common chart style."""
     chart.toolbar.logo = None
     chart.outline_line_color = HAIR
     for axis in chart.axis:
@@ -107,7 +107,7 @@ def dress(chart: Any) -> None:
         axis.formatter.use_scientific = False
         axis.ticker.desired_num_ticks = 5
     for axis in chart.xaxis:
-        axis.ticker.desired_num_ticks = 3  # degrees with many decimals stand beside each other on a phone, too
+        axis.ticker.desired_num_ticks = 3  # long degree labels must fit on a phone
     for grid in chart.grid:
         grid.grid_line_color = "#ffffff"
         grid.grid_line_alpha = 0.5
@@ -160,7 +160,7 @@ def _ellipses(chart: Any, subject: ReportData, details: Sequence[Detail], places
     style: dict[str, Any] = {"source": ColumnDataSource(source), "name": "ellipse"}
     chart.patches("xs", "ys", line_color=None, fill_color=VERMILLION, fill_alpha=0.08, **style)
     glyph = chart.multi_line("xs", "ys", line_color=VERMILLION, line_width=2.0, **style)
-    tip = [("", "@name"), ("", "@what"), ("semi-axes", "@axes"), ("azimuth of the longer", "@azimuth")]
+    tip = [("", "@name"), ("", "@what"), ("semi-axes", "@axes"), ("azimuth of major axis", "@azimuth")]
     chart.add_tools(HoverTool(renderers=[glyph], tooltips=tip, name="tip of ellipses", visible=False))
 
 
@@ -230,7 +230,7 @@ def _fixes(chart: Any, subject: ReportData, rows: Sequence[Row], places: Places)
 
 def _sure(subject: ReportData, index: int, percent: str) -> str:
     if subject.accuracy is None or not subject.is_fix[index]:
-        return "not known"
+        return "unknown"
     radii = (float(np.asarray(x)[index]) for x in (subject.accuracy.circular, subject.accuracy.linear))
     circular, linear = (words.length(radius) for radius in radii)
     return f"CE{percent} {circular}, LE{percent} {linear}"

@@ -1,4 +1,4 @@
-"""The page: everything in one text, with its style, its scripts and its pictures."""
+"""The report page: one self-contained HTML text with styles, scripts and images."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from jaxgeo.report.places import Places, ellipse_of, places_of
 from jaxgeo.report.table import table_of
 from jaxgeo.terrain import Dem
 
-CLOSE = 6.0  # times the larger semi-axis: half the side of the ground shown close to a fix
-LEAST_CLOSE = 60.0  # m, the same at least
-CLOSE_ACROSS = 600  # pixels of a picture of that ground
-LAYERS = (  # key, what it is called, how it looks: (kind of swatch, colour)
+CLOSE = 6.0  # half side of the close-up of a fix, times the major semi-axis
+LEAST_CLOSE = 60.0  # m, least half side of the close-up
+CLOSE_ACROSS = 600  # pixels of the close-up image
+LAYERS = (  # key, label, (swatch kind, colour)
     ("relief", "relief", ("area", "#c5b48f")),
-    ("outline", "edge of the image", ("line", INK)),
+    ("outline", "image footprint", ("line", INK)),
     ("sight", "line of sight", ("line", SIGHT)),
     ("camera", "camera", ("dot", SIGHT)),
     ("samples", "samples", ("dot", SKY)),
@@ -50,12 +50,12 @@ LAYERS = (  # key, what it is called, how it looks: (kind of swatch, colour)
 
 @dataclass(frozen=True)
 class ReportHeader:
-    """What a page says beside numbers: its title, what was asked and what had to be assumed, in plain words.
+    """Title, inputs and assumptions shown on a page.
 
-    `made` is when; now if left out.
+    `made` is the creation time; now by default.
     """
 
-    title: str = "Where pixels look, and how sure that is"
+    title: str = "Ground coordinates and accuracy"
     inputs: Mapping[str, Any] = field(default_factory=dict)
     assumed: Sequence[str] = ()
     made: datetime.datetime | None = None
@@ -69,7 +69,7 @@ def write_report(
     details: Sequence[Detail] | None = None,
     most: int = 3,
 ) -> None:
-    """A report as a file that appears when all of it is written; what it takes as for `report_html`.
+    """Write a report to a file atomically; arguments as for `report_html`.
 
     Raises `ValueError` for a path that cannot be written to.
     """
@@ -80,9 +80,9 @@ def write_report(
 def report_html(
     subject: ReportData, *, told: ReportHeader | None = None, details: Sequence[Detail] | None = None, most: int = 3
 ) -> str:
-    """One page of HTML about a subject, which asks the network for nothing.
+    """Self-contained HTML page of a report; needs no network.
 
-    `details` are what is shown of some pixels beside their numbers, by default `details_of(subject, most=most)`.
+    `details` are the details of selected pixels, by default `details_of(subject, most=most)`.
     """
     told = ReportHeader() if told is None else told
     details = details_of(subject, most=most) if details is None else details
@@ -120,7 +120,7 @@ def report_html(
 
 
 def _ground(subject: ReportData, details: Sequence[Detail], places: Places) -> tuple[list[Relief], list[Heights]]:
-    """Pictures of the ground, all of it and close to the fixes that details are shown of; grids of their heights."""
+    """Relief images and height grids of the whole area and around the fixes shown in detail."""
     dem = subject.terrain
     if not isinstance(dem, Dem):
         return [], []
@@ -139,7 +139,7 @@ def _ground(subject: ReportData, details: Sequence[Detail], places: Places) -> t
 
 
 def close_to(subject: ReportData, detail: Detail) -> Box | None:
-    """The ground about a fix, as far as its errors reach and a little beyond; None without a fix."""
+    """Box around a fix, somewhat larger than its error ellipse; None without a fix."""
     if not subject.has_place[detail.index]:
         return None
     position = subject.fix(detail.index).position
@@ -153,8 +153,8 @@ def close_to(subject: ReportData, detail: Detail) -> Box | None:
 def _shown(
     subject: ReportData, number: int, detail: Detail, rows: Sequence[Mapping[str, Any]], charts: dict[str, Any]
 ) -> dict[str, Any]:
-    """What the page says of one pixel; its charts are put beside the others."""
-    is_dull = not isinstance(subject.terrain, Dem) and len(subject) > 1  # level ground is alike under every line
+    """Template data of one pixel; its charts are added to `charts`."""
+    is_dull = not isinstance(subject.terrain, Dem) and len(subject) > 1  # the same section for every line of sight
     section = None if detail.section is None or is_dull else section_chart(detail.section, f"section-{number}")
     cloud = cloud_chart(detail, f"cloud-{number}", subject.probability)
     charts |= {f"section-{number}": section} if section is not None else {}
@@ -179,14 +179,14 @@ def _is_there(chart: Any, layer: str) -> bool:
 
 
 def _zooms(subject: ReportData, details: Sequence[Detail], places: Places) -> list[dict[str, Any]]:
-    """Parts of the map to go to."""
+    """Zoom targets of the map."""
     zooms = [{"label": "All", "box": list(places.box)}]
     outlines = [d.outline[np.isfinite(d.outline).all(axis=1)] for d in details]
     ground = np.concatenate([*outlines, places.fix[np.isfinite(places.fix).all(axis=1)]])
     if len(ground):
         lon = places.box.centre[0] + np.remainder(ground[:, 0] - places.box.centre[0] + 180.0, 360.0) - 180.0
         box = Box(float(lon.min()), float(ground[:, 1].min()), float(lon.max()), float(ground[:, 1].max()))
-        zooms.append({"label": "Ground seen", "box": list(box.grown(0.08, LEAST_CLOSE))})
+        zooms.append({"label": "Footprint", "box": list(box.grown(0.08, LEAST_CLOSE))})
     for number, detail in enumerate(details):
         near = close_to(subject, detail)
         if near is not None:
@@ -203,7 +203,7 @@ def _for_script(
     subject: ReportData,
     details: Sequence[Detail],
 ) -> dict[str, Any]:
-    """What the page's script needs: the charts, where they go, which have equal axes, heights, and where fixes are."""
+    """Data of the page script: charts and their elements, aspect ratios, heights, and fix positions."""
     document = Document()
     for chart in charts.values():
         document.add_root(chart)
@@ -233,7 +233,7 @@ def _for_script(
 
 
 def _script_data(content: Any) -> Markup:
-    """JSON that may stand in a page: nothing in it ends the script."""
+    """JSON escaped for an HTML script element."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=True)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
@@ -241,7 +241,7 @@ def _script_data(content: Any) -> Markup:
 
 
 def _library() -> str:
-    """The script that draws charts, without its greeting."""
+    """The bokeh script."""
     (script, *_) = Resources(mode="inline", components=["bokeh"]).js_raw
     return script.replace("</script", "<\\/script")
 
@@ -257,7 +257,7 @@ def _made(told: ReportHeader) -> str:
 
 
 def _plain_inputs(inputs: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Names and values in words."""
+    """Names and values as text."""
     return [(str(name).replace("_", " "), _in_words(value)) for name, value in inputs.items()]
 
 

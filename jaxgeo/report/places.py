@@ -1,4 +1,4 @@
-"""What lies on the map: fixes with their ellipses, cameras, lines of sight, outlines, samples; in degrees."""
+"""Map coordinates of fixes, ellipses, cameras and samples, in degrees."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from jaxgeo.report.details import Detail
 from jaxgeo.report.ground import Box, metres_per_degree
 from jaxgeo.uncertainty.metrics import error_ellipse
 
-MOST_FIXES = 4000  # on a map; of more, some are left out, evenly
-MOST_SAMPLES = 1500  # of a fix on a map
-RING = 64  # corners of an ellipse
-LEAST = 40.0  # m that a map shows at least
+MOST_FIXES = 4000  # on a map; more are thinned evenly
+MOST_SAMPLES = 1500  # per fix on a map
+RING = 64  # vertices of an ellipse
+LEAST = 40.0  # m, least extent of a map
 
 
 class Places(NamedTuple):
-    """All in deg, longitudes without a jump; `index` (k,) are the pixels whose fixes are shown, `camera` (k, 2)."""
+    """Coordinates in deg, longitudes unwrapped; `index` (k,) are the pixels of the fixes shown, `camera` is (k, 2)."""
 
     index: np.ndarray
     fix: np.ndarray
@@ -31,12 +31,12 @@ class Places(NamedTuple):
 
     @property
     def is_one_camera(self) -> bool:
-        """Whether all pixels are seen from one place."""
+        """Whether all pixels have the same camera position."""
         return bool(np.all(np.abs(self.camera - self.camera[:1]) < 1e-9))
 
 
 class Ellipse(NamedTuple):
-    """A ring (n, 2) about a fix, semi-axes in m, azimuth of the longer one in deg; what it is in words."""
+    """Error ellipse: ring (n, 2) in deg, semi-axes in m, azimuth of the major axis in deg, description."""
 
     ring: np.ndarray
     major: float
@@ -46,7 +46,7 @@ class Ellipse(NamedTuple):
 
 
 def places_of(subject: ReportData, details: Sequence[Detail]) -> Places:
-    """Where everything is, and a box about it."""
+    """Positions of fixes and cameras, and their bounding box."""
     found = np.flatnonzero(subject.has_place)
     index = found if len(found) <= MOST_FIXES else found[np.linspace(0, len(found) - 1, MOST_FIXES).astype(int)]
     position = subject.fixes.position
@@ -67,12 +67,12 @@ def places_of(subject: ReportData, details: Sequence[Detail]) -> Places:
 
 
 def unwrapped(lon_deg: np.ndarray, middle: float) -> np.ndarray:
-    """Longitudes within half a turn of the middle."""
+    """Longitudes wrapped to within 180 deg of `middle`."""
     return middle + np.remainder(lon_deg - middle + 180.0, 360.0) - 180.0
 
 
 def _cameras(subject: ReportData, index: np.ndarray) -> np.ndarray:
-    """(k, 2) longitude and latitude in deg of the poses of some pixels."""
+    """Camera positions (k, 2), longitude and latitude in deg, of the indexed pixels."""
     position = subject.shots.pose.position
     lonlat = [np.rad2deg(np.asarray(x)) for x in (position.lon, position.lat)]
     is_each = subject.axes[1] == 0
@@ -84,7 +84,7 @@ def _rings(subject: ReportData, details: Sequence[Detail]) -> list[Ellipse]:
 
 
 def ellipse_of(subject: ReportData, index: int, detail: Detail | None) -> Ellipse | None:
-    """The ellipse that holds the errors of a fix with the probability; where they are no ellipse, the circle."""
+    """Error ellipse of a fix at the report's probability; a circle if there is no covariance."""
     if subject.accuracy is None or not subject.is_fix[index]:
         return None
     cov = np.asarray(subject.accuracy.cov_enu)[index]
@@ -93,14 +93,14 @@ def ellipse_of(subject: ReportData, index: int, detail: Detail | None) -> Ellips
     if np.isfinite(cov).all():
         one = error_ellipse(cov[:2, :2], subject.probability)
         major, minor, azimuth = (float(x) for x in (one.major, one.minor, one.azimuth))
-        what = f"ellipse of {level}, linear"
+        what = f"{level} ellipse, linear"
         return Ellipse(
             _ring(subject, index, bias[:2], major, minor, azimuth), major, minor, math.degrees(azimuth), what
         )
     radius = float(np.asarray(subject.accuracy.circular)[index])
     if not math.isfinite(radius):
         return None
-    what = f"circle of {level}, sampled" if detail is None else f"circle of {level}, by the samples shown"
+    what = f"{level} circle, sampled" if detail is None else f"{level} circle, from the samples shown"
     return Ellipse(_ring(subject, index, np.zeros(2), radius, radius, 0.0), radius, radius, 0.0, what)
 
 
@@ -115,7 +115,7 @@ def _ring(
 
 
 def around(subject: ReportData, index: int, east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """(n, 2) longitude and latitude in deg of places m east and north of a fix."""
+    """Longitude and latitude (n, 2) in deg of points at offsets `east`, `north` in m from a fix."""
     position = subject.fix(index).position
     lat, lon, height = (float(x) for x in (position.lat, position.lon, position.height))
     M, N = (
@@ -127,7 +127,7 @@ def around(subject: ReportData, index: int, east: np.ndarray, north: np.ndarray)
 
 
 def cloud_of(subject: ReportData, detail: Detail) -> tuple[np.ndarray, np.ndarray]:
-    """(longitude and latitude in deg (n, 2) of some of the samples of a fix, which of them are on other ground)."""
+    """(longitude and latitude (n, 2) in deg of a subset of the samples of a fix, mask of those on other ground)."""
     points, jumped = samples_of(detail, MOST_SAMPLES)
     if not len(points):
         return np.zeros((0, 2)), jumped
@@ -135,7 +135,7 @@ def cloud_of(subject: ReportData, detail: Detail) -> tuple[np.ndarray, np.ndarra
 
 
 def samples_of(detail: Detail, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """(errors (n, 3) in m, east, north, up, of up to `most` samples with a fix, which of them are on other ground)."""
+    """(errors (n, 3) in m, ENU, of up to `most` samples with a fix, mask of those on other ground)."""
     comparison = detail.comparison
     if comparison is None or comparison.sampled.errors_enu is None:
         return np.zeros((0, 3)), np.zeros(0, bool)

@@ -1,4 +1,4 @@
-"""The table of all pixels: what is found, in columns that can be sorted."""
+"""Template data of the sortable table of all pixels."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from jaxgeo.report import words
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 
-MOST = 2000  # rows of a page
+MOST = 2000  # rows per page
 
 
 def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Headers, and rows of (text, what sorts it); the first `MOST` of them, and how many there are."""
+    """Headers, the first `MOST` rows of cells with text and sort key, and the total count."""
     percent = words.percent_name(subject.probability)
     has_names = any(label.get("name") for label in subject.labels)
     has_times = any(label.get("time_s") is not None for label in subject.labels)
@@ -23,7 +23,7 @@ def table_of(subject: ReportData, rows: Sequence[Mapping[str, Any]]) -> dict[str
     headers += [("column", ""), ("row", ""), ("latitude, deg", ""), ("longitude, deg", "")]
     headers += [("height, m", "above the WGS 84 ellipsoid"), ("msl, m", "above mean sea level, EGM96")]
     headers += [("range, m", "slant range"), ("incidence, deg", "at the surface")]
-    headers += [(f"CE{percent}, m", "radius on the level plane"), (f"LE{percent}, m", "in height")] if is_sure else []
+    headers += [(f"CE{percent}, m", "horizontal"), (f"LE{percent}, m", "vertical")] if is_sure else []
     headers += [("by", "method")] if is_sure else []
     headers.append(("status", ""))
     ce, le = (f"{kind}{percent.replace('.', '_')}_m" for kind in ("ce", "le"))

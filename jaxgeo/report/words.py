@@ -1,4 +1,4 @@
-"""Numbers as people read them."""
+"""Number and status formatting for reports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxgeo.status import Status
 
 UNKNOWN = "–"
-STATUS_WORDS = {Status.hit: "Seen", Status.near_tangent: "Seen, grazing", Status.enters_from_side: "Doubtful"}
+STATUS_WORDS = {Status.hit: "Visible", Status.near_tangent: "Visible, grazing", Status.enters_from_side: "Doubtful"}
 
 
 def length(value: float | None) -> str:
@@ -18,14 +18,14 @@ def length(value: float | None) -> str:
     if value is None or math.isnan(value):
         return UNKNOWN
     if math.isinf(value):
-        return "without end"
+        return "infinite"
     if abs(value) >= 9_999.5:
         return f"{value / 1000.0:.3g} km" if abs(value) < 999_500.0 else f"{value / 1000.0:.0f} km"
     return f"{value:.0f} m" if abs(value) >= 999.5 else f"{_three(value)} m"
 
 
 def _three(value: float) -> str:
-    """Three significant digits, without an exponent and with the zeros that tell them."""
+    """Three significant digits, without exponent, with trailing zeros."""
     if value == 0.0:
         return "0"
     places = max(2 - math.floor(math.log10(abs(float(f"{value:.2e}")))), 0)
@@ -46,7 +46,7 @@ def coordinate(value: float | None, positive: str, negative: str, places: int = 
 
 
 def sexagesimal(value: float, positive: str, negative: str) -> str:
-    """Degrees, minutes and hundredths of seconds."""
+    """Degrees, minutes and seconds to two decimals."""
     hundredths = round(abs(value) * 360_000.0)
     degrees, rest = divmod(hundredths, 360_000)
     minutes, rest = divmod(rest, 6_000)
@@ -54,12 +54,12 @@ def sexagesimal(value: float, positive: str, negative: str) -> str:
 
 
 def metres(value: float | None, places: int = 2) -> str:
-    """A height or a distance with fixed places."""
+    """A height or a distance with fixed decimals."""
     return UNKNOWN if value is None or math.isnan(value) else f"{value:,.{places}f}".replace(",", "\u202f")
 
 
 def number(value: Any, places: int = 1) -> str:
-    """A plain number, or a dash."""
+    """A number with fixed decimals, or a dash."""
     return UNKNOWN if value is None or math.isnan(value) else f"{value:.{places}f}"
 
 
@@ -69,13 +69,13 @@ def count(value: int) -> str:
 
 
 def status(code: Any) -> tuple[str, str]:
-    """(a word or two, the sentence) of a status."""
+    """(short label, sentence) of a status."""
     found = Status(int(np.asarray(code)))
     return STATUS_WORDS.get(found, "No fix"), found.message
 
 
 def percent_name(probability: float) -> str:
-    """The 90 of CE90."""
+    """Probability in percent as text: the 90 of CE90."""
     return f"{100.0 * probability:.10g}"
 
 

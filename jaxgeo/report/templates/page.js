@@ -4,7 +4,7 @@
   const named = {};
   Bokeh.set_log_level("warn");
 
-  // Axes in which a metre is as long both ways, whatever the shape of the chart.
+  // Equal scales on both axes, for any chart shape.
   function show(chart, ratio, cx, cy, halfX, halfY) {
     const w = chart.inner_width, h = chart.inner_height;
     if (!(w > 0 && h > 0)) return;
@@ -35,13 +35,13 @@
     };
     chart.properties.inner_width.change.connect(fit);
     chart.properties.inner_height.change.connect(fit);
-    const later = () => requestAnimationFrame(() => requestAnimationFrame(fit));  // when it is laid out anew
+    const later = () => requestAnimationFrame(() => requestAnimationFrame(fit));  // after a new layout
     new ResizeObserver(later).observe(document.getElementById("chart-" + name));
     fit();
     later();
   }
 
-  // What lies under the pointer.
+  // Readout under the pointer.
   function grid(one) {
     const text = atob(one.data), bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
