@@ -10,11 +10,13 @@ from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point
 from jaxgeo.coverage.polygons import GroundSeen, polygon_overlap, seen_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
 from jaxgeo.sensor.aiming import LineOfSight
+from jaxgeo.sensor.root_finder import FixedNewton
 
 __all__ = [
     "Compensation",
     "Exposure",
     "ExposureClock",
+    "FixedNewton",
     "FixedPeriod",
     "FlightNoise",
     "Flights",
