@@ -69,10 +69,10 @@ def point(
     hides it.
 
     `solver` finds the root, started from the closed form and kept within the limits: an `optimistix` root finder or
-    least-squares solver, or `FixedNewton()`, the package's own. By default a single pointing, of values that are known
-    when it is called, goes by `optimistix.Newton`, whose first call takes a fifth of the processor time; inside `vmap`
-    and `jit`, and along a `Trajectory`, by `FixedNewton`, whose batches take a fraction of the time. Both find the same
-    readings. A solver that ends off a target that is in reach has the status `not_converged`.
+    least-squares solver, or `FixedNewton()`, the package's own. By default a single pointing of known values goes by
+    `optimistix.Newton`, whose first call takes a fifth of the processor time; batches inside `vmap` and `jit`, and the
+    knots of a `Trajectory`, go by `FixedNewton`, which takes 0.4 to 0.8 of the time there. All find the same readings.
+    A solver that ends off a target that is in reach has the status `not_converged`.
 
     One shot gives one `Pointing`, and `jax.vmap` many; a `Trajectory` one for each knot, each started from the one
     before, so that axes do not jump: its `target` is one for all knots, or of a leading axis of knots; put the readings
