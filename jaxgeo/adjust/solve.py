@@ -1,8 +1,8 @@
 """Levenberg and Marquardt's method on the reduced normal equations, with a log of its iterations.
 
-A loop of its own: general solvers, those of optimistix too, take the Jacobian as one operator and do not eliminate points
-one by one (Schur complement). For 16 images and 22,106 points (BAL) a dense Jacobian takes 89 GB; eliminated, the normal
-equations of 1300 images are solved in 2 s on two cores.
+A loop of its own: general solvers, those of optimistix too, take the Jacobian as one operator and do not eliminate
+points one by one (Schur complement). For 16 images and 22,106 points (BAL) a dense Jacobian takes 89 GB; with points
+eliminated, a block of 1300 images is adjusted in 2 s on two cores.
 """
 
 from __future__ import annotations

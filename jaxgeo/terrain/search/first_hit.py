@@ -49,7 +49,7 @@ class FirstHit(AbstractSearch):
     lowest point clears the bound over all cells it can touch is skipped and the next one tried is twice as long where
     aligned; otherwise it is halved; an interval of the finest level is settled exactly (`leaf.first_event`). So no cell
     is passed unseen, and the crossing found is the first. Root finders, those of optimistix too, end at some crossing:
-    bisection at a wrong one for 22 % of 100,000 rays over rough ground, by up to 8.7 km (`benchmarks/terrain.py`).
+    bisection at a wrong one for 22 % of 100,000 rays over rough ground, by up to 8.7 km (`docs/theory/terrain.md`).
 
     Under `jax.vmap` the rays of a batch walk together (`crowd.walk_all`), and those that are done drop out; also where
     each has a field of its own (`Dem.with_field`). Terrains that differ in more are searched one after the other.
