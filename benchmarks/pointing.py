@@ -1,4 +1,5 @@
-"""How fast gimbals are pointed: very many targets in one `vmap`, beside SciPy's solver on one after another.
+"""Speed of pointing gimbals: batches in one `vmap` and first calls of single pointings, by optimistix and by
+`FixedNewton`, beside SciPy's solver on one pointing after another.
 
 Run: python benchmarks/pointing.py [--count 100000] [--alone 300] [--repeats 7] [--json out.json]
 Figures are medians of repeats in turning order; processor time, that of all threads, is the least of the repeats.
@@ -8,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import pathlib
+import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -22,12 +25,14 @@ import jax
 import jax.numpy as jnp
 import measuring
 import numpy as np
+import optimistix as optx
 from measuring import Column, Table
 from peers import scipy_pointing
 
 import jaxgeo
-from jaxgeo.coverage import point_gimbal
+from jaxgeo.coverage import FixedNewton, point_gimbal
 from jaxgeo.sensor import boresight_from_degrees
+from jaxgeo.sensor.root_finder import default_root_finder
 
 jaxgeo.enable_x64()
 SOLVED = 1e-9  # rad by which the line of sight may miss
@@ -40,6 +45,37 @@ CAMERA = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, 
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir(**HELD))
 DRIVES = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward(**HELD))
 AIR = jaxgeo.Atmosphere()
+SENSORS = {
+    "two axes": (SENSOR, None),
+    "two axes, through the air": (SENSOR, AIR),
+    "a drone's three axes": (DRIVES, None),
+}
+SOLVERS = {
+    "FixedNewton": FixedNewton(),
+    "optimistix.Newton": default_root_finder(),
+    "optimistix.LevenbergMarquardt": optx.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
+}
+FIRST_CALL = """
+import time
+import numpy as np
+import jaxgeo
+jaxgeo.enable_x64()
+from jaxgeo.coverage import FixedNewton, point_gimbal
+from pointing import AIR, DRIVES, SENSOR
+kind, solver = {asked!r}
+sensor, air = {{"two axes": (SENSOR, None), "a drone's three axes, through the air": (DRIVES, AIR)}}[kind]
+shot = jaxgeo.Shot(jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=3000.0))
+target = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.02, height=600.0)
+wall, processor = time.perf_counter(), time.process_time()
+given = dict(target=target, atmosphere=air, solver=FixedNewton() if solver else None)
+found = point_gimbal(sensor, shot, **given)
+assert found.ok
+print(time.perf_counter() - wall, time.process_time() - processor)
+wall = time.perf_counter()
+for _ in range(50):
+    point_gimbal(sensor, shot, **given).readings.block_until_ready()
+print((time.perf_counter() - wall) / 50)
+"""
 
 
 def scene(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -54,13 +90,13 @@ def scene(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 @eqx.filter_jit
-def pointed(sensor: jaxgeo.Sensor, poses: Any, targets: Any, air: Any = None) -> Any:
+def pointed(sensor: jaxgeo.Sensor, poses: Any, targets: Any, air: Any = None, solver: Any = None) -> Any:
     """Readings, and how far off they are, of every pose and target."""
 
     def one(pose: Any, target: Any) -> Any:
         shot = jaxgeo.Shot(jaxgeo.Pose(jaxgeo.Geodetic(lat=pose[0], lon=pose[1], height=pose[2]), *pose[3:]))
         place = jaxgeo.Geodetic(lat=target[0], lon=target[1], height=target[2])
-        return point_gimbal(sensor, shot, target=place, atmosphere=air)
+        return point_gimbal(sensor, shot, target=place, atmosphere=air, solver=solver)
 
     return jax.vmap(one)(poses, targets)
 
@@ -145,6 +181,73 @@ def agreement(alone: int) -> Table:
     return table
 
 
+def solvers(count: int, repeats: int) -> Table:
+    """Every solver on the same batch: time in one `vmap`, the share that it solves, and the same readings or not."""
+    poses, targets = scene(count, seed=2)
+    given = jnp.asarray(poses), jnp.asarray(targets)
+    columns = [
+        Column("gimbal"),
+        Column("solver"),
+        Column("time in one vmap", "ms", "lower"),
+        Column("over FixedNewton's", "times", "lower"),
+    ]
+    columns += [Column("first call, with compiling", "s", "lower"), Column("processor time of it", "s", "lower")]
+    columns += [
+        Column("solved, of those in range", "%", "higher"),
+        Column("readings off FixedNewton's", "rad", "lower"),
+    ]
+    table = Table(f"Solvers on {count} pointings in one vmap", columns)
+    for gimbal, (sensor, air) in SENSORS.items():
+        runs = {
+            name: lambda solver=solver, sensor=sensor, air=air: jax.block_until_ready(
+                pointed(sensor, *given, air, solver)
+            )
+            for name, solver in SOLVERS.items()
+        }
+        spent: dict[str, list[float]] = {name: [] for name in runs}
+        first = {name: measuring.timed(measuring.counting(run, spent[name])) for name, run in runs.items()}
+        timings = measuring.interleaved(runs, repeats)
+        own = first["FixedNewton"][0]
+        in_range = np.asarray(own.status) != jaxgeo.Status.outside_gimbal_range
+        for name, (found, seconds) in first.items():
+            ok = np.asarray(found.status) == jaxgeo.Status.hit
+            apart = np.max(np.abs(np.asarray(found.readings - own.readings)[ok & np.asarray(own.ok)]))
+            ratio = timings[name].median / timings["FixedNewton"].median
+            row = [gimbal, name, 1e3 * timings[name].median, ratio, seconds, spent[name][0]]
+            table.rows.append([*row, 100.0 * float(np.mean(ok[in_range])), float(apart)])
+    table.notes.append(f"medians of {repeats}, in turning order; all start from the same closed form")
+    return table
+
+
+def first_calls(repeats: int) -> Table:
+    """A single pointing in a fresh process without a cache of programs: the default, and `FixedNewton`."""
+    columns = [
+        Column("gimbal"),
+        Column("solver"),
+        Column("first call", "s", "lower"),
+        Column("processor time", "s", "lower"),
+    ]
+    columns += [Column("over FixedNewton's", "", "lower"), Column("each later call", "ms", "lower")]
+    table = Table("The first call of a single pointing", columns)
+    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    for gimbal in ("two axes", "a drone's three axes, through the air"):
+        best: dict[bool, list[float]] = {}
+        for _ in range(repeats):
+            for own in (False, True):
+                code = FIRST_CALL.format(asked=(gimbal, own))
+                done = subprocess.run(
+                    [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+                )
+                figures = [float(x) for x in done.stdout.split()]
+                best[own] = [min(pair) for pair in zip(figures, best.get(own, figures), strict=True)]
+        for own, name in ((True, "FixedNewton"), (False, "optimistix.Newton, the default")):
+            wall, processor, later = best[own]
+            table.rows.append([gimbal, name, wall, processor, processor / best[True][1], 1e3 * later])
+    table.notes.append(f"the least of {repeats} processes each, in turn; importing optimistix and lineax is included")
+    return table
+
+
 def memory(count: int) -> Table:
     """Peak memory of one call over that of the process before it."""
     poses, targets = scene(count)
@@ -169,8 +272,12 @@ def main() -> None:
     _, idle = measuring.idle_check()
     print(idle, file=sys.stderr)
     tables = [
-        rates(options.count, options.alone, options.repeats), agreement(10 * options.alone), memory(options.count)
-    ]  # fmt: skip
+        first_calls(3),
+        solvers(options.count // 10, options.repeats),
+        rates(options.count, options.alone, options.repeats),
+        agreement(10 * options.alone),
+        memory(options.count),
+    ]
     for table in tables:
         print(table.markdown(), flush=True)
     if options.json is not None:

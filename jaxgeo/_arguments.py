@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import as_array, as_float64, check_is, concrete, require_x64
+from jaxgeo._checks import as_array, as_float64, check_is, concrete, is_known, require_x64
 from jaxgeo._typing import Pixel, Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.earth.ellipsoid import WGS84
@@ -142,7 +140,7 @@ def check_on_image(sensor: Sensor, pixel: Pixel) -> None:
 
 def check_throw(throw: bool, arguments: Any) -> None:
     """Raise `ValueError` if `throw` is set but the arguments are traced, so that no exception can be raised."""
-    if throw and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(arguments)):
+    if throw and not is_known(arguments):
         raise ValueError(
             "throw=True needs values that are known now, but these are traced by JAX (inside jit, vmap or grad), where "
             "no exception can be raised. Leave throw off and look at `Fix.status`."

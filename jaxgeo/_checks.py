@@ -95,6 +95,11 @@ def concrete(value: Any) -> np.ndarray | None:
     return np.asarray(value)
 
 
+def is_known(tree: Any) -> bool:
+    """Whether no number of `tree` is traced: a call by itself, outside `jit`, `vmap` and derivatives."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
 def check_finite(value: Any, name: str, unit: str) -> None:
     """Raise `ValueError` if a concrete `value` holds NaN or an infinity."""
     known = concrete(value)

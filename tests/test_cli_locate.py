@@ -138,9 +138,15 @@ WRONG = [
     (["{image}", "--height-datum", "ellipsoid"], ["give the ground", "--dem FILE", "--ground HEIGHT"]),
     (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),
     (["{image}", "--ground", "high", "--height-datum", "ellipsoid"], ["--ground 'high'", "a height in m"]),
-    (["{image}", "--ground", "reported", "--height-datum", "ellipsoid"], ["--ground reported", "reports no frame centre height"]),
+    (
+        ["{image}", "--ground", "reported", "--height-datum", "ellipsoid"],
+        ["--ground reported", "reports no frame centre height"],
+    ),
     (["{image}", *GROUND, "--exposure", "DJI_0043.JPG"], ["--exposure DJI_0043.JPG", "known: DJI_0042.JPG"]),
-    (["{image}", *GROUND, "--attitude-sigma", "1"], ["--attitude-sigma 1", "relative to the horizon", "--gimbal-sigma"]),
+    (
+        ["{image}", *GROUND, "--attitude-sigma", "1"],
+        ["--attitude-sigma 1", "relative to the horizon", "--gimbal-sigma"],
+    ),
     (["{image}", *GROUND, "--gimbal-sigma", "1,2"], ["--gimbal-sigma '1,2'", "YAW,PITCH,ROLL"]),
     (["{image}", *GROUND, "--dem-sigma", "-1"], ["--dem-sigma -1", "zero or more"]),
     (["{image}", *GROUND, "--dem-correlation", "100"], ["--dem-correlation", "level ground"]),

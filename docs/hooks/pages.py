@@ -28,6 +28,7 @@ ORDER = (
     "overlap_and_pointing",
     "strips_in_noise",
     "sweeping_camera",
+    "pose_from_fixes",
     "bundle_adjustment",
     "registration",
     "new_sensor",

@@ -1,7 +1,8 @@
 """Levenberg-Marquardt iteration on the reduced normal equations, with a log.
 
-Not a general solver: those take the Jacobian as one operator and cannot eliminate the points, each of which is in few
-images. This elimination makes adjustments with many points feasible.
+A loop of its own: general solvers, those of optimistix too, take the Jacobian as one operator and do not eliminate
+points one by one (Schur complement). For 16 images and 22,106 points (BAL) a dense Jacobian takes 89 GB; with points
+eliminated, a block of 1300 images is adjusted in 2 s on two cores.
 """
 
 from __future__ import annotations

@@ -11,10 +11,12 @@ from jaxgeo.coverage.pointing import Pointing, compensate, line_of_sight, point_
 from jaxgeo.coverage.polygons import VisibleGround, polygon_overlap, visible_ground
 from jaxgeo.coverage.timing import FixedPeriod, GroundShared, Plan, VelocityHeight, plan
 from jaxgeo.sensor.aiming import LineOfSight
+from jaxgeo.sensor.root_finder import FixedNewton
 
 __all__ = [
     "Compensation",
     "ExposureClock",
+    "FixedNewton",
     "FixedPeriod",
     "FlightNoise",
     "Flights",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -10,7 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxgeo._checks import as_float64, check_range
+from jaxgeo._checks import as_float64, check_range, is_known
 from jaxgeo._numerics import all_finite, matmul3, matvec, safe_norm
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Flags, Matrix3, Pixel, Scalar, StatusCode, Vector3, Vector3Field
@@ -20,6 +22,7 @@ from jaxgeo.sensor._gimbal_inverse import FreeAxes, nearest_readings
 from jaxgeo.sensor._newton import determinant, solve_2d
 from jaxgeo.sensor.gimbal import Readings
 from jaxgeo.sensor.platform import Pose, Shot, Station
+from jaxgeo.sensor.root_finder import FixedNewton, compiled_quickly, default_root_finder, find_root
 from jaxgeo.sensor.sensor import Sensor, Sight
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
@@ -86,11 +89,16 @@ class World(NamedTuple):
         """Where the camera is, and how it lies, with some readings."""
         return self.sensor.sight(self.station._replace(gimbal_readings=readings))
 
-    def direction_from(self, centre: Vector3) -> Vector3:
-        """Unit vector in ECEF to where the target is, or through the air seems to be."""
+    def direction_from(self, centre: Vector3, *, for_search: bool = False) -> Vector3:
+        """Unit vector in ECEF to where the target is, or through the air seems to be.
+
+        `for_search` leaves the change of the air's part with the centre out of derivatives: 1e-4 rad times the lever
+        arm over the distance, which Newton's steps do not notice, and half of what there is to compile.
+        """
         if self.p_ecef is None:
             return jnp.asarray(self.direction)
-        seeming = self.p_ecef if self.air is None else apparent_point(centre, self.p_ecef, self.air)
+        origin = jax.lax.stop_gradient(centre) if for_search else centre
+        seeming = self.p_ecef if self.air is None else apparent_point(origin, self.p_ecef, self.air)
         return (seeming - centre) / safe_norm(seeming - centre)
 
 
@@ -102,7 +110,19 @@ class Aimed(NamedTuple):
     status: StatusCode
 
 
-@eqx.filter_jit
+class Way(NamedTuple):
+    """What readings are looked for with."""
+
+    world: World
+    start: Readings
+    free: FreeAxes
+    from_start: Flag
+
+
+Found: TypeAlias = tuple[Readings, Flag]  # and whether the solver found the root, if there is one
+Search: TypeAlias = Callable[[Way], Found]
+
+
 def aim(
     sensor: Sensor,
     pose: Pose,
@@ -110,18 +130,41 @@ def aim(
     uv: Pixel | None,
     given: Readings | None,
     air: Atmosphere | None,
+    solver: Any = None,
 ) -> Aimed:
     """Readings that bring the axis, or pixel `uv`, onto a target or, within the limits, nearest to it.
 
-    By closed form for the direction to the target, in rounds, since the perspective centre and the air's part hang on
-    the readings; then Newton on the exact map. Derivatives are those of the implicit function; readings that only come
-    nearest have none.
+    By closed form for the direction to the target, in rounds, since the perspective centre and the air's part depend
+    on the readings; then a root of the exact map by `solver`. By default that is `optimistix.Newton` for a single
+    pointing of known values, whose search for the nearest readings is compiled only if a target is out of reach, and
+    `FixedNewton` inside `jit` and `vmap`. Derivatives are those of the implicit function, whatever the solver; readings
+    that only come nearest have none.
     """
     start = sensor.gimbal.neutral_readings() if given is None else given
-    return _aim(sensor, pose, target, uv, start, jnp.asarray(given is not None), air)
+    wanted = (sensor, pose, target, uv, start, jnp.asarray(given is not None), air)
+    if solver is None:
+        solver = default_root_finder() if is_known(wanted) else FixedNewton()
+    if isinstance(solver, FixedNewton) or not is_known((wanted, solver)):
+        return _aim_whole(solver, *wanted)
+    found = compiled_quickly(_aim_short)(solver, *wanted)
+    return compiled_quickly(_aim_long)(solver, *wanted) if found.status == Status.outside_gimbal_range else found
+
+
+@eqx.filter_jit
+def _aim_whole(solver: Any, *wanted: Any) -> Aimed:
+    return _aim(functools.partial(_best, solver), *wanted)
+
+
+def _aim_short(solver: Any, *wanted: Any) -> Aimed:
+    return _aim(lambda way: (_short_way(solver, way), jnp.asarray(True)), *wanted)
+
+
+def _aim_long(solver: Any, *wanted: Any) -> Aimed:
+    return _aim(functools.partial(_long_way, solver), *wanted)
 
 
 def _aim(
+    search: Search,
     sensor: Sensor,
     pose: Pose,
     target: Target,
@@ -137,61 +180,87 @@ def _aim(
     is_valid &= all_finite((pose, target, start, air))
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
     free = _free_axes(frozen, frozen_start)
-    best = _best(frozen, frozen_start, free, from_start)
+    best, converged = search(Way(frozen, frozen_start, free, from_start))
     is_valid &= all_finite(best)  # a target at the perspective centre lies in no direction
     miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
     found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
     outcome = status_where(reached, Status.hit, Status.outside_gimbal_range.code)
+    outcome = status_where(~converged, Status.not_converged, outcome)
     outcome = status_where(~is_valid, Status.invalid_input, first_failure(status, outcome))
-    known = is_valid & (status == Status.hit)
+    known = is_valid & converged & (status == Status.hit)
     readings = jnp.where(reached, found, jax.lax.stop_gradient(best))
     return Aimed(jnp.where(known, readings, jnp.nan), jnp.where(known, miss, jnp.nan), outcome)
 
 
-def _best(world: World, start: Readings, free: FreeAxes, from_start: Flag) -> Readings:
-    """By the short way, that most go: the closed form's root once. Who misses so goes the long one."""
-    way = Way(world, start, free, from_start)
-    quick = _quick_newton(world, _closed_form(way, 1, thorough=False), free)
-    return _long_way_if_missed(_angle_off(_target_seen(world, quick)) >= TOLERANCE, quick, way)
+def _best(solver: Any, way: Way) -> Found:
+    """By the short way, that most go: from the closed form's root once. Who misses so goes the long one."""
+    quick = _short_way(solver, way)
+    missed = _angle_off(_target_seen(way.world, quick)) >= TOLERANCE
+    numbers, rest = eqx.partition(solver, eqx.is_array)
+    rescue = _only_if_missed(lambda way, numbers: _long_way(eqx.combine(numbers, rest), way))
+    return rescue(missed, quick, way, numbers)
 
 
-class Way(NamedTuple):
-    """What readings are looked for with."""
-
-    world: World
-    start: Readings
-    free: FreeAxes
-    from_start: Flag
+def _short_way(solver: Any, way: Way) -> Readings:
+    start = _closed_form(way, 1, thorough=False)
+    if isinstance(solver, FixedNewton):
+        return _quick_newton(way.world, start, way.free)
+    return _root(solver, way, start)
 
 
-def _long_way(missed: Flag, quick: Readings, way: Way) -> Readings:
-    long = _newton(way.world, _closed_form(way, ROUNDS, thorough=True), way.free)
-    return jnp.where(missed, long, quick)
+def _long_way(solver: Any, way: Way) -> Found:
+    """The nearest readings within the limits; of a target that they reach, what the solver finds, or that it fails."""
+    start = _closed_form(way, ROUNDS, thorough=True)
+    nearest = _newton(way.world, start, way.free)
+    if isinstance(solver, FixedNewton):
+        return nearest, jnp.asarray(True)
+    root = _root(solver, way, start)
+    hit, in_reach = (_angle_off(_target_seen(way.world, x)) < TOLERANCE for x in (root, nearest))
+    return jnp.where(hit, root, nearest), hit | ~in_reach
 
 
-@jax.custom_batching.custom_vmap
-def _long_way_if_missed(missed: Flag, quick: Readings, way: Way) -> Readings:
-    """Readings of the long way for whom the short one misses; a crowd goes it only if one of them does."""
-    return jax.lax.cond(missed, _long_way, lambda _, quick, __: quick, missed, quick, way)
+def _root(solver: Any, way: Way, start: Readings) -> Readings:
+    """What an optimistix solver finds from a start."""
+
+    def residual(angles: Float[Array, " free"], given: Any) -> Pixel:
+        world, start, free = given
+        return _target_seen(world, _put(start, free, angles), for_search=True)[:2]
+
+    limits = way.world.sensor.gimbal.limits[way.free]
+    return _put(start, way.free, find_root(residual, solver, start[way.free], limits, (way.world, start, way.free)))
 
 
-@_long_way_if_missed.def_vmap
-def _(size: int, is_batched: Any, *given: Any) -> tuple[Array, bool]:
-    return _crowd_if_missed(*_spread(size, is_batched, given)), True
+def _only_if_missed(long_way: Callable[[Way, Any], Found]) -> Callable[..., Found]:
+    """Readings of the long way for whom the short one misses; a batch goes it only if one of them does."""
 
+    def chosen(missed: Flag, quick: Readings, way: Way, numbers: Any) -> Found:
+        long, converged = long_way(way, numbers)
+        return jnp.where(missed, long, quick), converged | ~missed
 
-@jax.custom_batching.custom_vmap
-def _crowd_if_missed(missed: Flags, quick: Float[Array, "n axes"], way: Way) -> Float[Array, "n axes"]:
-    """The same for n at once; crowds of crowds are one crowd, or all of them would go both ways."""
-    return jax.lax.cond(jnp.any(missed), jax.vmap(_long_way), lambda _, quick, __: quick, missed, quick, way)
+    def short(missed: Flags, quick: Array, *_: Any) -> tuple[Array, Flags]:
+        return quick, jnp.ones_like(missed)
 
+    @jax.custom_batching.custom_vmap
+    def one(missed: Flag, *given: Any) -> Found:
+        return jax.lax.cond(missed, chosen, short, missed, *given)
 
-@_crowd_if_missed.def_vmap
-def _(size: int, is_batched: Any, *given: Any) -> tuple[Array, bool]:
-    crowds = _spread(size, is_batched, given)
-    one = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), crowds)
-    return _crowd_if_missed(*one).reshape(crowds[1].shape), True
+    @jax.custom_batching.custom_vmap
+    def batch(missed: Flags, *given: Any) -> tuple[Float[Array, "n axes"], Flags]:
+        return jax.lax.cond(jnp.any(missed), jax.vmap(chosen), short, missed, *given)
+
+    @one.def_vmap
+    def _(size: int, is_batched: Any, *given: Any) -> Any:
+        return batch(*_spread(size, is_batched, given)), (True, True)
+
+    @batch.def_vmap
+    def _(size: int, is_batched: Any, *given: Any) -> Any:
+        """Batches of batches are one, or all of them would go both ways."""
+        batches = _spread(size, is_batched, given)
+        found = batch(*jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batches))
+        return jax.tree.map(lambda x: x.reshape(*batches[0].shape, *x.shape[1:]), found), (True, True)
+
+    return one
 
 
 def _spread(size: int, is_batched: Any, given: Any) -> Any:
@@ -222,9 +291,9 @@ def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
 
 def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
     """Two steps on the exact map, and one more by the slope of the second, wherever they lead within the limits."""
-    seen, J = _seen_and_slope(world, start, free)
+    seen, J = _seen_and_slope(world, start, free, for_search=True)
     readings = _put(start, free, start[free] - _least_squares(J, seen))
-    seen, J = _seen_and_slope(world, readings, free)
+    seen, J = _seen_and_slope(world, readings, free, for_search=True)
     readings = _put(readings, free, readings[free] - _least_squares(J, seen))
     readings = _put(readings, free, readings[free] - _least_squares(J, _target_seen(world, readings)[:2]))
     limits = world.sensor.gimbal.limits
@@ -237,7 +306,7 @@ def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
 
     def step(_: Any, state: tuple[Readings, Scalar]) -> tuple[Readings, Scalar]:
         readings, miss = state
-        seen, J = _seen_and_slope(world, readings, free)
+        seen, J = _seen_and_slope(world, readings, free, for_search=True)
         trial = jnp.clip(readings.at[free].add(-_least_squares(J, seen)), low, high)
         trial_miss = _angle_off(_target_seen(world, trial))
         better = trial_miss < miss
@@ -256,17 +325,20 @@ def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCod
     return jnp.where(status == Status.hit, direction, axis), status
 
 
-def _target_seen(world: World, readings: Readings) -> Vector3:
+def _target_seen(world: World, readings: Readings, *, for_search: bool = False) -> Vector3:
     """Unit vector to the target: two components across the line of sight, then the one along it."""
     view = world.view(readings)
-    return matvec(world.axes, matvec(view.R_ecef_from_camera.T, world.direction_from(view.centre)))
+    direction = world.direction_from(view.centre, for_search=for_search)
+    return matvec(world.axes, matvec(view.R_ecef_from_camera.T, direction))
 
 
-def _seen_and_slope(world: World, readings: Readings, free: FreeAxes) -> tuple[Pixel, Float[Array, "2 free"]]:
+def _seen_and_slope(
+    world: World, readings: Readings, free: FreeAxes, *, for_search: bool = False
+) -> tuple[Pixel, Float[Array, "2 free"]]:
     """The two components across, and their derivatives by the free axes."""
 
     def across(angles: Float[Array, " free"]) -> tuple[Pixel, Pixel]:
-        seen = _target_seen(world, _put(readings, free, angles))[:2]
+        seen = _target_seen(world, _put(readings, free, angles), for_search=for_search)[:2]
         return seen, seen
 
     J, seen = jax.jacfwd(across, has_aux=True)(readings[free])
@@ -330,13 +402,15 @@ def aim_along(
     uv: Pixel | None,
     given: Readings | None,
     air: Atmosphere | None,
+    solver: Any = None,
 ) -> Aimed:
-    """`aim` for every knot, each from the one before, so that axes do not jump."""
+    """`aim` for every knot, each from the one before, so that axes do not jump; by `FixedNewton` unless given."""
+    search = functools.partial(_best, FixedNewton() if solver is None else solver)
     start = sensor.gimbal.neutral_readings() if given is None else given
 
     def following(before: tuple[Readings, Flag], knot: tuple[Pose, Target]) -> tuple[tuple[Readings, Flag], Aimed]:
         readings, from_start = before
-        aimed = _aim(sensor, *knot, uv, readings, from_start, air)
+        aimed = _aim(search, sensor, *knot, uv, readings, from_start, air)
         usable = (aimed.miss < TOLERANCE) & all_finite(aimed.readings)
         readings = jnp.where(usable, jax.lax.stop_gradient(aimed.readings), readings)
         return (readings, from_start | usable), aimed

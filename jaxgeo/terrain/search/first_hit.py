@@ -45,10 +45,11 @@ TINY = 1e-300
 class FirstHit(AbstractSearch):
     """Skips intervals above a pyramid of upper bounds and settles the others exactly on the bilinear patches.
 
-    Along a track the ray is cut into dyadic intervals, at the finest level no longer than one cell. An interval whose
-    lowest point clears the bound over all cells it can touch is skipped, and the next one tried is twice as long where
-    aligned; otherwise it is halved; an interval of the finest level is settled exactly (`march.step`). So no cell is
-    missed, and the crossing found is the first.
+    Along a track the ray is cut into dyadic intervals no longer than one cell at the finest level. An interval whose
+    lowest point clears the bound over all cells it can touch is skipped and the next one tried is twice as long where
+    aligned; otherwise it is halved; an interval of the finest level is settled exactly (`march.step`). So no cell
+    is passed unseen, and the crossing found is the first. Root finders, those of optimistix too, end at some crossing:
+    bisection at a wrong one for 22 % of 100,000 rays over rough ground, by up to 8.7 km (`docs/theory/terrain.md`).
 
     Under `jax.vmap` the rays of a batch are walked together (`batched.walk_all`) and finished rays drop out, also if
     each has its own field (`Dem.with_field`). Terrains that differ in anything else are searched one after the other.
