@@ -83,9 +83,7 @@ ADVICE = (
         "it takes --height-datum",
         "jaxgeo inspect DJI_0042.JPG --height-datum ellipsoid",
     ),
-    Advice(
-        "jaxgeo inspect DJI_0042.JPG --tags", "--tags needs --json", "jaxgeo inspect DJI_0042.JPG --tags --json"
-    ),
+    Advice("jaxgeo inspect DJI_0042.JPG --tags", "--tags needs --json", "jaxgeo inspect DJI_0042.JPG --tags --json"),
     Advice(
         "jaxgeo inspect flight.klv -o shots.txt",
         "use .csv",
