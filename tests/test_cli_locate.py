@@ -235,7 +235,9 @@ def test_poses_alone_with_the_camera_of_a_scene(tmp_path: pathlib.Path) -> None:
     assert [row["time_s"] for row in told["fixes"]] == [10.0, 11.0, 12.0]
     assert all(row["status"] == "hit" for row in told["fixes"])
     assert any("Gimbal readings are held" in one for one in told["assumed"])
-    assert not any("Position" in one and ("err" in one or "sigma" in one) for one in told["assumed"]), "the scene says how they err"
+    assert not any("Position" in one and ("err" in one or "sigma" in one) for one in told["assumed"]), (
+        "the scene says how they err"
+    )
     lon = [row["fix_lon_deg"] for row in told["fixes"]]
     assert lon == sorted(lon)
 
