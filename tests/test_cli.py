@@ -312,7 +312,7 @@ def without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
 def assert_table_and_hint(result, folder: pathlib.Path) -> None:
     assert result.exit_code == 1, "the table is there, the picture is not"
     assert result.stdout.count("hit") == 20
-    assert "picture:" not in result.stdout
+    assert "figure:" not in result.stdout
     assert "pip install 'jaxgeo[plot]'" in result.stderr
     assert "Traceback" not in result.output
     assert list(folder.iterdir()) == []
