@@ -116,7 +116,7 @@ __all__ = [
 
 DEPRECATED = {"SweepCamera": "WhiskbroomCamera"}
 _renamed = renamed(__name__, DEPRECATED)
-_ON_DEMAND = ("adjust", "coverage", "io", "plot", "register")  # two load rasterio and pyproj, or matplotlib
+_ON_DEMAND = ("adjust", "coverage", "io", "plot", "register")  # lazy: some import rasterio and pyproj, or matplotlib
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The hall: pixel -> ground, and ground -> pixel."""
+"""Image-to-ground (locate) and ground-to-image (project)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Bracket, ConstantHeight, FirstHit
 from jaxgeo.terrain.polish import polish
 
-NEAR_TANGENT = 1e-3  # rad between the ray and the surface: beyond, a derivative is a thousand times that of a plumb ray
+NEAR_TANGENT = 1e-3  # rad between ray and surface; below it, derivatives exceed a vertical ray's a thousandfold
 FIRST_HIT = FirstHit()
 
 
@@ -49,16 +49,17 @@ def intersect(
     atmosphere: Atmosphere | None = None,
     throw: bool = False,
 ) -> Fix:
-    """Where a ray (ECEF, m, unit direction) meets a terrain: the first point, unless `search` looks for another.
+    """Intersection of a ray (ECEF, m, unit direction) with a terrain: the first, unless `search` finds another.
 
     `ray` is one ray, with `origin` (3,) in ECEF m and `direction` (3,) a unit vector; `terrain` a `Dem` or a
     `ConstantHeight`. For many rays: `jax.vmap(intersect, in_axes=(0, None))`. The result is a `Fix`, differentiable to
-    second order in the ray, the terrain's heights and its grid. A ray that cannot be answered has a status and NaN
-    coordinates. With an `atmosphere` the direction is the apparent one at the origin, and the ray is bent from there.
-    Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a known direction that is not
-    of unit length, and, with `throw=True`, for a fix that is not `ok`.
-    Inside a `jit` of your own pass the terrain as an argument: closed over, its posts become constants of the program.
-    Rays may be spread over devices; on a mesh with explicit axes let the compiler place what lies within:
+    second order in the ray, the terrain heights and the grid. Without an intersection the coordinates are NaN and the
+    status gives the reason. With an `atmosphere`, `direction` is the apparent direction at the origin, and the ray is
+    refracted.
+    Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a concrete direction that is
+    not of unit length, and, with `throw=True`, for a fix that is not `ok`.
+    Inside your own `jit`, pass the terrain as an argument: if closed over, its posts become constants of the program.
+    Rays can be sharded over devices; on a mesh with explicit axes, let the compiler shard the intermediate arrays:
     `jax.sharding.auto_axes(jax.vmap(intersect, in_axes=(0, None)), out_sharding=jax.P("rays"))`.
 
     >>> above = jaxgeo.Geodetic.from_degrees(lat=47.0, lon=11.0, height=1000.0)
@@ -90,20 +91,20 @@ def locate(
     atmosphere: Atmosphere | None = None,
     throw: bool = False,
 ) -> Fix:
-    """The ground point that pixel `uv` = (column, row) of a shot sees; pixel centres lie at integers.
+    """Ground point imaged at pixel `uv` = (column, row) of a shot; pixel centres are at integers.
 
     `sensor` (camera, gimbal, mount) and `shot` (pose, gimbal readings in rad) are single records, `uv` is (2,) in px,
-    `terrain` a `Dem` or a `ConstantHeight`, `search` how the terrain is searched (`FirstHit()` or `Bisection()`). For
-    many pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. In place of a shot, a `Trajectory` and the `time` of
-    the image in s (0 if left out): each pixel is then seen from where the sensor is `camera.time_of(uv)` after it.
+    `terrain` a `Dem` or a `ConstantHeight`, `search` the terrain search (`FirstHit()` or `Bisection()`). For many
+    pixels: `jax.vmap(locate, in_axes=(None, None, 0, None))`. In place of a shot, give a `Trajectory` and the `time` of
+    the image in s (default 0); each pixel is then exposed `camera.time_of(uv)` later.
     The result is a `Fix`: position in rad and m above the ellipsoid, ECEF m, slant range, angles, and a status.
-    Differentiable to second order in everything: pose, trajectory and time, gimbal, mount, camera, pixel and posts,
-    and in the `atmosphere`, which bends the line of sight if it is given
-    (`jaxgeo.Atmosphere()` is the standard one; from 15 km over 60 km of slant range that moves the fix by 89 m).
+    Differentiable to second order in all inputs: pose, trajectory and time, gimbal, mount, camera, pixel, terrain
+    posts and `atmosphere`. An `atmosphere` refracts the line of sight (`jaxgeo.Atmosphere()` is the standard
+    atmosphere; from 15 km height and at 60 km slant range it moves the fix by 89 m).
 
-    A pixel outside the image or the lens's field, and input that is not finite, set the status and leave NaN. Raises
-    `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong kind; `ValueError` for
-    a wrong shape, a known latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
+    A pixel outside the image or the lens field, or input that is not finite, sets the status and gives NaN. Raises
+    `RuntimeError` with 64-bit floats off; `TypeError` for float32 and for arguments of the wrong type; `ValueError` for
+    a wrong shape, a concrete latitude beyond a pole, and, with `throw=True`, for a fix that is not `ok`.
 
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
     >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())  # a drone's
@@ -136,11 +137,11 @@ def at_range(
     time: ArrayLike | None = None,
     atmosphere: Atmosphere | None = None,
 ) -> Fix:
-    """The point at a measured slant range (a laser's, m from the perspective centre) along a pixel's line of sight.
+    """Point at a measured slant range (laser, m from the perspective centre) along the line of sight of a pixel.
 
-    No terrain is asked: `incidence_surface` and `slope` are NaN. An `atmosphere` bends the line of sight; that light is
-    slower in air (some 0.3 m per km at sea level) is for the laser's own calibration. Raises as `intersect`; a range
-    that is not positive and finite has the status `invalid_input`.
+    No terrain is used: `incidence_surface` and `slope` are NaN. An `atmosphere` refracts the line of sight; the lower
+    speed of light in air (about 0.3 m per km at sea level) is left to the calibration of the laser. Raises as
+    `intersect`; a range that is not positive and finite gives the status `invalid_input`.
 
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
     >>> sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.three_axis(), jaxgeo.Mount.forward())
@@ -168,21 +169,21 @@ def project(
     atmosphere: Atmosphere | None = None,
     hidden_tolerance: float = 0.01,
 ) -> Projection:
-    """The pixel that sees a ground point; the inverse of `locate`.
+    """Image point (pixel) of a ground point; the inverse of `locate`.
 
     `point` is one position (rad, m above the ellipsoid), on the ground or not. The result is a `Projection`: `uv` =
     (column, row) in px and a status: `behind_camera`, `outside_image`, `outside_distortion_field`, or `hit`. An
-    `atmosphere` bends the line of sight, by the same model as in `locate`.
+    `atmosphere` refracts the line of sight by the same model as in `locate`.
 
-    On a `Trajectory`, with the `time` of the image in s (0 if left out), a camera that exposes row after row sees the
-    point at a time that is found with the pixel. Of several such times (a line that swings back) it is the first on
-    the image, of the three that come first. If there is none, and none a tenth of the exposure before or behind it, the
-    status is `never_seen`, or `outside_trajectory` where records are missing for a part of the exposure. The exposure
-    is looked through twice for each record, at 65 to 257 places: swings far shorter than that may be overlooked.
+    On a `Trajectory`, with the `time` of the image in s (default 0), a camera that exposes row by row images the point
+    at a time that is solved for together with the pixel. If there are several such times (a line that swings back), the
+    result is the first on the image among the first three. If there is none, including a tenth of the exposure before
+    and after it, the status is `never_seen`, or `outside_trajectory` if the trajectory does not cover the exposure. The
+    exposure is sampled twice per record, at 65 to 257 times; much shorter oscillations may be missed.
 
     With a `terrain`, a point whose line of sight meets ground more than `hidden_tolerance` m before it is
-    `hidden_by_terrain`; where the terrain cannot tell (the line of sight leaves it, comes in from the side or below, or
-    passes a void) the status says that. The point keeps its `uv` in every such case.
+    `hidden_by_terrain`; if visibility cannot be decided (the line of sight leaves the terrain, enters it from the side
+    or from below, or passes a void), the status gives the reason. The point keeps its `uv` in all these cases.
     Raises `RuntimeError` with 64-bit floats off, `TypeError` on float32, `ValueError` for a latitude beyond a pole.
 
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -228,7 +229,7 @@ def located_anywhere(
     search: AbstractSearch,
     air: Atmosphere | None,
 ) -> tuple[Fix, Bracket]:
-    """`locate` of checked input, for a pixel that may lie beside the image, as a measured one may; and the bracket."""
+    """`locate` of checked input, and the search bracket; a pixel outside the image is allowed (measured pixels)."""
     ray, status = _line_of_sight(sensor, shot, time, pixel)
     status = seen_beside(status, ray.direction)
     return met_by(ray, status, terrain, search, air)
@@ -251,7 +252,7 @@ def _at_range(
     distance = jnp.where(seen, distance, 1.0)
     ray = tree_where(seen, ray, ConstantHeight(0.0).safe_ray()).through(air)
     along = distance
-    for _ in range(0 if air is None else 2):  # the chord of a bent ray is longer than its range by some 1e-7
+    for _ in range(0 if air is None else 2):  # the chord of a refracted ray exceeds its range by about 1e-7
         along = along * distance / _straight_distance(ray, along)
     position, incidence = _seen_from(ray, along)
     unknown = jnp.full_like(distance, jnp.nan)
@@ -289,9 +290,9 @@ def _intersect(
 def met_by(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch, air: Atmosphere | None
 ) -> tuple[Fix, Bracket]:
-    """The fix of a ray, and its bracket: search, polish and describe.
+    """Fix of a ray, and its search bracket: terrain search, root refinement, viewing angles.
 
-    `status` is what is already known to be wrong with the straight ray.
+    `status` is that of the straight ray before the search.
     """
     terrain, is_sound = terrain.made_safe()
     air, air_is_sound = _sound(air)
@@ -321,9 +322,9 @@ def met_by(
 def touched_by(
     ray: Ray, status: StatusCode, terrain: AbstractTerrain, search: AbstractSearch
 ) -> tuple[Vector3, StatusCode]:
-    """(the point in ECEF m, or the ray's origin where there is none; the status) of `met_by`, without derivatives.
+    """(point in ECEF m, or the ray origin if there is none; status) as `met_by`, without derivatives.
 
-    For crowds of straight rays and a search that comes so near that one step on the exact map is the last.
+    For batches of straight rays and a search accurate enough that one exact Newton step converges.
     """
     is_valid = all_finite(ray) & (jnp.abs(dot(ray.direction, ray.direction) - 1.0) <= UNIT_TOLERANCE)
     status = first_failure(status, status_where(is_valid, Status.hit, Status.invalid_input.code))
@@ -344,12 +345,12 @@ def _line_of_sight(sensor: Sensor, shot: Shot | Trajectory, time: Scalar, uv: Pi
 
 
 def _sound(air: Atmosphere | None) -> tuple[Atmosphere | None, Flag]:
-    """The air with finite numbers throughout, and whether it had them."""
+    """The atmosphere with non-finite values replaced, and whether all were finite."""
     return finite_or(air, 1.0), all_finite(air)
 
 
 def _straight_distance(ray: Ray, distance: Scalar) -> Scalar:
-    """From the origin to the point at a range of the ray, m."""
+    """Straight-line distance in m from the origin to the point at `distance` along the ray."""
     return distance if ray.bending is None else safe_norm(ray.at(distance) - ray.origin)
 
 
@@ -360,7 +361,7 @@ def _seen_from(ray: Ray, distance: Scalar) -> tuple[Geodetic, Scalar]:
 
 
 def _surface_angles(ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracket: Any) -> tuple[Scalar, Scalar]:
-    """Slope of the surface and incidence on it: its normal is the gradient of the clearance."""
+    """Slope of the surface and incidence angle; the surface normal is the gradient of the clearance."""
     p_ecef = ray.at(distance)
     gradient = jax.grad(terrain.clearance)(p_ecef, bracket.cell)
     up, _ = WGS84.normal_and_height(p_ecef)
@@ -368,7 +369,7 @@ def _surface_angles(ray: Ray, terrain: AbstractTerrain, distance: Scalar, bracke
 
 
 def has_point(status: StatusCode) -> Flag:
-    """Whether a fix of this status has coordinates."""
+    """Whether a fix with this status has coordinates."""
     return (
         (status == Status.hit)
         | (status == Status.near_tangent)
@@ -378,7 +379,7 @@ def has_point(status: StatusCode) -> Flag:
 
 
 def _mask(fix: Fix, found: Flag) -> Fix:
-    """NaN for every number of a fix that was not found; its status stays."""
+    """The fix with NaN for all values but the status if not `found`."""
     numbers = jax.tree.map(
         lambda x: jnp.where(found, x, jnp.nan),
         (fix.position, fix.ecef, fix.slant_range, fix.incidence_ellipsoid, fix.incidence_surface, fix.slope),
@@ -389,7 +390,7 @@ def _mask(fix: Fix, found: Flag) -> Fix:
 def visibility(
     origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar, air: Atmosphere | None
 ) -> StatusCode:
-    """Whether the terrain leaves a point in sight: `hit`, `hidden_by_terrain`, or why it cannot tell."""
+    """Visibility of a point over terrain: `hit`, `hidden_by_terrain`, or why it is undecided."""
     line = (p_ecef if air is None else apparent_point(origin, p_ecef, air)) - origin
     distance, straight = safe_norm(line), safe_norm(p_ecef - origin)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
@@ -399,7 +400,7 @@ def visibility(
 
 
 def sight_along(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tolerance: Scalar) -> StatusCode:
-    """`visibility` without air, for crowds: what is met is not polished further than one step."""
+    """`visibility` without atmosphere, for batches: the intersection is refined by one step only."""
     line = p_ecef - origin
     distance = safe_norm(line)
     ray = Ray(origin, line / jnp.where(distance > 0.0, distance, 1.0))
@@ -409,7 +410,7 @@ def sight_along(origin: Vector3, p_ecef: Vector3, terrain: AbstractTerrain, tole
 
 
 def _in_sight(met: StatusCode, is_nearer: Flag) -> StatusCode:
-    """Whether a point is in sight, by what a ray towards it has met, and whether that lies before it."""
+    """Visibility of a point from the status of a ray towards it, and whether the ray stops before the point."""
     is_ground = has_point(met) & (met != Status.hits_void) | (met == Status.enters_below_terrain)
     sees_past = (met == Status.rises_away) | (met == Status.hit) | (met == Status.near_tangent)
     sees_past |= ~is_nearer & ((met == Status.hits_void) | (met == Status.leaves_terrain))

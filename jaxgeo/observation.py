@@ -17,11 +17,11 @@ R = TypeVar("R", covariant=True)
 
 
 class Exposure(Record):
-    """One image: interior orientation (`sensor`), exterior orientation (`motion`), and the atmosphere it looks through.
+    """One image: interior orientation (`sensor`), exterior orientation (`motion`), and atmosphere.
 
-    `motion` is a `Shot`, or a `Trajectory` with the `time` of the image in s (None counts as 0; none goes with a shot).
-    Without an `atmosphere` lines of sight are straight. For many exposures give every leaf a leading axis and use
-    `jax.vmap`. Functions of (sensor, shot, ...) take an exposure in place of these two, `time` and `atmosphere`.
+    `motion` is a `Shot`, or a `Trajectory` with the `time` of the image in s (None means 0; not allowed with a shot).
+    Without an `atmosphere` lines of sight are straight. For many exposures, give every leaf a leading axis and use
+    `jax.vmap`. Functions of (sensor, shot, ...) take an exposure in place of `sensor`, `shot`, `time`, `atmosphere`.
 
     >>> sensor = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000))
     >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
@@ -42,7 +42,7 @@ class Observation(Record):
 
     For many pixels of one exposure: `jax.vmap(lambda uv: locate(Observation(exposure, uv), terrain))(pixels)`, or an
     observation whose leaves all have a leading axis under `jax.vmap`. Functions of (sensor, shot, uv, ...) take an
-    observation in place of these three, `time` and `atmosphere`.
+    observation in place of these three arguments, `time` and `atmosphere`.
 
     >>> sensor = jaxgeo.Sensor(jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000))
     >>> pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=720.0)
@@ -57,7 +57,7 @@ class Observation(Record):
 
 @runtime_checkable
 class OfExposure(Protocol, Generic[P, R]):
-    """A function of a sensor and a shot, or of an `Exposure`."""
+    """Function of a sensor and a shot, or of an `Exposure`."""
 
     @overload
     def __call__(self, sensor: Sensor, shot: Shot | Trajectory | Pose, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
@@ -67,7 +67,7 @@ class OfExposure(Protocol, Generic[P, R]):
 
 @runtime_checkable
 class OfObservation(Protocol, Generic[P, R]):
-    """A function of a sensor, a shot and a pixel, or of an `Observation`."""
+    """Function of a sensor, a shot and a pixel, or of an `Observation`."""
 
     @overload
     def __call__(self, sensor: Sensor, shot: Shot | Trajectory, uv: Any, /, *args: P.args, **kwargs: P.kwargs) -> R: ...
@@ -117,9 +117,9 @@ def accepts_observation(function: Callable[Concatenate[Sensor, Any, Any, P], R])
 
 
 def _moment(function: str, names: Collection[str], exposure: Exposure, kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Keywords of a function of these parameters, with the time and the atmosphere of an exposure.
+    """Keyword arguments for a function with parameters `names`, with time and atmosphere of the exposure added.
 
-    Raises `TypeError` where one is given a second time, or has no part in the function.
+    Raises `TypeError` if one of the two is also given as a keyword, or is not a parameter of the function.
     """
     held = {name: value for name in ("time", "atmosphere") if (value := getattr(exposure, name)) is not None}
     for name in ("time", "atmosphere"):

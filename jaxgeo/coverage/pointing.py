@@ -1,4 +1,4 @@
-"""Where to turn the gimbal: readings that look at a place on the ground, or keep a line of sight."""
+"""Gimbal readings that point a pixel at a ground point or hold a line of sight."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from jaxgeo.sensor.root_finder import check_solver
 from jaxgeo.status import Status, first_failure
 from jaxgeo.terrain import AbstractTerrain
 
-HIDDEN_TOLERANCE = 0.01  # m before the target at which ground that is met hides it
+HIDDEN_TOLERANCE = 0.01  # m: ground this far before the target hides it
 
 
 class Pointing(Record):
-    """Where a gimbal is to go: `readings` in rad, the angle `miss` in rad by which they are off, and a `Status`.
+    """Pointing solution: gimbal `readings` in rad, pointing error `miss` in rad, and a `Status`.
 
-    `hit`; `hidden_by_terrain` (the readings hold, but nearer ground is in the way), or why the terrain cannot tell;
-    `outside_gimbal_range` (the readings are the nearest within the limits, `miss` how far off that is; with long lever
-    arms and a target at 50 m, another place on the limits may come some 1e-5 rad nearer). With any other
-    status, as `not_converged` of a solver that a caller chose, the readings are NaN.
+    `hit`; `hidden_by_terrain` (the readings are valid, but nearer ground is in the way), or why visibility is
+    undecided; `outside_gimbal_range` (the readings are the nearest within the limits, `miss` their pointing error; with
+    long lever arms and a target at 50 m, other readings on the limits may be some 1e-5 rad nearer). With any other
+    status, such as `not_converged` of a given solver, the readings are NaN.
     """
 
     readings: ReadingsField
@@ -44,7 +44,7 @@ class Pointing(Record):
 
     @property
     def ok(self) -> Bool[Array, "..."]:
-        """Whether the target comes under the pixel and nothing that is known hides it."""
+        """Whether the pixel is on the target and no known terrain hides it."""
         return jnp.asarray(self.status) == Status.hit
 
 
@@ -61,24 +61,23 @@ def point_gimbal(
 ) -> Pointing:
     """Gimbal readings that put the optical axis, or pixel `uv`, on a `target`: a point, or a `LineOfSight`.
 
-    Lever arms, boresight, gains, offsets, limits, distortion and, if given, the air are allowed for. Of `shot` only the
-    pose counts. Of the two ways in which two axes can look at a point, it is the one less turned from angles of zero,
-    or from `readings`, at which axes that are not needed are held (of more than two, those that move the line of sight
-    least, like the roll of a drone's gimbal). Where the line of sight lies along an axis, which nothing then
-    determines, that axis stays where it is. With a `terrain` (and a point), ground more than 1 cm before the target
-    hides it.
+    Accounts for lever arms, boresight, gains, offsets, limits, distortion and, if given, the atmosphere. Of `shot` only
+    the pose is used. Of the two solutions of a two-axis gimbal, the one with the least rotation from zero angles, or
+    from `readings`, is returned. With more than two axes, those that move the line of sight least (such as the roll of
+    a drone's gimbal) keep their start readings. An axis parallel to the line of sight is undetermined and keeps its
+    reading. With a `terrain` (and a point), ground more than 1 cm before the target hides it.
 
-    `solver` finds the root, started from the closed form and kept within the limits: an `optimistix` root finder or
-    least-squares solver, or `FixedNewton()`, the package's own. By default a single pointing of known values goes by
+    `solver` finds the root, starting from the closed form, within the limits: an `optimistix` root finder or
+    least-squares solver, or the package's `FixedNewton()`. By default a single pointing of concrete values uses
     `optimistix.Newton`, whose first call takes a fifth of the processor time; batches inside `vmap` and `jit`, and the
-    knots of a `Trajectory`, go by `FixedNewton`, which takes 0.4 to 0.8 of the time there. All find the same readings.
-    A solver that ends off a target that is in reach has the status `not_converged`.
+    knots of a `Trajectory`, use `FixedNewton`, which takes 0.4 to 0.8 of the time there. All find the same readings.
+    The status is `not_converged` if the solver misses a target within reach.
 
-    One shot gives one `Pointing`, and `jax.vmap` many; a `Trajectory` one for each knot, each started from the one
-    before, so that axes do not jump: its `target` is one for all knots, or of a leading axis of knots; put the readings
-    on it with `trajectory.with_readings`. Derivatives, first and second, are those of the implicit function.
-    Raises `TypeError` and `ValueError` for a gimbal without axes and for arguments of the wrong kind or shape; what
-    cannot be reached has a status.
+    A shot gives one `Pointing` (use `jax.vmap` for many); a `Trajectory` gives one per knot, each started from the one
+    before, so that axes do not jump. Its `target` is one for all knots, or has a leading axis of knots; apply the
+    readings with `trajectory.with_readings`. First and second derivatives are those of the implicit function.
+    Raises `TypeError` and `ValueError` for a gimbal without axes and for arguments of the wrong type or shape; an
+    unreachable target sets the status.
 
     >>> from jaxgeo import coverage
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -152,7 +151,7 @@ def _judged(
     terrain: AbstractTerrain | None,
     air: Atmosphere | None,
 ) -> Pointing:
-    """With whether the terrain leaves the target in sight."""
+    """The pointing solution with its visibility over the terrain."""
     status = found.status
     if terrain is not None and isinstance(target, Geodetic):
         status = first_failure(status, _in_sight(sensor, pose, target, found.readings, terrain, air))
@@ -171,12 +170,12 @@ def _in_sight(
 def compensate(
     sensor: Sensor, before: Shot, after: Shot | Trajectory, *, uv: ArrayLike | None = None, solver: Any = None
 ) -> Pointing:
-    """Readings with which the shot `after` looks in the very direction (north-east-down) of the shot `before`.
+    """Readings that give shot `after` the same line of sight (north-east-down) as shot `before`.
 
-    So the attitude's changes between two exposures do not move the image: the gimbal takes them up. Of `after` only the
-    poses count; the search starts from the readings of `before`. Exact, where Eqs 25-26 of Li et al. (2020) are so only
-    for an inner angle of zero (see `li_2020_compensation`). The corrections are `pointing.readings -
-    before.gimbal_readings`. `solver` as for `point_gimbal`, and raises as it.
+    The gimbal compensates attitude changes between two exposures, so that the image does not move. Of `after` only the
+    poses are used; the search starts from the readings of `before`. The result is exact; Eqs 25-26 of Li et al. (2020)
+    are exact only for an inner angle of zero (see `li_2020_compensation`). The corrections are `pointing.readings -
+    before.gimbal_readings`. `solver` and exceptions as for `point_gimbal`.
     """
     wanted = line_of_sight(sensor, before, uv=uv)
     return point_gimbal(sensor, after, target=wanted, uv=uv, readings=before.gimbal_readings, solver=solver)

@@ -1,4 +1,4 @@
-"""The readings of a gimbal that bring a line of sight onto a target, with their derivatives."""
+"""Gimbal readings that point a line of sight at a target, with derivatives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from jaxgeo.status import Status, first_failure, seen_beside, status_where
 
 
 class LineOfSight(Record):
-    """A direction to look in: `ned`, a vector north-east-down at the position of the pose, of any length."""
+    """A line of sight: `ned`, a vector of any length in north-east-down at the position of the pose."""
 
     ned: Vector3Field
 
@@ -55,15 +55,17 @@ class LineOfSight(Record):
 
 Target: TypeAlias = Geodetic | LineOfSight
 
-ROUNDS = 3  # the closed form knows no lever arms and no air: each round leaves a hundredth, or a millionth, of them
+ROUNDS = 3  # the closed form ignores lever arms and atmosphere; each round leaves 1e-2 or 1e-6 of them
 NEWTON_STEPS = 3
-TOLERANCE = 1e-9  # rad by which an accepted answer may miss; those that converge miss by some 1e-15
-SINGULAR = 1e-7  # determinant of the axes' turns: nearer, two axes move the line alike, and the least turn is taken
+TOLERANCE = 1e-9  # rad: largest accepted pointing error; converged solutions have about 1e-15
+SINGULAR = 1e-7  # relative determinant below which the axes count as parallel: minimum-norm step
 
 
 class World(NamedTuple):
-    """What readings are to bring together: a line of sight in the camera and a target, a point in ECEF m or, without
-    one, a direction in ECEF. `axes` are two across the line of sight, and itself; the station's readings mean nothing.
+    """Pointing problem: sensor and station, a line of sight in the camera, and a target.
+
+    The target is a point in ECEF m or, if that is None, a direction in ECEF. The rows of `axes` are two axes across the
+    line of sight and the line of sight itself, in the camera frame. The readings of `station` are not used.
     """
 
     sensor: Sensor
@@ -75,7 +77,7 @@ class World(NamedTuple):
 
     @classmethod
     def of(cls, sensor: Sensor, station: Station, pose: Pose, target: Target, sight: Vector3, air: Any) -> World:
-        """That of a target as callers have it."""
+        """From a pose, a target and the line of sight in the camera."""
         down = jnp.cross(sight, jnp.array([1.0, 0.0, 0.0]))
         down = down / safe_norm(down)
         axes = jnp.stack([jnp.cross(down, sight), down, sight])
@@ -86,14 +88,14 @@ class World(NamedTuple):
         return cls(sensor, station, None, direction / safe_norm(direction), axes, air)
 
     def view(self, readings: Readings) -> Sight:
-        """Where the camera is, and how it lies, with some readings."""
+        """Position and orientation of the camera at given readings."""
         return self.sensor.sight(self.station._replace(gimbal_readings=readings))
 
     def direction_from(self, centre: Vector3, *, for_search: bool = False) -> Vector3:
-        """Unit vector in ECEF to where the target is, or through the air seems to be.
+        """Unit vector in ECEF to the target, or to its apparent position through the atmosphere.
 
-        `for_search` leaves the change of the air's part with the centre out of derivatives: 1e-4 rad times the lever
-        arm over the distance, which Newton's steps do not notice, and half of what there is to compile.
+        `for_search` omits the derivative of refraction by the perspective centre: 1e-4 rad times lever arm over
+        distance, negligible for Newton steps; this halves the program to compile.
         """
         if self.p_ecef is None:
             return jnp.asarray(self.direction)
@@ -103,7 +105,7 @@ class World(NamedTuple):
 
 
 class Aimed(NamedTuple):
-    """Readings within the limits, the angle in rad by which they miss, and whether and why they do or cannot."""
+    """Readings within the limits, their pointing error in rad, and the status."""
 
     readings: Readings
     miss: Scalar
@@ -111,7 +113,7 @@ class Aimed(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What readings are looked for with."""
+    """Inputs of the search for readings."""
 
     world: World
     start: Readings
@@ -119,7 +121,7 @@ class Way(NamedTuple):
     from_start: Flag
 
 
-Found: TypeAlias = tuple[Readings, Flag]  # and whether the solver found the root, if there is one
+Found: TypeAlias = tuple[Readings, Flag]  # readings; whether the solver found the root, if there is one
 Search: TypeAlias = Callable[[Way], Found]
 
 
@@ -132,13 +134,13 @@ def aim(
     air: Atmosphere | None,
     solver: Any = None,
 ) -> Aimed:
-    """Readings that bring the axis, or pixel `uv`, onto a target or, within the limits, nearest to it.
+    """Readings that point the axis, or pixel `uv`, at a target or, within the limits, nearest to it.
 
-    By closed form for the direction to the target, in rounds, since the perspective centre and the air's part depend
-    on the readings; then a root of the exact map by `solver`. By default that is `optimistix.Newton` for a single
-    pointing of known values, whose search for the nearest readings is compiled only if a target is out of reach, and
-    `FixedNewton` inside `jit` and `vmap`. Derivatives are those of the implicit function, whatever the solver; readings
-    that only come nearest have none.
+    First the closed form for the direction to the target, iterated because the perspective centre and refraction
+    depend on the readings; then a root of the exact model by `solver`. The default is `optimistix.Newton` for a single
+    pointing of concrete values, which compiles the search for the nearest readings only if a target is out of reach,
+    and `FixedNewton` inside `jit` and `vmap`. Derivatives are those of the implicit function for every solver; nearest
+    readings that miss the target have none.
     """
     start = sensor.gimbal.neutral_readings() if given is None else given
     wanted = (sensor, pose, target, uv, start, jnp.asarray(given is not None), air)
@@ -173,7 +175,7 @@ def _aim(
     from_start: Flag,
     air: Atmosphere | None,
 ) -> Aimed:
-    sensor.gimbal.angles(start)  # refuses a wrong number of readings
+    sensor.gimbal.angles(start)  # raises for a wrong number of readings
     sight, status = _line_of_sight(sensor, uv)
     world = World.of(sensor, Station.of(Shot(pose, start)), pose, target, sight, air)
     is_valid = all_finite((sensor.gimbal.sign, sensor.gimbal.gain, sensor.gimbal.offset, sensor.mount))
@@ -181,7 +183,7 @@ def _aim(
     frozen, frozen_start = jax.lax.stop_gradient((world, start))
     free = _free_axes(frozen, frozen_start)
     best, converged = search(Way(frozen, frozen_start, free, from_start))
-    is_valid &= all_finite(best)  # a target at the perspective centre lies in no direction
+    is_valid &= all_finite(best)  # the direction is undefined for a target at the perspective centre
     miss = _angle_off(_target_seen(frozen, best))
     reached = (miss < TOLERANCE) & all_finite(best)
     found = _with_derivative(world, start, free, jnp.where(reached, best, frozen_start))
@@ -194,7 +196,7 @@ def _aim(
 
 
 def _best(solver: Any, way: Way) -> Found:
-    """By the short way, that most go: from the closed form's root once. Who misses so goes the long one."""
+    """Readings from one closed-form evaluation (`_short_way`), enough for most; otherwise from `_long_way`."""
     quick = _short_way(solver, way)
     missed = _angle_off(_target_seen(way.world, quick)) >= TOLERANCE
     numbers, rest = eqx.partition(solver, eqx.is_array)
@@ -210,7 +212,7 @@ def _short_way(solver: Any, way: Way) -> Readings:
 
 
 def _long_way(solver: Any, way: Way) -> Found:
-    """The nearest readings within the limits; of a target that they reach, what the solver finds, or that it fails."""
+    """Nearest readings within the limits, or the solver's root; False if it misses a target within reach."""
     start = _closed_form(way, ROUNDS, thorough=True)
     nearest = _newton(way.world, start, way.free)
     if isinstance(solver, FixedNewton):
@@ -221,7 +223,7 @@ def _long_way(solver: Any, way: Way) -> Found:
 
 
 def _root(solver: Any, way: Way, start: Readings) -> Readings:
-    """What an optimistix solver finds from a start."""
+    """Readings found by an optimistix solver from a start."""
 
     def residual(angles: Float[Array, " free"], given: Any) -> Pixel:
         world, start, free = given
@@ -232,7 +234,7 @@ def _root(solver: Any, way: Way, start: Readings) -> Readings:
 
 
 def _only_if_missed(long_way: Callable[[Way, Any], Found]) -> Callable[..., Found]:
-    """Readings of the long way for whom the short one misses; a batch goes it only if one of them does."""
+    """Apply `long_way` to items whose quick readings miss; a batch runs it only if at least one item misses."""
 
     def chosen(missed: Flag, quick: Readings, way: Way, numbers: Any) -> Found:
         long, converged = long_way(way, numbers)
@@ -255,7 +257,7 @@ def _only_if_missed(long_way: Callable[[Way, Any], Found]) -> Callable[..., Foun
 
     @batch.def_vmap
     def _(size: int, is_batched: Any, *given: Any) -> Any:
-        """Batches of batches are one, or all of them would go both ways."""
+        """Flatten nested batches; otherwise `cond` becomes a select and runs both branches."""
         batches = _spread(size, is_batched, given)
         found = batch(*jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batches))
         return jax.tree.map(lambda x: x.reshape(*batches[0].shape, *x.shape[1:]), found), (True, True)
@@ -264,7 +266,7 @@ def _only_if_missed(long_way: Callable[[Way, Any], Found]) -> Callable[..., Foun
 
 
 def _spread(size: int, is_batched: Any, given: Any) -> Any:
-    """What a crowd shares, given to each."""
+    """Broadcast the unbatched leaves to the batch."""
 
     def spread(leaf: Any, own: bool) -> Array:
         return leaf if own else jnp.broadcast_to(jnp.asarray(leaf), (size, *jnp.shape(leaf)))
@@ -273,7 +275,7 @@ def _spread(size: int, is_batched: Any, given: Any) -> Any:
 
 
 def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
-    """The gimbal's two axes alone, from where the camera then is and to where the target then seems to be."""
+    """Closed-form readings of the free axes, iterated with the camera position and apparent target direction."""
     world, start = way.world, way.start
     gimbal, mount = world.sensor.gimbal, world.sensor.mount
     if gimbal.reference == "level":
@@ -290,7 +292,7 @@ def _closed_form(way: Way, rounds: int, *, thorough: bool) -> Readings:
 
 
 def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
-    """Two steps on the exact map, and one more by the slope of the second, wherever they lead within the limits."""
+    """Two Newton steps on the exact model and one with the second Jacobian, then clipped to the limits."""
     seen, J = _seen_and_slope(world, start, free, for_search=True)
     readings = _put(start, free, start[free] - _least_squares(J, seen))
     seen, J = _seen_and_slope(world, readings, free, for_search=True)
@@ -301,7 +303,7 @@ def _quick_newton(world: World, start: Readings, free: FreeAxes) -> Readings:
 
 
 def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
-    """A few steps on the exact map, within the limits, each taken only if it comes nearer."""
+    """A few Newton steps on the exact model within the limits; a step is accepted only if it reduces the error."""
     low, high = world.sensor.gimbal.limits[:, 0], world.sensor.gimbal.limits[:, 1]
 
     def step(_: Any, state: tuple[Readings, Scalar]) -> tuple[Readings, Scalar]:
@@ -316,7 +318,7 @@ def _newton(world: World, start: Readings, free: FreeAxes) -> Readings:
 
 
 def _line_of_sight(sensor: Sensor, uv: Pixel | None) -> tuple[Vector3, StatusCode]:
-    """Direction in the camera frame to bring onto the target; a pixel outside the image will do too."""
+    """Direction in the camera frame to point at the target; the pixel may lie outside the image."""
     axis = sensor.camera.axis()
     if uv is None:
         return axis, Status.hit.code
@@ -335,7 +337,7 @@ def _target_seen(world: World, readings: Readings, *, for_search: bool = False) 
 def _seen_and_slope(
     world: World, readings: Readings, free: FreeAxes, *, for_search: bool = False
 ) -> tuple[Pixel, Float[Array, "2 free"]]:
-    """The two components across, and their derivatives by the free axes."""
+    """The two components across the line of sight, and their derivatives by the free axes."""
 
     def across(angles: Float[Array, " free"]) -> tuple[Pixel, Pixel]:
         seen = _target_seen(world, _put(readings, free, angles), for_search=for_search)[:2]
@@ -350,7 +352,7 @@ def _angle_off(seen: Vector3) -> Scalar:
 
 
 def _free_axes(world: World, start: Readings) -> FreeAxes:
-    """The (at most) two axes that turn the line of sight most at the start, from base to head; others are held."""
+    """The (at most) two axes that turn the line of sight most at the start, from base to head; others are fixed."""
     gimbal = world.sensor.gimbal
     if len(gimbal.axes) <= 2:
         return jnp.arange(len(gimbal.axes))
@@ -361,13 +363,13 @@ def _free_axes(world: World, start: Readings) -> FreeAxes:
 
 @jax.custom_jvp
 def _with_derivative(world: World, held: Readings, free: FreeAxes, root: Readings) -> Readings:
-    """Readings with `root` on the free axes and `held` on the others, with the derivatives of the implicit function."""
+    """Readings with `root` on the free axes and `held` on the others; derivatives by the implicit function."""
     return _put(held, free, root[free])
 
 
 @_with_derivative.defjvp
 def _(primals, tangents):
-    """d root = -J^-1 (d seen by all else), J by the free axes. Reused within itself, for second derivatives."""
+    """d root = -J^-1 (d seen by all other inputs), J by the free axes; recursive, for second derivatives."""
     world, held, free, root = primals
     d_world, d_held, _, _ = tangents
     found = _with_derivative(world, held, free, root)
@@ -378,13 +380,13 @@ def _(primals, tangents):
 
 def _put(readings: Readings, free: FreeAxes, values: Float[Array, " free"]) -> Readings:
     """Readings with other values on the free axes."""
-    return readings.at[free].set(values, unique_indices=True)  # else reverse mode refuses to transpose it
+    return readings.at[free].set(values, unique_indices=True)  # otherwise reverse mode cannot transpose it
 
 
 def _least_squares(J: Float[Array, "2 free"], value: Pixel) -> Float[Array, " free"]:
-    """`x` that makes `J x` nearest to `value`, for one or two unknowns; of several, in effect the shortest.
+    """Least-squares solution `x` of `J x = value` for one or two unknowns; minimum norm if J is singular.
 
-    Where a line of sight lies along an axis, J has but one direction that moves it.
+    J is singular if the line of sight is parallel to an axis.
     """
     if J.shape[1] == 1:
         return (J.T @ value) / jnp.maximum(jnp.sum(J**2), SINGULAR**2)
@@ -404,7 +406,7 @@ def aim_along(
     air: Atmosphere | None,
     solver: Any = None,
 ) -> Aimed:
-    """`aim` for every knot, each from the one before, so that axes do not jump; by `FixedNewton` unless given."""
+    """`aim` for every knot, each started from the one before so that axes do not jump; default `FixedNewton`."""
     search = functools.partial(_best, FixedNewton() if solver is None else solver)
     start = sensor.gimbal.neutral_readings() if given is None else given
 

@@ -1,4 +1,4 @@
-"""Roots by an optimistix solver, started from a closed form and kept within the limits of a gimbal."""
+"""Root finding for gimbal pointing: optimistix solvers within gimbal limits, and the choice of solver."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from jaxtyping import Array, Float
 from jaxgeo._numerics import all_finite
 from jaxgeo._record import Record
 
-TOLERANCE = 1e-10  # rad: rounding of ECEF moves the line of sight by less from 20 m on
-SAME_DIRECTION = 1e-7  # ratio of singular values: below it two axes move the line of sight alike
-MAX_STEPS = 32  # from the closed form Newton takes three or four
+TOLERANCE = 1e-10  # rad: at 20 m or more, ECEF rounding moves the line of sight by less
+SAME_DIRECTION = 1e-7  # ratio of singular values below which two axes move the line of sight in the same direction
+MAX_STEPS = 32  # Newton takes three or four from the closed form
 
 
 class FixedNewton(Record):
     """The package's own pointing solver: a fixed number of unrolled Newton steps from the closed form.
 
-    The default inside `vmap` and `jit`. It stays beside optimistix because a loop waits for its slowest lane: from the
-    same start, with the same readings, `optimistix.Newton` takes 2.4 times as long in one `vmap` over 10,000 pointings
-    of two axes (1.3 times through the air), and `LevenbergMarquardt` 6 times (`benchmarks/pointing.py`, two cores).
-    The first call of a single pointing takes a fifth by optimistix, hence those go by it.
+    The default inside `vmap` and `jit`, because a batched loop runs until its slowest lane converges: from the same
+    start, to the same readings, `optimistix.Newton` takes 2.4 times as long in one `vmap` over 10,000 pointings of two
+    axes (1.3 times with an atmosphere), and `LevenbergMarquardt` 6 times (`benchmarks/pointing.py`, two cores).
+    Single pointings use optimistix, whose first call takes a fifth of the time.
     """
 
 
 def default_root_finder() -> Any:
-    """`optimistix.Newton` with steps that leave an axis alone where two axes move the line of sight alike."""
+    """`optimistix.Newton` with minimum-norm steps where two axes move the line of sight in the same direction."""
     import lineax as lx
     import optimistix as optx
 
@@ -39,12 +39,12 @@ def default_root_finder() -> Any:
 
 @functools.cache
 def compiled_quickly(program: Callable[..., Any]) -> Callable[..., Any]:
-    """`program` for single calls: compiled in a third of the time, to run for 0.2 ms in place of 0.1."""
+    """`program` compiled for single calls: in a third of the compile time, running 0.2 ms instead of 0.1 ms."""
     return eqx.filter_jit(program, compiler_options=_quick_to_compile())  # pyright: ignore[reportCallIssue]
 
 
 def _quick_to_compile() -> dict[str, Any]:
-    """Options of XLA on CPUs: its older emitter, without optimisation; none where a version does not know them."""
+    """XLA CPU options: the older emitter, without optimisation; none on other backends or if not supported."""
     options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
     if jax.default_backend() != "cpu":
         return {}
@@ -56,7 +56,7 @@ def _quick_to_compile() -> dict[str, Any]:
 
 
 def check_solver(solver: Any) -> None:
-    """Raise `TypeError` unless this is a solver that finds roots, or None."""
+    """Raise `TypeError` unless `solver` is None, `FixedNewton`, or an optimistix root finder or least-squares one."""
     if solver is None or isinstance(solver, FixedNewton):
         return
     import optimistix as optx
@@ -76,9 +76,9 @@ def find_root(
     limits: Float[Array, "n 2"],
     args: Any,
 ) -> Float[Array, " n"]:
-    """Where the solver ends within the limits; the start where that is not finite. Not differentiable.
+    """Result of the solver within the limits, or the start if it is not finite. Not differentiable.
 
-    Solvers that take bounds (`optimistix.Newton`) get them; the result of others is cut off at them.
+    Solvers that support bounds (`optimistix.Newton`) use the limits; results of others are clipped to them.
     """
     import optimistix as optx
 

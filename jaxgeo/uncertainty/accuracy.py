@@ -1,4 +1,4 @@
-"""The everyday door: how sure a fix is, by the cheapest method that can be trusted there."""
+"""Accuracy of a fix (CE, LE, SE) by the cheapest propagation method that is valid there."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ RANDOM = Random()
 
 
 class Accuracy(Record):
-    """How sure a fix is: radii in m about it that hold the truth with a `probability`, and who says so.
+    """Accuracy of a fix: radii in m that contain the true point with `probability`, and the method used.
 
-    `circular` on the level plane, `linear` in height, `spherical` in space; infinite if too many of the errors drawn
-    leave no fix. `trust` names the method they are from, and `because` says in words why.
+    `circular` is horizontal, `linear` vertical, `spherical` in space; infinite if too many samples have no fix.
+    `trust` is the method, `because` the reason for it in words, `signs` the diagnostics that selected it.
     """
 
     fix: Fix
@@ -70,14 +70,14 @@ def accuracy(
     draws: AbstractDraws = RANDOM,
     chunk: int = CHUNK,
 ) -> Accuracy:
-    """How sure the fix is that `locate` gives with the same arguments.
+    """Accuracy of the fix that `locate` returns for the same arguments.
 
-    What lies about the fix is looked at first, without a sample: the slope of the facet against that of the footprint,
-    the profile of the ground along the look with its ridges and unseen gaps, edges and voids within reach. If linear
-    propagation over the facet agrees with them, that is the answer; if not, but that over the footprint does, that one;
-    if neither can be trusted, or the ground cannot be probed, `count` samples are drawn (with `key`,
-    `jax.random.key(0)` if left out; `draws` and `chunk` as for `sample`). Raises as `propagate`, and `ValueError` for a
-    probability outside (0, 1) and where there is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and
+    The terrain around the fix is examined first, without samples: the slopes of facet and footprint, the terrain
+    profile along the line of sight with its ridges and unseen gaps, and edges and voids within the errors' range. If
+    linear propagation over the facet agrees with footprint and profile, it is used; otherwise that over the footprint,
+    if it agrees with the profile. If neither is valid, or the ground cannot be probed, `count` samples are drawn (with
+    `key`, default `jax.random.key(0)`; `draws` and `chunk` as for `sample`). Raises as `propagate`, and `ValueError`
+    for a probability outside (0, 1) and if there is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and
     `assess`.
 
     >>> from jaxgeo.uncertainty import sources
@@ -119,7 +119,7 @@ def accuracy(
 
 
 def reason(signs: Diagnostics, trust: Method) -> str:
-    """Why this method and no cheaper one, with the figures that decided."""
+    """Why this method was selected and no cheaper one, with the deciding figures."""
     facet, footprint, profile = (float(x) for x in (signs.facet, signs.footprint, signs.profile))
     jumps, fails = 100.0 * float(signs.jumps), 100.0 * float(signs.fails)
     figures = (
@@ -139,7 +139,7 @@ def reason(signs: Diagnostics, trust: Method) -> str:
 
 
 def _obstacle(signs: Diagnostics, fails: float, jumps: float) -> str | None:
-    """What forbids linear propagation however well figures agree, if anything does; `fails` and `jumps` in %."""
+    """Condition that rules out linear propagation even if the figures agree, or None; `fails` and `jumps` in %."""
     off, known, grazing = float(signs.off), float(signs.known), float(signs.grazing)
     if not off <= SAME_GROUND:
         where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere at the fix"

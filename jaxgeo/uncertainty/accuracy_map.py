@@ -1,4 +1,4 @@
-"""How sure fixes are all over the ground of an image, or over an area seen from a pose: in blocks of bounded memory."""
+"""Accuracy maps over the ground of an image or an area seen from a pose, in blocks of bounded memory."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sampled import CHUNK
 
-BLOCK = 128  # places judged at once: some 100 MB
-SAMPLES = 2000  # a place, whose figures then are good to some 3 %
+BLOCK = 128  # cells evaluated at once: about 100 MB
+SAMPLES = 2000  # per cell: figures good to about 3 %
 RANDOM = Random()
 
 
 class AccuracyMap(Record):
-    """How sure the fixes of many places are; all arrays have the shape of what was asked for.
+    """Accuracy of the fixes of many cells (ground points or pixels); all arrays have the shape of the request.
 
-    `circular`, `linear` and `spherical` are radii in m that hold the truth with a `probability`, by the method that
-    `trust` names (codes of `Method`): infinite where too many samples leave no fix, NaN where samples are needed but
-    were not drawn (`count` 0), and where there is no fix. There `trust` is `NO_FIX`, -1, and `status` (int8) says why:
-    `outside_image`, `hidden_by_terrain`, `hits_void` or `leaves_terrain` for ground that is not known, or what the line
-    of sight met before. `position` is the ground in rad and m, `uv` (..., 2) the pixel that sees it, in px; `failed`
-    the share of samples without a fix, NaN where none were drawn. `signs` are what was looked at to choose the method.
-    From a pose, `readings` (..., axes) in rad put the optical axis on each place, NaN where the gimbal does not reach
-    it, `is_out_of_reach`, whose status is `invalid_input`.
+    `circular`, `linear` and `spherical` are radii in m that contain the true point with `probability`; `trust` is the
+    method used (codes of `Method`). They are infinite where too many samples have no fix, and NaN where samples are
+    needed but not drawn (`count` 0) or there is no fix. Without a fix `trust` is `NO_FIX` (-1) and `status` (int8)
+    gives the reason: `outside_image`, `hidden_by_terrain`, `hits_void` or `leaves_terrain` for unknown ground, or what
+    the line of sight meets first. `position` is the ground point in rad and m, `uv` (..., 2) its pixel in px; `failed`
+    is the share of samples without a fix, NaN if none were drawn. `signs` are the diagnostics that selected the method.
+    From a pose, `readings` (..., axes) in rad put the optical axis on each cell; they are NaN, and the status
+    `invalid_input`, where `is_out_of_reach`.
     """
 
     position: Geodetic
@@ -76,24 +76,24 @@ class AccuracyMap(Record):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of every array, but for the axes of `uv` and `readings`."""
+        """Shape of every array, without the last axis of `uv` and `readings`."""
         return jnp.shape(self.status)
 
     @property
     def has_fix(self) -> Any:
-        """Where there is a fix to be sure of."""
+        """Whether each cell has a fix."""
         return jnp.asarray(self.trust) != NO_FIX
 
     @property
     def is_out_of_reach(self) -> Any:
-        """Where the gimbal cannot look, from a pose."""
+        """Whether each cell is outside the gimbal limits; only from a pose."""
         if self.readings is None:
             return jnp.zeros(self.shape, bool)
         is_known = jnp.isfinite(jnp.asarray(self.position.height))
         return is_known & jnp.any(jnp.isnan(self.readings), axis=-1)
 
     def meaning(self, status: Status) -> str:
-        """What a status says of a place on this map."""
+        """Message of a status of a cell of this map."""
         if status is Status.invalid_input and bool(jnp.any(self.is_out_of_reach)):
             return "The gimbal cannot look there within its limits."
         return status.message
@@ -135,16 +135,16 @@ def accuracy_map(
     block: int = BLOCK,
     progress: bool = False,
 ) -> AccuracyMap:
-    """How sure a fix on each place of the ground is: in an image, or with the gimbal pointed at it from a pose.
+    """Accuracy of the fix of each ground point: in an image, or with the gimbal pointed at it from a pose.
 
-    With a `shot` (or a trajectory and the `time` of the image) each place has the figures that `accuracy` gives of the
-    pixel that sees it; with a `Pose` in its place, those of the optical axis, turned there as by `Sensor.looking_at`.
-    What is not seen has no figures but a status, also where the fix of the pixel is other ground, by more than 0.1 m:
-    `hidden_by_terrain`. `ground` are latitudes and longitudes in rad of any one shape; the height is the terrain's. By
-    default they are the middles of every `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, `count` are
-    drawn, all with one `key` (`jax.random.key(0)` if left out), so that neighbours differ by their ground alone; with a
-    `count` of 0 there are no figures. `block` places are judged at a time, `chunk` samples drawn, which bounds the
-    memory; no number depends on either. `progress` shows bars. Raises as `accuracy`, but not for lack of a fix.
+    With a `shot` (or a trajectory and the `time` of the image) each cell has the `accuracy` of its pixel; with a `Pose`
+    instead, that of the optical axis pointed at it as by `Sensor.looking_at`. Cells that are not visible have a status
+    and no figures; a pixel whose fix is more than 0.1 m from the cell gives `hidden_by_terrain`. `ground` holds
+    latitudes and longitudes in rad, of one shape; heights are those of the terrain. The default is the centre of every
+    `step`-th cell of a `Dem`, (rows, cols). Where samples are needed, `count` are drawn, all with the same `key`
+    (default `jax.random.key(0)`), so that neighbours differ only by their ground; with a `count` of 0 there are no
+    figures there. `block` cells are evaluated and `chunk` samples drawn at a time, which bounds the memory and does not
+    change the results. `progress` shows progress bars. Raises as `accuracy`, but not for a missing fix.
     """
     how: Any = {"probability": probability, "count": count, "key": key, "draws": draws, "chunk": chunk, "time": time}
     how |= {"search": search, "atmosphere": atmosphere, "block": block, "progress": progress}
@@ -177,7 +177,7 @@ def checked_map(
     block: Any = BLOCK,
     progress: bool = False,
 ) -> tuple[MapContext, ErrorModel, Request]:
-    """Arguments of `accuracy_map` but for its places, checked; nothing is compiled. Raises as that."""
+    """Checked arguments of `accuracy_map`, except its ground points; compiles nothing. Raises as `accuracy_map`."""
     del progress
     world, model = _world(sensor, shot, terrain, errors, time, search, atmosphere)
     return world, model, requested(probability, count, key, draws, chunk, search, block)
@@ -202,10 +202,10 @@ def accuracy_of_pixels(
     block: int = BLOCK,
     progress: bool = False,
 ) -> AccuracyMap:
-    """How sure the fix of each of many pixels (..., 2) = (column, row) of one image is.
+    """Accuracy of the fixes of many pixels `uv` (..., 2) = (column, row) of one image.
 
-    Each has the figures that `accuracy` gives of it, and its fix as `position`; a pixel beside the image has none. All
-    else as for `accuracy_map`.
+    Each pixel has its `accuracy` figures, and its fix as `position`; a pixel outside the image has neither. Other
+    arguments and exceptions as for `accuracy_map`.
     """
     if isinstance(shot, Pose):
         raise TypeError("shot must be a Shot, or a Trajectory: from a Pose alone a pixel sees nothing yet.")
@@ -221,7 +221,7 @@ def accuracy_of_pixels(
 def _mapped(
     places: Cell, shape: tuple[int, ...], request: Request, world: MapContext, model: ErrorModel, progress: bool
 ) -> AccuracyMap:
-    """The map of places (n,): those on the image are looked at, those with a fix judged, and sampled if need be."""
+    """Map of cells (n,): fixes of those on the image, then accuracy of those with a fix, by samples if needed."""
     count = places.uv.shape[0]
     index, some = chosen(places, jnp.asarray(places.status) == Status.hit)
     parts = in_parts(some, request.block, "where lines of sight come down", progress)
@@ -242,7 +242,7 @@ def _mapped(
 def _world(
     sensor: Any, shot: Any, terrain: Any, errors: Any, time: Any, search: Any, atmosphere: Any
 ) -> tuple[MapContext, ErrorModel]:
-    """All that places have in common, in float64, refused here if it cannot be used for any of them."""
+    """Checked data common to all cells, in float64, and the error model."""
     check_is(sensor, Sensor, "sensor")
     if isinstance(shot, Pose) and not sensor.gimbal.axes:
         raise ValueError("From a Pose the gimbal is turned to each place, but this sensor's has no axes: give a Shot.")
@@ -256,7 +256,7 @@ def _world(
 
 
 def _cells(terrain: Any, step: Any) -> Geodetic:
-    """The middles of every `step`-th cell of a `Dem`."""
+    """Centres of every `step`-th cell of a `Dem`."""
     if not isinstance(terrain, Dem):
         raise ValueError(
             f"ground must be named: a {type(terrain).__name__} has no cells. Make positions with "

@@ -1,4 +1,4 @@
-"""How sure the fixes of many exposures are: `accuracy` along a batch."""
+"""Accuracy of the fixes of many exposures: batched `accuracy`."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 from jaxgeo.uncertainty.sampled import CHUNK, Sampling, sampled_at
 
-BLOCK = 128  # fixes judged at once
-FEW = 16  # or so many, if there are not more: each size is compiled once, and a new number of fixes is none
+BLOCK = 128  # fixes evaluated at once
+FEW = 16  # block size for few fixes; only the sizes 1, 16 and `block` are compiled, once each
 SAMPLES = 20_000
 RANDOM = Random()
 NAMES = ("sensor", "shot", "uv", "terrain", "errors")
 
 
 class AccuracyOfEach(Record):
-    """How sure n fixes are: radii in m about each that hold the truth with a `probability`; all arrays have length n.
+    """Accuracy of n fixes: radii in m that contain the true point with `probability`; all arrays have length n.
 
-    `circular`, `linear`, `spherical` as in `Accuracy`, by the method that `trust` names (codes of `Method`): infinite
-    where too many samples leave no fix, NaN where samples are needed but were not drawn (`count` 0), and where there is
-    no fix: `trust` is `NO_FIX`, -1, and `fix.status` says why. `cov_enu` (n, 3, 3) in m² and `bias_enu` (n, 3) in m,
-    east, north, up, are those of the linear propagation, NaN where none is trusted. `signs` are what was looked at.
+    `circular`, `linear`, `spherical` as in `Accuracy`; `trust` is the method used (codes of `Method`). They are
+    infinite where too many samples have no fix, and NaN where samples are needed but not drawn (`count` 0) or there is
+    no fix: `trust` is then `NO_FIX` (-1), and `fix.status` gives the reason. `cov_enu` (n, 3, 3) in m² and `bias_enu`
+    (n, 3) in m, east, north, up, are from linear propagation, NaN where it is not valid. `signs` are the diagnostics.
     """
 
     fix: Fix
@@ -56,7 +56,7 @@ class AccuracyOfEach(Record):
     count: int
 
     def because(self, index: int) -> str | None:
-        """Why this method and no cheaper one for one of them, in words; None where there is no fix."""
+        """Why the method of fix `index` was selected and no cheaper one, in words; None without a fix."""
         code = int(np.asarray(self.trust)[index])
         if code < 0:
             return None
@@ -81,20 +81,20 @@ def accuracy_of_each(
     block: int = BLOCK,
     progress: bool = False,
 ) -> AccuracyOfEach:
-    """What `accuracy` says of each of many exposures, `block` of them at a time, which bounds the memory.
+    """`accuracy` of the fixes of many exposures, `block` at a time, which bounds the memory.
 
-    `in_axes`, as for `jax.vmap`, tells which of the five arguments are batches, 0, and which are one for all, None: by
-    default n shots, each with its pixel in `uv` (n, 2). Where samples are needed, `count` are drawn for each, all with
-    one `key` (`jax.random.key(0)` if left out); with a `count` of 0 there are no figures there. A fix that is not there
-    has its status, and no figures. `progress` shows bars. For many pixels of one image see `accuracy_of_pixels`.
-    Raises as `accuracy` but for lack of a fix, and `ValueError` for batches of different lengths.
+    `in_axes`, as for `jax.vmap`, is 0 for each of the five arguments that is a batch and None for one shared by all: by
+    default n shots, each with its pixel in `uv` (n, 2). Where samples are needed, `count` are drawn for each fix, all
+    with the same `key` (default `jax.random.key(0)`); with a `count` of 0 there are no figures there. An observation
+    without a fix has a status and no figures. `progress` shows progress bars. For many pixels of one image see
+    `accuracy_of_pixels`. Raises as `accuracy`, but not for a missing fix; `ValueError` for unequal batch lengths.
     """
     request = requested(probability, count, key, draws, chunk, search, block)
     pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
     world = _World((sensor, shot, pixels, terrain, _as_model(errors)), tuple(in_axes), search, atmosphere)
     number = _length(world)
     first, model = world.at(0)
-    checked_model(model, first)  # for mistakes
+    checked_model(model, first)  # raises for invalid arguments
     parts = _blocks(world.lanes, number, request.block, progress)
     answers = [_judged(part, world.shared, world.axes, search, atmosphere, request.probability) for part in parts]
     aims, told, figures = jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)[:number]), *answers)
@@ -115,7 +115,7 @@ def accuracy_of_each(
 
 
 class _World(NamedTuple):
-    """What is given of n exposures, by `NAMES`, and which of it is a batch."""
+    """Arguments for n exposures, in the order of `NAMES`, and which of them are batches."""
 
     given: tuple[Any, ...]
     axes: tuple[int | None, ...]
@@ -124,16 +124,16 @@ class _World(NamedTuple):
 
     @property
     def lanes(self) -> tuple[Any, ...]:
-        """The batches, None in place of the others."""
+        """The batched arguments, None in place of shared ones."""
         return tuple(one if axis == 0 else None for one, axis in zip(self.given, self.axes, strict=True))
 
     @property
     def shared(self) -> tuple[Any, ...]:
-        """The others, None in place of the batches."""
+        """The shared arguments, None in place of batches."""
         return tuple(None if axis == 0 else one for one, axis in zip(self.given, self.axes, strict=True))
 
     def at(self, index: int) -> tuple[ModelInputs, ErrorModel]:
-        """One of the exposures, and its errors."""
+        """Forward-model inputs and error model of one exposure."""
         own = _lane(self.lanes, index)
         return _look(_whole(own, self.shared, self.axes), self.search, self.air)
 
@@ -145,7 +145,7 @@ def _as_model(errors: Any) -> ErrorModel:
 
 
 def _length(world: _World) -> int:
-    """How many exposures there are."""
+    """Number of exposures; raises `ValueError` for invalid `in_axes` or batches."""
     if len(world.axes) != len(NAMES) or not all(axis in (0, None) for axis in world.axes):
         raise ValueError(f"in_axes must be 0 or None for each of {', '.join(NAMES)}; got {world.axes!r}.")
     lengths: dict[int, str] = {}
@@ -161,12 +161,12 @@ def _length(world: _World) -> int:
 
 
 def _lane(lanes: Any, index: int | np.ndarray) -> Any:
-    """One entry of batches, or several, taken by NumPy: nothing is compiled for batches of another length."""
+    """One or several entries of batches, indexed by NumPy so that a new batch length compiles nothing."""
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), lanes)
 
 
 def _blocks(lanes: Any, count: int, most: int, progress: bool) -> Iterator[Any]:
-    """Batches in blocks of one of few sizes; the last entry fills up the last block."""
+    """Batches in blocks of one of a few sizes; the last block is padded with the last entry."""
     host = jax.tree.map(np.asarray, lanes)
     size = next((size for size in (1, FEW) if count <= size < most), most)
     starts = range(0, count, size)
@@ -208,7 +208,7 @@ def _judged(
 def _with_samples(
     figures: tuple[Numbers, ...], trust: IndexField, aims: NominalFix, world: _World, request: Request, progress: bool
 ) -> list[Numbers]:
-    """The radii, with those of samples where these are needed."""
+    """The radii, from samples where these are needed."""
     index = np.flatnonzero(np.asarray(trust) == Method.samples)
     radii = [np.array(radius) for radius in figures]
     if not request.count or not index.size:

@@ -1,4 +1,4 @@
-"""What can be said of a fix without a sample, one look at a time: for crowds of pixels and for maps."""
+"""Accuracy of a fix without samples, for batches of pixels and for maps."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-NO_FIX = -1  # in place of a `Method`, where there is no fix to trust
+NO_FIX = -1  # in place of a `Method`, without a fix
 
 
 class Assessment(Record):
-    """How sure a fix is, as far as that can be told without a sample: radii in m that hold the truth.
+    """Accuracy of a fix without samples: radii in m that contain the true point with the requested probability.
 
-    `circular` on the level plane, `linear` in height, `spherical` in space, by the linear propagation that `trust`
-    names; NaN where that is `Method.samples`, which are not drawn here, and where there is no fix: `trust` is `NO_FIX`
-    (-1) then, and `fix.status` says why. `signs` are what was looked at.
+    `circular` is horizontal, `linear` vertical, `spherical` in space, by the linear propagation `trust`; NaN where that
+    is `Method.samples`, which are not drawn here, and without a fix: `trust` is then `NO_FIX` (-1), and `fix.status`
+    gives the reason. `signs` are the diagnostics that selected the method.
     """
 
     fix: Fix
@@ -56,12 +56,11 @@ def assess(
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
 ) -> Assessment:
-    """What `accuracy` says with the same arguments, but for its samples: under `jit` and `vmap`, and never raising.
+    """`accuracy` for the same arguments, without samples; works under `jit` and `vmap`.
 
-    Of the fix, that is: one that is not there, or whose ground is not known to be the first that was met, has its
-    status and NaN. For many pixels `jax.vmap(assess, in_axes=(None, None, 0, None, None))`, or `accuracy_of_pixels`,
-    which bounds the memory and draws samples where they are needed. Raises as `propagate`, and `ValueError` for a
-    probability outside (0, 1).
+    A missing fix, or one that may not be the first ground met, has a status and NaN instead of an exception. For many
+    pixels use `jax.vmap(assess, in_axes=(None, None, 0, None, None))`, or `accuracy_of_pixels`, which bounds the memory
+    and draws samples where needed. Raises as `propagate`, and `ValueError` for a probability outside (0, 1).
     """
     level = check_probability(probability)
     if jnp.ndim(level) != 0:
@@ -71,7 +70,7 @@ def assess(
 
 
 class Judged(NamedTuple):
-    """The linear propagation that is trusted at a fix, if one is: covariance in m2 and bias in m, east, north, up."""
+    """Selected method at a fix, with its linear covariance in m2 and bias in m (east, north, up)."""
 
     trust: IndexField
     cov_enu: Matrix3Field
@@ -80,7 +79,7 @@ class Judged(NamedTuple):
 
 
 def judged(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Judged:
-    """Which method the signs of a look trust."""
+    """Method selected by the diagnostics of an observation."""
     signs, facet, footprint, _ = diagnose(look, aim, model)
     trust = method_of(signs)
     take = lambda a, b: jnp.where(trust == Method.footprint, b, a)  # noqa: E731
@@ -89,7 +88,7 @@ def judged(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Judged:
 
 
 def linear_figures(one: Judged, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
-    """Circular, linear and spherical error of one or many; NaN where linear propagation is not trusted."""
+    """Circular, linear and spherical error of one or many fixes; NaN where linear propagation is not valid."""
     is_linear = (one.trust == Method.facet) | (one.trust == Method.footprint)
     cov, bias = one.cov_enu, one.bias_enu
     radii = (

@@ -1,4 +1,4 @@
-"""The error budget: what each standard deviation of each source has in how sure a fix is."""
+"""Error budget of a fix: contribution of each standard deviation of each error source."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from jaxgeo.uncertainty.sources.base import AbstractSource
 
 Sigmas = Float[Array, " sigmas"]
 Covariances = Float[Array, "causes 3 3"]
-READ_AS = {"rad": ("deg", 180.0 / math.pi)}  # units that people read in another one
+READ_AS = {"rad": ("deg", 180.0 / math.pi)}  # display unit and factor
 ROUGHNESS = "roughness of the ground"
 
 
 class Variance(NamedTuple):
-    """Variance on the level plane (that of east and that of north together) and of height, m2."""
+    """Horizontal variance (east plus north) and vertical variance, m2."""
 
     horizontal: float
     vertical: float
 
 
 class SigmaShare(NamedTuple):
-    """What one standard deviation has in a budget.
+    """Contribution of one standard deviation to a budget.
 
-    `sigma` in `unit`; `variance` what it adds, None in a block, whose axes have no shares of their own; the circular
-    error in m `without` it, and its `slope`: by how many m it grows for one unit more.
+    `sigma` in `unit`; `variance` is its contribution, None in a correlated block, whose axes have no separate shares;
+    `without` is the circular error in m without it, `slope` the derivative of the circular error by it, m per unit.
     """
 
     name: str
@@ -54,7 +54,7 @@ class SigmaShare(NamedTuple):
 
 
 class SourceShare(NamedTuple):
-    """What one source has in a budget; `is_block` where only the whole has a share, since its axes are correlated."""
+    """Contribution of one source to a budget; `is_block` if only the whole has a share (its axes are correlated)."""
 
     label: str
     variance: Variance
@@ -64,11 +64,11 @@ class SourceShare(NamedTuple):
 
 
 class Budget(Record):
-    """The error budget of one look, by linear propagation; print it for a table.
+    """Error budget of one observation by linear propagation; print it for a table.
 
-    `total` is the variance of the fix, to which `shares()` add up; `circular_error` in m the one at `probability`. With
-    the slope of a footprint the last of `sources` is the ground's roughness, which has no sigma. With a `status` other
-    than `hit` it holds only as far as that sentence says.
+    `total` is the variance of the fix, the sum of `shares()`; `circular_error` in m is that at `probability`. With a
+    footprint slope the last of `sources` is the roughness of the ground, which has no sigma. With a `status` other than
+    `hit`, its message limits the validity of the budget.
     """
 
     sources: tuple[SourceShare, ...]
@@ -78,11 +78,11 @@ class Budget(Record):
     status: Status
 
     def shares(self) -> dict[str, Variance]:
-        """What adds up to `total`: each independent standard deviation, each block of correlated ones, the ground."""
+        """Shares that add up to `total`: independent standard deviations, correlated blocks, ground roughness."""
         return {row.name: row.variance for row in self._rows() if row.variance is not None}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words, with standard deviations in the unit that people read: deg, m, px, s."""
+        """Plain numbers and strings; standard deviations in display units: deg, m, px, s."""
         return {
             "probability": self.probability,
             "circular_error_m": self.circular_error,
@@ -120,7 +120,7 @@ class Budget(Record):
 
 
 class _Row(NamedTuple):
-    """A line of a budget's table: its sigma if it is one, and where it sorts (the axes of a block behind it)."""
+    """Row of a budget table; `line` is its sigma, if any; `order` sorts the axes of a block after the block."""
 
     name: str
     variance: Variance | None
@@ -130,7 +130,7 @@ class _Row(NamedTuple):
 
 
 class Linear(Record):
-    """The covariance of a fix as a function of the standard deviations of all its errors."""
+    """Covariance of a fix as a function of the standard deviations of all error sources."""
 
     jacobian: Float[Array, "3 axes"]
     rough_enu: Matrix3
@@ -139,9 +139,9 @@ class Linear(Record):
 
     @classmethod
     def of(cls, propagation: Any, what: str) -> Linear:
-        """From a propagation, checked: `what` for, messages say.
+        """From a checked propagation; `what` names the purpose in messages.
 
-        Raises `TypeError` for anything else, or one that is traced, `ValueError` for a batch, or one without a fix.
+        Raises `TypeError` for another type or a traced propagation, `ValueError` for a batch or one without a fix.
         """
         check_is(propagation, Propagation, "propagation", "Make one with jaxgeo.uncertainty.propagate.")
         if isinstance(propagation.fix.status, jax.core.Tracer):
@@ -160,19 +160,19 @@ class Linear(Record):
         return cls(propagation.jacobian, rough, propagation.bias_enu, propagation.model)
 
     def swept(self, sigma: Sigmas) -> Matrix3:
-        """What the errors add to the covariance of the fix, m2."""
+        """Contribution of the errors to the covariance of the fix, m2."""
         cov = self.jacobian @ with_sigmas(self.model, sigma).covariance() @ self.jacobian.T
         return 0.5 * (cov + cov.T)
 
     def on_level(self, sigma: Sigmas) -> Float[Array, "2 2"]:
-        """Covariance of the fix on the level plane, m2, that of rough ground included."""
+        """Horizontal covariance of the fix, m2, including ground roughness."""
         return (self.swept(sigma) + self.rough_enu)[:2, :2]
 
 
 def error_and_slopes(linear: Linear, sigma: Sigmas, probability: Scalar) -> tuple[Scalar, Sigmas]:
     """(circular error in m, its derivative by each standard deviation, m per unit).
 
-    By the chain rule over the covariance, so that what takes long to compile is the same for all error models.
+    The chain rule over the covariance keeps the part that is slow to compile the same for all error models.
     """
     cov, by_sigma = _level_and_slopes(linear, sigma)
     error, by_cov = _error_and_slopes(cov, probability, linear.bias_enu[:2])
@@ -188,13 +188,13 @@ def _level_and_slopes(linear: Linear, sigma: Sigmas) -> tuple[Float[Array, "2 2"
 
 
 def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
-    """What each standard deviation of each source has in the covariance and the circular error of a fix.
+    """Error budget: contribution of each standard deviation to the covariance and circular error of a fix.
 
-    Shares of variance add up; circular errors do not, so what each would save stands beside: the error without it, all
-    others as they are, and the derivative by it, both of the exact quantile. Of correlated axes only the whole block
-    has a share; one of them may even help, where its errors cancel another's. With the slope of a footprint the plane
-    is held where it is. Raises `ValueError` for a propagation without a fix, a batch of them or a probability outside
-    (0, 1), `TypeError` for anything else or what is traced.
+    Variances add up; circular errors do not. Each row therefore also has the circular error without that contribution,
+    all others unchanged, and the derivative by the sigma, both of the exact quantile. Correlated axes have a share only
+    as a block; one of them may reduce the error if it cancels another. With a footprint slope the plane is held fixed.
+    Raises `ValueError` for a propagation without a fix, a batch, or a probability outside (0, 1), `TypeError` for
+    another type or a traced propagation.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -230,9 +230,9 @@ def budget(propagation: Propagation, probability: ArrayLike = 0.9) -> Budget:
 
 @eqx.filter_jit
 def _causes(linear: Linear) -> tuple[Covariances, Covariances]:
-    """(covariances of the fix by one cause alone, by all others), m2.
+    """(covariances of the fix from each cause alone, from all others), m2.
 
-    The causes are first the sigmas, then the sources, then the ground's roughness.
+    Order of causes: sigmas, sources, ground roughness.
     """
     sigma = sigmas_of(linear.model)
     alone = jnp.concatenate([jnp.eye(sigma.shape[0]), _membership(linear.model)])
@@ -244,7 +244,7 @@ def _causes(linear: Linear) -> tuple[Covariances, Covariances]:
 def _of_sources(
     model: ErrorModel, variances: Sequence[Variance], without: Sequence[float], slopes: Sequence[float]
 ) -> tuple[SourceShare, ...]:
-    """The figures under their names."""
+    """Shares of all sources, with names and units."""
     sigmas, names, units = sigmas_of(model).tolist(), sigma_names(model), sigma_units(model)
     sources, first = [], 0
     for number, (source, label) in enumerate(zip(model.sources, source_names(model), strict=True)):
@@ -264,7 +264,7 @@ def _variance(cov_enu: Any) -> Variance:
 
 
 def sigmas_of(model: ErrorModel) -> Sigmas:
-    """The standard deviations of all sources, one after the other."""
+    """Standard deviations of all sources, concatenated."""
     return jnp.concatenate([jnp.asarray(source.sigma) for source in model.sources])
 
 
@@ -274,20 +274,20 @@ def with_sigmas(model: ErrorModel, sigma: Sigmas) -> ErrorModel:
 
 
 def sigma_names(model: ErrorModel) -> tuple[str, ...]:
-    """A name for each of `sigmas_of`, all different."""
+    """Unique name of each standard deviation in `sigmas_of`."""
     pairs = zip(source_names(model), model.sources, strict=True)
     return tuple(f"{name}: {axis}" for name, source in pairs for axis in source.sigma_axes)
 
 
 def source_names(model: ErrorModel) -> tuple[str, ...]:
-    """A name for each source; those of one kind are numbered from the second on."""
+    """Unique name of each source; sources of the same type are numbered from the second on."""
     labels = [source.label for source in model.sources]
     earlier = [labels[:number].count(label) for number, label in enumerate(labels)]
     return tuple(label if n == 0 else f"{label} ({n + 1})" for label, n in zip(labels, earlier, strict=True))
 
 
 def sigma_units(model: ErrorModel) -> tuple[str, ...]:
-    """The unit of each of `sigmas_of`."""
+    """Unit of each standard deviation in `sigmas_of`."""
     return tuple(unit for source in model.sources for unit in _units(source))
 
 
@@ -315,7 +315,7 @@ def _with_sigmas(sources: tuple[AbstractSource, ...], sigma: Sigmas) -> tuple[Ab
 
 
 def _membership(model: ErrorModel) -> Float[Array, "sources sigmas"]:
-    """One where a standard deviation belongs to a source, zero elsewhere."""
+    """Indicator matrix: 1 if a standard deviation belongs to a source, else 0."""
     owner = jnp.concatenate([jnp.full(_count(source), number) for number, source in enumerate(model.sources)])
     return (owner[None, :] == jnp.arange(len(model.sources))[:, None]).astype(jnp.float64)
 
@@ -338,7 +338,7 @@ def _source_as_dict(source: SourceShare) -> dict[str, Any]:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> str:
-    """Columns of text, the first to the left, the others to the right."""
+    """Text table, first column left-aligned, others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for first, *others in rows:

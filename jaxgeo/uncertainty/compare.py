@@ -1,4 +1,4 @@
-"""Every method on one fix, side by side, and which of them the samples bear out."""
+"""Comparison of all propagation methods at one fix, validated against Monte Carlo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RANDOM = Random()
 
 
 class Row(NamedTuple):
-    """One method's figures in m, in the order of `FIGURES`, and what the samples say of each."""
+    """Figures of one method in m, in the order of `FIGURES`, and the validity of each against the samples."""
 
     method: str
     values: tuple[float, ...]
@@ -40,17 +40,17 @@ class Row(NamedTuple):
 
     @property
     def is_valid(self) -> bool:
-        """Whether all figures hold at the stated digits."""
+        """Whether all figures agree with the samples to the stated digits."""
         return all(one == "valid" for one in self.validity)
 
 
 class Comparison(Record):
-    """What each method says of one fix; `str()` of it is a table with the verdict.
+    """Results of each propagation method at one fix; `str()` gives a table with the verdict.
 
-    A figure is valid if it lies within half a unit of the last of `digits` significant digits of the sampled one
-    (JCGM 101:2008, 8.1), surely so with all of its confidence interval, and undecided if more samples are needed to
-    tell. `jumped` is the share of samples beyond a gap of unseen ground (`beyond_gap` marks them), `failed` that of
-    those without a fix. `propagations` are the linear ones by name.
+    A figure is valid if it is within half a unit of the last of `digits` significant digits of the sampled figure
+    (JCGM 101:2008, 8.1) over the whole confidence interval of that, and undecided if only over part of it: more samples
+    are needed. `jumped` is the share of samples beyond a gap of unseen ground (`beyond_gap` marks them), `failed` the
+    share without a fix. `propagations` are the linear propagations by name.
     """
 
     fix: Fix
@@ -65,12 +65,12 @@ class Comparison(Record):
 
     @property
     def valid(self) -> tuple[str, ...]:
-        """The methods all of whose figures hold."""
+        """Names of the methods whose figures are all valid."""
         return tuple(row.method for row in self.rows if row.is_valid)
 
     @property
     def verdict(self) -> str:
-        """One or two sentences."""
+        """Summary in one to three sentences."""
         digits = f"to {self.digits} significant digit{'s' if self.digits > 1 else ''}"
         unsure = [row.method for row in self.rows if not row.is_valid and "not valid" not in row.validity]
         said = f"As sampling {digits} (JCGM 101): {'; '.join(self.valid) or 'none'}."
@@ -113,9 +113,9 @@ def compare(
     devices: Sequence[Any] | None = None,
     progress: bool = False,
 ) -> Comparison:
-    """Linear propagation by facet, footprint and level ground, second order, sigma points and samples of one fix.
+    """Compare linear propagation (facet, footprint, level ground), second order, sigma points and samples at one fix.
 
-    Arguments and errors as for `sample`; `digits` are the significant digits that a figure is to be good for.
+    Arguments and exceptions as for `sample`; `digits` is the number of significant digits to compare, 1 to 6.
     """
     if not 1 <= digits <= 6:
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
@@ -155,7 +155,7 @@ def _figures(result: Any) -> tuple[Any, ...]:
 
 
 def _validity(value: float, sampled: Quantile, digits: int) -> str:
-    """JCGM 101:2008, 8.1, with the interval of the sampled figure in place of its value."""
+    """Validity of a figure by JCGM 101:2008, 8.1, with the sampled figure's interval in place of its value."""
     if not math.isfinite(value) or not math.isfinite(sampled.value):
         return "not valid"
     tolerance = 0.5 * 10.0 ** (math.floor(math.log10(max(sampled.value, 1e-300))) - digits + 1)

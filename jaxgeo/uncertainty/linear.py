@@ -1,4 +1,4 @@
-"""Linear propagation: the covariance of a fix by the derivative of its miss."""
+"""Linear error propagation: covariance of a fix from the Jacobian of its offset by the errors."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from jaxgeo.uncertainty.slopes import AbstractSlope, Facet, Spread, Surface, alo
 
 Swept = Float[Array, "3 axes"]
 FACET = Facet()
-LEAST_KNOWN = 0.5  # of a footprint: a plane through less known ground stands for nothing
-# Under `jit` what is no covariance, that of no fix, gives NaN in place of an exception.
+LEAST_KNOWN = 0.5  # share of a footprint with known ground, below which the fitted plane is not used
+# Under `jit` an invalid covariance, as without a fix, gives NaN instead of an exception.
 _circular_error, _linear_error, _spherical_error = map(jax.jit, (circular_error, linear_error, spherical_error))
 
 
 class Propagation(Record):
-    """How sure a fix is, by linear propagation.
+    """Covariance of a fix by linear propagation.
 
-    `jacobian` (3, axes) in m of east, north, up at the fix for one rad, m, px, s, K or Pa of each axis of the error
-    vector; `cov_error` the errors' covariance; `cov_enu` that of the fix in m2, with `bias_enu` the mean of its errors
-    in m (zero but for the slope of a footprint). Where there is no fix all are NaN, and `fix.status` says why; so
-    they are where less than half of the ground of a footprint is known (`surface.known`).
+    `jacobian` (3, axes): m of east, north, up at the fix per rad, m, px, s, K or Pa of each axis of the error vector;
+    `cov_error` the covariance of the errors; `cov_enu` that of the fix in m2; `bias_enu` the mean error of the fix in m
+    (zero except for a footprint slope). `jacobian`, `cov_enu` and `bias_enu` are NaN without a fix (see `fix.status`)
+    and if less than half of the ground of a footprint is known (`surface.known`).
     """
 
     fix: Fix
@@ -56,15 +56,15 @@ class Propagation(Record):
         return R @ self.cov_enu @ R.T
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m about the fix, on the level plane, within which it falls with a probability."""
+        """Radius in m of the horizontal circle about the fix that contains the true point with `probability`."""
         return _circular_error(self.cov_enu[..., :2, :2], probability, self.bias_enu[..., :2])
 
     def linear_error(self, probability: ArrayLike) -> Scalar:
-        """Height in m above and below the fix within which it falls with a probability."""
+        """Half-height in m of the vertical interval about the fix that contains the true point with `probability`."""
         return _linear_error(self.cov_enu[..., 2, 2], probability, self.bias_enu[..., 2])
 
     def spherical_error(self, probability: ArrayLike) -> Scalar:
-        """Radius in m about the fix within which it falls in space with a probability."""
+        """Radius in m of the sphere about the fix that contains the true point with `probability`."""
         return _spherical_error(self.cov_enu, probability, self.bias_enu)
 
 
@@ -81,13 +81,13 @@ def propagate(
     atmosphere: Atmosphere | None = None,
     slope: AbstractSlope = FACET,
 ) -> Propagation:
-    """Covariance of the fix that `locate` gives with the same arguments, to first order in its `errors`.
+    """Covariance of the fix that `locate` returns for the same arguments, to first order in `errors`.
 
-    `errors` is an `ErrorModel`, or a tuple of sources. The derivative is that of the miss itself, through pose, gimbal,
-    camera, air and the terrain under the fix. With `slope=Footprint()` the ground is the plane that fits it best over
-    the error ellipse, with `Level()` level. Under `jit` and `vmap` like `locate`, and differentiable in the errors'
-    sigmas and all else. Raises as `locate` does, and `TypeError` for what is no source, `ValueError` for a sigma that
-    is negative or NaN, a covariance that is none, or a source that has no part in this look.
+    `errors` is an `ErrorModel`, or a tuple of sources. The Jacobian is that of the fix offset, through pose, gimbal,
+    camera, atmosphere and the terrain under the fix. With `slope=Footprint()` the ground is the plane fitted over the
+    error ellipse, with `Level()` a horizontal plane. Works under `jit` and `vmap` like `locate`; differentiable in the
+    sigmas and all other inputs. Raises as `locate`, `TypeError` for an item that is not an error source, and
+    `ValueError` for a negative or NaN sigma, an invalid covariance, or a source that does not apply to the observation.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -111,7 +111,7 @@ def propagate(
 
 @eqx.filter_jit
 def propagated(look: ModelInputs, aim: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
-    """`propagate` of checked input, about what it aims at."""
+    """`propagate` of checked input, about a nominal fix."""
     model = model.at(look, aim)
     return swept_over(look, aim, model, model.sweep(look, aim), slope)
 
@@ -119,7 +119,7 @@ def propagated(look: ModelInputs, aim: NominalFix, model: ErrorModel, slope: Abs
 def swept_over(
     look: ModelInputs, aim: NominalFix, model: ErrorModel, sweep: Sweep, slope: AbstractSlope
 ) -> Propagation:
-    """The propagation of a model that is `at` a look, whose derivatives are known."""
+    """Propagation from given derivatives; `model` is already evaluated `at` the observation."""
     cov_error, jacobian = model.covariance(), sweep.facet
     surface = Surface(jnp.array([0.0, 0.0, 1.0]), *(jnp.asarray(x) for x in (0.0, 0.0, 1.0)))
     bias, extra = jnp.zeros(3), jnp.zeros((3, 3))
@@ -135,6 +135,6 @@ def swept_over(
 
 
 def facet_normal(look: ModelInputs, aim: NominalFix) -> Vector3:
-    """Normal of the surface under the fix in east, north, up, with 1 as its last component."""
+    """Surface normal under the fix in east, north, up, scaled so that its last component is 1."""
     gradient = aim.R_ecef_from_enu.T @ jax.grad(look.terrain.clearance)(aim.p_ecef, aim.cell)
     return gradient / gradient[2]

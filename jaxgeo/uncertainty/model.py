@@ -1,4 +1,4 @@
-"""All errors of a look together."""
+"""Error model: the independent error sources of an observation and their joint error vector."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ Root: TypeAlias = Float[Array, "..."]
 
 
 class ErrorModel(Record):
-    """A tuple of error sources, independent of each other; what hangs together is one `Correlated` source.
+    """Tuple of mutually independent error sources; correlated errors are combined in one `Correlated` source.
 
-    Its error vector e is theirs, one after the other. Everything that asks how sure a fix is pushes e through one map,
-    `miss`.
+    The error vector e concatenates those of the sources. Every propagation method maps e through `fix_offset`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> errors = jaxgeo.ErrorModel((
@@ -44,48 +43,48 @@ class ErrorModel(Record):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """A name for every axis of the error vector."""
+        """Name of every axis of the error vector."""
         return tuple(f"{source.label}: {axis}" for source in self.sources for axis in source.axes)
 
     def parts(self) -> Iterator[tuple[AbstractSource, slice]]:
-        """Every source and its place in the error vector."""
+        """Every source and its slice of the error vector."""
         first = 0
         for source in self.sources:
             yield source, slice(first, first + len(source.axes))
             first += len(source.axes)
 
     def at(self, look: ModelInputs, aim: NominalFix) -> ErrorModel:
-        """The model as it is at a look."""
+        """The model evaluated at an observation."""
         return ErrorModel(tuple(source.at(look, aim) for source in self.sources))
 
     def covariance(self) -> Covariance:
-        """Covariance of the error vector, a block for each source; of a model `at` a look."""
+        """Covariance of the error vector, block diagonal by source; call on a model evaluated `at` an observation."""
         total = jnp.zeros((self.size, self.size))
         for source, place in self.parts():
             total = total.at[place, place].set(source.covariance())
         return total
 
     def roots(self) -> tuple[Root, ...]:
-        """A root of every source's covariance, which may be singular: a vector where its axes are independent."""
+        """Square root of each source's covariance, which may be singular; a vector if its axes are independent."""
         return tuple(_root(source) for source in self.sources)
 
     def factor(self) -> Covariance:
-        """L, with L z ~ N(0, covariance) for standard normal z: the roots, put together."""
+        """L with L z ~ N(0, covariance) for standard normal z: the block diagonal of `roots`."""
         total = jnp.zeros((self.size, self.size))
         for root, (_, place) in zip(self.roots(), self.parts(), strict=True):
             total = total.at[place, place].set(jnp.diag(root) if root.ndim == 1 else root)
         return total
 
     def drawn(self, roots: tuple[Root, ...], normal: Error) -> Error:
-        """The error vector L z of a standard normal vector z: as by `factor`, but without its zeros."""
+        """Error vector L z for a standard normal vector z, as with `factor`, without multiplying its zeros."""
         if all(root.ndim == 1 for root in roots):
-            return jnp.concatenate(roots) * normal  # one after the other they would be short loops, and slow
+            return jnp.concatenate(roots) * normal  # one product; many short loops are slow
         return jnp.concatenate(
             [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
         )
 
     def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        """The look with errors in it."""
+        """The forward-model inputs perturbed by an error vector."""
         for source, place in self.parts():
             look = source.moved(look, error[place])
         return look
@@ -93,28 +92,29 @@ class ErrorModel(Record):
     def fix_offset(
         self, look: ModelInputs, aim: NominalFix, error: Error, search: AbstractSearch
     ) -> tuple[Vector3, StatusCode]:
-        """(offset of the fix with errors in it from `aim`, in east, north, up there, m; status)."""
+        """(offset in m of the perturbed fix from `aim`, in east, north, up at `aim`; status)."""
         return self.moved(look, error).fix_offset(aim, search)
 
     def linear_offset(self, look: ModelInputs, aim: NominalFix, error: Error) -> Vector3:
-        """`miss` for errors that leave the fix in its cell: its derivatives at no error."""
+        """`fix_offset` for errors that leave the fix in its terrain cell; has the same derivatives at zero error."""
         return self.moved(look, error).linear_offset(aim)
 
     def sweep(self, look: ModelInputs, aim: NominalFix) -> Sweep:
-        """Derivatives by the error vector, at no error, of how a look's line of sight passes its fix."""
+        """Derivatives of `ModelInputs.sweep` with respect to the error vector, at zero error."""
         return jax.jacfwd(lambda error: self.moved(look, error).sweep(aim))(jnp.zeros(self.size))
 
     def check(self, look: ModelInputs) -> None:
-        """Raise as the sources do for numbers that are none, and for what has no part in this look."""
+        """Raise as the sources do for invalid values, and for a source that does not apply to the observation."""
         for source in self.sources:
             source.check_numbers()
             source.check(look)
 
 
 def checked_model(errors: object, look: ModelInputs) -> ErrorModel:
-    """The model in float64, checked against a look.
+    """The model in float64, checked against an observation.
 
-    Raises `TypeError` for what is no model and no sequence of sources, and as `ErrorModel.check`.
+    Raises `TypeError` for anything but a model, a source or a tuple or list of sources; `ValueError` if there is none;
+    and as `ErrorModel.check`.
     """
     sources = errors.sources if isinstance(errors, ErrorModel) else errors
     if isinstance(sources, AbstractSource):
@@ -138,13 +138,13 @@ def checked_model(errors: object, look: ModelInputs) -> ErrorModel:
 
 
 def _root(source: AbstractSource) -> Root:
-    """A root of a source's covariance: the diagonal of one where its axes are independent."""
+    """Square root of a source's covariance; its diagonal as a vector if the axes are independent."""
     if source.correlation is None and len(source.sigma_axes) == len(source.axes):
         return jnp.asarray(source.sigma)
     values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(source.covariance()))
-    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # what varies most comes first
+    return (vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :])[:, ::-1]  # largest variance first
 
 
 def _times_root(root: Root, normal: Error) -> Error:
-    # a product of matrices would round by its batch
+    # rounding of a matrix product depends on the batch size
     return root * normal if root.ndim == 1 else jnp.sum(root * normal[None, :], axis=1)

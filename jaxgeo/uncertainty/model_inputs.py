@@ -1,4 +1,4 @@
-"""One look at the ground: all that a fix depends on, and where it comes down."""
+"""Inputs of the forward model, the nominal fix, and offsets from it."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ from jaxgeo.status import Status, counts_as_fix, seen_beside
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem, FirstHit
 from jaxgeo.terrain.polish import polish
 
-KNOTS = 8  # of a trajectory about an exposure, within which an error of its time leaves a look
-FARTHER = 1000.0  # m
+KNOTS = 8  # trajectory knots kept about an exposure; its time error must stay within them
+FARTHER = 1000.0  # m behind the fix: second point of `Sweep`
 
 
 class Sightline(NamedTuple):
-    """A line of sight as the sensor gives it, straight, and whether it does."""
+    """Straight line of sight of the sensor, and its status."""
 
     ray: Ray
     status: StatusCode
 
 
 class Sweep(NamedTuple):
-    """Offsets from a `NominalFix` in east, north, up, m: of the intersection of a line of sight with the surface of the
-    same cell (`facet`), and of its points at the same range (`line`) and `FARTHER` behind it; and the height of the
-    terrain at the fix above it, m. The error ellipse is made of them, before and after a slope turns it.
+    """Offsets of a line of sight from a `NominalFix` in east, north, up, m; their derivatives give the error ellipse.
+
+    `facet` is the intersection with the surface of the same cell, `line` the point at the same range, `farther` the
+    point `FARTHER` m behind that; `ground` is the height in m of the terrain above the fix.
     """
 
     facet: Float[Array, "3 *axes"]
@@ -54,10 +55,10 @@ class Sweep(NamedTuple):
 
 
 class NominalFix(NamedTuple):
-    """Where a look comes down: its fix, the cell of the terrain there, and the frame in which misses are counted.
+    """Nominal fix of an observation, with its terrain cell and the local frame of offsets.
 
-    `distance` in m is the range along the ray, `direction_enu` that of the ray as it arrives, `R_ecef_from_enu` the
-    frame at the fix. Where there is no fix, a stand-in keeps all numbers but the fix's finite.
+    `distance` in m is the range along the ray, `direction_enu` the direction of the ray at the fix, `R_ecef_from_enu`
+    the frame at the fix. Without a fix, a substitute ray keeps all values except those of `fix` finite.
     """
 
     fix: Fix
@@ -70,7 +71,7 @@ class NominalFix(NamedTuple):
     def offset_of(
         self, line: Sightline, terrain: AbstractTerrain, air: Atmosphere | None, search: AbstractSearch
     ) -> tuple[Vector3, StatusCode]:
-        """(offset of the fix of a line of sight from this one in east, north, up here, m; status)."""
+        """(offset in m of a line of sight's fix from this one, in east, north, up at this one; status)."""
         ray, status = line
         if isinstance(search, FirstHit) and isinstance(terrain, Dem) and air is None:
             p_ecef, status = touched_by(ray, status, terrain, search)
@@ -82,7 +83,7 @@ class NominalFix(NamedTuple):
         return matvec(self.R_ecef_from_enu.T, offset), status
 
     def require_fix(self) -> None:
-        """Raise `ValueError` unless there is a fix, of a look that is not traced, whose ground is the first met."""
+        """Raise `ValueError` unless there is a fix on the first ground met; not for traced input."""
         code = jnp.asarray(self.fix.status)
         if not bool(counts_as_fix(code)):
             status = Status(int(code))
@@ -100,8 +101,8 @@ else:
 class ModelInputs(Record):
     """Inputs of the forward model that error sources perturb: an exposure, a pixel of it, and the terrain.
 
-    `uv` is None where the exposure as a whole is meant, `terrain` where nothing depends on the ground. Made from user
-    arguments by `ModelInputs.of`, which checks them.
+    `uv` is None if the whole exposure is meant, `terrain` if nothing depends on the ground. `ModelInputs.of` makes them
+    from user arguments and checks these.
     """
 
     exposure: Exposure
@@ -120,16 +121,16 @@ class ModelInputs(Record):
         search: AbstractSearch = FIRST_HIT,
         atmosphere: Atmosphere | None = None,
     ) -> ModelInputs:
-        """Inputs of `jaxgeo.locate` for pixel `uv`, with its arguments and errors.
+        """Inputs of `jaxgeo.locate` for pixel `uv`; arguments and exceptions as there.
 
-        Of a trajectory the knots about the exposure are kept.
+        Of a trajectory, only the knots around the exposure are kept.
         """
         check_terrain(terrain, search)
         given: Any = checked_observation(sensor, shot, time, uv)
         sensor, motion, moment, pixel = given
         if isinstance(motion, Trajectory):
             motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
-        # A plain number would be a constant of the program, which then is compiled for every other one.
+        # A Python number would be a constant of the program, recompiled for each new value.
         terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
         return cls(Exposure(sensor, motion, moment, checked_air(atmosphere)), pixel, terrain)
 
@@ -154,22 +155,22 @@ class ModelInputs(Record):
         return self.exposure.atmosphere
 
     def ground(self, search: AbstractSearch) -> Fix:
-        """The fix, whether or not the pixel lies on the image."""
+        """The fix; the pixel may lie outside the image."""
         return self._located(search)[0]
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
-        """Where the look comes down; without derivatives."""
+        """Nominal fix of the observation, without derivatives."""
         return _aim(self, search)
 
     def linear_offset(self, aim: NominalFix) -> Vector3:
-        """Offset from `aim` of the point where this look's line of sight meets the surface of the same cell.
+        """Offset in m from `aim` of the intersection of this line of sight with the surface of the same cell.
 
-        The derivatives, of every order, of `miss` where nothing has moved yet: the search only chose the cell.
+        At zero error its derivatives of every order are those of `fix_offset`: the search only selects the cell.
         """
         return self.sweep(aim).facet
 
     def sweep(self, aim: NominalFix) -> Sweep:
-        """Where this look's line of sight passes the fix of `aim`."""
+        """Offsets of this line of sight from the fix of `aim`."""
         ray = self._ray()
         distance = implicit_root(_clearance, aim.distance, (ray, self.terrain, aim.cell))
         offset = lambda distance: aim.R_ecef_from_enu.T @ (ray.at(distance) - aim.p_ecef)  # noqa: E731
@@ -177,13 +178,13 @@ class ModelInputs(Record):
         return Sweep(offset(distance), offset(aim.distance), offset(aim.distance + FARTHER), ground)
 
     def fix_offset(self, aim: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
-        """(offset of this look's fix from `aim` in east, north, up there in m, status)."""
+        """(offset in m of this fix from `aim`, in east, north, up at `aim`; status)."""
         return aim.offset_of(self.sightline(), self.terrain, self.air, search)
 
     def sightline(self) -> Sightline:
-        """The line of sight of a look whose numbers are finite, whether or not the pixel lies on the image.
+        """The straight line of sight; the pixel may lie outside the image.
 
-        Those that are not leave a ray that is not, which is invalid input to any search.
+        Non-finite inputs give a non-finite ray, which every search reports as invalid input.
         """
         if isinstance(self.motion, Shot):
             direction_camera, status = self.sensor.camera.ray(self.uv)
@@ -198,7 +199,7 @@ class ModelInputs(Record):
         return self.motion.pose if isinstance(self.motion, Shot) else self.motion.poses
 
     def with_pose(self, pose: Pose) -> ModelInputs:
-        """The look from another pose, or other poses at the knots."""
+        """The inputs with another pose, or other poses at the knots."""
         where = (lambda look: look.motion.pose) if isinstance(self.motion, Shot) else (lambda look: look.motion.poses)
         return eqx.tree_at(where, self, pose)
 
@@ -207,7 +208,7 @@ class ModelInputs(Record):
         return located_anywhere(self.sensor, self.motion, time, self.uv, self.terrain, search, self.air)
 
     def _ray(self) -> Ray:
-        """The line of sight; a ray that stands in for one that is not finite."""
+        """The line of sight, or a substitute ray if it is not finite."""
         origin, direction, _ = line_of_sight(self.sensor, self.motion, jnp.asarray(self.time), self.uv)
         sound = jnp.all(jnp.isfinite(origin)) & jnp.all(jnp.isfinite(direction))
         stand_in = Ray(jnp.array([WGS84.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))

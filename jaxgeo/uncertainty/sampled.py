@@ -1,4 +1,4 @@
-"""Monte Carlo propagation: the same map, pushed with drawn errors, in chunks of constant memory."""
+"""Monte Carlo propagation of errors through the forward model, in chunks of constant memory."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from jaxgeo.uncertainty.intervals import (
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
 
-CHUNK = 62 * PART  # so much that four make a million, and nothing is filled up on one, two or four devices
-BETWEEN_LOOKS = 12 * PART  # samples at most, from one look at how sharp an interval is to the next
+CHUNK = 62 * PART  # four chunks make about a million samples; no padding on one, two or four devices
+BETWEEN_LOOKS = 12 * PART  # samples, at most, between checks of `half_width`
 RANDOM = Random()
 FIGURES = ("CE", "LE", "SE")
 
 
 class Quantile(NamedTuple):
-    """A figure of accuracy from samples, m: `value`, and an interval from `low` to `high` that covers the truth.
+    """Accuracy figure from samples, m: `value`, and its confidence interval from `low` to `high`.
 
-    It is over all samples, those without a fix infinitely far: infinite if too many fail. `conditional` is the figure
-    of the samples with a fix alone, and `share` their share.
+    All samples count, those without a fix as infinitely far; infinite if too many fail. `conditional` is the figure of
+    the samples with a fix only, and `share` their share.
     """
 
     value: float
@@ -53,11 +53,11 @@ class Quantile(NamedTuple):
 
 
 class Sampled(Record):
-    """How sure a fix is, by samples.
+    """Accuracy of a fix from samples.
 
-    `count` samples of which `found` have a fix, the others counted in `statuses`; `mean_enu` in m and `cov_enu` in m2
-    are those of the samples with a fix. `errors_enu` (count, 3) in m, NaN without a fix, and `codes` (count,) are kept
-    if asked for. Errors are about `centre_enu`: the nominal fix (0, 0, 0), or the mean.
+    `found` of `count` samples have a fix; `statuses` counts all of them by status. `mean_enu` in m and `cov_enu` in m2
+    are those of the samples with a fix. `errors_enu` (count, 3) in m, NaN without a fix, and the status `codes`
+    (count,) are set with `keep`. Errors are relative to `centre_enu`: the nominal fix (0, 0, 0), or the mean.
     """
 
     fix: Fix
@@ -74,15 +74,15 @@ class Sampled(Record):
     codes: np.ndarray | None = None
 
     def circular_error(self, probability: float) -> Quantile:
-        """Radius on the level plane about the centre that holds a share of the samples."""
+        """Radius of the horizontal circle about the centre that contains this share of the samples."""
         return self._quantile("CE", probability)
 
     def linear_error(self, probability: float) -> Quantile:
-        """Height above and below the centre that holds a share of the samples."""
+        """Half-height of the vertical interval about the centre that contains this share of the samples."""
         return self._quantile("LE", probability)
 
     def spherical_error(self, probability: float) -> Quantile:
-        """Radius in space about the centre that holds a share of the samples."""
+        """Radius of the sphere about the centre that contains this share of the samples."""
         return self._quantile("SE", probability)
 
     def _quantile(self, figure: str, probability: float) -> Quantile:
@@ -121,16 +121,16 @@ def sample(
     devices: Sequence[Any] | None = None,
     progress: bool = False,
 ) -> Sampled:
-    """Errors of the fix that `locate` gives with the same arguments, drawn `count` times.
+    """Monte Carlo errors of the fix that `locate` returns for the same arguments, from `count` samples.
 
-    `key` is a `jax.random.key`; a sample depends on it and on its own number alone, not on `chunk` (the most samples at
-    a time, which bound the memory) or `devices` (all that JAX has, if left out), but for rounding, some 1e-8 m. `draws`
-    are `Random()` or `Sobol()`, whose points are turned so that the directions that matter most come first. 8 bytes a
-    sample are kept for each of the `figures` "CE", "LE" and "SE". With a `half_width`, sampling stops as soon as the
-    interval of the first figure at 90 % is no wider to either side than that share of it (JCGM 101:2008, 7.9), at
-    `count` samples at the latest. `about_mean` counts errors about their mean, for which all is drawn twice; `keep`
-    returns the samples themselves. Raises as `propagate`, and `ValueError` for a count that is not positive, a fix that
-    is not there, or a number of samples that does not go into Sobol's scrambles.
+    `key` is a `jax.random.key`; up to rounding (about 1e-8 m) a sample depends on the key and its index only, not on
+    `chunk` (samples at a time, which bounds the memory) or `devices` (default: all JAX devices). `draws` is `Random()`
+    or `Sobol()`, whose points are rotated so that the directions that displace the fix most come first. Each of the
+    `figures` "CE", "LE" and "SE" takes 8 bytes per sample. With a `half_width`, sampling stops when the confidence
+    interval of the first figure at 90 % is within that fraction of it on either side (JCGM 101:2008, 7.9), or at
+    `count` samples. `about_mean` measures errors about their mean and draws all samples twice; `keep` returns the
+    samples. Raises as `propagate`, and `ValueError` for a count that is not positive, if there is no fix, or if `count`
+    is not a multiple of the Sobol scrambles.
     """
     look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     given = (key, count, draws, about_mean, figures, half_width, confidence, keep, chunk, devices, progress)
@@ -138,7 +138,7 @@ def sample(
 
 
 class Sampling(NamedTuple):
-    """What is drawn, how, and what is kept of it: see `sample`."""
+    """Sampling options: see `sample`."""
 
     key: Any
     count: int
@@ -154,11 +154,11 @@ class Sampling(NamedTuple):
 
     @property
     def scrambles(self) -> int:
-        """Of Sobol's points; 0 of independent draws."""
+        """Number of Sobol scrambles; 0 for independent draws."""
         return self.draws.scrambles if isinstance(self.draws, Sobol) else 0
 
     def check(self) -> None:
-        """Raise `ValueError` or `TypeError` for what cannot be done."""
+        """Raise `ValueError` or `TypeError` for invalid options."""
         for value, name in ((self.count, "count"), (self.chunk, "chunk")):
             if not isinstance(value, int | np.integer) or value < 1:
                 raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
@@ -185,7 +185,7 @@ class Sampling(NamedTuple):
 def sampled_at(
     look: ModelInputs, model: ErrorModel, search: AbstractSearch, sampling: Sampling, aim: NominalFix | None = None
 ) -> Sampled:
-    """`sample` of a checked look and model, about what it aims at if that is known already."""
+    """`sample` of checked inputs and model; `aim` is the nominal fix, if already computed."""
     sampling.check()
     aim = look.nominal_fix(search) if aim is None else aim
     aim.require_fix()
@@ -197,7 +197,7 @@ def sampled_at(
 
 
 def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
-    """Draw chunk after chunk, and keep what was asked for."""
+    """Draw all chunks and collect the requested results."""
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
     tally = _Tally(sampling.count, tuple(sampling.figures), sampling.keep)
     unit = max(sampling.scrambles, 1)
@@ -212,7 +212,7 @@ def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
 
 
 class _Tally:
-    """What is kept of the chunks: sums, statuses, radii, and samples if asked for."""
+    """Results accumulated over chunks: sums, statuses, radii, and samples if requested."""
 
     def __init__(self, count: int, figures: tuple[str, ...], keep: bool) -> None:
         self.count, self.found = 0, 0
@@ -231,7 +231,7 @@ class _Tally:
         self.squares += moments[:3, :3]
         if np.any(statuses):
             self.codes += np.bincount(statuses, minlength=len(Status))
-        else:  # as most are, and sooner counted
+        else:  # all `hit`, the usual case: faster than bincount
             self.codes[Status.hit] += size
         for figure, kept in self.radii.items():
             kept[first : first + size] = np.asarray(drawn.radii[FIGURES.index(figure)])[:size]
@@ -240,7 +240,7 @@ class _Tally:
                 all_[first : first + size] = np.asarray(some)[:size]
 
     def is_sharp(self, half_width: float, confidence: float, scrambles: int) -> bool:
-        """Whether the first figure's interval at 90 % is narrow enough; asked each time a quarter more is there."""
+        """Whether the first figure's interval at 90 % is narrow enough; checked after every 25 % more samples."""
         if self.count < 1.25 * self.checked_at:
             return False
         self.checked_at = self.count
@@ -269,7 +269,7 @@ class _Tally:
 
 
 def _interval(radii: np.ndarray, probability: float, confidence: float, scrambles: int) -> Interval:
-    """A quantile with its interval: of independent draws, or over independent scrambles."""
+    """Quantile and its confidence interval, from independent draws or from independent scrambles."""
     if not scrambles:
         return quantile_interval(radii, probability, confidence)
     each = [scramble_quantile(radii[number::scrambles], probability) for number in range(scrambles)]
