@@ -109,12 +109,12 @@ def accuracy(
     because = reason(signs, trust)
     if trust is Method.samples:
         drawn = sampled_at(look, model, search, sampling, aim)
-        doors = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
-        circular, linear, spherical = (door(probability).value for door in doors)
+        figures = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
+        circular, linear, spherical = (figure(probability).value for figure in figures)
         return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)
     chosen = facet if trust is Method.facet else footprint
-    doors = (chosen.circular_error, chosen.linear_error, chosen.spherical_error)
-    circular, linear, spherical = (float(door(probability)) for door in doors)
+    figures = (chosen.circular_error, chosen.linear_error, chosen.spherical_error)
+    circular, linear, spherical = (float(figure(probability)) for figure in figures)
     return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, chosen)
 
 
@@ -126,14 +126,14 @@ def reason(signs: Diagnostics, trust: Method) -> str:
         f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
     )
     if trust is Method.facet:
-        return f"The ground is as good as a plane as far as the errors reach: {figures}."
+        return f"The ground is nearly planar within the error region: {figures}."
     if trust is Method.footprint:
-        return f"The slope under the fix is not that of the ground about it: {figures}."
+        return f"The slope at the fix differs from the mean slope of the error region: {figures}."
     obstacle = _obstacle(signs, fails, jumps)
     if obstacle is not None:
         return f"{obstacle}: {figures}."
     return (
-        f"The ground is no plane within the errors' reach: {figures}; LE90 {float(signs.facet_up):.3g}, "
+        f"The ground is not planar within the error region: {figures}; LE90 {float(signs.facet_up):.3g}, "
         f"{float(signs.footprint_up):.3g} and {float(signs.profile_up):.3g} m."
     )
 
@@ -142,15 +142,16 @@ def _obstacle(signs: Diagnostics, fails: float, jumps: float) -> str | None:
     """Condition that rules out linear propagation even if the figures agree, or None; `fails` and `jumps` in %."""
     off, known, grazing = float(signs.off), float(signs.known), float(signs.grazing)
     if not off <= SAME_GROUND:
-        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere at the fix"
-        return f"The ground that is probed from above lies {where}, so that nothing is known of it"
+        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere near the fix"
+        return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
     if fails + jumps > 100.0 * FEW and fails >= jumps:
-        return f"{fails:.2g} % of the lines of sight come down nowhere, or beyond what is known"
+        return f"{fails:.2g} % of the perturbed lines of sight meet no known ground"
     if fails + jumps > 100.0 * FEW:
         clearance = float(signs.clearance)
-        return f"{jumps:.2g} % of the lines of sight jump to other ground, the nearest {clearance:.2g} sigmas off"
+        other = f"hit a nearer or farther slope (first at {clearance:.2g} sigma)"
+        return f"{jumps:.2g} % of the perturbed lines of sight {other}"
     if known != 1.0:
-        return f"In {100.0 * (1.0 - known):.2g} % of the footprint the ground is not known"
+        return f"{100.0 * (1.0 - known):.2g} % of the ground in the footprint is unknown"
     if not grazing > GRAZING:
         return f"The line of sight grazes the surface, at {1e3 * grazing:.2g} mrad"
     return None

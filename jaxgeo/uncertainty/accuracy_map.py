@@ -224,12 +224,12 @@ def _mapped(
     """Map of cells (n,): fixes of those on the image, then accuracy of those with a fix, by samples if needed."""
     count = places.uv.shape[0]
     index, some = chosen(places, jnp.asarray(places.status) == Status.hit)
-    parts = in_parts(some, request.block, "where lines of sight come down", progress)
+    parts = in_parts(some, request.block, "intersecting rays", progress)
     aims, met = joined([aimed(part, world, request.search) for part in parts], some.uv.shape[0])
     status = jnp.asarray(places.status).at[index].set(met)
     position = spread(aims.fix.position, index, count) if places.ground is None else places.ground
     within, (some, aims, met) = chosen((some, aims, met), counts_as_fix(met))
-    parts = in_parts((some, aims, met), request.block, "how sure that is", progress)
+    parts = in_parts((some, aims, met), request.block, "estimating accuracy", progress)
     answers = joined([judged_at(*part, world, model, request) for part in parts], some.uv.shape[0])
     answers = with_samples(answers, some, aims, world, model, request, progress)
     trust, figures, signs = spread(answers, index.at[within].get(mode="fill", fill_value=count), count)

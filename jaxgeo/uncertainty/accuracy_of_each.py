@@ -170,7 +170,7 @@ def _blocks(lanes: Any, count: int, most: int, progress: bool) -> Iterator[Any]:
     host = jax.tree.map(np.asarray, lanes)
     size = next((size for size in (1, FEW) if count <= size < most), most)
     starts = range(0, count, size)
-    for start in with_bar(starts, len(starts), "how sure that is", progress):
+    for start in with_bar(starts, len(starts), "estimating accuracy", progress):
         yield _lane(host, np.minimum(np.arange(start, start + size), count - 1))
 
 

@@ -71,14 +71,16 @@ class Comparison(Record):
     @property
     def verdict(self) -> str:
         """Summary in one to three sentences."""
-        digits = f"to {self.digits} significant digit{'s' if self.digits > 1 else ''}"
+        digits = f"to {self.digits} significant digit{'s' if self.digits > 1 else ''} (JCGM 101)"
         unsure = [row.method for row in self.rows if not row.is_valid and "not valid" not in row.validity]
-        said = f"As sampling {digits} (JCGM 101): {'; '.join(self.valid) or 'none'}."
+        said = f"Agrees with Monte Carlo {digits}: {'; '.join(self.valid)}."
+        if not self.valid:
+            said = f"No method agrees with Monte Carlo {digits}."
         if unsure:
-            said += f" Undecided until more samples are drawn: {'; '.join(unsure)}."
+            said += f" Needs more samples: {'; '.join(unsure)}."
         if self.jumped > 0.0 or self.failed > 0.0:
             jumped, failed = 100.0 * self.jumped, 100.0 * self.failed
-            said += f" {jumped:.2g} % of the samples jump to other ground, {failed:.2g} % have no fix."
+            said += f" {jumped:.2g} % of the samples jump to another slope, {failed:.2g} % have no fix."
         return said
 
     def __str__(self) -> str:
@@ -91,7 +93,9 @@ class Comparison(Record):
         lines.append(f"{f'{self.sampled.count} samples':28s}" + "".join(f"{q.value:12.4g}  " for q in self.quantiles))
         bounds = (f"{f'{q.low:.4g}..{q.high:.4g}':>12s}  " for q in self.quantiles)
         lines.append(f"{'their 95 % interval':28s}" + "".join(bounds))
-        return "\n".join([*lines, f"m; x: not as sampling to {self.digits} digits, ?: undecided. {self.verdict}"])
+        return "\n".join(
+            [*lines, f"m; x: differs from Monte Carlo to {self.digits} digits, ?: needs more samples. {self.verdict}"]
+        )
 
 
 @accepts_observation

@@ -87,7 +87,7 @@ class NominalFix(NamedTuple):
         code = jnp.asarray(self.fix.status)
         if not bool(counts_as_fix(code)):
             status = Status(int(code))
-            raise ValueError(f"there is no fix to be sure of: {status.name}: {status.message}")
+            raise ValueError(f"cannot estimate accuracy, there is no fix: {status.name}: {status.message}")
 
 
 if TYPE_CHECKING:

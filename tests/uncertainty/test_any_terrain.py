@@ -102,22 +102,30 @@ def test_ground_that_cannot_be_probed_is_sampled_and_the_reason_said(like: type[
 
 SURE = Diagnostics(10.0, 10.0, 10.0, 3.0, 3.0, 3.0, 0.0, 0.0, math.inf, 0.5, 1.0, 0.0)
 REASONS = [
-    ({}, Method.facet, "as good as a plane"),
-    ({"facet": 5.0}, Method.footprint, "not that of the ground about it"),
-    ({"profile": 20.0}, Method.samples, "no plane within the errors' reach"),
-    ({"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4}, Method.facet, "as good as a plane"),
-    ({"profile_up": math.nan}, Method.samples, "no plane"),
-    ({"profile": math.inf}, Method.samples, "no plane"),
-    ({"jumps": 0.02, "clearance": 1.5}, Method.samples, "jump to other ground, the nearest 1.5 sigmas off"),
-    ({"jumps": 0.004, "profile": 20.0}, Method.samples, "no plane"),
-    ({"fails": 0.3}, Method.samples, "30 % of the lines of sight come down nowhere"),
-    ({"known": 0.75}, Method.samples, "In 25 % of the footprint the ground is not known"),
-    ({"known": math.nan}, Method.samples, "the ground is not known"),
+    ({}, Method.facet, "nearly planar within the error region"),
+    ({"facet": 5.0}, Method.footprint, "differs from the mean slope of the error region"),
+    ({"profile": 20.0}, Method.samples, "not planar within the error region"),
+    (
+        {"facet_up": 0.0, "footprint_up": 1e-5, "profile_up": 3e-4},
+        Method.facet,
+        "nearly planar within the error region",
+    ),
+    ({"profile_up": math.nan}, Method.samples, "not planar"),
+    ({"profile": math.inf}, Method.samples, "not planar"),
+    (
+        {"jumps": 0.02, "clearance": 1.5},
+        Method.samples,
+        "2 % of the perturbed lines of sight hit a nearer or farther slope (first at 1.5 sigma)",
+    ),
+    ({"jumps": 0.004, "profile": 20.0}, Method.samples, "not planar"),
+    ({"fails": 0.3}, Method.samples, "30 % of the perturbed lines of sight meet no known ground"),
+    ({"known": 0.75}, Method.samples, "25 % of the ground in the footprint is unknown"),
+    ({"known": math.nan}, Method.samples, "ground in the footprint is unknown"),
     ({"grazing": 0.005}, Method.samples, "grazes the surface, at 5 mrad"),
     ({"grazing": math.nan}, Method.samples, "grazes"),
     ({"off": 12.0}, Method.samples, "lies 12 m from the fix"),
-    ({"off": math.inf}, Method.samples, "lies nowhere at the fix"),
-    ({"off": math.nan}, Method.samples, "lies nowhere at the fix"),
+    ({"off": math.inf}, Method.samples, "lies nowhere near the fix"),
+    ({"off": math.nan}, Method.samples, "lies nowhere near the fix"),
 ]
 
 
@@ -158,4 +166,4 @@ def test_an_earth_that_curves_away_is_no_plane() -> None:
     assert float(result.signs.grazing) > 0.015
     assert result.trust is Method.samples, str(result)
     assert math.isinf(result.circular)
-    assert "come down nowhere" in result.because
+    assert "meet no known ground" in result.because

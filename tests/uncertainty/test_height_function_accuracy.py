@@ -76,7 +76,7 @@ def test_a_plane_is_told_as_one_and_every_method_holds() -> None:
     given = (SENSOR, shot(30.0), UV, ground, model(0.05))
     result = accuracy(*given)
     assert result.trust is Method.facet
-    assert "as good as a plane" in result.because
+    assert "nearly planar" in result.because
     footprint = float(propagate(*given, slope=Footprint()).circular_error(0.9))
     assert footprint == pytest.approx(result.circular, rel=1e-3)
     compared = compare(*given, key=jax.random.key(0), count=4096, digits=1)

@@ -106,7 +106,7 @@ def test_constant_height_needs_no_samples() -> None:
 
 def test_no_fix_is_said() -> None:
     up = Shot(Pose(CENTRE.__class__.from_degrees(lat=46.0, lon=8.0, height=3000.0), 0.0, 0.5, 0.0))
-    with pytest.raises(ValueError, match="no fix to be sure of: rises_away"):
+    with pytest.raises(ValueError, match="cannot estimate accuracy, there is no fix: rises_away"):
         accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL)
     with pytest.raises(ValueError, match="between 0 and 1"):
         accuracy(SENSOR, up, UV, ConstantHeight(100.0), MODEL, probability=1.5)
