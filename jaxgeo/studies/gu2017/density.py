@@ -101,8 +101,7 @@ def _ties(here: Mapped, size: int, cov: np.ndarray) -> _Matched:
 
 
 def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched) -> list[Dense]:
-    """Update of the navigation by ties; with enough ties, the registration's uncertainty is estimated from their
-    residuals.
+    """Update of the navigation by ties; with enough ties, their residuals give the registration's uncertainty.
 
     Empty if it does not converge.
     """

@@ -177,7 +177,7 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
 
 
 def draw_folding(figure: Figure) -> None:
-    """The distance of Eq 16 is unsigned: it reverses where the step along the flight continues."""
+    """The unsigned distance of Eq 16, which folds back where the step along the flight continues."""
     ax = figure.subplots()
     formula, along, distance = (100.0 * values for values in folding(TURNS))
     ax.plot(TURNS, formula, color="0.6", linewidth=4.0, label="Eq 18")
