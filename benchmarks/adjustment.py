@@ -1,9 +1,9 @@
-"""How fast blocks are adjusted: beside Ceres, compiled, by pycolmap and pyceres; and how it grows with the images.
+"""Speed of block adjustment: against compiled Ceres by pycolmap and pyceres, and scaling with the number of images.
 
 Run: python -m benchmarks.adjustment [--repeats 5] [--skip-growth] [--json out.json]
-Solves are warm and interleaved; medians. Ours stops as Ceres does, where a step changes the cost by less than 1e-6 of
-it. Building the problem, in Python for both, is told apart from solving it; so is compiling. BAL is read from the
-folder JAXGEO_TEST_DATA.
+Solves are warm and interleaved; medians. Ours uses Ceres's stopping rule: a relative cost change below 1e-6. Building
+the problem, in Python for both, is timed separately from solving it; so is compiling. BAL is read from the folder
+JAXGEO_TEST_DATA.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ jaxgeo.enable_x64()
 DATA = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"))
 BAL = DATA / "bal" / "problem-16-22106-pre.txt.bz2"
 TOLERANCE, CORES = 1e-6, 2
-STRIP = 25  # images of a strip, in the blocks that grow
+STRIP = 25  # images per strip, in the scaling blocks
 SIZES = (50, 150, 400, 1300)
-DENSITY = 25.0  # points to a base squared: some 200 in an image
+DENSITY = 25.0  # points per squared base: about 200 per image
 
 
-# The same problem, as we take it.
+# Conversion to the package's types.
 
 
 def block_of(problem: BlockProblem) -> tuple[Block, Unknowns]:
@@ -87,7 +87,7 @@ def block_of(problem: BlockProblem) -> tuple[Block, Unknowns]:
 
 
 def navigation_of(problem: BlockProblem) -> Navigation | None:
-    """Observed centres, and attitudes about the camera's axes: those of a body that is turned as the camera."""
+    """Observed centres, and attitudes about the camera's axes: the body frame equals the camera frame."""
     if problem.pos is None:
         return None
     pos, count = problem.pos, len(problem.centres)
@@ -107,18 +107,18 @@ def navigation_of(problem: BlockProblem) -> Navigation | None:
 
 
 def solved(ready: Prepared) -> Solution:
-    """Our solve alone, to the end."""
+    """The package's solve alone, to convergence."""
     return jax.block_until_ready(solve(ready.problem, LeastSquares(), Solver(relative=TOLERANCE)))
 
 
 def covariances(ready: Prepared, found: Solution) -> Any:
-    """Of each orientation, of the lenses together, and of each point."""
+    """Covariances of each orientation, of all lenses together, and of each point."""
     posterior = posterior_of(ready.problem, found.equations, None)
     told = (covariance_of_images, covariance_of_shared, covariance_of_points)
     return jax.block_until_ready([of(ready.problem, posterior) for of in told])
 
 
-# Beside Ceres.
+# Comparison with Ceres.
 
 
 def side_by_side(name: str, problem: BlockProblem, repeats: int) -> Table:
@@ -177,7 +177,7 @@ def _size(problem: BlockProblem) -> str:
 
 
 def _interleaved(runs: dict[str, Any], kept: dict[str, Any], repeats: int) -> tuple[dict, dict]:
-    """Seconds of the solve and of processors, in turning order; Ceres tells its own, without building."""
+    """Seconds of the solve and of processors, in alternating order; Ceres reports its own, without building."""
     wall, processor = ({name: [] for name in runs} for _ in range(2))
     for repeat in range(repeats):
         for name in list(runs) if repeat % 2 == 0 else list(runs)[::-1]:
@@ -197,7 +197,7 @@ def _came_of(found: Any) -> tuple[float, int, float]:
 
 
 def spreads(name: str, problem: BlockProblem, repeats: int) -> Table:
-    """Covariances of all orientations and points, where both have come to."""
+    """Covariances of all orientations and points, at the solutions of both."""
     from peers import ceres_blocks
 
     ready = prepared(*block_of(problem))
@@ -233,11 +233,11 @@ def spreads(name: str, problem: BlockProblem, repeats: int) -> Table:
     return table
 
 
-# Growth.
+# Scaling.
 
 
 def strips(images: int, seed: int = 0) -> BlockProblem:
-    """Strips of 25 images to and fro, 60 % along and 30 % across, observed as `simulated`."""
+    """Alternating strips of 25 images, 60 % along and 30 % across, observed as in `simulated`."""
     rng = np.random.default_rng(seed)
     height, focal = block_problems.ABOVE, 10_000.0
     wide, high = (height * n / focal for n in (block_problems.WIDTH, block_problems.HEIGHT))
@@ -266,7 +266,7 @@ def strips(images: int, seed: int = 0) -> BlockProblem:
 
 
 def _pairs(centres: np.ndarray, points: np.ndarray, wide: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """(image, point) of what lies in each image's field, by rows of images so that memory stays small."""
+    """(image, point) of the points in each image's field, by rows of images to limit memory."""
     image, point = [], []
     for i, centre in enumerate(centres):
         scale = (centre[2] - points[:, 2]) / centre[2]
@@ -298,7 +298,7 @@ def _observed(truth: BlockProblem, uv: np.ndarray, rng: np.random.Generator) -> 
 
 
 def grown(images: int) -> dict[str, Any]:
-    """One block of strips, in this process: seconds with and without compiling, and memory over that before."""
+    """One block of strips, in this process: seconds with and without compiling, and memory above the baseline."""
     problem = strips(images)
     before = measuring.resident()
     measuring.reset_peak()
@@ -332,7 +332,7 @@ def _redundancy(problem: BlockProblem) -> int:
 
 
 def growth(sizes: Sequence[int]) -> Table:
-    """Blocks of strips, each in a process of its own."""
+    """Blocks of strips, each in its own process."""
     columns = [Column("images"), Column("points"), Column("measurements"), Column("iterations")]
     columns += [Column("solve", "s", "lower"), Column("each iteration", "s", "lower")]
     columns += [Column("each, a measurement", "us", "lower"), Column("processor time of the solve", "s", "lower")]
@@ -366,11 +366,11 @@ def _apart(images: int) -> dict[str, Any]:
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-# A whole adjustment, as users call it.
+# A complete adjustment through the public function.
 
 
 def whole(name: str, problem: BlockProblem) -> Table:
-    """`adjust` from names and arrays to all covariances, first and again."""
+    """`adjust` from names and arrays to all covariances, first call and second call."""
     columns = [Column("call"), Column("block", "s", "lower"), Column("adjust", "s", "lower")]
     columns += [Column("all covariances", "s", "lower"), Column("their size", "MB")]
     columns += [Column("sigma0", "1")]
@@ -382,14 +382,14 @@ def whole(name: str, problem: BlockProblem) -> Table:
         made = time.perf_counter()
         found = adjust(block, unknowns, datum=datum, solver=Solver(relative=TOLERANCE))
         adjusted = time.perf_counter()
-        size = found.covariance.nbytes + found.points.sigma.nbytes  # made when they are asked for
+        size = found.covariance.nbytes + found.points.sigma.nbytes  # computed lazily
         table.rows.append([call, made - begin, adjusted - made, time.perf_counter() - adjusted, 1e-6 * size])
         table.rows[-1].append(found.sigma0)
     return table
 
 
 def main() -> None:
-    """Measure, print, and write it down."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--skip-growth", action="store_true")

@@ -1,8 +1,8 @@
-"""Real blocks adjusted, with everything that was estimated: orientations, points, parameters, residuals, checks.
+"""Adjustment of real blocks with all estimates: orientations, points, parameters, residuals, check points.
 
 Run: python -m benchmarks.blocks {dbat_sxb,ign_block,bal} [--json [out.json]]
-The blocks are read from the folder JAXGEO_TEST_DATA. Standard deviations are told twice: `unit_weight`, of observations
-as good as their sigmas say, and `scaled`, the same times sigma0, as good as the residuals say.
+The blocks are read from the folder JAXGEO_TEST_DATA. Standard deviations are given twice: `unit_weight`, for the stated
+sigmas of the observations, and `scaled`, multiplied by sigma0 from the residuals.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ from jaxgeo.adjust import (
 
 jaxgeo.enable_x64()
 DATA = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"))
-SIGMA_POSITION, SIGMA_ATTITUDE, SEED = 1.0, float(np.deg2rad(0.05)), 1  # m, rad: of the navigation that is made up
-SHOWN = 12  # rows of points that a table shows
+SIGMA_POSITION, SIGMA_ATTITUDE, SEED = 1.0, float(np.deg2rad(0.05)), 1  # m, rad: of the simulated navigation
+SHOWN = 12  # rows of points in a table
 DISTURBANCES = 40  # of `ign_block`
 TIES_PX = 0.2  # sigma of the tie points of `ign_block`
 MOST_BLUNDERS = 400
-LEAST_SEEN = 4  # points in an image of a free network
+LEAST_SEEN = 4  # points per image of a free network
 
 
-# What there is to tell of any adjustment.
+# Results of any adjustment.
 
 
 def record(found: Adjustment, classes: dict[str, np.ndarray], checks: GroundPoints | None = None) -> dict[str, Any]:
-    """Everything that was estimated, as JSON can hold it."""
+    """Everything that was estimated, in JSON form."""
     told = {
         "sigma0": found.sigma0,
         "redundancy": found.redundancy,
@@ -84,7 +84,7 @@ def record(found: Adjustment, classes: dict[str, np.ndarray], checks: GroundPoin
 
 
 def residuals(found: Adjustment, classes: dict[str, np.ndarray]) -> dict[str, Any]:
-    """By class: how many, the root mean square of columns, rows and both, and the largest, px."""
+    """By class: count, root mean square of columns, rows and both, and maximum, px."""
     told = {}
     for name, rows in {"all": np.ones(len(found.residuals), bool), **classes}.items():
         v = found.residuals[rows]
@@ -110,7 +110,7 @@ def orientations(found: Adjustment) -> list[dict[str, Any]]:
 
 
 def parameters(found: Adjustment) -> list[dict[str, Any]]:
-    """Of cameras, mounts and strips; a prior that there is not is None."""
+    """Parameters of cameras, mounts and strips; a missing prior is None."""
     return [
         {
             "whose": p.whose,
@@ -125,7 +125,7 @@ def parameters(found: Adjustment) -> list[dict[str, Any]]:
 
 
 def points(found: Adjustment) -> list[dict[str, Any]]:
-    """Adjusted places in the block's frame with standard deviations, m."""
+    """Adjusted positions in the block's frame with standard deviations, m."""
     given = zip(found.points.name.tolist(), found.points.place, found.points.sigma, strict=True)
     return [
         {
@@ -139,7 +139,7 @@ def points(found: Adjustment) -> list[dict[str, Any]]:
 
 
 def differences(found: Adjustment, checks: GroundPoints) -> dict[str, Any]:
-    """Adjusted less given places of the check points in m, and what they may be: by the adjustment, and by both."""
+    """Adjusted minus given check point positions in m, and their sigmas: of the adjustment, and of both combined."""
     off, own = found.differences(checks), found.points.of(checks.name).sigma
     told = []
     for name, d, adjusted, reference in zip(checks.name.tolist(), off, own, checks.sigma, strict=True):
@@ -151,13 +151,13 @@ def differences(found: Adjustment, checks: GroundPoints) -> dict[str, Any]:
 
 
 def timed(run: Callable[[], Adjustment]) -> tuple[Adjustment, dict[str, float]]:
-    """The adjustment with all its covariances, done twice: first with compiling, then without."""
+    """The adjustment with all its covariances, run twice: with compilation, then without."""
     seconds = {}
     for name in ("first, with compiling", "again"):
         begin = time.perf_counter()
         found = run()
         seconds[f"adjustment, {name}"] = time.perf_counter() - begin
-        _ = found.covariance, found.points  # made when they are asked for
+        _ = found.covariance, found.points  # computed lazily
         seconds[f"adjustment and covariances, {name}"] = time.perf_counter() - begin
     return found, seconds
 
@@ -170,21 +170,21 @@ def rms(v: np.ndarray) -> float:
 
 
 def dbat_sxb() -> dict[str, Any]:
-    """Five frames on weighted control, as the project's file asks for."""
+    """Five frames on weighted control, as in the project file."""
     real = strasbourg(DATA)
     found, seconds = timed(lambda: adjust(real.block, real.unknowns))
     return {"block": "dbat_sxb", "seconds": seconds, **record(found, real.classes, real.checks)}
 
 
 def bal() -> dict[str, Any]:
-    """16 photographs with lenses of their own, a free network, from the file's values."""
+    """16 photographs with a lens each, a free network, started from the file's values."""
     real = large(DATA)
     found, seconds = timed(lambda: adjust(real.block, real.unknowns, datum=InnerConstraints(), solver=Solver(1e-12)))
     return {"block": "bal", "seconds": seconds, **record(found, real.classes)}
 
 
 def ign_block() -> dict[str, Any]:
-    """68 frames whose orientations are disturbed, and held by a navigation that is as good; and what else there is."""
+    """68 frames with disturbed orientations and a navigation of the same accuracy; and further variants."""
     flown = aerial(DATA, sigma_px=TIES_PX)
     block = flown.with_navigation(SIGMA_POSITION, SIGMA_ATTITUDE, SEED)
     found, seconds = timed(lambda: adjust(block))
@@ -206,14 +206,14 @@ def ign_block() -> dict[str, Any]:
 
 
 def against(flown: Aerial, found: Adjustment, undisturbed: Adjustment) -> dict[str, Any]:
-    """How far the orientations are from those given, m and rad, and what chance would make of it.
+    """Differences of the orientations from those given, m and rad, and their expected values.
 
-    All statistics are of covariances scaled by sigma0. `normalised_rms` is by component. `mahalanobis` of the whole
-    vector has the mean `unknowns` if given orientations know nothing of these ties and the ties' errors are white. In
-    `directions_of_navigation`, the eighth of the eigenvectors of the covariance (scaled to correlations) that is least
-    held, it is what the made-up navigation's errors leave. `by_disturbance` is that of the change by the disturbance
-    alone, which has the mean trace(W Q), W the weight of the navigation. `after_similarity` is what is left, m, when
-    each part that no tie joins to another is shifted, turned and scaled upon the given one.
+    All statistics use covariances scaled by sigma0. `normalised_rms` is by component. `mahalanobis` of the whole vector
+    has the mean `unknowns` if the given orientations are independent of these ties and the tie errors are white. In
+    `directions_of_navigation`, the eighth of the eigenvectors of the covariance (scaled to correlations) with the
+    largest variance, it shows the errors of the simulated navigation. `by_disturbance` is that of the change by the
+    disturbance alone, which has the mean trace(W Q), W the weight of the navigation. `after_similarity` is the
+    remaining difference, m, after each part not connected by ties is fitted to the given one by a similarity transform.
     """
     cov = found.sigma0**2 * found.covariance
     d, change = from_images(found, flown.given), from_images(found, undisturbed.images)
@@ -246,8 +246,8 @@ def against(flown: Aerial, found: Adjustment, undisturbed: Adjustment) -> dict[s
 
 
 def many_disturbances(flown: Aerial) -> dict[str, Any]:
-    """Differences to the given orientations over their standard deviations, times sigma0, of many made-up navigations:
-    one moves the block as a whole this way or that, so that its images are no sample."""
+    """Differences to the given orientations over their standard deviations, times sigma0, for many simulated
+    navigations: each shifts the block as a whole, so its images are not independent samples."""
     found = []
     for seed in range(DISTURBANCES):
         adjusted = adjust(flown.with_navigation(SIGMA_POSITION, SIGMA_ATTITUDE, seed))
@@ -262,7 +262,7 @@ def many_disturbances(flown: Aerial) -> dict[str, Any]:
 
 
 def _form(found: Adjustment, part: Aerial) -> dict[str, Any]:
-    """What is left of the centres and points of a part."""
+    """Remaining differences of the centres and points of a part."""
     centres = found.images.centre[np.isin(found.images.name, part.given.name)]
     places = np.array([found.places[name] for name in part.ground.name.tolist()])
     return {
@@ -272,7 +272,7 @@ def _form(found: Adjustment, part: Aerial) -> dict[str, Any]:
 
 
 def from_images(found: Adjustment, given: Any) -> np.ndarray:
-    """Adjusted less given orientations (n, 6): centres in m, turns about camera axes in rad."""
+    """Adjusted minus given orientations (n, 6): centres in m, rotations about camera axes in rad."""
     turn = np.swapaxes(given.R_frame_from_camera, 1, 2) @ found.images.R_frame_from_camera
     turns = scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec()
     return np.concatenate([found.images.centre - given.centre, turns], axis=1)
@@ -284,7 +284,7 @@ def _both(found: Adjustment, ground: GroundPoints) -> tuple[np.ndarray, np.ndarr
 
 
 def after_similarity(places: np.ndarray, targets: np.ndarray) -> dict[str, Any]:
-    """RMS in m of places (n, 3) shifted, turned and scaled upon others; the scale in ppm and the turn in deg."""
+    """RMS in m of positions (n, 3) after a similarity transform onto others; scale in ppm and rotation in deg."""
     a, b = places - places.mean(axis=0), targets - targets.mean(axis=0)
     turn, _ = scipy.spatial.transform.Rotation.align_vectors(b, a)
     turned = turn.apply(a)
@@ -294,7 +294,7 @@ def after_similarity(places: np.ndarray, targets: np.ndarray) -> dict[str, Any]:
 
 
 def outliers(flown: Aerial, block: Any, found: Adjustment) -> dict[str, Any]:
-    """What a robust loss and data snooping make of it."""
+    """Results of a robust loss and data snooping."""
     robust = adjust(block, loss=Huber(), solver=Solver(relative=1e-8))
     snooped, out = without_blunders(block, most=MOST_BLUNDERS)
     told: dict[str, Any] = {"flagged_at_first": len(blunders(found)), "taken_out": len(out)}
@@ -307,10 +307,11 @@ def outliers(flown: Aerial, block: Any, found: Adjustment) -> dict[str, Any]:
 
 
 def readings(flown: Aerial) -> dict[str, Any]:
-    """Why the map matters: what given orientations and points come to, rightly read and otherwise.
+    """Effect of the map projection: residuals of the given orientations and points, with and without correct
+    conversion.
 
-    `given_rms_px` with the given points, `intersected_rms_px` with points where the rays meet, `adjusted` with the
-    orientations held as a navigation of 1 m and 0.05 deg would: what is left in pixels, and of that navigation over its
+    `given_rms_px` with the given points, `intersected_rms_px` with intersected points, `adjusted` with the orientations
+    held by a navigation of 1 m and 0.05 deg: remaining residuals in pixels, and those of that navigation over its
     sigmas (east, north, up, and about the body's axes).
     """
     ways = {
@@ -337,7 +338,7 @@ def readings(flown: Aerial) -> dict[str, Any]:
 
 
 def free_networks(flown: Aerial) -> dict[str, Any]:
-    """Ties alone, part by part of those that no tie joins, without images that see too few of them."""
+    """Ties alone, per part not connected by ties, without images that see too few of them."""
     told = {}
     for part in flown.parts(LEAST_SEEN):
         found = adjust(part.free_network(SEED), datum=InnerConstraints())
@@ -358,7 +359,7 @@ def free_networks(flown: Aerial) -> dict[str, Any]:
 BLOCKS = {"dbat_sxb": dbat_sxb, "ign_block": ign_block, "bal": bal}
 
 
-# For reading.
+# Display.
 
 
 def show(told: dict[str, Any]) -> None:
@@ -421,7 +422,7 @@ def _text(value: Any) -> str:
 
 
 def main() -> None:
-    """Adjust one block, and show or write what came of it."""
+    """Adjust one block, and show or save the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("block", choices=list(BLOCKS))
     parser.add_argument(

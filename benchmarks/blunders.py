@@ -1,10 +1,11 @@
-"""Blunders in simulated blocks: which of those that can be told are named, and how many good measurements are.
+"""Blunder detection in simulated blocks: detected share of detectable blunders, and false alarms.
 
 Run: python -m benchmarks.blunders [--blocks 200] [--clean 100] [--json [out.json]]
 
 Each block has one to three blunders of 5 to 10,000 px: in an image measurement, a control coordinate, two exchanged
-image measurements or control points, a control point of a wrong zone. `without_blunders` tests at a level such that any
-good measurement of a block is named with 5 % at most. What can be told is stated in `tests/support/blunder_study.py`.
+image measurements or control points, a control point in the wrong zone. `without_blunders` tests at a level such that
+any correct measurement of a block is flagged with at most 5 % probability. Detectability is defined in
+`tests/support/blunder_study.py`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ jaxgeo.enable_x64()
 
 
 def spoiled(count: int) -> tuple[list[study.Outcome], list[str]]:
-    """Outcomes of blocks with blunders, and the runs that failed."""
+    """Outcomes of blocks with blunders, and the failed runs."""
     outcomes, failed = [], []
     for number, (layout, seed, kinds) in enumerate(study.drawn(count)):
         case = study.spoiled(layout, seed, kinds)
@@ -50,7 +51,7 @@ def spoiled(count: int) -> tuple[list[study.Outcome], list[str]]:
 
 
 def table(outcomes: list[study.Outcome]) -> list[dict[str, Any]]:
-    """By kind: made, that can be told, of these named; named of all others."""
+    """By kind: number of blunders, detectable ones, detected share of these; detected of all others."""
     every = [pair for outcome in outcomes for pair in outcome.named]
     rows = []
     for kind in (*study.KINDS, "all"):
@@ -66,7 +67,7 @@ def table(outcomes: list[study.Outcome]) -> list[dict[str, Any]]:
 
 
 def clean(count: int) -> dict[str, Any]:
-    """Good blocks: in how many anything is named, and how many measurements fail tests at 0.001 each."""
+    """Blocks without blunders: number with a false alarm, and number of measurements that fail tests at 0.001 each."""
     with_names, tests, fails, screened = 0, 0, 0, 0
     for number in range(count):
         layout = study.LAYOUTS[number % len(study.LAYOUTS)]
@@ -88,7 +89,7 @@ def clean(count: int) -> dict[str, Any]:
 
 
 def whole_control(count: int) -> dict[str, int]:
-    """Blocks all of whose control is of a wrong zone: refused, with the shift told to 1 %."""
+    """Blocks whose control is all in a wrong zone: refused, with the reported shift correct to 1 %."""
     refused = 0
     for number in range(count):
         layout = study.LAYOUTS[number % len(study.LAYOUTS)]

@@ -1,4 +1,4 @@
-"""jaxgeo and its peers on the same rays: speed, memory, and how often each is wrong."""
+"""jaxgeo and its peers on the same rays: speed, memory, and error rates."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 import peers
 from measuring import Column, Table
 
-FAR = 1.0  # m: another piece of ground
-NEAR = 1e-3  # m: not the point itself
-TIE = 1e-6  # m of height: whether a ray that passes as close as this is held up is a matter of rounding
-GUARD = 600.0  # s that a peer may take in its trial run, all in
+FAR = 1.0  # m: a different piece of ground
+NEAR = 1e-3  # m: not the same point
+TIE = 1e-6  # m of height: a ray that passes this close hits or misses depending on rounding
+GUARD = 600.0  # s, total time limit of a peer's trial run
 
 SPEEDS = [
     Column("who"),
@@ -53,7 +53,7 @@ WRONGS = [
 
 @dataclass
 class Entry:
-    """A peer that is ready, what it cost to get there, and its answers."""
+    """A prepared peer, its preparation cost, and its answers."""
 
     peer: peers.Peer
     prepare_s: float
@@ -68,7 +68,7 @@ def compare(names: list[str], rays: int, repeats: int, cache: pathlib.Path) -> l
     ready: dict[str, Entry] = {}
     skipped: dict[str, str] = {}
     for name in names:
-        # A trial in a process of its own shows the memory, and that the peer comes back at all.
+        # A trial in its own process measures the memory, and shows whether the peer returns at all.
         trial = measuring.in_subprocess("memory", {"peer": name, "rays": rays, "cache": str(cache)}, GUARD)
         if "reason" in trial:
             skipped[name] = trial["reason"]
@@ -160,7 +160,7 @@ def _wrongs(ready: dict[str, Entry], job: jobs.Job) -> Table:
 
 
 def _judged(found: np.ndarray, expected: np.ndarray, closest: np.ndarray) -> tuple[int, int, int, int, float, float]:
-    """(wrong by > 1 mm, by > 1 m, unanswered, ties, median distance, farthest); a ray both call a miss is right."""
+    """(wrong by > 1 mm, by > 1 m, unanswered, ties, median distance, farthest); a miss in both counts as right."""
     both_miss = np.isnan(found) & np.isnan(expected)
     away = np.where(both_miss, 0.0, np.abs(found - expected))
     ties = ~(away <= NEAR) & (closest <= TIE)

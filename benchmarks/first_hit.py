@@ -1,6 +1,6 @@
-"""First hits of 100 000 rays over rough mountains against a walk over every cell, and how often bisection is wrong.
+"""First hits of 100 000 rays over rough mountains against a walk over every cell, and the error rate of bisection.
 
-Run: python benchmarks/first_hit.py [--rays 100000] [--chunk 10000]. The exhaustive walk takes some 5 ms a ray.
+Run: python benchmarks/first_hit.py [--rays 100000] [--chunk 10000]. The exhaustive walk takes about 5 ms a ray.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def mountains() -> TangentTerrain:
 
 
 def all_sights(terrain: TangentTerrain, count: int) -> Sight:
-    """Nine tenths random rays, one tenth that graze a patch so as to cross it twice."""
+    """Nine tenths random rays, one tenth that graze a patch and cross it twice."""
     parts = [random_sights(terrain, count - count // 10, seed=4), grazing_sights(terrain, count // 10, seed=5)]
     return Sight(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sight.__dataclass_fields__))
 
@@ -61,7 +61,7 @@ def exhaustive(terrain: TangentTerrain, sight: Sight) -> np.ndarray:
 
 
 def searched(terrain: TangentTerrain, sight: Sight, chunk: int) -> dict[str, tuple[np.ndarray, float]]:
-    """Slant ranges by each search, and seconds a ray once compiled."""
+    """Slant ranges by each search, and compiled seconds per ray."""
     import jax
     import jax.numpy as jnp
 

@@ -1,4 +1,4 @@
-"""How jaxgeo's cost grows with the DEM's side and with the batch."""
+"""Scaling of jaxgeo's cost with the DEM size and with the batch size."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GROUNDS: dict[str, Callable[[int], float]] = {
     "more ground": lambda side: 30.0,
 }
 
-COUNTED = 2000  # rays whose look-ups are counted
+COUNTED = 2000  # rays with counted look-ups
 
 SIDES = [
     Column("ground"),
@@ -35,7 +35,7 @@ SIDES = [
 
 
 def growth(sides: list[int], rays: int, most: int, repeats: int, budget_s: float, cache: pathlib.Path) -> list[Table]:
-    """Cost per ray and memory for DEM sides, and cost per ray for batches from 1000 up to `most` rays."""
+    """Cost per ray and memory by DEM side, and cost per ray for batches from 1000 up to `most` rays."""
     return [_sides(sides, rays, repeats, cache), _batches(most, repeats, budget_s, cache)]
 
 
@@ -73,7 +73,7 @@ def _sides(sides: list[int], rays: int, repeats: int, cache: pathlib.Path) -> Ta
 
 
 def _look_ups(rays: Any, dem: Any) -> float:
-    """Bounds and cells that a first-hit walk asks for, mean of the first rays; see `jaxgeo.studies.look_ups`."""
+    """Mean number of bounds and cells that a first-hit search reads per ray; see `jaxgeo.studies.look_ups`."""
     import jax
     from peers.ours import answers
 
@@ -86,7 +86,7 @@ def _look_ups(rays: Any, dem: Any) -> float:
 
 
 def _built(terrain: jobs.TangentTerrain, cache: pathlib.Path) -> dict[str, Any]:
-    """Memory to build a Dem of the terrain, in a process of its own."""
+    """Memory to build a Dem of the terrain, in its own process."""
     path = _kept(terrain, cache)
     try:
         return measuring.in_subprocess("building", {"posts": str(path), "spacing": terrain.spacing}, 600.0)

@@ -1,6 +1,6 @@
-"""How much longer `import jaxgeo` takes than `import jax`.
+"""Import time of jaxgeo relative to `import jax`.
 
-Each import runs in a fresh interpreter, in turn, after one round that warms the disk cache; medians are compared.
+Each import runs in a fresh interpreter, alternating, after one warm-up round for the disk cache; medians are compared.
 
     python benchmarks/import_time.py [--rounds 11]
 

@@ -1,4 +1,4 @@
-"""Terrains, rays and reference answers of the benchmarks, kept in a cache directory between runs."""
+"""Terrains, rays and reference answers of the benchmarks, cached in a directory between runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SOURCES = (HERE.parent / "tests" / "support" / "fractal.py", HERE / "first_hit.p
 
 @dataclass(frozen=True)
 class Job:
-    """A terrain, rays over it, and of each (distance, closest clearance before it, crossings) by the reference."""
+    """A terrain, rays over it, and for each (distance, closest clearance before it, crossings) by the reference."""
 
     terrain: TangentTerrain
     sight: Sight
@@ -34,12 +34,12 @@ class Job:
 
 
 def subset(sight: Sight, index: np.ndarray | slice) -> Sight:
-    """Some of the rays."""
+    """A subset of the rays."""
     return Sight(*(getattr(sight, f.name)[index] for f in fields(Sight)))
 
 
 def mountain_job(count: int, cache: pathlib.Path, *, with_reference: bool = True) -> Job:
-    """The fractal job: `count` of its 100 000 rays, evenly spread, and what a walk over every cell says of them.
+    """The fractal job: `count` of its 100 000 rays, evenly spread, and the reference answers of a walk over every cell.
 
     The walk takes 3 to 5 ms a ray once; afterwards its answers are read from the cache.
     """
@@ -60,7 +60,7 @@ def mountain_job(count: int, cache: pathlib.Path, *, with_reference: bool = True
 
 
 def random_job(terrain: TangentTerrain, count: int, seed: int = 4) -> Sight:
-    """Any number of random rays, made a hundred thousand at a time."""
+    """Any number of random rays, generated in chunks of 100 000."""
     parts = [
         random_sights(terrain, min(MOST, count - first), seed=seed + 1000 * k)
         for k, first in enumerate(range(0, count, MOST))
@@ -69,16 +69,16 @@ def random_job(terrain: TangentTerrain, count: int, seed: int = 4) -> Sight:
 
 
 def rough_terrain(side: int, spacing: float, dtype: type = np.float32) -> TangentTerrain:
-    """side x side posts of rough ground, 0 to 3000 m."""
+    """Rough ground of side x side posts, 0 to 3000 m."""
     posts = fractal_posts(side, spacing=spacing, relief=3000.0, exponent=3.39, seed=1)
     return TangentTerrain(posts.astype(dtype), np.deg2rad(40.0), np.deg2rad(10.0), spacing)
 
 
 def with_runway(terrain: TangentTerrain, width: int = 24) -> tuple[TangentTerrain, Sight]:
-    """The terrain with a strip of ground along its middle row shaped after one straight ray, and that ray.
+    """The terrain with a strip of ground along its middle row that follows one straight ray, and that ray.
 
-    The ray skims 2 to 5 cm over a strip `width` posts wide, from one side of the terrain to the other: no bound on more
-    than a few cells clears it, so a first-hit search has to settle thousands of cells for it.
+    The ray passes 2 to 5 cm above a strip `width` posts wide, from one side of the terrain to the other: no bound on
+    more than a few cells clears it, so a first-hit search has to settle thousands of cells.
     """
     rows, cols = terrain.posts.shape
     row = 0.5 * (rows - 1.0)
@@ -99,7 +99,7 @@ def with_runway(terrain: TangentTerrain, width: int = 24) -> tuple[TangentTerrai
 
 
 def bundle(terrain: TangentTerrain, count: int, *, angle: float = 1e-4, position: float = 1.0, seed: int = 8) -> Sight:
-    """One ray as a Monte Carlo sees it: its direction moved by `angle` rad and its origin by `position` m (1 sigma)."""
+    """Monte Carlo perturbations of one ray: its direction by `angle` rad and its origin by `position` m (1 sigma)."""
     one = random_sights(terrain, 1, seed=seed)
     rng = np.random.default_rng(seed)
     origin = one.origin + position * rng.standard_normal((count, 3))
@@ -133,7 +133,7 @@ __all__ += ["random_job", "rough_terrain", "sights", "subset", "with_runway"]
 
 
 def sweep_over(terrain: TangentTerrain) -> tuple[Any, Any]:
-    """A sensor that sweeps the terrain from 15 km in 2 s, and its flight at 220 m/s, the attitude swinging."""
+    """A sensor that sweeps the terrain from 15 km in 2 s, and its trajectory at 220 m/s with oscillating attitude."""
     from jaxgeo import Geodetic, Pose, Trajectory, enable_x64
     from jaxgeo.sensor.conventions import li_2023_sweep_sensor
 

@@ -1,6 +1,6 @@
-"""Looks at made-up and real terrain from all sides, and how sure they are, for the study of verdicts.
+"""Observations of synthetic and real terrain from all sides, and their accuracy, for the method selection study.
 
-Real terrain is read from `dem/` in the folder JAXGEO_TEST_DATA; files that are not there are left out.
+Real terrain is read from `dem/` in the folder JAXGEO_TEST_DATA; missing files are skipped.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 jaxgeo.enable_x64()
 DATA = os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data")
-SIDE = 768  # posts: all terrain is cut or padded to it, so that all shares one compilation
+SIDE = 768  # posts: all terrain is cut or padded to it, to share one compilation
 FIRST_HIT = jaxgeo.FirstHit()
 PIXEL = np.array([1999.5, 1999.5])
 CAMERA = jaxgeo.FrameCamera.from_metric(focal_length=0.3, pixel_pitch=5.5e-6, width=4000, height=4000)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.fixed(), jaxgeo.Mount.forward())
 
-# The thresholds were set on made-up terrain of seed 1 and slopes of 3, 10, 20 and 30 degrees, and on Jacksboro.
-MADE_UP = {  # class: (rms slope in degrees, seed)
+# The thresholds were set on synthetic terrain of seed 1 and slopes of 3, 10, 20 and 30 degrees, and on Jacksboro.
+MADE_UP = {  # class: (RMS slope in degrees, seed)
     "smooth": [(4.0, 11), (5.0, 12)],
     "hilly": [(12.0, 13), (15.0, 14)],
     "mountainous": [(20.0, 15), (22.0, 16)],
@@ -48,7 +48,7 @@ REAL = {
 
 
 def made_up(slope: float, seed: int) -> Dem:
-    """Fractal terrain of an rms slope in degrees."""
+    """Fractal terrain of an RMS slope in degrees."""
     posts = fractal_posts(SIDE, spacing=30.0, rms_slope=np.deg2rad(slope), seed=seed)
     return on_a_plane(posts + 500.0, (30.0, 30.0))
 
@@ -65,19 +65,19 @@ def on_a_plane(posts: np.ndarray, spacing: tuple[float, float], void: np.ndarray
 
 
 def copied(dem: Dem) -> Dem:
-    """The posts of a real terrain, with their own spacing and voids, on a grid in the plane as all the others."""
+    """The posts of a real terrain, with their own spacing and voids, on a tangent plane grid like all others."""
     down, right = (float(step) for step in dem.grid.cell_size())
     rows, cols = np.asarray(dem.extent)
     return on_a_plane(np.asarray(dem.posts)[:rows, :cols], (down, right), np.asarray(dem.void)[:rows, :cols])
 
 
 def made_up_of(name: str, fresh: int = 0) -> list[Dem]:
-    """Made-up terrain of a class; with a number of its own, such as nobody has seen before."""
+    """Synthetic terrain of a class; a nonzero `fresh` gives new terrain."""
     return [made_up(slope, seed + fresh) for slope, seed in MADE_UP[name]]
 
 
 def terrains(fresh: int = 0) -> dict[str, list[Dem]]:
-    """All terrain by its class; 'set on' is the packaged one, on which thresholds were set."""
+    """All terrain by class; 'set on' is the packaged one, on which thresholds were set."""
     classes = {name: made_up_of(name, fresh) for name in MADE_UP}
     for name, file in REAL.items():
         path = pathlib.Path(DATA) / "dem" / file
@@ -89,14 +89,14 @@ def terrains(fresh: int = 0) -> dict[str, list[Dem]]:
 
 
 class Cases(NamedTuple):
-    """Poses from which the middle of an image looks at a point, and the scale of the errors."""
+    """Poses from which the image centre sees a point, and the scale of the errors."""
 
     pose: jaxgeo.Pose
     scale: np.ndarray
 
 
 def cases(dem: Dem, count: int, seed: int) -> Cases:
-    """Looks at points in the middle half of a terrain, from above its highest post."""
+    """Observations of points in the middle half of a terrain, from above its highest post."""
     rng = np.random.default_rng(seed)
     rows, cols = np.asarray(dem.extent)
     rowcol = rng.uniform(0.25, 0.75, (count, 2)) * (rows - 1, cols - 1)
@@ -120,7 +120,7 @@ def _poses(dem: Dem, rowcol: Any, azimuth: Any, depression: Any, away: Any) -> j
 
 
 def errors(scale: Any) -> ErrorModel:
-    """Attitude to 0.05 and 0.03 degrees, position to 2 and 3 m, the terrain's height to 4 m, all times a scale."""
+    """Attitude to 0.05 and 0.03 degrees, position to 2 and 3 m, terrain height to 4 m, all times a scale."""
     attitude = jnp.deg2rad(jnp.array([0.05, 0.03, 0.03]))
     parts = (attitude * scale, jnp.array([2.0, 2.0, 3.0]) * scale, jnp.array([4.0]) * scale)
     kinds = (sources.Attitude, sources.Position, sources.TerrainHeight)

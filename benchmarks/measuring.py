@@ -1,4 +1,4 @@
-"""Clocks, an idle check, memory, and tables in which every number has a unit and a direction."""
+"""Timing, idle check, memory, and tables with a unit and a direction for every number."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from typing import Any
 
 HERE = pathlib.Path(__file__).resolve().parent
 ARROWS = {"higher": "↑", "lower": "↓", "": ""}
-BUSY = 0.05  # of one core: above it the machine is called busy
+BUSY = 0.05  # of one core: above it the machine counts as busy
 PACKAGES = "jaxgeo jax jaxlib numpy scipy shareloc embreex open3d numba".split()
 
 
@@ -41,7 +41,7 @@ class Column:
 
 @dataclass
 class Table:
-    """Rows of numbers and words under columns, with notes beneath."""
+    """Rows of numbers and text under columns, with notes below."""
 
     title: str
     columns: list[Column]
@@ -66,7 +66,7 @@ class Table:
 
 
 def _plain(x: Any) -> Any:
-    """A value as JSON can hold it: no NaN, no NumPy."""
+    """A value in JSON form: no NaN, no NumPy."""
     x = x.item() if hasattr(x, "item") else x
     return None if isinstance(x, float) and not math.isfinite(x) else x
 
@@ -96,7 +96,7 @@ class Timing:
 
 
 def interleaved(runs: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Timing]:
-    """Every contender once a repeat, in turning order, so that a slow minute of the machine is shared by all."""
+    """Time every contender once per repeat, in rotating order, so that slow phases of the machine affect all."""
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     names = list(runs)
     for repeat in range(repeats):
@@ -108,14 +108,14 @@ def interleaved(runs: dict[str, Callable[[], Any]], repeats: int) -> dict[str, T
 
 
 def timed(run: Callable[[], Any]) -> tuple[Any, float]:
-    """What `run` returns and how many seconds it took."""
+    """Return value of `run` and its time in s."""
     begin = time.perf_counter()
     result = run()
     return result, time.perf_counter() - begin
 
 
 def counting(run: Callable[[], Any], spent: list[float]) -> Callable[[], Any]:
-    """A run that also notes the processor time that all its threads took, which other processes change less."""
+    """A run that also records the processor time of all its threads, which other processes affect less."""
 
     def counted() -> Any:
         begin = time.process_time()
@@ -128,7 +128,7 @@ def counting(run: Callable[[], Any], spent: list[float]) -> Callable[[], Any]:
 
 @contextlib.contextmanager
 def pinned(cpus: int) -> Iterator[bool]:
-    """All threads of the process on so many of its processors; yields whether the system can do that."""
+    """Pin all threads of the process to `cpus` processors; yields whether the system supports it."""
     if not hasattr(os, "sched_setaffinity"):
         yield False
         return
@@ -147,7 +147,7 @@ def _pin(cpus: set[int]) -> None:
 
 
 class Watch:
-    """How many cores other processes kept busy since it was made (Linux; else NaN)."""
+    """Number of cores kept busy by other processes since its creation (Linux; else NaN)."""
 
     def __init__(self) -> None:
         self.begin, self.busy, self.own = time.monotonic(), _busy_seconds(), _own_seconds()
@@ -172,7 +172,7 @@ def _own_seconds() -> float:
 
 
 def idle_check(seconds: float = 1.0) -> tuple[bool, str]:
-    """Whether the machine is idle, and the figures: load, cores used by others, share of a core that a spin gets."""
+    """Whether the machine is idle, and the figures: load, cores used by others, core share of a spinning thread."""
     watch, load = Watch(), os.getloadavg()[0]
     time.sleep(seconds)
     others = watch.others()
@@ -189,20 +189,20 @@ def idle_check(seconds: float = 1.0) -> tuple[bool, str]:
 
 
 def resident() -> int:
-    """Bytes of this process in memory now, after handing back what is free."""
+    """Resident bytes of this process, after releasing free memory."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").malloc_trim(0)
     return _status("VmRSS")
 
 
 def reset_peak() -> None:
-    """Let `peak` count from now (Linux; elsewhere it counts from the start of the process)."""
+    """Reset the `peak` counter (Linux; elsewhere it counts from the start of the process)."""
     with contextlib.suppress(OSError):
         pathlib.Path("/proc/self/clear_refs").write_text("5")
 
 
 def peak() -> int:
-    """Most bytes of this process in memory since `reset_peak`."""
+    """Peak resident bytes of this process since `reset_peak`."""
     return _status("VmHWM")
 
 
@@ -215,7 +215,7 @@ def _status(name: str) -> int:
 
 
 def in_subprocess(task: str, arguments: dict[str, Any], timeout: float) -> dict[str, Any]:
-    """What a task of `workers.py` returns from a fresh process; {'reason': ...} if it fails or takes too long."""
+    """Result of a task of `workers.py` in a fresh process; {'reason': ...} if it fails or exceeds the timeout."""
     command = [sys.executable, str(HERE / "workers.py"), task, json.dumps(arguments)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=False)
@@ -231,7 +231,7 @@ def in_subprocess(task: str, arguments: dict[str, Any], timeout: float) -> dict[
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores, memory, system and the versions of all packages in play."""
+    """Processor, cores, memory, system and the versions of all involved packages."""
     versions = {"jaxgeo": "this tree"}
     for name in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

@@ -1,4 +1,4 @@
-"""Where jaxgeo's time goes and what it meets: stragglers, bundles, the papers' searches, stages, cores, devices."""
+"""Cost breakdown of jaxgeo: stragglers, bundles, the papers' searches, stages, cores, devices."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _bundle(terrain: jobs.TangentTerrain, count: int, repeats: int) -> Table:
 
 
 def air(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
-    """The same rays straight and bent by the standard atmosphere."""
+    """The same rays straight and refracted by the standard atmosphere."""
     import jax
     from peers.ours import dem_of, rays_of
 
@@ -93,7 +93,7 @@ def air(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
 
 
 def motion(pixels: int, repeats: int) -> list[Table]:
-    """Pixels of a sweep to the ground and back: all rows from one shot, and each from its own place in a flight."""
+    """Locate and project pixels of a sweep: all rows from one shot, and each from its own trajectory position."""
     import jax
     from peers.ours import dem_of
 
@@ -124,7 +124,7 @@ def motion(pixels: int, repeats: int) -> list[Table]:
 
 
 def _beside_the_first(title: str, runs: dict[str, Callable[[], Any]], count: int, repeats: int) -> Table:
-    """Rates of several ways, as shares of that of the first."""
+    """Rates of several variants, as shares of the first one's."""
     timings, answers, others = _raced(runs, repeats)
     first = next(iter(runs))
     columns = [
@@ -144,7 +144,7 @@ def _beside_the_first(title: str, runs: dict[str, Callable[[], Any]], count: int
 
 
 def _raced(runs: dict[str, Callable[[], Any]], repeats: int) -> tuple[dict[str, measuring.Timing], dict[str, Any], str]:
-    """Interleaved timings of warm runs, what each returned first, and a note on what else the machine did."""
+    """Interleaved timings of warm runs, the first result of each, and a note on other load on the machine."""
     import jax
 
     whole = {name: lambda run=run: jax.block_until_ready(run()) for name, run in runs.items()}
@@ -155,7 +155,7 @@ def _raced(runs: dict[str, Callable[[], Any]], repeats: int) -> tuple[dict[str, 
 
 
 def searches(rays: int, repeats: int) -> list[Table]:
-    """The papers' searches on four kinds of ground, if that study is there, beside the times printed for them."""
+    """The papers' searches on four kinds of ground, if that study is available, with the times printed for them."""
     columns = [
         Column("ground"),
         Column("search"),
@@ -204,7 +204,7 @@ def _printed(study: Any, rows: list[Any]) -> Table:
 
 
 def stages(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
-    """Where a ray's time goes, as far as the public stages show it."""
+    """Time per ray by stage, as far as the public functions separate them."""
     import jax
     from peers.ours import answers, dem_of, rays_of
 
@@ -235,7 +235,7 @@ def stages(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
 
 
 def cores(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
-    """Rates with one and with as many host devices as there are cores."""
+    """Rates with one host device and with one per core."""
     columns = [
         Column("how"),
         Column("host devices"),
@@ -257,7 +257,7 @@ def cores(rays: int, repeats: int, cache: pathlib.Path) -> list[Table]:
 def device(
     kind: str | None, precision: str, most: int, repeats: int, budget_s: float, cache: pathlib.Path
 ) -> list[Table]:
-    """Rates on an accelerator and the share of its memory bandwidth; says so where it has not been run."""
+    """Rates on an accelerator and the share of its memory bandwidth; a note if it was not run."""
     columns = [
         Column("device"),
         Column("search in"),

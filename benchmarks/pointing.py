@@ -1,8 +1,8 @@
 """Speed of pointing gimbals: batches in one `vmap` and first calls of single pointings, by optimistix and by
-`FixedNewton`, beside SciPy's solver on one pointing after another.
+`FixedNewton`, against SciPy's solver on single pointings.
 
 Run: python benchmarks/pointing.py [--count 100000] [--alone 300] [--repeats 7] [--json out.json]
-Figures are medians of repeats in turning order; processor time, that of all threads, is the least of the repeats.
+Figures are medians of repeats in alternating order; processor time, that of all threads, is the minimum.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from jaxgeo.sensor import boresight_from_degrees
 from jaxgeo.sensor.root_finder import default_root_finder
 
 jaxgeo.enable_x64()
-SOLVED = 1e-9  # rad by which the line of sight may miss
+SOLVED = 1e-9  # rad, tolerance of the line of sight
 HELD = {
     "R_body_from_base": boresight_from_degrees(heading=1.0, pitch=-2.0, roll=0.5),
     "lever_body": np.array([3.0, -1.0, 0.5]),
@@ -91,7 +91,7 @@ def scene(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 @eqx.filter_jit
 def pointed(sensor: jaxgeo.Sensor, poses: Any, targets: Any, air: Any = None, solver: Any = None) -> Any:
-    """Readings, and how far off they are, of every pose and target."""
+    """Readings and pointing errors of every pose and target."""
 
     def one(pose: Any, target: Any) -> Any:
         shot = jaxgeo.Shot(jaxgeo.Pose(jaxgeo.Geodetic(lat=pose[0], lon=pose[1], height=pose[2]), *pose[3:]))
@@ -119,7 +119,7 @@ def peer(poses: np.ndarray, targets: np.ndarray) -> np.ndarray:
 
 
 def rates(count: int, alone: int, repeats: int) -> Table:
-    """Pointings a second, side by side."""
+    """Pointings per second, compared."""
     poses, targets = scene(count)
     given = jnp.asarray(poses), jnp.asarray(targets)
     ready = jax.block_until_ready
@@ -152,7 +152,7 @@ def rates(count: int, alone: int, repeats: int) -> Table:
 
 
 def agreement(alone: int) -> Table:
-    """Whether both find the same, and how many each solves: within 1e-9 rad of the target, within the limits."""
+    """Agreement of both, and the number that each solves: within 1e-9 rad of the target, within the limits."""
     poses, targets = scene(alone, seed=1)
     given = jnp.asarray(poses), jnp.asarray(targets)
     theirs, found = peer(poses, targets), pointed(SENSOR, *given)
@@ -182,7 +182,7 @@ def agreement(alone: int) -> Table:
 
 
 def solvers(count: int, repeats: int) -> Table:
-    """Every solver on the same batch: time in one `vmap`, the share that it solves, and the same readings or not."""
+    """Every solver on the same batch: time in one `vmap`, the share solved, and agreement of the readings."""
     poses, targets = scene(count, seed=2)
     given = jnp.asarray(poses), jnp.asarray(targets)
     columns = [
@@ -220,7 +220,7 @@ def solvers(count: int, repeats: int) -> Table:
 
 
 def first_calls(repeats: int) -> Table:
-    """A single pointing in a fresh process without a cache of programs: the default, and `FixedNewton`."""
+    """A single pointing in a fresh process without a compilation cache: the default, and `FixedNewton`."""
     columns = [
         Column("gimbal"),
         Column("solver"),
@@ -249,7 +249,7 @@ def first_calls(repeats: int) -> Table:
 
 
 def memory(count: int) -> Table:
-    """Peak memory of one call over that of the process before it."""
+    """Peak memory of one call above that of the process before it."""
     poses, targets = scene(count)
     given = jnp.asarray(poses), jnp.asarray(targets)
     jax.block_until_ready(pointed(SENSOR, *given))
@@ -262,7 +262,7 @@ def memory(count: int) -> Table:
 
 
 def main() -> None:
-    """Measure, print, and write it down."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--alone", type=int, default=300, help="pointings of SciPy a repeat")

@@ -1,10 +1,10 @@
-"""How fast a frame is brought onto the ground, and how truly: beside Orthority, and GDAL with rational polynomials.
+"""Speed and accuracy of rectifying a frame: against Orthority, and GDAL with rational polynomials.
 
 Run: python benchmarks/rectification.py [--repeats 5] [--json out.json]
-A real frame and its terrain are read from the folder JAXGEO_TEST_DATA; without it, a made-up frame looks down on the
-package's own terrain. The same cells, bilinear, three bands of uint8, on two cores; medians of repeats in turning
-order. In memory: from the array of the image (Orthority reads it from a file in memory) to the array on the ground, the
-terrain read before. To files: from file to file, deflated, with a mask. Orthority and GDAL leave hidden ground in.
+A real frame and its terrain are read from the folder JAXGEO_TEST_DATA; without it, a synthetic frame over the packaged
+terrain is used. Same cells, bilinear, three bands of uint8, on two cores; medians of repeats in alternating order. In
+memory: from the image array (Orthority reads it from an in-memory file) to the rectified array, terrain already loaded.
+To files: from file to file, deflated, with a mask. Orthority and GDAL do not mask occluded ground.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from jaxgeo.terrain.grid import AbstractGrid
 
 jaxgeo.enable_x64()
 DATA = pathlib.Path(os.environ.get("JAXGEO_TEST_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"))
-CORES, CHECKED, MARGIN = 2, 20_000, 2.0  # pixels from the edge, within which interpolation bends coordinates
+CORES, CHECKED, MARGIN = 2, 20_000, 2.0  # MARGIN in pixels from the edge, where interpolation distorts coordinates
 PACKAGED = pathlib.Path(jaxgeo.__file__).parent / "data" / "jacksboro.tif"
 UNDULATION = 28.3  # m
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A frame over a terrain, as every contender gets it: files, arrays, and an orientation in a map.
+    """Input of all contenders: a frame over a terrain as files, arrays, and an orientation in a map.
 
     `frame` has size (columns, rows), focal_px, xyz in the map with the height above the ellipsoid, opk in rad.
     """
@@ -71,7 +71,7 @@ class Scene:
 
 
 def scenes(folder: pathlib.Path) -> Iterator[tuple[Scene, tuple[float, ...]]]:
-    """Frames and the sizes of cells in m that they are brought to: the frame's own size, and nine times that."""
+    """Frames and output cell sizes in m: one for the frame's own size, and one for nine times that."""
     real = DATA / "ngi_block"
     make = real_frame if real.is_dir() else made_up_frame
     for finer, cells in ((1, (5.0, 2.0)), (9, (1.0,))):
@@ -81,7 +81,7 @@ def scenes(folder: pathlib.Path) -> Iterator[tuple[Scene, tuple[float, ...]]]:
 
 
 def real_frame(real: pathlib.Path, folder: pathlib.Path) -> tuple[str, str, dict[str, Any]]:
-    """The first frame, its terrain with heights above the ellipsoid, in the terrain's map."""
+    """The first frame, its terrain with ellipsoidal heights, in the terrain's map."""
     crs = pyproj.CRS(json.loads((real / "io" / "ngi_ext_param.geojson").read_text())["world_crs"])
     crs = crs.sub_crs_list[0] if crs.is_compound else crs
     with rasterio.open(real / "dem.tif") as file:
@@ -93,7 +93,7 @@ def real_frame(real: pathlib.Path, folder: pathlib.Path) -> tuple[str, str, dict
 
 
 def made_up_frame(real: pathlib.Path, folder: pathlib.Path) -> tuple[str, str, dict[str, Any]]:
-    """A frame of the same camera 5 km above the package's terrain, brought to UTM."""
+    """A synthetic frame of the same camera 5 km above the packaged terrain, in UTM."""
     crs = rasterio.CRS.from_epsg(32616)
     with rasterio.open(PACKAGED) as file:
         transform, width, height = calculate_default_transform(file.crs, crs, file.width, file.height, *file.bounds)
@@ -135,7 +135,7 @@ def _written(path: pathlib.Path, values: np.ndarray, crs: str | None = None, tra
 
 
 def grid_of(scene: Scene, transform: Affine, shape: tuple[int, int]) -> AbstractGrid:
-    """Our map from positions to the cells of a raster."""
+    """The package's grid for the cells of a raster."""
     a, b, c, d, e, f = transform[:6]
     middle = (a, b, c + a / 2.0, d, e, f + e / 2.0)
     return make_grid(scene.name, file_map(scene.name, pyproj.CRS(scene.crs), middle, shape))[0]
@@ -158,12 +158,12 @@ def exact(scene: tuple[Any, Any, Any], grid: AbstractGrid, rowcol: Any) -> Any:
 
 @eqx.filter_jit
 def located(sensor: jaxgeo.Sensor, shot: jaxgeo.Shot, uv: Any, level: jaxgeo.ConstantHeight) -> jaxgeo.Fix:
-    """Where pixels see a level."""
+    """Fixes of pixels on a level surface."""
     return jax.vmap(lambda pixel: jaxgeo.locate(sensor, shot, pixel, level))(uv)
 
 
 def polynomials(scene: Scene) -> Fit:
-    """Rational polynomials through a lattice over what the frame sees, at eight heights."""
+    """Rational polynomials fitted to a lattice over the frame's footprint, at eight heights."""
     heights = np.asarray(scene.dem.posts)[~np.asarray(scene.dem.void)]
     cols, rows = scene.frame["size"]
     uv = np.stack(np.meshgrid(np.linspace(-0.5, cols - 0.5, 21), np.linspace(-0.5, rows - 0.5, 21)), -1).reshape(-1, 2)
@@ -176,7 +176,7 @@ def polynomials(scene: Scene) -> Fit:
 
 
 def speed(scene: Scene, cell: float, folder: pathlib.Path, repeats: int) -> Table:
-    """Cells a second, side by side."""
+    """Cells per second, compared."""
     peer = Orthority(scene.image, scene.terrain, scene.crs, scene.frame)
     transform, shape = peer.raster(cell)
     grid, fit = grid_of(scene, transform, shape), polynomials(scene)
@@ -214,7 +214,8 @@ def speed(scene: Scene, cell: float, folder: pathlib.Path, repeats: int) -> Tabl
 
 
 def accuracy(scene: Scene, cell: float, folder: pathlib.Path) -> Table:
-    """Where cells are taken from, told by rectifying an image of columns and rows, against the exact projection."""
+    """Error of the cells' source coordinates, from rectifying an image of columns and rows, against exact
+    projection."""
     cols, rows = scene.frame["size"]
     coordinates = np.stack(np.meshgrid(np.arange(float(cols)), np.arange(float(rows))))
     path = _written(folder / "coordinates.tif", coordinates)
@@ -246,7 +247,7 @@ def accuracy(scene: Scene, cell: float, folder: pathlib.Path) -> Table:
 
 
 def main() -> None:
-    """Measure, print, and write it down."""
+    """Measure, print and save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--json", type=pathlib.Path, help="write the tables there as JSON")

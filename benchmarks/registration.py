@@ -1,10 +1,10 @@
-"""How often, and how well, real frames find back to their orientation from an orthophoto after their pose is disturbed.
+"""Success rate and accuracy of registering real frames to an orthophoto from a disturbed pose.
 
 Run: python benchmarks/registration.py [--disturbances 50] [--position 50] [--attitude 0.5] [--json out.json]
-Two frames of a real flight in turn, from the folder JAXGEO_TEST_DATA; position and attitude have errors drawn of so
-many m and deg along each axis. Told are: how many are registered; how far the ground then lies from that of the given
-orientation, in the middle of the image and at its corners; the share of those within 3 standard deviations foretold, of
-the ground and of the pose; and the time of one, compiled.
+Alternates between two frames of a real flight, from the folder JAXGEO_TEST_DATA; position and attitude errors are drawn
+with the given sigmas in m and deg along each axis. Reports the number of registered frames; the ground offset from the
+given orientation, at the image centre and corners; the share within 3 predicted standard deviations, for the ground and
+for the pose; and the compiled time per registration.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FRAMES = ("05_0182", "05_0184")
 
 
 def figures(trials: list[Trial], seconds: list[float]) -> dict[str, float | int]:
-    """Of all trials, and of those that were registered."""
+    """Statistics of all trials, and of the registered ones."""
     found = [one for one in trials if one.registration.accepted]
     off = np.array([one.off for one in found])
     ground = np.array([one.off_sigmas.max() for one in found])
@@ -52,7 +52,7 @@ def figures(trials: list[Trial], seconds: list[float]) -> dict[str, float | int]
 
 
 def main() -> None:
-    """Print the figures."""
+    """Run the trials and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--disturbances", type=int, default=50)
     parser.add_argument("--position", type=float, default=50.0, help="m")

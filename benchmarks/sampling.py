@@ -1,7 +1,7 @@
-"""How fast errors are sampled: perturb, locate and count of one pixel on real terrain, beside the same in NumPy.
+"""Speed of Monte Carlo sampling: perturb, locate and summarise one pixel on real terrain, compared with NumPy.
 
 Run: python benchmarks/sampling.py [--full] [--repeats 5] [--only rates,agreement,surety,doors,memory] [--json out.json]
-`--full` goes on to 1e7 samples, which takes NumPy minutes. Figures are medians of repeats in turning order.
+`--full` goes up to 1e7 samples, which takes NumPy minutes. Figures are medians of repeats in alternating order.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from jaxgeo.uncertainty import ErrorModel, Footprint, Random, Sobol, presets, so
 from jaxgeo.uncertainty.sampled import CHUNK
 
 DEVICES = 2
-jax.config.update("jax_num_cpu_devices", DEVICES)  # before anything asks JAX for its devices
+jax.config.update("jax_num_cpu_devices", DEVICES)  # before JAX initialises its devices
 jaxgeo.enable_x64()
 COUNTS = (10_000, 1_000_000, 10_000_000)
 GOAL = 10.0  # times NumPy
-TIE = 1e-3  # m: hits of the same errors that lie farther apart are ties or mistakes
+TIE = 1e-3  # m: hits of the same errors that differ by more are ties or mistakes
 SCRAMBLED = 16 * 1024
-GRAZING = {"outer": 80.0, "inner": 8.0}  # degrees: past a ridge, behind which some rays come down far away
+GRAZING = {"outer": 80.0, "inner": 8.0}  # degrees: past a ridge, behind which some rays hit far away
 CAMERA = jaxgeo.FrameCamera.from_metric(focal_length=0.075, pixel_pitch=5.5e-6, width=2400, height=4800)
 SENSOR = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
 POSE = jaxgeo.Pose.from_degrees(lat=36.318, lon=-84.105, height=5469.0, heading=160.0)
@@ -48,14 +48,14 @@ KEY = jax.random.key(0)
 
 
 def sampled(dem: jaxgeo.Dem, count: int, errors: ErrorModel = ERRORS, shot: Any = SHOT, **options: Any) -> Any:
-    """Samples of the pixel, and its circular error at 90 %, so that the statistics are timed with the rest."""
+    """Samples of the pixel, and its CE90, so that the statistics are included in the time."""
     options = {"key": KEY, **options}
     drawn = jaxgeo.uncertainty.sample(SENSOR, shot, PIXEL, dem, errors, count=count, **options)
     return drawn, drawn.circular_error(0.9)
 
 
 def scene_of(dem: jaxgeo.Dem) -> numpy_sampling.Scene:
-    """The same scene for NumPy, in plain numbers."""
+    """The same scene as plain numbers for NumPy."""
     rows, cols = (int(size) for size in np.asarray(dem.extent))
     grid: Any = dem.grid
     step, middle, centre = (np.asarray(x) for x in (grid.step, grid.rowcol0, grid.lonlat0))
@@ -74,7 +74,7 @@ def scene_of(dem: jaxgeo.Dem) -> numpy_sampling.Scene:
 
 
 def rates(dem: jaxgeo.Dem, counts: tuple[int, ...], repeats: int) -> list[Table]:
-    """Samples a second, side by side."""
+    """Samples per second, compared."""
     scene, two, one = scene_of(dem), jax.devices(), jax.devices()[:1]
     columns = [Column("contender"), Column("samples"), Column("time", "ms", "lower"), Column("spread", "%", "lower")]
     columns += [Column("rate", "samples/s", "higher"), Column("rate over NumPy's", "times", "higher")]
@@ -104,7 +104,7 @@ def rates(dem: jaxgeo.Dem, counts: tuple[int, ...], repeats: int) -> list[Table]
 
 
 def agreement(dem: jaxgeo.Dem, count: int = 10_000) -> list[Table]:
-    """Whether both answer the same: hits of the same errors, and circular errors of other draws."""
+    """Agreement of both: hits for the same errors, and circular errors for independent draws."""
     scene = scene_of(dem)
     drawn, circular = sampled(dem, count, keep=True)
     normals = jax.vmap(lambda number: Random().standard_normal(KEY, number, ERRORS.size))(np.arange(count))
@@ -124,7 +124,7 @@ def agreement(dem: jaxgeo.Dem, count: int = 10_000) -> list[Table]:
 
 
 def surety(dem: jaxgeo.Dem, keys: int = 200, truth: int = 2**22) -> list[Table]:
-    """How far CE90 of some samples lies from that of very many, and how often its interval holds that."""
+    """Error of CE90 from few samples against very many, and the coverage of its confidence interval."""
     grazing = jaxgeo.Shot(POSE, SENSOR.gimbal.readings_from_degrees(**GRAZING))
     columns = [Column("ground"), Column("draws"), Column("samples, mean"), Column("spread of CE90", "%", "lower")]
     columns += [Column("mean less truth", "%"), Column("intervals that hold it", "%", "higher")]
@@ -153,7 +153,7 @@ def surety(dem: jaxgeo.Dem, keys: int = 200, truth: int = 2**22) -> list[Table]:
 
 
 def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
-    """Warm latency of what is asked about one pixel."""
+    """Warm latency of the public functions for one pixel."""
     from jaxgeo.uncertainty import accuracy, budget, propagate
 
     look = (SENSOR, SHOT, PIXEL, dem)
@@ -185,7 +185,7 @@ def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
 
 
 def memory(counts: tuple[int, ...]) -> list[Table]:
-    """Peak memory of sampling, each count in a process of its own."""
+    """Peak memory of sampling, each count in its own process."""
     columns = [Column("samples"), Column("peak over a warm process", "MB", "lower")]
     columns += [Column("less 8 bytes a sample", "MB", "lower"), Column("while CE90 is asked for", "MB", "lower")]
     table = Table("Memory of sampling one figure", columns)
@@ -199,7 +199,7 @@ def memory(counts: tuple[int, ...]) -> list[Table]:
 
 
 def memory_of(count: int) -> list[int]:
-    """Bytes at the peak over those held before: while samples are drawn, and while a quantile is asked for."""
+    """Peak bytes above those held before: while drawing samples, and while computing a quantile."""
     dem = jaxgeo.io.example_dem()
     sampled(dem, 2 * CHUNK, figures=("CE",))
     before = measuring.resident()
@@ -212,7 +212,7 @@ def memory_of(count: int) -> list[int]:
 
 
 def main() -> None:
-    """Measure what was asked for, print it, and write it down."""
+    """Run the selected measurements, print and save them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="rates,agreement,surety,doors,memory")
     parser.add_argument("--full", action="store_true", help="up to 1e7 samples")

@@ -1,7 +1,7 @@
-"""Rays on terrain, measured: jaxgeo beside its peers, how its cost grows, and where it goes. Tables have units.
+"""Ray/terrain intersection benchmarks: jaxgeo against its peers, scaling, and cost breakdown. Tables have units.
 
 Run: python benchmarks/terrain.py [--only a,b] [--rays 100000] [--repeats 5] [--json out.json] [--markdown out.md]
-The peers come with `pip install -e '.[bench]'`; one that is missing is skipped, and the table says why.
+The peers come with `pip install -e '.[bench]'`; a missing one is skipped, and the table gives the reason.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # no contender's idle threads may spin while another is timed
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # idle threads of one contender must not spin while another runs
 
 import comparison
 import growing
@@ -64,7 +64,7 @@ def _options() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measure what was asked for, print it, and write it down."""
+    """Run the selected measurements, print and save them."""
     o = _options()
     sides = [int(side) for side in o.side.split(",")]
     tasks: dict[str, Callable[[], list[measuring.Table]]] = {

@@ -1,11 +1,11 @@
-"""Is the cheapest trusted method right? Verdicts without samples, judged by samples on terrain they were not set on.
+"""Validation of the automatic method selection: sampling-free predictions against samples on independent terrain.
 
-Looks are drawn over made-up and real terrain: every azimuth, 8 to 60 degrees down, 6 to 50 km away, errors 0.15 to 3
-times those of a good sensor. Each is predicted without a sample, then sampled. `--coverage` asks another question: of
-simulated measurements, how often does the truth lie within the CE90 that is stated about the erroneous fix?
+Observations are drawn over synthetic and real terrain: every azimuth, 8 to 60 degrees down, 6 to 50 km away, errors
+0.15 to 3 times those of a good sensor. Each is predicted without samples, then sampled. `--coverage` measures instead
+how often the truth lies within the stated CE90 about the erroneous fix, in simulated measurements.
 
-Run: python benchmarks/method_selection.py [--targets 60] [--fresh 0] [--output roc.png]
-     python benchmarks/method_selection.py --coverage [--targets 1000] [--fresh 0]
+Run: python benchmarks/verdict.py [--targets 60] [--fresh 0] [--output roc.png]
+     python benchmarks/verdict.py --coverage [--targets 1000] [--fresh 0]
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.uncertainty import Level, Method, method_selection
 from jaxgeo.uncertainty.linear import propagated
 
-LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # of agreement, for the trade-off
-RIGHT, WRONG = 0.10, 0.25  # of the samples' circular error
+LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # agreement thresholds of the trade-off
+RIGHT, WRONG = 0.10, 0.25  # relative to the samples' circular error
 
 
-# Verdicts against samples.
+# Predictions against samples.
 
 
 class Judged(NamedTuple):
-    """Looks with a fix: their signs, and the circular error at 90 % over level ground and by samples, m."""
+    """Observations with a fix: their diagnostics, and CE90 over level ground and by samples, m."""
 
     signs: method_selection.Diagnostics
     level: np.ndarray
@@ -49,7 +49,7 @@ class Judged(NamedTuple):
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(0, 0, None))
 def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selection.Diagnostics, Any, Any]:
-    """(signs, circular error over level ground, whether there is a fix)."""
+    """(diagnostics, circular error over level ground, whether there is a fix)."""
     look, model = look_from(pose, terrain), errors(scale)
     aim = look.nominal_fix(FIRST_HIT)
     level = propagated(look, aim, model, Level()).circular_error(0.9)
@@ -57,7 +57,7 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selec
 
 
 def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
-    """Looks at a terrain, predicted and sampled."""
+    """Observations of a terrain, predicted and sampled."""
     drawn = cases(dem, count, seed)
     signs, level, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
     truth = [
@@ -72,7 +72,7 @@ def joined(parts: list[Any]) -> Any:
 
 
 def off(figure: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """By what share a circular error is off that of samples; 1 where those are infinite."""
+    """Relative difference of a circular error from the sampled one; 1 where that is infinite."""
     return np.abs(np.where(np.isfinite(truth), figure / truth, 0.0) - 1.0)
 
 
@@ -118,7 +118,7 @@ def caught_row(name: str, all_of: Judged) -> list[Any]:
 
 
 def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
-    """(agreement asked for, % caught, % flagged wrongly, % sent to samples), with that in height in proportion."""
+    """(agreement threshold, % caught, % flagged wrongly, % sent to samples); height thresholds in proportion."""
     miss, kept = (
         off(np.asarray(all_of.signs.facet), all_of.truth),
         (method_selection.AGREEMENT, method_selection.AGREEMENT_UP),
@@ -137,7 +137,7 @@ def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
 
 
 def study(targets: int, samples: int, output: pathlib.Path | None, fresh: int) -> list[Table]:
-    """Verdicts on every terrain against samples."""
+    """Predictions on every terrain against samples."""
     found: dict[str, Judged] = {}
     for number, (name, dems) in enumerate(terrains(fresh).items()):
         parts = [judged(dem, targets, samples, seed=fresh + 100 * number + k) for k, dem in enumerate(dems)]
@@ -180,9 +180,9 @@ def draw(rates: list[tuple[float, float, float, float]], output: pathlib.Path) -
 
 
 class Measured(NamedTuple):
-    """A simulated measurement: its pose, and the error of its terrain, m; whether it and the truth are fixes.
+    """A simulated measurement: its pose, the terrain error, m, and whether it and the truth are fixes.
 
-    `facet` and `footprint` are circular errors stated at 90 %, `away` how far the truth lies from the measured fix, m.
+    `facet` and `footprint` are the stated CE90, `away` the distance of the truth from the measured fix, m.
     """
 
     pose: jaxgeo.Pose
@@ -197,7 +197,7 @@ class Measured(NamedTuple):
 @eqx.filter_jit
 @eqx.filter_vmap(in_axes=(0, 0, 0, 0, None))
 def measured(pose: jaxgeo.Pose, pixel: Any, scale: Any, key: Any, terrain: Dem) -> Measured:
-    """What is measured with drawn errors in a true pose and over a terrain that is true, and what is stated of it."""
+    """The measurement with random errors of a true pose over true terrain, and its stated accuracy."""
     true, model = look_from(pose, terrain, pixel), errors(scale)
     error = model.factor() @ jax.random.normal(key, (model.size,))
     moved = look_from(model.moved(true, error).pose, raised_by(terrain, error[-1]), pixel)
@@ -216,7 +216,7 @@ def raised_by(terrain: Dem, height: Any) -> Dem:
 def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
     """(trust, whether the truth lies within the CE90 stated about the measured fix) of simulated measurements.
 
-    The pixel is any of the image: a look at a chosen point of the ground would know where ridges are.
+    The pixel is random: pointing at a chosen ground point would depend on the ridges.
     """
     drawn, terrain = cases(terrain, count, seed), terrain.with_field(ConstantField(jnp.asarray(0.0)))
     pixels = np.random.default_rng(seed + 1).uniform(0.0, 2.0 * PIXEL, (count, 2))
@@ -232,7 +232,7 @@ def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
 
 
 def coverage(targets: int, samples: int, fresh: int) -> Table:
-    """How often the truth lies within the stated circle, for classes of made-up terrain."""
+    """Coverage of the stated circle, for classes of synthetic terrain."""
     columns = [Column("terrain"), Column("cases"), Column("truth within CE90", "%"), Column("from", "%")]
     columns += [Column("to", "%"), Column("by the facet", "%"), Column("by the footprint", "%")]
     columns += [Column("by samples", "%"), Column("sent to samples", "%", "lower")]
@@ -251,7 +251,7 @@ def coverage(targets: int, samples: int, fresh: int) -> Table:
 
 
 def binomial_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a share."""
+    """Clopper-Pearson interval of a share."""
     aside = 0.5 * (1.0 - confidence)
     low = scipy.special.betaincinv(hits, count - hits + 1, aside) if hits else 0.0
     high = scipy.special.betaincinv(hits + 1, count - hits, 1.0 - aside) if hits < count else 1.0
@@ -259,7 +259,7 @@ def binomial_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[
 
 
 def main() -> None:
-    """Judge, and print the tables."""
+    """Run the study and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--coverage", action="store_true", help="how often the truth lies within the stated circle")
     parser.add_argument("--targets", type=int, help="looks at each terrain (60), or cases of each class (1000)")

@@ -1,4 +1,4 @@
-"""Measurements that need a process of their own. Run: python workers.py TASK '{...}'; prints a line of JSON."""
+"""Measurements that need a separate process. Run: python workers.py TASK '{...}'; prints a line of JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import peers
 
 
 def memory(peer: str, rays: int, cache: str) -> dict[str, Any]:
-    """Peak memory of one peer over what was there before: to prepare the terrain, and for a warm batch."""
+    """Peak memory of one peer above the baseline: to prepare the terrain, and for a warm batch."""
     job = jobs.mountain_job(rays, pathlib.Path(cache), with_reference=False)
     contender = peers.make(peer)
     before = measuring.resident()
@@ -33,7 +33,7 @@ def memory(peer: str, rays: int, cache: str) -> dict[str, Any]:
 
 
 def building(posts: str, spacing: float) -> dict[str, float]:
-    """Memory in multiples of the posts' bytes: at the peak of building a Dem from posts in memory, and kept by it."""
+    """Memory as multiples of the posts' bytes: the peak while building a Dem from posts in memory, and kept by it."""
     import jax
     from peers.ours import dem_of
 
@@ -49,7 +49,7 @@ def building(posts: str, spacing: float) -> dict[str, float]:
 
 
 def batches(posts: str, spacing: float, rays: list[int], repeats: int, budget_s: float) -> dict[str, Any]:
-    """ns a ray and memory of jaxgeo over posts kept in a file, for growing batches until the time is spent."""
+    """ns per ray and memory of jaxgeo over posts kept in a file, for growing batches until the time budget is spent."""
     import jax
     from peers.ours import answers, dem_of, rays_of
 
@@ -76,7 +76,7 @@ def batches(posts: str, spacing: float, rays: list[int], repeats: int, budget_s:
 
 
 def cores(devices: int, rays: int, repeats: int, cache: str) -> dict[str, Any]:
-    """M rays/s by plain vmap, by threads over chunks, and by shard_map over so many host devices."""
+    """M rays/s by plain vmap, by threads over chunks, and by shard_map over `devices` host devices."""
     import jax
 
     if devices > 1:
@@ -111,7 +111,7 @@ def cores(devices: int, rays: int, repeats: int, cache: str) -> dict[str, Any]:
 
 
 def device(kind: str, precision: str, rays: list[int], repeats: int, budget_s: float, cache: str) -> dict[str, Any]:
-    """M rays/s on a device for growing batches, and the bandwidth of a copy of 1 GiB there."""
+    """M rays/s on a device for growing batches, and the bandwidth of a 1 GiB copy on it."""
     import jax
     import jax.numpy as jnp
     from peers.ours import dem_of, rays_of
@@ -147,7 +147,7 @@ def device(kind: str, precision: str, rays: list[int], repeats: int, budget_s: f
 
 
 def _search(precision: str) -> Any:
-    """The first-hit search in that precision. Raises `SystemExit` in words if it has no such choice."""
+    """The first-hit search in that precision. Raises `SystemExit` with a message if it has no such option."""
     import jaxgeo
 
     if precision == "float64":

@@ -23,11 +23,11 @@ FILES = {
 
 @dataclass(frozen=True)
 class Facts:
-    """What a reader must know of a peer to compare it.
+    """Facts needed to compare a peer.
 
-    `package` is the distribution whose version is printed, `input` what the timed call is given, `frame` where it
-    works, `precision` of its arithmetic, `surface` what it intersects (`bilinear`, `chords` or `triangles`) and
-    `threads` how many it can use in one call.
+    `package` is the distribution whose version is printed, `input` the argument of the timed call, `frame` its working
+    frame, `precision` of its arithmetic, `surface` the intersected surface (`bilinear`, `chords` or `triangles`) and
+    `threads` the number it can use in one call.
     """
 
     package: str
@@ -40,32 +40,32 @@ class Facts:
 
 
 class Peer(abc.ABC):
-    """One intersector: a terrain is prepared, rays are loaded in its own terms, and only `run` is timed."""
+    """One intersector: prepare a terrain, load rays in its own form, and time only `run`."""
 
     facts: Facts
 
     @abc.abstractmethod
     def prepare(self, terrain: TangentTerrain) -> None:
-        """Build what is needed once for a terrain."""
+        """One-time setup for a terrain."""
 
     @abc.abstractmethod
     def load(self, sight: Sight) -> None:
-        """Put rays into the form that `run` takes; not timed."""
+        """Convert rays to the input of `run`; not timed."""
 
     @abc.abstractmethod
     def run(self) -> object:
-        """Intersect the loaded rays; whole when it returns."""
+        """Intersect the loaded rays; complete on return."""
 
     @abc.abstractmethod
     def ranges(self, answer: object) -> np.ndarray:
-        """Ranges in m along the rays from an answer of `run`, NaN where there is none; not timed."""
+        """Ranges in m along the rays from an answer of `run`, NaN for misses; not timed."""
 
     def own_surface(self) -> np.ndarray | None:
-        """Exact ranges of the loaded rays to the peer's own surface if that is not the bilinear one."""
+        """Exact ranges of the loaded rays to the peer's own surface if it is not the bilinear one."""
         return None
 
     def version(self) -> str:
-        """Version of the package behind it."""
+        """Version of the underlying package."""
         try:
             return importlib.metadata.version(self.facts.package)
         except importlib.metadata.PackageNotFoundError:
@@ -73,7 +73,7 @@ class Peer(abc.ABC):
 
 
 def make(name: str) -> Peer:
-    """The peer of that name. Raises `ImportError` or `OSError` if what it needs is not there."""
+    """The peer of that name. Raises `ImportError` or `OSError` if its requirements are missing."""
     module, kind = FILES[name]
     return getattr(importlib.import_module(f"peers.{module}"), kind)()
 
@@ -86,12 +86,12 @@ def cell_tops(posts: np.ndarray) -> np.ndarray:
 
 
 def along(sight: Sight, p_ecef: np.ndarray) -> np.ndarray:
-    """Ranges in m of the points of the rays that are nearest to ECEF points (n, 3)."""
+    """Ranges in m of the points on the rays nearest to ECEF points (n, 3)."""
     return np.sum((p_ecef - sight.origin) * sight.direction, axis=-1)
 
 
 def mesh_of(terrain: TangentTerrain) -> tuple[np.ndarray, np.ndarray]:
-    """Posts in east, north, up of the terrain's middle, (rows, cols, 3) float32, and two triangles a cell (n, 3)."""
+    """Posts in east, north, up of the terrain's centre, (rows, cols, 3) float32, and two triangles per cell (n, 3)."""
     rows, cols = terrain.posts.shape
     rowcol = np.stack(np.meshgrid(np.arange(rows, dtype=float), np.arange(cols, dtype=float), indexing="ij"), axis=-1)
     vertices = to_enu(terrain, terrain.position(rowcol, terrain.posts)).astype(np.float32)
@@ -102,5 +102,5 @@ def mesh_of(terrain: TangentTerrain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_enu(terrain: TangentTerrain, p_ecef: np.ndarray) -> np.ndarray:
-    """East, north, up in m from the ellipsoid's point under the middle of the terrain."""
+    """East, north, up in m from the ellipsoid point below the terrain's centre."""
     return (p_ecef - terrain.position(terrain.middle, np.array(0.0))) @ terrain.axes.T

@@ -1,7 +1,7 @@
-"""Two blocks of images as plain NumPy arrays, which any bundle adjustment can take: a simulated one and a BAL file.
+"""Bundle blocks as plain NumPy arrays, for any bundle adjustment: a simulated one and a BAL file.
 
-Camera frame: right, down, forward. `uv` are (column, row) in px and follow from x = X/Z, y = Y/Z, r2 = x^2 + y^2 by
-u = cx + f x (1 + k1 r2 + k2 r2^2) and v likewise: pycolmap's RADIAL, OpenCV's with two terms.
+Camera frame: right, down, forward. `uv` are (column, row) in px: with x = X/Z, y = Y/Z, r2 = x^2 + y^2, u = cx + f x (1
++ k1 r2 + k2 r2^2) and v likewise: pycolmap's RADIAL, OpenCV's with two terms.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 WIDTH, HEIGHT = 10_000, 8_000  # px
-ABOVE = 500.0  # m, over the middle height of the ground
-GROUND = 150.0  # m, the middle height of the ground, which rises and falls by 50 m
-REACH = 75.0  # m, half the side of the area of the points, and of that of the nadir cameras
+ABOVE = 500.0  # m, above the mean height of the ground
+GROUND = 150.0  # m, mean height of the ground, which varies by 50 m
+REACH = 75.0  # m, half side of the area of the points, and of that of the nadir cameras
 CIRCLE = 250.0  # m, radius of the circle of the oblique cameras
 NOISE = 0.3  # px
 
 
 @dataclass(frozen=True)
 class Pos:
-    """Observed centres (n, 3) in m and attitudes (n, 3, 3), with a sigma in m and in rad that holds for every axis."""
+    """Observed centres (n, 3) in m and attitudes (n, 3, 3), with a sigma in m and in rad valid for every axis."""
 
     centres: np.ndarray
     R_world_from_camera: np.ndarray
@@ -35,10 +35,10 @@ class BlockProblem:
     """Starting values and image measurements of a block.
 
     `centres` (n, 3), `R_world_from_camera` (n, 3, 3), `points` (m, 3) and `cameras` (c, 5), which are f, cx, cy, k1,
-    k2, are the unknowns; cx and cy only where `principal_point_free`. `camera` (n,) is the camera of every image.
-    `image`, `point` (k,) and `uv` (k, 2) are the measurements, sorted by point, with standard deviation `sigma` in px.
-    `pos` are observations of the images themselves; without them the block may be shifted, turned and scaled freely.
-    `truth` is the block without errors, where it is known.
+    k2, are the unknowns; cx and cy only if `principal_point_free`. `camera` (n,) is the camera of every image. `image`,
+    `point` (k,) and `uv` (k, 2) are the measurements, sorted by point, with standard deviation `sigma` in px. `pos` are
+    observations of the images; without them the block has no datum (shift, rotation, scale). `truth` is the block
+    without errors, if known.
     """
 
     centres: np.ndarray
@@ -55,11 +55,11 @@ class BlockProblem:
     truth: BlockProblem | None = None
 
     def projected(self) -> np.ndarray:
-        """Image points (k, 2) in px of all measurements, by the present values."""
+        """Image points (k, 2) in px of all measurements, at the current values."""
         return self.depth_and_uv()[1]
 
     def depth_and_uv(self) -> tuple[np.ndarray, np.ndarray]:
-        """Depths (k,) in front of the cameras and image points (k, 2) in px, by the present values."""
+        """Depths (k,) in front of the cameras and image points (k, 2) in px, at the current values."""
         ray_world = self.points[self.point] - self.centres[self.image]
         ray_camera = np.einsum("kij,ki->kj", self.R_world_from_camera[self.image], ray_world)
         f, cx, cy, k1, k2 = self.cameras[self.camera[self.image]].T
@@ -79,11 +79,11 @@ class BlockProblem:
 
 
 def simulated(images: int = 50, points: int = 4000, seed: int = 0) -> BlockProblem:
-    """A block in which every image sees every point: nadir flight lines and, for two images in five, an oblique circle.
+    """A block in which every image sees every point: nadir strips and, for two images in five, an oblique circle.
 
-    One camera, of which f, cx, cy, k1 and k2 are free. Observations of the images: 0.1 m and 0.02 deg on every axis.
-    Starting values are off by 0.3 m and 0.02 deg for images and by 1 m for points, on every axis, and have no
-    distortion. Raises `ValueError` if a point does not fall into an image.
+    One camera with f, cx, cy, k1 and k2 free. Observations of the images: 0.1 m and 0.02 deg on every axis. Starting
+    values are off by 0.3 m and 0.02 deg for images and by 1 m for points, on every axis, and have no distortion. Raises
+    `ValueError` if a point does not fall into an image.
     """
     rng = np.random.default_rng(seed)
     centres, R_world_from_camera = _flown(images)
@@ -121,10 +121,10 @@ def simulated(images: int = 50, points: int = 4000, seed: int = 0) -> BlockProbl
 
 
 def bal(path: str | pathlib.Path) -> BlockProblem:
-    """A problem of "Bundle Adjustment in the Large" (Agarwal et al. 2010), plain or packed by bzip2.
+    """A problem of "Bundle Adjustment in the Large" (Agarwal et al. 2010), plain or bzip2-compressed.
 
-    Every image has a camera of its own with f, k1 and k2 free. The file's camera frame is right, up, backward: y and z
-    are turned round, and the row in the image with them. sigma is 1 px, so that costs compare with published ones.
+    Every image has its own camera with f, k1 and k2 free. The file's camera frame is right, up, backward: y and z are
+    negated, and so is the row in the image. sigma is 1 px, so that costs compare with published ones.
     """
     path = pathlib.Path(path)
     raw = path.read_bytes()
@@ -161,7 +161,7 @@ def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
 
 
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) in rad of matrices (n, 3, 3) that turn by less than half a circle."""
+    """Rotation vectors (n, 3) in rad of matrices (n, 3, 3) with angles below pi."""
     m = matrices
     twice_sine = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
     length = np.linalg.norm(twice_sine, axis=1)
@@ -170,7 +170,7 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
 
 
 def _flown(images: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 3), east, north, up, and attitudes (n, 3, 3): lines to and fro, then a circle looking inwards."""
+    """Centres (n, 3), east, north, up, and attitudes (n, 3, 3): alternating strips, then a circle looking inwards."""
     oblique = 2 * images // 5
     nadir = images - oblique
     lines = max(1, round(np.sqrt(nadir)))

@@ -1,9 +1,9 @@
-"""Bundle adjustment by Ceres, compiled: pycolmap builds the problem with its own costs and manifolds, Ceres solves it.
+"""Bundle adjustment by compiled Ceres: pycolmap builds the problem with its own costs and manifolds, Ceres solves it.
 
-`solve` goes through pyceres, whose Ceres takes any solver and tolerance, and observes the images if the problem has
-such observations; `solve_two_fixed` is pycolmap's own adjustment, which holds two images instead. Ceres sees residuals
-in px: observations of images are weighted beside them, and costs and covariances are put into the unit of sigma
-afterwards. Seconds are those that Ceres counts; building the problem in Python is not among them.
+`solve` uses pyceres, whose Ceres accepts any solver and tolerance, and adds observations of the images if the problem
+has them; `solve_two_fixed` is pycolmap's own adjustment, which fixes the datum by two images instead. Ceres gets
+residuals in px: observations of images are weighted accordingly, and costs and covariances are converted to units of
+sigma afterwards. Times are those reported by Ceres; they exclude building the problem in Python.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ except ImportError as error:
     ) from error
 
 DENSE, SPARSE = pyceres.LinearSolverType.DENSE_SCHUR, pyceres.LinearSolverType.SPARSE_SCHUR
-CERES_TOLERANCE = 1e-6  # Ceres's default: the cost changes by less than this part of itself
+CERES_TOLERANCE = 1e-6  # Ceres's default: relative change of the cost
 MODEL = "RADIAL"  # f, cx, cy, k1, k2
 
 
@@ -44,22 +44,22 @@ class Built(NamedTuple):
         return self.adjuster.problem
 
     def pose(self, image: int) -> np.ndarray:
-        """The seven numbers of an image that Ceres changes: (x, y, z, w) and translation of camera from world."""
+        """The seven pose parameters of an image in Ceres: (x, y, z, w) and translation of camera from world."""
         return self.reconstruction.image(image + 1).frame.rig_from_world.params
 
     def point(self, point: int) -> np.ndarray:
-        """The three numbers of a point that Ceres changes."""
+        """The three parameters of a point in Ceres."""
         return self.reconstruction.point3D(point + 1).xyz
 
 
 def solve(
     problem: BlockProblem, threads: int = 2, tolerance: float = CERES_TOLERANCE, linear_solver: Any = DENSE
 ) -> dict[str, Any]:
-    """The adjusted block and how Ceres found it, by pyceres; `tolerance` is relative, of the cost.
+    """The adjusted block and Ceres's statistics, by pyceres; `tolerance` is relative, of the cost.
 
-    Keys: `cost_start` and `cost` (half the weighted sum of squares), `iterations` (steps worked out: the last one, if
-    it meets the tolerance, is not gone), `jacobians` (how often it was evaluated), `seconds` of the whole solver and of
-    its parts `preprocessor`, `minimizer`, `linear_solver`, `jacobian`, `residual`, `processor` (processor time of all
+    Keys: `cost_start` and `cost` (half the weighted sum of squares), `iterations` (computed steps: the last one, if it
+    meets the tolerance, is not applied), `jacobians` (number of evaluations), `seconds` of the whole solver and of its
+    parts `preprocessor`, `minimizer`, `linear_solver`, `jacobian`, `residual`, `processor` (processor time of all
     threads in s), `threads` used, `structure` of the Schur complement, `message` and `block`.
     """
     built = build(problem, threads)
@@ -74,7 +74,7 @@ def solve(
 def solve_two_fixed(
     problem: BlockProblem, threads: int = 2, tolerance: float = CERES_TOLERANCE, linear_solver: Any = DENSE
 ) -> dict[str, Any]:
-    """The same by pycolmap's own adjustment: images are not observed, but one is held, and the distance of another."""
+    """The same by pycolmap's own adjustment: no image observations; one image is fixed, and the distance of another."""
     problem = replace(problem, pos=None)
     built = build(problem, threads, tolerance, linear_solver, holds_two=True)
     begin = time.process_time()
@@ -83,12 +83,12 @@ def solve_two_fixed(
 
 
 def covariance(problem: BlockProblem, threads: int = 2) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-    """Covariances at the block's present values, of images (n, 6, 6) and points (m, 3, 3), by `ceres::Covariance`.
+    """Covariances at the block's current values, of images (n, 6, 6) and points (m, 3, 3), by `ceres::Covariance`.
 
     Images: rotation about the camera's right, down and forward in rad, then the centre in m. All other unknowns are
-    free. Returns wall and processor time in s as well. A block without observations of its images has two of them held,
-    which are NaN. Takes minutes for thousands of points: it works out a column of the inverse for each coordinate.
-    Raises `ArithmeticError` if Ceres cannot tell: the normal matrix is singular.
+    free. Returns wall and processor time in s as well. A block without observations of its images has two of them
+    fixed, which are NaN. Takes minutes for thousands of points: it computes a column of the inverse for each
+    coordinate. Raises `ArithmeticError` if Ceres fails because the normal matrix is singular.
     """
     built = build(problem, threads, holds_two=problem.pos is None)
     options = pyceres.CovarianceOptions()
@@ -113,7 +113,7 @@ def covariance(problem: BlockProblem, threads: int = 2) -> tuple[np.ndarray, np.
 
 
 def covariance_points_alone(problem: BlockProblem, threads: int = 2) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-    """The same by pycolmap's Schur complement, whose points are as if images and cameras were known without error."""
+    """The same by pycolmap's Schur complement, whose point covariances treat images and cameras as error-free."""
     built = build(problem, threads, holds_two=problem.pos is None)
     options = pycolmap.BACovarianceOptions(params=pycolmap.BACovarianceOptionsParams.POSES_AND_POINTS)
 
@@ -161,7 +161,7 @@ def covariance_by_blocks(problem: BlockProblem, threads: int = 2) -> tuple[np.nd
 
 
 def _eliminated(by_others: Any, by_points: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (c, c) of images and cameras and (m, 3, 3) of points, of the Jacobian's two parts."""
+    """Covariances (c, c) of images and cameras and (m, 3, 3) of points, from the two parts of the Jacobian."""
     V = (by_points.T @ by_points).tobsr((3, 3)).data
     W = (by_others.T @ by_points).toarray()
     Y = np.linalg.solve(V, W.T.reshape(len(V), 3, -1))
@@ -183,7 +183,7 @@ def build(
     *,
     holds_two: bool = False,
 ) -> Built:
-    """The problem as pycolmap builds it, with the observations of the images added; not timed."""
+    """The problem as built by pycolmap, with the observations of the images added; not timed."""
     options = pycolmap.BundleAdjustmentOptions()
     options.refine_principal_point = problem.principal_point_free
     options.print_summary = False
@@ -217,7 +217,7 @@ def _adjuster(reconstruction: Any, options: Any, holds_two: bool) -> Any:
 
 
 def _reconstruction(problem: BlockProblem) -> Any:
-    """Numbers of pycolmap count from one."""
+    """The block as a pycolmap reconstruction, whose ids start at one."""
     block = pycolmap.Reconstruction()
     for number, values in enumerate(problem.cameras):
         size = np.ceil(2.0 * np.max(np.abs(problem.uv), axis=0)).astype(int)  # only for its record
@@ -254,7 +254,7 @@ def _observe(problem: BlockProblem, built: Built) -> None:
         built.ceres.add_residual_block(cost, None, [built.pose(number)])
 
 
-# What came out.
+# Results.
 
 
 def _report(problem: BlockProblem, built: Built, summary: Any, processor: float) -> dict[str, Any]:
@@ -291,10 +291,10 @@ def _adjusted(problem: BlockProblem, built: Built) -> BlockProblem:
 
 
 def _poses(problem: BlockProblem, found: list[Any]) -> np.ndarray:
-    """Covariances of rotation about camera axes and centre, of Ceres's tangents of camera from world.
+    """Covariances of rotation about camera axes and centre, from Ceres's tangents of camera from world.
 
-    Ceres's step of a quaternion is half the rotation vector, and turns the world in the camera's frame: the camera
-    turns the other way. The centre is -R^T t.
+    Ceres's quaternion step is half the rotation vector, and rotates the world in the camera's frame: the camera rotates
+    the other way. The centre is -R^T t.
     """
     cov = np.full((len(found), 6, 6), np.nan)
     for k, tangent in enumerate(found):

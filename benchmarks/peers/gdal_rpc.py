@@ -1,4 +1,4 @@
-"""GDAL's warp by rational polynomials that were fitted to a frame, over a DEM."""
+"""GDAL's warp by rational polynomials fitted to a frame, over a DEM."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rasterio.rpc import RPC
 from rasterio.transform import Affine
 from rasterio.warp import reproject
 
-ROUNDS = 5  # of weights by the denominator, after which a fit stands still
+ROUNDS = 5  # of reweighting by the denominator, until the fit converges
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Rational polynomials, and by how many pixels they are off on the lattice: RMS and the largest."""
+    """Rational polynomials, and their errors in px on the lattice: RMS and maximum."""
 
     rpc: RPC
     rms: float
@@ -26,7 +26,7 @@ class Fit:
 
 
 def fitted(ground: np.ndarray, uv: np.ndarray) -> Fit:
-    """Rational polynomials of third degree through (longitude, latitude in deg, height in m) and (column, row)."""
+    """Third-degree rational polynomials fitted to (longitude, latitude in deg, height in m) and (column, row)."""
     centre, scale = _normal_of(ground)
     offset, size = _normal_of(uv)
     terms = _terms(((ground - centre) / scale).T)
@@ -64,7 +64,7 @@ def _terms(place: np.ndarray) -> np.ndarray:
 
 
 def _ratio(terms: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(numerator, denominator, what they make) of a ratio of polynomials, weighted by its own denominator."""
+    """(numerator, denominator, fitted values) of a ratio of polynomials, weighted by its own denominator."""
     weight = np.ones(len(value))
     top = bottom = np.zeros(20)
     for _ in range(ROUNDS):
@@ -78,7 +78,7 @@ def _ratio(terms: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def warped(
     values: np.ndarray, rpc: RPC, terrain: str, crs: str, transform: Affine, shape: tuple[int, int], threads: int
 ) -> np.ndarray:
-    """The image on the ground (bands, rows, cols), bilinear, with GDAL's own approximation of an eighth of a pixel."""
+    """The rectified image (bands, rows, cols), bilinear, with GDAL's own approximation of an eighth of a pixel."""
     found = np.zeros((len(values), *shape), values.dtype)
     how: dict[str, Any] = {"RPC_DEM": terrain, "RPC_DEMINTERPOLATION": "bilinear"}
     with warnings.catch_warnings():

@@ -1,9 +1,9 @@
 """Compiled float64 kernels: tracks of rays over the grid, a walk over every cell, and a test of every triangle.
 
-Positions are (row, col, height) with posts at integers, height in m. A track is a polynomial of degree 5 in
-tau in [-1, 1], `coefficients` (power, quantity), exact to some 1e-11 of a cell over 20 km. The walk goes through the
-cells along straight pieces of at most `PIECE` cells of it, and settles every cell that is not cleared by `MARGIN` with
-the polynomial itself: borders by Newton, the bilinear patch by a parabola, the root by bisection and Newton.
+Positions are (row, col, height) with posts at integers, height in m. A track is a polynomial of degree 5 in tau in [-1,
+1], `coefficients` (power, quantity), exact to about 1e-11 of a cell over 20 km. The walk steps through the cells along
+straight pieces of at most `PIECE` cells, and settles every cell not cleared by `MARGIN` with the polynomial itself:
+borders by Newton, the bilinear patch by a parabola, the root by bisection and Newton.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ EP2 = E2 / (1.0 - E2)
 NODES = 6
 TAU = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
 FIT = np.linalg.inv(np.vander(TAU, increasing=True))
-PIECE = 24.0  # cells; a piece of 720 m leaves its chord by 1 cm
+PIECE = 24.0  # cells; a piece of 720 m deviates from its chord by 1 cm
 MARGIN = 0.05  # m
 
 
 @numba.njit
 def normal_and_height(x, y, z):
-    """Ellipsoid normal and height by two turns of Bowring's iteration (1976)."""
+    """Ellipsoid normal and height by two steps of Bowring's iteration (1976)."""
     p = math.sqrt(x * x + y * y)
     c, s = B * p, A * z
     norm = math.sqrt(c * c + s * s)
@@ -45,7 +45,7 @@ def normal_and_height(x, y, z):
 
 @numba.njit
 def _range_at(o, d, height, guess):
-    """Range at which a sinking ray passes a height, by Newton from `guess`."""
+    """Range at which a descending ray passes a height, by Newton from `guess`."""
     at = guess
     for _ in range(6):
         nx, ny, nz, h = normal_and_height(o[0] + at * d[0], o[1] + at * d[1], o[2] + at * d[2])
@@ -146,10 +146,10 @@ def _settle(posts, i, j, c, begin, end):
 
 @numba.njit
 def _walk_piece(posts, tops, c, t0, t1, ends, verts, is_triangles, o, d, centre, half):
-    """The first crossing on one straight piece of the track: tau, or the range with triangles, or NaN.
+    """First crossing on one straight piece of the track: tau, or the range with triangles, or NaN.
 
     `ends` are (row, col, height) at tau t0 and t1, (2, 3). With triangles `verts` are the posts (rows, cols, 3) in the
-    frame of the ray `o`, `d`, and `centre`, `half` turn tau to ranges.
+    frame of the ray `o`, `d`, and `centre`, `half` convert tau to ranges.
     """
     r0, c0, h0 = ends[0, 0], ends[0, 1], ends[0, 2]
     dr, dc, dh = ends[1, 0] - r0, ends[1, 1] - c0, ends[1, 2] - h0
@@ -165,7 +165,7 @@ def _walk_piece(posts, tops, c, t0, t1, ends, verts, is_triangles, o, d, centre,
         by_row = next_row < next_col
         there = min(next_row if by_row else next_col, 1.0)
         lowest = h0 + dh * (there if dh < 0.0 else here) - MARGIN
-        a, b = np.uint64(i), np.uint64(j)  # unsigned: one comparison an axis, and no wrapping of negative indices
+        a, b = np.uint64(i), np.uint64(j)  # unsigned: one comparison per axis, and no wrapping of negative indices
         if a < rows and b < cols and lowest < tops[a, b]:
             if is_triangles:
                 found = _nearest_triangle(verts, i, j, o, d)

@@ -1,4 +1,4 @@
-"""A compiled exact walk over every cell: what plain code without a pyramid can do."""
+"""Compiled exact walk over every cell: the baseline without a pyramid."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from support.fractal import Sight, TangentTerrain
 
 from peers import Facts, Peer, cell_tops, numba_kernels
 
-numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]  # TBB may be another package's, and too old
+numba.config.THREADING_LAYER = "omp"  # type: ignore[attr-defined]  # TBB may belong to another package and be too old
 NO_TRIANGLES = np.zeros((1, 1, 3), np.float32)
 
 
@@ -46,7 +46,7 @@ class NumbaWalk(Peer):
 
 
 class NumbaWalkFromEcef(NumbaWalk):
-    """The same from ECEF rays: the tracks are made within the timed call, as jaxgeo's are."""
+    """The same from ECEF rays: the tracks are computed inside the timed call, as in jaxgeo."""
 
     facts = Facts(
         package="numba",
@@ -64,7 +64,7 @@ class NumbaWalkFromEcef(NumbaWalk):
 
 
 def bounds_of(terrain: TangentTerrain) -> tuple[float, float]:
-    """One metre above and below all posts."""
+    """Heights one metre above and below all posts."""
     return float(terrain.posts.max()) + 1.0, float(terrain.posts.min()) - 1.0
 
 

@@ -1,9 +1,9 @@
-"""What a careful user of NumPy writes to sample how sure one pixel's ground point is: the same job, without jaxgeo.
+"""Monte Carlo accuracy of one pixel's ground point as a careful NumPy user would write it, without jaxgeo.
 
 A camera on a two-axis gimbal under an aircraft, errors of attitude, gimbal, boresight and mounting, and of the height
-of an elevation model on a grid of latitude and longitude. Vectorised over chunks of samples: lines of sight by a
-staircase of rotations; steps of half a cell down from the highest post, rays being dropped as they go under ground; and
-bisection of the step in which they did.
+of an elevation model on a grid of latitude and longitude. Vectorised over chunks of samples: lines of sight by a chain
+of rotations; steps of half a cell down from the highest post, with rays removed once they are below ground; and
+bisection of the step in which they crossed it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 Number: TypeAlias = float | np.ndarray
 A, E2 = 6_378_137.0, 0.0066943799901413165  # WGS 84
 B = A * np.sqrt(1.0 - E2)
-CHUNK = 16_384  # the quickest of 4096 to 131,072
-HALVINGS = 16  # of a step of some 40 m: to 0.6 mm, before a last step along the chord
+CHUNK = 16_384  # the fastest of 4096 to 131,072
+HALVINGS = 16  # of a step of about 40 m: to 0.6 mm, before a last step along the chord
 
 
 class Scene(NamedTuple):
-    """What is looked at, from where, and how sure all of it is; angles in rad, lengths in m.
+    """Scene geometry and standard deviations; angles in rad, lengths in m.
 
     `posts` of the terrain [row, col], `first` latitude and longitude, `step` of latitude by row and of longitude by
     column; `position` latitude, longitude, height; `attitude` heading, pitch, roll; `readings` outer and inner; `line`
@@ -49,7 +49,7 @@ class Answer(NamedTuple):
 
 
 def sampled(scene: Scene, count: int, rng: np.random.Generator) -> Answer:
-    """How sure the fix is, by so many samples; those without a fix are infinitely far."""
+    """Accuracy of the fix from `count` samples; samples without a fix count as infinitely far."""
     radii = np.empty((3, count))
     found, total, squares = 0, np.zeros(3), np.zeros((3, 3))
     for first in range(0, count, CHUNK):
@@ -68,7 +68,7 @@ def sampled(scene: Scene, count: int, rng: np.random.Generator) -> Answer:
 
 
 def misses(scene: Scene, normals: np.ndarray) -> np.ndarray:
-    """Errors (n, 3) in east, north, up at the fix, m, of standard normal vectors (n, 11); NaN where there is no fix."""
+    """Errors (n, 3) in east, north, up at the fix, m, for standard normal vectors (n, 11); NaN without a fix."""
     centre = first_hits(scene, *lines_of_sight(scene, np.zeros((1, scene.sigma.size))))[0]
     points = first_hits(scene, *lines_of_sight(scene, normals * scene.sigma))
     lat, lon, _ = geodetic(*centre)
@@ -79,7 +79,7 @@ def misses(scene: Scene, normals: np.ndarray) -> np.ndarray:
 def lines_of_sight(scene: Scene, error: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(perspective centre in ECEF, directions (n, 3) in ECEF, errors of the terrain's height (n,))."""
     heading, pitch, roll, outer, inner, turn, nod, lean, mount_outer, mount_inner, height = error.T
-    right, down, forward = scene.line  # a camera that looks down, its top forward
+    right, down, forward = scene.line  # a nadir camera, image top forward
     v = np.broadcast_to(np.array([-down, right, forward])[:, None], (3, len(error)))
     v = about_y(scene.readings[1] + inner + mount_inner, v)
     v = about_x(-(scene.readings[0] + outer) + mount_outer, v)
@@ -127,7 +127,7 @@ def geodetic(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, n
 
 
 def clearance(scene: Scene, p: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Height in m of ECEF points (n, 3) above the bilinear surface through the posts; NaN beside it."""
+    """Height in m of ECEF points (n, 3) above the bilinear surface through the posts; NaN outside it."""
     lat, lon, height = geodetic(p[:, 0], p[:, 1], p[:, 2])
     row, col = (lat - scene.first[0]) / scene.step[0], (lon - scene.first[1]) / scene.step[1]
     rows, cols = scene.posts.shape
@@ -141,7 +141,7 @@ def clearance(scene: Scene, p: np.ndarray, bias: np.ndarray) -> np.ndarray:
 
 
 def first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, bias: np.ndarray) -> np.ndarray:
-    """Points (n, 3) in ECEF where rays first go under ground; NaN where none is found before they leave the grid."""
+    """Points (n, 3) in ECEF where rays first go below ground; NaN if they leave the grid before."""
     reach = ranges_to_height(origin, direction, scene.posts.max() + bias)
     lat, _, _ = geodetic(*origin)
     cell = A * np.abs(scene.step) * [1.0, np.cos(lat)]
@@ -161,7 +161,7 @@ def first_hits(scene: Scene, origin: np.ndarray, direction: np.ndarray, bias: np
 def crossings(
     scene: Scene, origin: np.ndarray, direction: np.ndarray, bias: np.ndarray, low: np.ndarray, step: float
 ) -> np.ndarray:
-    """Ranges at which rays that are over ground at `low` and under it a step later go under; NaN stays."""
+    """Ground crossing ranges of rays that are above ground at `low` and below it one step later; NaN stays NaN."""
     found = ~np.isnan(low)
     way, raised, low = direction[found], bias[found], low[found]
     above = lambda reach: clearance(scene, origin + reach[:, None] * way, raised)  # noqa: E731
@@ -177,7 +177,7 @@ def crossings(
 
 
 def ranges_to_height(origin: np.ndarray, direction: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Ranges at which rays come down to a height above the ellipsoid, by secants along them."""
+    """Ranges at which rays reach a height above the ellipsoid, by the secant method."""
     reach, step = np.zeros(len(direction)), 10.0
     for _ in range(5):
         p = origin + reach[:, None] * direction

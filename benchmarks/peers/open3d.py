@@ -1,4 +1,4 @@
-"""Open3D's RaycastingScene (Embree within): triangles in float32, nearest hit."""
+"""Open3D's RaycastingScene (based on Embree): triangles in float32, nearest hit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Orthority: a frame remapped onto the ground of a map that counts as flat and Cartesian; hidden ground stays in."""
+"""Orthority: a frame rectified in a map treated as Cartesian; occluded ground is not masked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 
 
 class Sink:
-    """What Orthority's tiles are written to where no file is wanted: an array."""
+    """In-memory array target for Orthority's tiles, instead of a file."""
 
     def __init__(self, bands: int, shape: tuple[int, int], transform: Affine, dtype: str) -> None:
         self.values = np.zeros((bands, *shape), dtype)
@@ -39,12 +39,12 @@ class Orthority:
         self.ortho = Ortho(image, terrain, camera, crs=rasterio.CRS.from_wkt(crs))
 
     def raster(self, resolution: float) -> tuple[Affine, tuple[int, int]]:
-        """Transform and shape of what it makes at a resolution."""
+        """Transform and shape of its output at a resolution."""
         dem, transform = self._terrain(resolution)
         return transform, dem.shape
 
     def in_memory(self, resolution: float, dtype: str | None = None) -> np.ndarray:
-        """The image on the ground (bands, rows, cols), by its own steps but for the file; it reads the source."""
+        """The rectified image (bands, rows, cols), by Orthority's own steps except for the file; reads the source."""
         from orthority import common  # pyright: ignore[reportMissingImports]
         from orthority.enums import Interp  # pyright: ignore[reportMissingImports]
         from tqdm.auto import tqdm  # pyright: ignore[reportMissingModuleSource]

@@ -1,4 +1,4 @@
-"""jaxgeo: whole answers (polished, with status and geodetic position) from ECEF rays."""
+"""jaxgeo: complete fixes (polished, with status and geodetic position) from ECEF rays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from peers import Facts, Peer
 
 
 def dem_of(terrain: TangentTerrain, dtype: Any = np.float64) -> jaxgeo.Dem:
-    """The terrain as jaxgeo keeps it, its posts stored in `dtype`."""
+    """The terrain as a jaxgeo `Dem`, its posts stored in `dtype`."""
     jaxgeo.enable_x64()
     centre = jaxgeo.Geodetic(lat=terrain.lat, lon=terrain.lon, height=0.0)
     spacing = (terrain.spacing, terrain.spacing)

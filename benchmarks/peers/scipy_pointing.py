@@ -1,7 +1,7 @@
-"""What a careful user of SciPy writes to point a two-axis gimbal: `scipy.optimize.root` on the angles, one at a time.
+"""Two-axis gimbal pointing as a careful SciPy user would write it: `scipy.optimize.root` on the angles, one at a time.
 
-The target is put into the gimbal's base once; what is left for every step of the solver is two turns and a lever arm,
-in plain numbers, which for three components are quicker than arrays.
+The target is transformed to the gimbal's base once; each solver step then takes two rotations and a lever arm, in plain
+Python numbers, which are faster than arrays for three components.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ A, E2 = 6_378_137.0, 0.0066943799901413165  # WGS 84
 
 
 class Held(NamedTuple):
-    """What stays the same: boresight, lever arms in m (to the gimbal, in the head), line of sight in the head."""
+    """Constants: boresight, lever arms in m (to the gimbal, in the head), line of sight in the head."""
 
     R_body_from_base: np.ndarray
     lever_body: np.ndarray
@@ -55,7 +55,7 @@ def ecef(lat: float, lon: float, height: float) -> np.ndarray:
 
 
 def axes_ned(lat: float, lon: float) -> np.ndarray:
-    """Columns: north, east, down in ECEF."""
+    """Axes as columns: north, east, down in ECEF."""
     s, c, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     return np.array([[-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, 0.0, -s]])
 

@@ -14,7 +14,7 @@ _bindings: Any = importlib.import_module("bindings_cpp")
 
 
 class SharelocCurved(Peer):
-    """Lines of sight as 17 points each, so that the Earth's curvature is followed to 2 cm."""
+    """Lines of sight as 17 points each, which follow the Earth's curvature to 2 cm."""
 
     points = 17
     facts = Facts(
@@ -55,7 +55,7 @@ class SharelocCurved(Peer):
 
 
 class SharelocChord(SharelocCurved):
-    """Lines of sight as two points each: the fastest call, on a flat Earth between them."""
+    """Lines of sight as two points each: the fastest call, without Earth curvature between them."""
 
     points = 2
     facts = Facts(
@@ -79,7 +79,7 @@ def _polylines(terrain: TangentTerrain, sight: Sight, points: int) -> np.ndarray
 
 
 def _range_at(terrain: TangentTerrain, sight: Sight, height: float, guess: np.ndarray) -> np.ndarray:
-    """Ranges at which sinking rays pass a height, by Newton with a slope from a difference of 1 m."""
+    """Ranges at which descending rays pass a height, by Newton with a slope from a difference of 1 m."""
     at = guess
     for _ in range(8):
         _, here = terrain.over(sight.origin + at[:, None] * sight.direction)

@@ -1,4 +1,4 @@
-"""What the peers that trace triangles share."""
+"""Shared base of the triangle ray tracers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from peers import Peer, mesh_of, to_enu
 
 
 class TrianglePeer(Peer):
-    """Two triangles a cell in east, north, up of the terrain's middle; straight edges and rays, no flat Earth.
+    """Two triangles per cell in east, north, up of the terrain's centre; straight edges and rays, curved Earth.
 
     Rays begin at the ceiling, to keep float32 numbers small.
     """

@@ -1,1 +1,1 @@
-"""The papers' tables and figures, made again from the same functions that users call."""
+"""Tables and figures of published papers, reproduced with the package's public functions."""

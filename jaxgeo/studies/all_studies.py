@@ -17,7 +17,7 @@ TITLES = {
     "xue2019": "Xue et al. (2019), direct georeferencing and self-calibration",
     "gu2017": "Gu and Qiao (2017), registration to a reference image",
 }
-SAMPLES = 20_000  # of each row of Li et al. (2023): fewer than by itself, for all studies are to take minutes
+SAMPLES = 20_000  # for each row of Li et al. (2023); fewer than in its own command, so that all studies take minutes
 RUNS: dict[str, Callable[[Any, int], Any]] = {
     "li2023": lambda study, seed: study.run(samples=SAMPLES, seed=seed),
     "li2020": lambda study, seed: study.run(seed=seed),
@@ -28,9 +28,9 @@ RUNS: dict[str, Callable[[Any, int], Any]] = {
 
 @dataclass(frozen=True)
 class Study:
-    """What a study found, to be shown: `name` as in the command, title, claims, tables, and files of its pictures.
+    """Results of a study for display: `name` as in the command, title, claims, tables, and files of its pictures.
 
-    `missing` says why there are no pictures, if there are none.
+    `missing` gives the reason if there are no pictures.
     """
 
     name: str
@@ -42,15 +42,15 @@ class Study:
 
     @property
     def counts(self) -> list[tuple[Verdict, int]]:
-        """How many claims have each verdict."""
+        """Number of claims with each verdict."""
         return [(kind, sum(one.verdict is kind for one in self.claims)) for kind in Verdict]
 
 
 def run(name: str, seed: int = 0, folder: pathlib.Path | None = None) -> Study:
-    """One of the studies, by the name of its command, with all that is random drawn from a seed.
+    """Run one study, by the name of its command, with all random numbers drawn from `seed`.
 
-    Its tables and pictures are written into a folder of its name in `folder`, which is there, if that is given; without
-    matplotlib there are no pictures.
+    With an existing `folder`, writes its tables and pictures to a subfolder of its name; without matplotlib there are
+    no pictures.
     """
     package: Any = importlib.import_module(f"jaxgeo.studies.{name}")
     report = RUNS[name](package, seed)
@@ -68,5 +68,5 @@ def run(name: str, seed: int = 0, folder: pathlib.Path | None = None) -> Study:
 
 
 def write_verdicts(found: Sequence[Study], folder: pathlib.Path) -> None:
-    """The verdicts of all studies as CSV and Markdown into a folder that is there."""
+    """Write the verdicts of all studies as CSV and Markdown to an existing folder."""
     write_sheets("Verdicts", [claims_sheet([claim for one in found for claim in one.claims])], folder)

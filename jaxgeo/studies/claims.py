@@ -1,4 +1,4 @@
-"""What a paper prints, beside what was obtained here, and the verdict that the two numbers give."""
+"""Claims of a paper: printed and obtained values, and the verdict that follows from them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Values = float | bool | Sequence[float]
 
 
 class Verdict(enum.Enum):
-    """How a printed result stands."""
+    """Outcome of a claim."""
 
     reproduced = "reproduced"
     explained = "differs, explained"
@@ -26,9 +26,10 @@ class Verdict(enum.Enum):
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause of a difference, with the run that shows it: put in, it gives `obtained`, which is to be `expected`.
+    """A possible cause of a difference, with a test run: including the cause gives `obtained`, compared with
+    `expected`.
 
-    For a result the expected values are the printed ones, for a misprinted formula those of the right formula.
+    For a result the expected values are the printed ones, for a misprinted formula those of the corrected formula.
     """
 
     cause: str
@@ -38,23 +39,23 @@ class Explanation:
 
     @property
     def holds(self) -> bool:
-        """Whether the run bears out the cause."""
+        """Whether the run supports the cause."""
         return is_within(self.obtained, self.expected, self.tolerance)
 
 
 @dataclass(frozen=True)
 class Claim:
-    """An equation, table, figure or statement of a paper: what is printed and what was obtained, in the same unit.
+    """An equation, table, figure or statement of a paper: the printed and the obtained values, in the same unit.
 
-    - `paper` as in "Li 2023"; `item` as in "Eq. 7", "Table 3, hill", "Fig. 5" or "Section 5.1"; `statement` says what
-      the numbers are.
-    - `printed` is a number, several, or whether something holds; None where the print gives nothing to hold a result
-      against, and `reason` says why.
-    - `tolerance` bounds the differences that count as reproduced: the print's last digit or, of random results, so many
-      standard errors. Absolute, one for all values or one for each.
-    - `function` is the full name of what computes it here.
+    - `paper` as in "Li 2023"; `item` as in "Eq. 7", "Table 3, hill", "Fig. 5" or "Section 5.1"; `statement` describes
+      the numbers.
+    - `printed` is a number, several, or whether something holds; None if the paper gives no value to compare with;
+      `reason` then explains why.
+    - `tolerance` is the largest difference that counts as reproduced: the last printed digit or, for random results, a
+      number of standard errors. Absolute, one for all values or one for each.
+    - `function` is the full name of the function that computes it here.
 
-    Raises `ValueError` where the values do not match in number, or a printed value, or else a reason, is missing.
+    Raises `ValueError` if the numbers of values differ, or if both a printed value and a reason are missing.
     """
 
     paper: str
@@ -79,7 +80,7 @@ class Claim:
 
     @property
     def verdict(self) -> Verdict:
-        """What follows from the numbers; an explanation counts only if its own run bears it out."""
+        """Verdict from the numbers; an explanation counts only if its own run supports it."""
         if self.printed is None or self.obtained is None:
             return Verdict.not_from_print
         if is_within(self.obtained, self.printed, self.tolerance):
@@ -88,7 +89,7 @@ class Claim:
 
     @property
     def remark(self) -> str:
-        """The reason or the cause, with the numbers that bear it out or do not."""
+        """The reason or the cause, with the numbers of its test run."""
         if self.explanation is None:
             return self.reason
         with_it, expected = (shown(x, self.digits) for x in (self.explanation.obtained, self.explanation.expected))
@@ -98,7 +99,7 @@ class Claim:
 
 
 def is_within(obtained: Values, expected: Values, tolerance: Values) -> bool:
-    """Whether every value is finite and within the tolerance of the expected one. Raises `ValueError` for sizes that
+    """Whether every value is finite and within the tolerance of the expected one. Raises `ValueError` if the sizes
     differ."""
     found, wanted = _numbers(obtained), _numbers(expected)
     bounds = _numbers(tolerance) * (len(wanted) if len(_numbers(tolerance)) == 1 else 1)
@@ -117,7 +118,7 @@ def shown(values: Values | None, digits: str) -> str:
 
 
 def claims_sheet(claims: Sequence[Claim]) -> Sheet:
-    """All claims with their verdicts."""
+    """Table of all claims with their verdicts."""
     rows: list[list[Cell]] = []
     for one in claims:
         printed, obtained = (shown(values, one.digits) for values in (one.printed, one.obtained))
@@ -140,10 +141,10 @@ def claims_sheet(claims: Sequence[Claim]) -> Sheet:
 
 
 def resolve(name: str) -> object:
-    """The function or class of a full name. Raises `ValueError` where there is none."""
+    """The function or class with this full name. Raises `ValueError` if it does not exist."""
     first, *others = name.split(".")
     found: list[object] = [importlib.import_module(first)] if importlib.util.find_spec(first) is not None else []
-    for count, part in enumerate(others, 1):  # a function may have the name of its module: both are followed
+    for count, part in enumerate(others, 1):  # a function may have the same name as its module: both are tried
         here: list[object] = [getattr(one, part) for one in found if hasattr(one, part)]
         with contextlib.suppress(ImportError):
             here.append(importlib.import_module(".".join([first, *others[:count]])))

@@ -1,4 +1,4 @@
-"""Rotations and ellipsoidal coordinates in NumPy, independent of the engine: what printed equations are written with.
+"""Rotations and ellipsoidal coordinates in NumPy, independent of the package, for the printed equations.
 
 Angles in rad, lengths in m, WGS 84.
 """
@@ -34,7 +34,7 @@ def R_ned_from_body(heading: float, pitch: float, roll: float) -> np.ndarray:
 
 
 def R_ecef_from_ned(lat: float, lon: float) -> np.ndarray:
-    """The directions of north, east and down as columns."""
+    """Rotation matrix with the directions of north, east and down as columns."""
     north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
     east = [-np.sin(lon), np.cos(lon), 0.0]
     down = [-np.cos(lat) * np.cos(lon), -np.cos(lat) * np.sin(lon), -np.sin(lat)]

@@ -1,4 +1,4 @@
-"""What a first-hit walk over the pyramid asks of the terrain, counted."""
+"""Count of the terrain look-ups of a first-hit search over the pyramid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain import Dem
 from jaxgeo.terrain.search.base import reach_of
 
-SAG = 1.0 / (8.0 * 6.3e6)  # 1/m: what a straight line falls below the middle of its chord over the ellipsoid
+SAG = 1.0 / (8.0 * 6.3e6)  # 1/m: sag of a straight line below the ellipsoid's curve at the middle of a chord
 FINEST = 24  # dyadic levels at most
 
 
@@ -23,12 +23,12 @@ class _Walk(Record):
 
 
 def first_hit_look_ups(ray: Ray, dem: Dem, first: Scalar) -> tuple[Index, Index]:
-    """Look-ups of a pyramid walk along one ray up to its first hit at range `first` (m): bounds, and cells settled.
+    """Look-ups of a pyramid search along one ray up to its first hit at range `first` (m): bounds, and cells settled.
 
-    The rule is that of `FirstHit`: dyadic intervals of the part between highest and lowest ground, halved where the
+    The rule is that of `FirstHit`: dyadic intervals of the range between highest and lowest ground, halved where the
     bound over all cells that they can touch is not cleared, doubled where aligned; an interval of the finest level, no
-    longer than a cell, is settled on the patches it passes over. Here the ends are placed by the exact map; a search
-    that begins at a better level, or shares its start with other rays, asks less.
+    longer than a cell, is settled on the patches below it. Here the ends are placed by the exact map; a search that
+    starts at a better level, or shares its start with other rays, needs fewer.
     """
     reach = reach_of(ray, dem)
     ends = jnp.stack([reach.start, reach.end])

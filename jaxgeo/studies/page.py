@@ -1,4 +1,4 @@
-"""All studies on one HTML page: verdicts, tables, pictures, and the functions that computed them. Needs jinja2."""
+"""HTML page of all studies: verdicts, tables, pictures, and the functions that computed them. Needs jinja2."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKAGE = "jaxgeo"
 
 @dataclass(frozen=True)
 class Function:
-    """A function or class of the package as the page shows it."""
+    """A function or class of the package, as shown on the page."""
 
     name: str
     signature: str
@@ -30,7 +30,7 @@ class Function:
 
 
 def study_page(studies: Sequence[Study]) -> str:
-    """The page as one text of HTML, pictures within. Raises `ValueError` where a claim names no function."""
+    """The page as one HTML string with embedded pictures. Raises `ValueError` if a claim names no function."""
     names = sorted({one.function for study in studies for one in study.claims if one.function})
     loader = jinja2.PackageLoader("jaxgeo.studies", "templates")
     environment = jinja2.Environment(
@@ -47,13 +47,13 @@ def study_page(studies: Sequence[Study]) -> str:
 
 
 def write_page(path: pathlib.Path, studies: Sequence[Study]) -> None:
-    """The page as a file, which appears when all of it is written. Raises `ValueError` where it cannot be written."""
+    """Write the page to a file, atomically. Raises `ValueError` if the file cannot be written."""
     with destination("path", path) as stream:
         stream.write(study_page(studies))
 
 
 def function_of(name: str) -> Function:
-    """What the page shows of a function or class, by its full name. Raises `ValueError` where there is none."""
+    """Signature, docstring and source location of the named function. Raises `ValueError` if it does not exist."""
     found = resolve(name)
     target = inspect.unwrap(found) if callable(found) else found
     target = target.fget if isinstance(target, property) else target
@@ -63,7 +63,7 @@ def function_of(name: str) -> Function:
         line = inspect.getsourcelines(target)[1]  # pyright: ignore[reportArgumentType]
         package = pathlib.Path(importlib.import_module(PACKAGE).__file__ or "").parent
         place = f"{path.relative_to(package.parent).as_posix()}:{line}" if path.is_relative_to(package.parent) else ""
-    except (TypeError, ValueError, OSError):  # written in C, or without its source
+    except (TypeError, ValueError, OSError):  # implemented in C, or source not available
         signature, place = "", ""
     return Function(name, signature, inspect.getdoc(target) or "", place)
 

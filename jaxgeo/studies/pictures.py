@@ -1,4 +1,4 @@
-"""How the studies draw: one style, and every picture on a sheet of its own. Needs matplotlib."""
+"""Plot style and output of the studies' pictures. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STYLE: dict[Any, Any] = {
 
 
 def draw_all(pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]], folder: pathlib.Path) -> None:
-    """Pictures by the names of their files, each drawn by a function on a figure of a size in inches, into a folder."""
+    """Draw pictures into a folder: file name to (drawing function, figure size in inches)."""
     with mpl.rc_context(STYLE):
         for name, (draw, size) in pictures.items():
             figure = Figure(figsize=size, layout="constrained")

@@ -1,4 +1,4 @@
-"""Made-up terrain of a stated roughness, and rays from far to the side over it."""
+"""Synthetic terrain with a given RMS slope, and oblique rays over it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain import Dem, TangentGrid
 from jaxgeo.terrain.grid import surface_point
 
-CENTRE = Geodetic(lat=math.radians(29.4), lon=math.radians(88.9), height=0.0)  # where Li et al. (2023) flew
-ALTITUDE = 15_409.0  # m, of their aircraft
+CENTRE = Geodetic(lat=math.radians(29.4), lon=math.radians(88.9), height=0.0)  # flights of Li et al. (2023)
+ALTITUDE = 15_409.0  # m, their aircraft
 
 
 class Scene(Record):
-    """A terrain and a batch of rays over it, with what they were made from: rms slope and depression in rad."""
+    """A terrain and a batch of rays over it, with their parameters: RMS slope and depression in rad."""
 
     name: str = eqx.field(static=True)
     dem: Dem
@@ -33,8 +33,8 @@ class Scene(Record):
 def fractal_posts(size: int, *, spacing: float, rms_slope: float, exponent: float = 3.39, seed: int = 1) -> np.ndarray:
     """Posts (size, size) in m from 0 up: a Gaussian field of power spectrum f**-exponent, scaled to `rms_slope` in rad.
 
-    The rms slope is the arctangent of the root of the mean squared gradient by central differences. The field repeats
-    itself beyond its edges. An exponent of 3.39 is that of rough mountains (a fractal dimension of 2.3).
+    The RMS slope is the arctangent of the root of the mean squared gradient by central differences. The field is
+    periodic. An exponent of 3.39 is that of rough mountains (a fractal dimension of 2.3).
     """
     rng = np.random.default_rng(seed)
     spectrum = np.fft.rfft2(rng.standard_normal((size, size)))
@@ -51,7 +51,7 @@ def rms_slope_of(posts: np.ndarray, spacing: float) -> float:
 
 
 def tangent_dem(posts: np.ndarray, spacing: float, centre: Geodetic = CENTRE) -> Dem:
-    """A terrain of posts `spacing` m apart, rows going south and columns east about `centre`."""
+    """A DEM with posts `spacing` m apart, rows going south and columns east, centred at `centre`."""
     return Dem.from_array(posts, TangentGrid.centred(centre, spacing=(spacing, spacing), shape=posts.shape))
 
 
@@ -67,11 +67,11 @@ def make_scene(
     seed: int = 1,
     margin: float = 0.4,
 ) -> Scene:
-    """Fractal terrain and `rays` over it, like pixels of a camera: they do not know the ground that they will meet.
+    """Fractal terrain and `rays` over it, drawn independently of the ground, like pixels of a camera.
 
-    Each goes through a point of the level surface at the mean height, drawn evenly over the grid but for `margin` of
-    its side at each edge, in an even azimuth, at `depression` in rad there, from the altitude of Li et al. (2023), or
-    1000 m above the highest ground where that is higher.
+    Each passes through a point of the level surface at the mean height, drawn uniformly over the grid except `margin`
+    of its side at each edge, with a uniform azimuth, at `depression` in rad there, from the altitude of Li et al.
+    (2023), or 1000 m above the highest ground where that is higher.
     """
     posts = fractal_posts(size, spacing=spacing, rms_slope=rms_slope, exponent=exponent, seed=seed)
     dem = tangent_dem(posts, spacing)
@@ -87,7 +87,7 @@ def make_scene(
 def _ray_through(
     dem: Dem, rowcol: jax.Array, azimuth: Scalar, height: Scalar, depression: Scalar, altitude: Scalar
 ) -> Ray:
-    """The ray from `altitude` m that sinks by `depression` rad towards `azimuth` rad at (row, col) and `height` m."""
+    """The ray from `altitude` m with `depression` and `azimuth` in rad through (row, col) at `height` m."""
     normal = dem.grid.normal(rowcol)
     p_ecef: Vector3 = surface_point(normal) + height * normal
     R_ecef_from_level = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
@@ -102,12 +102,12 @@ _rays_through = jax.jit(jax.vmap(_ray_through, (None, 0, 0, None, None, None)))
 
 
 def profile_dem(heights: np.ndarray, spacing: float, *, width: int = 5) -> Dem:
-    """A terrain that is the same across the look: heights in m `spacing` m apart along it, `width` posts across."""
+    """A DEM that is constant across the view: heights in m `spacing` m apart along it, `width` posts across."""
     return tangent_dem(np.repeat(np.asarray(heights, float)[:, None], width, axis=1), spacing)
 
 
 def profile_ray(dem: Dem, ahead: float, height: float, *, depression: float, altitude: float) -> Ray:
-    """A ray along a `profile_dem`: from `altitude` m through the point `ahead` m beyond the middle at `height` m."""
+    """A ray along a `profile_dem`: from `altitude` m through the point `ahead` m beyond the centre at `height` m."""
     spacing = dem.grid.cell_size()[0]
     middle = 0.5 * (jnp.asarray(dem.extent) - 1).astype(jnp.float64)
     rowcol = middle + jnp.stack([ahead / spacing, jnp.zeros(())])
@@ -117,7 +117,7 @@ def profile_ray(dem: Dem, ahead: float, height: float, *, depression: float, alt
 
 @jax.jit
 def profile_under(ray: Ray, dem: Dem, distance: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Heights in m of a ray and of the ground under it at ranges (n,) in m; beside the grid the edge goes on level."""
+    """Heights in m of a ray and of the ground below it at ranges (n,) in m; outside the grid, of its edge."""
 
     def heights(distance: Scalar) -> tuple[Scalar, Scalar]:
         rowcol, height = dem.over(ray.at(distance))

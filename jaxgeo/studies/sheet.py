@@ -1,4 +1,4 @@
-"""Tables of a study: each one list of rows, for the screen, for a spreadsheet and for a text."""
+"""Tables of a study: lists of rows, written to the terminal, CSV and Markdown."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rich import box
 from rich.table import Table
 
 Cell = str | int | float | None
-WORDS = 24  # characters that a column of words needs at least, if it has so many
+WORDS = 24  # minimum width in characters of a text column, if its text is that long
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table: `columns` with their formats (of `format`, "" for words), rows of cells, and a note on what they are."""
+    """A table: `columns` with their formats (of `format`, "" for text), rows of cells, and an explanatory note."""
 
     name: str
     title: str
@@ -27,13 +27,13 @@ class Sheet:
     note: str = ""
 
     def texts(self) -> list[list[str]]:
-        """The cells as they are shown; a number that there is not is a dash."""
+        """The cells as text; missing numbers are dashes."""
         formats = list(self.columns.values())
         return [[_shown(cell, spec) for cell, spec in zip(row, formats, strict=True)] for row in self.rows]
 
     def to_rich(self, width: int) -> Table:
-        """For a screen of so many characters. Numbers are never cut; where long remarks, the last column, would have no
-        room beside them, they stand below, and where even that is too wide, the columns' names are broken."""
+        """Table for a terminal of `width` characters. Numbers are never cut; if long remarks in the last column do
+        not fit beside them, they go below, and if that is still too wide, column names are wrapped."""
         names, specs, rows = list(self.columns), list(self.columns.values()), self.texts()
         notes = [self.note] if self.note else []
         cells = [max((len(row[i]) for row in rows), default=0) for i in range(len(names))]
@@ -54,20 +54,20 @@ class Sheet:
         return table
 
     def to_markdown(self) -> str:
-        """For a text."""
+        """The table as Markdown."""
         head = [list(self.columns), ["---:" if spec else "---" for spec in self.columns.values()]]
         lines = ["| " + " | ".join(row) + " |" for row in head + self.texts()]
         return "\n".join([f"## {self.title}", "", *lines, "", self.note, ""])
 
     def write_csv(self, stream: TextIO) -> None:
-        """For a spreadsheet, with all digits."""
+        """Write the table as CSV, with all digits."""
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(self.columns)
         writer.writerows(self.rows)
 
 
 def write_sheets(title: str, sheets: Sequence[Sheet], folder: pathlib.Path, *, beside: Sequence[Sheet] = ()) -> None:
-    """Every table as CSV, and all under a title as one Markdown text, into a folder that is there; those `beside` as
+    """Write every table as CSV, and all under a title as one Markdown file, to an existing folder; those `beside` as
     CSV only."""
     for sheet in (*sheets, *beside):
         with (folder / f"{sheet.name}.csv").open("w", newline="", encoding="utf-8") as stream:
@@ -77,12 +77,12 @@ def write_sheets(title: str, sheets: Sequence[Sheet], folder: pathlib.Path, *, b
 
 
 def _stacked(name: str, width: int) -> str:
-    """A column's name word under word, words of more than so many characters broken."""
+    """A column name with one word per line, breaking words longer than `width` characters."""
     return "\n".join(line for word in name.split() for line in textwrap.wrap(word, width))
 
 
 def _needed(heads: Sequence[str], cells: Sequence[int], specs: Sequence[str]) -> int:
-    """Characters that a table takes at least."""
+    """Minimum width of a table in characters."""
     longest = [max(len(line) for line in head.split("\n")) for head in heads]
     widths = [max(cell, line) + 1 for cell, line in zip(cells, longest, strict=True)]
     return 2 + sum(w if spec else min(w, WORDS) for w, spec in zip(widths, specs, strict=True))

@@ -1,7 +1,7 @@
-"""The searches of the literature side by side: what they find, what they ask of the terrain, and how long they take.
+"""Comparison of published terrain searches: results, terrain evaluations, and run times.
 
-The terrains are made up, of a stated rms slope, at the depressions of Table 2 of Li et al. (2023), "A target location
-method for aerial images through fast iteration of elevation based on DEM"; its tiles are not published.
+The terrains are synthetic, with a given RMS slope, at the depressions of Table 2 of Li et al. (2023), "A target
+location method for aerial images through fast iteration of elevation based on DEM"; its tiles are not published.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from jaxgeo.terrain.search.bisection import SHORTEST
 from jaxgeo.terrain.search.studied import Approach, approach
 
 FIRST_HIT = FirstHit()
-SAME_CROSSING = 30.0  # m of range, one post spacing: nearer together, two points are the same crossing
-# Loops over thousands of heights run four times as long in a program that is not optimised, as commands compile others.
+SAME_CROSSING = 30.0  # m of range, one post spacing: points closer together are the same crossing
+# Loops over thousands of heights take four times as long in an unoptimised program, as commands compile others.
 OPTIMISED = {"xla_backend_optimization_level": 3}
 
 SEARCHES: dict[str, AbstractSearch] = {
@@ -84,8 +84,8 @@ PRINTED_AS: dict[str, str] = {
 class Row:
     """One search on one scene, over all its rays.
 
-    Evaluations are heights asked of the DEM, for the first hit bounds and patches looked up; `shares` of every
-    `Outcome` in their order; `farthest` in m behind the first hit; `us_per_ray` in a compiled batch.
+    Evaluations are heights read from the DEM, for the first hit the bounds and patches looked up; `shares` of every
+    `Outcome` in enum order; `farthest` in m behind the first hit; `us_per_ray` in a compiled batch.
     """
 
     scene: str
@@ -103,7 +103,7 @@ class Row:
 
 
 def standard_scenes(rays: int, *, size: int = 1501, seed: int = 1) -> list[Scene]:
-    """Plain, hill, mountain and very steep terrain: rms slopes of 1, 8, 22 and 47 deg, posts 30 m apart.
+    """Plain, hill, mountain and very steep terrain: RMS slopes of 1, 8, 22 and 47 deg, posts 30 m apart.
 
     Depressions are those of the outer frame angles 74.67, 75.40 and 78.77 deg of Li et al. (2023), Table 2.
     """
@@ -116,13 +116,13 @@ def standard_scenes(rays: int, *, size: int = 1501, seed: int = 1) -> list[Scene
 
 @jax.jit
 def approaches(rays: Ray, dem: Dem) -> Approach:
-    """The approach of every ray of a batch, which all searches of the literature share."""
+    """The approach of every ray of a batch, shared by all published searches."""
     return jax.vmap(approach, in_axes=(0, None))(rays, dem)
 
 
 @jax.jit
 def run_from(begun: Approach, dem: Dem, search: AbstractStudiedSearch) -> Run:
-    """A batch of runs of a search of the literature, from the `approaches` of its rays."""
+    """A batch of runs of a published search, from the `approaches` of its rays."""
     return jax.vmap(search.run_from, in_axes=(0, None))(begun, dem)
 
 
@@ -155,7 +155,7 @@ def bisection_evaluations(rays: Ray, dem: Dem) -> Array:
 
 @jax.jit
 def first_hit_evaluations(rays: Ray, dem: Dem, first: Array) -> Array:
-    """Bounds and patches that a first-hit walk looks up along each ray, together (see `first_hit_look_ups`)."""
+    """Total bounds and patches that a first-hit search looks up along each ray (see `first_hit_look_ups`)."""
     bounds, patches = jax.vmap(first_hit_look_ups, in_axes=(0, None, 0))(rays, dem, first)
     return bounds + patches
 
@@ -164,8 +164,8 @@ def study(scene: Scene, searches: dict[str, AbstractSearch] | None = None, *, re
     """Run searches over a scene's rays and compare each run with the guaranteed first hit.
 
     Times are medians of `repeats` calls for the whole batch under `vmap`, compiled before: the search alone (from the
-    `approaches`) for those of the literature, search and polish for bisection and the first hit. A batch waits for its
-    slowest ray.
+    `approaches`) for the published ones, search and polish for bisection and the first hit. The slowest ray determines
+    the time of a batch.
     """
     over = Over.of(scene)
     rows = []
@@ -189,9 +189,9 @@ def study(scene: Scene, searches: dict[str, AbstractSearch] | None = None, *, re
 
 @dataclass(frozen=True)
 class Found:
-    """One search over a batch of rays: for each its evaluations, its `Outcome` code, its range in m (of a search of the
-    literature that did not converge the last one, of others NaN without a hit) and the height of its point above the
-    ground in m (of searches of the literature, else NaN); and the time in us per ray."""
+    """One search over a batch of rays. Per ray: evaluations, `Outcome` code, range in m (for a published search that
+    did not converge the last one, for others NaN without a hit) and height of its point above the ground in m
+    (published searches only, else NaN); and the time in us per ray."""
 
     evaluations: np.ndarray
     outcomes: np.ndarray
@@ -202,7 +202,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Over:
-    """A batch of rays over a terrain with what all searches share: approaches, and ranges of first hits in m."""
+    """A batch of rays over a terrain with shared inputs of all searches: approaches, and ranges of first hits in m."""
 
     rays: Ray
     dem: Dem
@@ -242,12 +242,12 @@ class Over:
 
 
 def outcomes(run: Run, first: np.ndarray, tolerance: float = SAME_CROSSING) -> np.ndarray:
-    """The `Outcome` codes of a batch of runs beside first hits at ranges `first` in m; `tolerance` in m of range."""
+    """The `Outcome` codes of a batch of runs against first hits at ranges `first` in m; `tolerance` in m of range."""
     return np.asarray(jax.vmap(outcome_of, (0, 0, None))(run, jnp.asarray(first), jnp.asarray(tolerance)))
 
 
 def outcomes_of_ranges(distance: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """`Outcome` codes of searches that give a range in m or NaN, beside first hits at ranges `first` in m."""
+    """`Outcome` codes of searches that return a range in m or NaN, against first hits at ranges `first` in m."""
     away = distance - first
     codes = np.where(away < -SAME_CROSSING, Outcome.nearer_hit, Outcome.farther_hit)
     codes = np.where(np.abs(away) <= SAME_CROSSING, Outcome.first_hit, codes)
@@ -302,7 +302,7 @@ def printed_table(rows: Sequence[Row]) -> str:
 
 @functools.partial(jax.jit, static_argnames="steps")
 def trace(search: AbstractStudiedSearch, ray: Ray, dem: Dem, steps: int) -> Run:
-    """The search as it was after 0, 1, ... `steps` - 1 of its steps, a batch of runs; for searches with a `limit`."""
+    """The state of a search after 0, 1, ... `steps` - 1 steps, as a batch of runs; for searches with a `limit`."""
     begun = approach(ray, dem)
     stopped = lambda limit: eqx.tree_at(lambda search: search.limit, search, limit).run_from(begun, dem)  # noqa: E731
     return jax.vmap(stopped)(jnp.arange(steps))

@@ -1,1 +1,1 @@
-"""What several tests and benchmarks need."""
+"""Shared helpers of tests and benchmarks."""

@@ -1,7 +1,7 @@
-"""Rasters that name other places: for each what lies in a folder, and which file of it a caller names.
+"""Rasters that refer to other files or servers: the files of a folder, and the one that a caller names.
 
-A row is a function that writes files into `folder` and gives back the name of the one to be read. `address` is that of
-a server whose requests are counted, `secret` a sound raster elsewhere on the machine. None of the rows may be read; to
+A row is a function that writes files into `folder` and returns the name of the one to read. `address` is that of a
+server whose requests are counted, `secret` a valid raster elsewhere on the machine. None of the rows may be read; to
 add one, add a function to `ATTACKS`. Those of `CRS_ATTACKS` name files in their CRS.
 """
 
@@ -24,7 +24,7 @@ POSTS = np.round(hills((ROWS, COLS)), 2)
 Attack = Callable[[pathlib.Path, str, pathlib.Path], str]
 
 
-# In a process of its own: GDAL waits for an answer without letting another thread of this one write it.
+# In its own process: GDAL waits for a reply without releasing other threads of this process to send it.
 SERVER = """
 import http.server, pathlib, sys
 folder, told = pathlib.Path(sys.argv[1]), open(sys.argv[2], "a", buffering=1)
@@ -48,7 +48,7 @@ server.serve_forever()
 
 
 class Requests(NamedTuple):
-    """The address of a server on this machine, the folder that it serves, and the file of the requests that it had."""
+    """The address of a local server, the folder that it serves, and the log file of its requests."""
 
     address: str
     folder: pathlib.Path
@@ -63,7 +63,7 @@ class Requests(NamedTuple):
 
 @contextmanager
 def counted_requests(folder: pathlib.Path) -> Iterator[Requests]:
-    """A server on this machine that notes its requests; it serves what lies in `folder`."""
+    """A local server that logs its requests; it serves the content of `folder`."""
     told = folder / "requests.txt"
     told.touch()
     command = [sys.executable, "-c", SERVER, str(folder), str(told)]
@@ -76,7 +76,7 @@ def counted_requests(folder: pathlib.Path) -> Iterator[Requests]:
 
 
 def wms(address: str) -> str:
-    """A document of GDAL's for tiles of a server."""
+    """A GDAL document for tiles of a server."""
     return (
         f'<GDAL_WMS><Service name="TMS"><ServerUrl>{address}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow>'
         "<UpperLeftX>5</UpperLeftX><UpperLeftY>45</UpperLeftY><LowerRightX>6</LowerRightX><LowerRightY>44</LowerRightY>"
@@ -86,7 +86,7 @@ def wms(address: str) -> str:
 
 
 def wcs(address: str) -> str:
-    """A document of GDAL's for a coverage; GDAL asks the server for its capabilities as it opens it."""
+    """A GDAL document for a coverage; GDAL requests the server's capabilities when opening it."""
     return (
         f"<WCS_GDAL><ServiceURL>{address}/wcs?</ServiceURL><Version>1.0.0</Version><CoverageName>dem</CoverageName>"
         "</WCS_GDAL>"
@@ -94,12 +94,12 @@ def wcs(address: str) -> str:
 
 
 def wmts(address: str) -> str:
-    """A document of GDAL's for a layer; GDAL asks for the capabilities as it opens it."""
+    """A GDAL document for a layer; GDAL requests the capabilities when opening it."""
     return f"<GDAL_WMTS><GetCapabilitiesUrl>{address}/wmts</GetCapabilitiesUrl><Layer>dem</Layer></GDAL_WMTS>"
 
 
 def stac(address: str) -> str:
-    """A collection of items with one asset, that lies on a server."""
+    """A collection of items with one asset on a server."""
     return (
         '{"type": "FeatureCollection", "stac_version": "1.0.0", "features": [{"type": "Feature", "stac_version": '
         '"1.0.0", "id": "a", "collection": "c", "properties": {"proj:epsg": 4326, "datetime": "2020-01-01T00:00:00Z"}, '
@@ -127,7 +127,7 @@ def vrt_of(inside: str, *, srs: str = "EPSG:4326", attributes: str = "") -> str:
 
 
 def named(file: str | pathlib.Path, relative: int = 0) -> str:
-    """The name of a file in a VRT."""
+    """The element of a VRT that names a file."""
     return f'<SourceFilename relativeToVRT="{relative}">{file}</SourceFilename>'
 
 
@@ -144,7 +144,7 @@ def _vrt(inside: Callable[[str, pathlib.Path], str], name: str = "dem.vrt", **ho
 
 
 def _with_source(write_source: Callable[[pathlib.Path, str], object], name: str = "a.tif", **band: str) -> Attack:
-    """A VRT with a source beside it, that is what is not to be opened."""
+    """A VRT with a source beside it that must not be opened."""
 
     def attack(folder: pathlib.Path, address: str, secret: pathlib.Path) -> str:
         write_source(folder / name, address)
@@ -155,7 +155,7 @@ def _with_source(write_source: Callable[[pathlib.Path, str], object], name: str 
 
 
 def _beside(name: str, content: Callable[[str, pathlib.Path], str], also: str = "") -> Attack:
-    """A sound GeoTIFF, and a file beside it that GDAL opens too; `also` a document that this names."""
+    """A valid GeoTIFF, and a file beside it that GDAL opens too; `also` a document that this names."""
 
     def attack(folder: pathlib.Path, address: str, secret: pathlib.Path) -> str:
         write(folder / "dem.tif", POSTS)
@@ -212,7 +212,7 @@ _WGS84 = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]{0}],PRIMEM["Greenwich",0],'
     'UNIT["degree",0.0174532925199433]]'
 )
-CRS_WITH_FILES = {  # what PROJ opens when it transforms, or when it understands it
+CRS_WITH_FILES = {  # opened by PROJ when it transforms, or when it parses the CRS
     "grid of a datum": _WGS84.format(',EXTENSION["PROJ4_GRIDS","SECRET"]').replace("WGS 84", "mine"),
     "grid of a geoid": (
         f'COMPD_CS["c",{_WGS84.format("")},VERT_CS["v",VERT_DATUM["v",2005,EXTENSION["PROJ4_GRIDS","SECRET"]],'

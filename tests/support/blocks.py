@@ -1,4 +1,4 @@
-"""Three real blocks, as they are adjusted: from the folder of real data, in the conventions that were found by test."""
+"""Three real blocks ready for adjustment, from the folder of real data, with conventions verified by test."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from jaxgeo.sensor import BrownConrady, FrameCamera, Gimbal, Mount, Pose, Sensor
 
 Folder = str | pathlib.Path
 ORIENTATIONS = "23FD1305_alt_2.OPK"
-CAMERA_FROM_IMAGE = np.diag([1.0, -1.0, -1.0])  # of right, up, out of the scene
+CAMERA_FROM_IMAGE = np.diag([1.0, -1.0, -1.0])  # from right, up, out of the scene
 
 
 @dataclass(frozen=True)
 class RealBlock:
-    """A block, what is unknown of its cameras, the classes of its measurements, and points to check it with."""
+    """A block, the unknowns of its cameras, the classes of its measurements, and its check points."""
 
     block: Block
     unknowns: Unknowns
@@ -44,9 +44,9 @@ class RealBlock:
 
 
 def strasbourg(folder: Folder) -> RealBlock:
-    """Five frames over Strasbourg, on 14 control points; points 351 and 410 are left to check with.
+    """Five frames over Strasbourg, on 14 control points; points 351 and 410 are check points.
 
-    Marked points at 0.5 px and matched ones at 1 px, control by its own sigmas, the camera known.
+    Marked points at 0.5 px and matched ones at 1 px, control with its own sigmas, camera known.
     """
     root = pathlib.Path(folder) / "dbat_sxb"
     parts = [_measured(root / f"measurements/{name}.txt", s) for name, s in (("markpts", 0.5), ("smartpts", 1.0))]
@@ -66,7 +66,7 @@ def strasbourg(folder: Folder) -> RealBlock:
 
 
 def large(folder: Folder) -> RealBlock:
-    """16 photographs with 22 106 points, each with a focal length and two coefficients of its own, nothing known."""
+    """16 photographs with 22 106 points, each with its own focal length and two coefficients, no known values."""
     problem = read_bal(pathlib.Path(folder) / "bal" / "problem-16-22106-pre.txt.bz2")
     R_camera_from_frame = CAMERA_FROM_IMAGE @ Rotation.from_rotvec(problem.rotation).as_matrix()
     R = np.swapaxes(R_camera_from_frame, 1, 2)
@@ -96,10 +96,10 @@ def large(folder: Folder) -> RealBlock:
 
 @dataclass(frozen=True)
 class Aerial:
-    """68 frames of an UltraCam Eagle by their given orientations, tie points, and the given places of these.
+    """68 frames of an UltraCam Eagle with their given orientations, tie points, and the given positions of these.
 
-    `seen` are measurements of points that two images see at least, of `read` altogether; `given` the orientations and
-    `ground` the points in the `frame`; `poses` the same orientations as the navigation would have them.
+    `seen` are measurements of points in at least two images, out of `read` in total; `given` the orientations and
+    `ground` the points in the `frame`; `poses` the same orientations in the form of a navigation.
     """
 
     frame: LocalFrame
@@ -111,8 +111,7 @@ class Aerial:
     read: ImagePoints
 
     def with_navigation(self, sigma_position: float, sigma_attitude: float, seed: int | None = 0) -> Block:
-        """The block as if these orientations came from a navigation, disturbed by its sigmas (m, rad) unless `seed` is
-        None."""
+        """The block with these orientations as navigation, disturbed by its sigmas (m, rad) unless `seed` is None."""
         poses = self.poses if seed is None else disturbed(self.frame, self.poses, sigma_position, sigma_attitude, seed)
         return Block.from_shots(
             self.sensor,
@@ -125,7 +124,7 @@ class Aerial:
         )
 
     def held(self, sigma_position: float, sigma_attitude: float) -> Block:
-        """The block held by a navigation that says just what is `given`, also where that is not what `poses` say."""
+        """The block held by a navigation equal to `given`, even where that differs from `poses`."""
         block = self.with_navigation(sigma_position, sigma_attitude, seed=None)
         assert block.navigation is not None  # it comes from shots
         turn = np.swapaxes(block.images.R_frame_from_camera, 1, 2) @ block.navigation.R_frame_from_body
@@ -134,7 +133,7 @@ class Aerial:
         return replace(block, images=self.given, navigation=told)
 
     def off(self) -> np.ndarray:
-        """Pixels (k, 2) of the ground points by the given orientations, less those measured."""
+        """Pixels (k, 2) of the ground points by the given orientations, minus those measured."""
         row = {name: i for i, name in enumerate(self.given.name.tolist())}
         place = dict(zip(self.ground.name.tolist(), self.ground.place, strict=True))
         image = np.array([row[name] for name in self.seen.image.tolist()])
@@ -146,8 +145,8 @@ class Aerial:
         )
 
     def parts(self, least: int = 4) -> list[Aerial]:
-        """The parts that no tie holds together, each a free network; images that see fewer than `least` points are left
-        out of them, as those could not hold them. The largest comes first."""
+        """The parts not connected by ties, each a free network, largest first; images that see fewer than `least`
+        points are left out, because their orientation would be undetermined."""
         names, counts = np.unique(self.seen.image, return_counts=True)
         seen = self.seen.of(np.isin(self.seen.image, names[counts >= least])).seen_often()
         names, image = np.unique(seen.image, return_inverse=True)
@@ -165,15 +164,15 @@ class Aerial:
         return replace(self, poses=jax.tree.map(lambda x: x[rows], self.poses), given=given, seen=seen, ground=ground)
 
     def free_network(self, seed: int = 0) -> Block:
-        """The block with nothing but ties, from orientations that are disturbed by 1 m and 0.05 deg."""
+        """The block with ties only, from orientations that are disturbed by 1 m and 0.05 deg."""
         block = self.with_navigation(1.0, float(np.deg2rad(0.05)), seed)
         return replace(block, navigation=None, points=self.ground)
 
 
 def aerial(folder: Folder, *, ground_altitude: float | None = 3.0, sigma_px: float = 0.2) -> Aerial:
-    """The block of IGN on the Earth: EPSG:2154 with the convergence of its grid, heights through RAF20.
+    """The block of IGN on the Earth: EPSG:2154 with its grid convergence, heights through RAF20.
 
-    `ground_altitude` in m is that above which the linear alteration of camera heights is taken off; None leaves it in.
+    `ground_altitude` in m is the reference of the linear alteration of camera heights, which is removed; None keeps it.
     """
     root = pathlib.Path(folder) / "ign_block"
     geoid = pathlib.Path(folder) / "geoid" / "fr_ign_RAF20.tif"
@@ -201,8 +200,8 @@ def aerial(folder: Folder, *, ground_altitude: float | None = 3.0, sigma_px: flo
 
 
 def in_map(folder: Folder, block: Aerial) -> Aerial:
-    """The same as if its map were Cartesian: no curvature, no scale; cameras' heights are brought to the ellipsoid,
-    from which those of the points are measured, by one undulation."""
+    """The same as if its map were Cartesian: no curvature, no scale; camera heights are converted to ellipsoidal
+    ones, like those of the points, by one undulation."""
     names, numbers = _opk(folder)
     rows = np.isin(names, block.given.name)
     R = Rotation.from_euler("XYZ", numbers[rows, 3:], degrees=True).as_matrix() @ CAMERA_FROM_IMAGE
@@ -229,12 +228,12 @@ def without_convergence(folder: Folder, block: Aerial) -> Aerial:
 
 
 def eagle() -> FrameCamera:
-    """UltraCam Eagle Mark 3 with 120 mm, as the block's own file tells; free of distortion."""
+    """UltraCam Eagle Mark 3 with 120 mm, as in the block's own file; free of distortion."""
     return FrameCamera.from_pixels(focal_px=30975.0, width=26460, height=17004, principal_px=(13210.0, 8502.0))
 
 
 def disturbed(frame: LocalFrame, poses: Pose, metres: float, angle: float, seed: int) -> Pose:
-    """Poses moved by chance, with these sigmas in m and rad on every axis and angle."""
+    """Poses with random errors, with these sigmas in m and rad on every axis and angle."""
     rng = np.random.default_rng(seed)
     place = np.asarray(frame.from_geodetic(poses.position))
     position = frame.to_geodetic(place + rng.normal(0.0, metres, place.shape))
@@ -274,6 +273,6 @@ def _measured(path: pathlib.Path, sigma: float) -> ImagePoints:
 
 
 def _rows(path: pathlib.Path) -> list[list[str]]:
-    """The comma-separated words of every line but comments."""
+    """The comma-separated words of every line except comments."""
     lines = [line for line in path.read_text().splitlines() if line.strip() and not line.startswith("#")]
     return [[word.strip() for word in line.split(",")] for line in lines]

@@ -1,13 +1,12 @@
-"""Simulated blocks with blunders of many kinds and sizes, which of these can be told, and which are named.
+"""Simulated blocks with blunders of many kinds and sizes, their detectability, and the detected ones.
 
-Blocks of one layout are of one shape, so that what is compiled for one serves all. Whether a blunder can be told is
-computed apart from the library, by dense textbook algebra at the true values (Baarda 1968, Foerstner 1983):
+Blocks of one layout have one shape and share the compiled programs. Detectability of a blunder is computed
+independently of the library, by dense textbook algebra at the true values (Baarda 1968, Foerstner 1983):
 
-* it is detectable where its test, at the level of the study, fails with a probability of `POWER` at least, all other
-  blunders of the block being modelled;
-* it is separable where the test of no other measurement comes so near that noise takes the one for the other with a
-  probability of more than 1 - `POWER`; by derivatives at the true values, and for a ray also by where its point would
-  come to lie with another ray left out in its place.
+- it is detectable if its test, at the level of the study, fails with a probability of at least `POWER`, with all other
+  blunders of the block in the model;
+- it is separable if noise confuses it with any other measurement with a probability of at most 1 - `POWER`; by
+  derivatives at the true values, and for a ray also by the point's position with another ray left out instead.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ LAYOUTS = (
 
 @dataclass(frozen=True)
 class Truth:
-    """A layout as it truly is: perspective centres, orientations, places; which image sees which point; a block."""
+    """The true layout: perspective centres, orientations, positions; visible points per image; a block."""
 
     centre: np.ndarray
     R: np.ndarray
@@ -77,7 +76,7 @@ class Truth:
 
 @cache
 def truth(layout: Layout) -> Truth:
-    """The layout, always the same."""
+    """The true values of a layout, always the same."""
     rng = np.random.default_rng(layout.seed)
     along, across = FLYING * HEIGHT / FOCAL * (1.0 - layout.forward), FLYING * WIDTH / FOCAL * (1.0 - layout.side)
     strip, number = (x.ravel() for x in np.meshgrid(np.arange(layout.strips), np.arange(layout.each), indexing="ij"))
@@ -101,7 +100,7 @@ def truth(layout: Layout) -> Truth:
     there = ahead & np.all((uv > 30.0) & (uv < [WIDTH - 31.0, HEIGHT - 31.0]), axis=2)
     rays = there.sum(axis=0)
     keep = np.flatnonzero(rays >= 2)
-    # Control lies in three images at least, spread over the block; ties as they come.
+    # Control points are in at least three images, spread over the block; tie points are arbitrary.
     good = keep[rays[keep] >= 3]
     control = good[np.argsort(np.linalg.norm(ground[good, :2], axis=1))[:: max(len(good) // CANDIDATES, 1)]][
         :CANDIDATES
@@ -116,7 +115,7 @@ def truth(layout: Layout) -> Truth:
 
 
 def point_names(count: int) -> np.ndarray:
-    """The first `CANDIDATES` may be control."""
+    """Point names; the first `CANDIDATES` may be control."""
     return np.array([f"gcp{k:02d}" if k < CANDIDATES else f"tie{k:03d}" for k in range(count)])
 
 
@@ -134,8 +133,8 @@ def _pixels(centre: np.ndarray, R: np.ndarray, places: np.ndarray) -> tuple[np.n
 
 @dataclass(frozen=True)
 class Wrong:
-    """A blunder as it was made: its kind, the measurement (`image point` or `control point`, and its row), and its
-    error in px or m; whether it can be told."""
+    """A simulated blunder: its kind, the measurement (`image point` or `control point`, and its row), its error in
+    px or m, and whether it is detectable."""
 
     kind: str
     of: str
@@ -151,7 +150,7 @@ class Wrong:
 
 @dataclass(frozen=True)
 class Case:
-    """A block, its blunders, and the least and all that one would need to repeat it."""
+    """A block, its blunders, and all parameters needed to repeat it."""
 
     layout: Layout
     seed: int
@@ -161,8 +160,9 @@ class Case:
 
 
 def clean(layout: Layout, seed: int) -> Case:
-    """A block with noise and no blunders: 6, 8 or 10 control points of 0.02, 0.1 or 0.5 m, image points of 0.5 or 1 px,
-    navigation of 0.1 m and 0.02 degrees, 1 m and 0.2 degrees, or 3 m and 1 degree, starts by it."""
+    """A block with noise and no blunders: 6, 8 or 10 control points of 0.02, 0.1 or 0.5 m, image points of 0.5 or 1
+    px, navigation of 0.1 m and 0.02 degrees, 1 m and 0.2 degrees, or 3 m and 1 degree, which gives the starting
+    values."""
     of, rng = truth(layout), np.random.default_rng(1000 * layout.seed + seed)
     n, names = len(of.centre), point_names(len(of.places))
     sigma_px, sigma_control = float(rng.choice([0.5, 1.0])), float(rng.choice([0.02, 0.1, 0.5]))
@@ -201,7 +201,7 @@ def clean(layout: Layout, seed: int) -> Case:
 
 
 def spoiled(layout: Layout, seed: int, kinds: tuple[str, ...], alpha: float | None = None) -> Case:
-    """The block of `clean` with blunders of some kinds, each in measurements of its own."""
+    """The block of `clean` with blunders of the given kinds, each in different measurements."""
     case = clean(layout, seed)
     rng = np.random.default_rng([7, layout.seed, seed])
     block, taken, wrong = case.block, set(), []
@@ -221,7 +221,7 @@ def spoiled(layout: Layout, seed: int, kinds: tuple[str, ...], alpha: float | No
 
 
 def familywise(block: Block, chance: float = 0.05) -> float:
-    """The level of each test, for any to fail in a good block with a probability of `chance` at most (Bonferroni)."""
+    """Level of each test that limits the false alarm probability of a whole block to `chance` (Bonferroni)."""
     return chance / (len(block.observations) + len(block.control))
 
 
@@ -255,7 +255,7 @@ def _made(kind: str, block: Block, rng: np.random.Generator) -> list[Wrong]:
 
 
 def in_wrong_zone(block: Block, place: np.ndarray, neighbour: bool) -> np.ndarray:
-    """What a place (3,) is off by, m, when its coordinates of UTM zone 32 are read in zone 33, or without 500 km."""
+    """Error in m of a position (3,) when its UTM zone 32 coordinates are read in zone 33, or without 500 km."""
     position = block.frame.to_geodetic(place)
     lon, lat = np.rad2deg(float(position.lon)), np.rad2deg(float(position.lat))
     east, north = pyproj.Transformer.from_crs(4326, 32632, always_xy=True).transform(lon, lat)
@@ -281,7 +281,7 @@ def _with(block: Block, made: list[Wrong]) -> Block:
 
 
 def all_in_wrong_zone(layout: Layout, seed: int, neighbour: bool) -> tuple[Case, np.ndarray]:
-    """A block all of whose control is of a wrong zone, and by how much it is off, m."""
+    """A block whose control is all in a wrong zone, and its offset, m."""
     case = clean(layout, seed)
     control = case.block.control
     off = np.array([in_wrong_zone(case.block, place, neighbour) for place in control.place])
@@ -289,7 +289,7 @@ def all_in_wrong_zone(layout: Layout, seed: int, neighbour: bool) -> tuple[Case,
     return replace(case, block=replace(case.block, control=moved)), off.mean(axis=0)
 
 
-# What can be told, by dense algebra.
+# Detectability, by dense algebra.
 
 
 def _design(case: Case) -> np.ndarray:
@@ -307,7 +307,7 @@ def _design(case: Case) -> np.ndarray:
     )
     by_point = by_d @ np.swapaxes(of.R[of.image], 1, 2) / case.sigma_px
     cross = np.zeros((k, 3, 3))
-    for axis in range(3):  # d of a camera turned by t: d - t x d
+    for axis in range(3):  # derivative of d for a camera rotated by t: d - t x d
         cross[:, :, axis] = -np.cross(np.eye(3)[axis], d)
     by_turn = by_d @ cross / case.sigma_px
     A = np.zeros((2 * k + 3 * c + 6 * n, 6 * n + 3 * m))
@@ -326,7 +326,7 @@ def _design(case: Case) -> np.ndarray:
 
 
 def _judged(case: Case, wrong: list[Wrong], alpha: float) -> list[Wrong]:
-    """The blunders with whether they can be told at a level `alpha` of each test."""
+    """The blunders with their detectability at a level `alpha` of each test."""
     A = _design(case)
     scale = 1.0 / np.linalg.norm(A, axis=0)
     Q, _ = np.linalg.qr(A * scale)
@@ -363,7 +363,7 @@ def _judged(case: Case, wrong: list[Wrong], alpha: float) -> list[Wrong]:
                 continue
             at = axes(of, row)
             size = np.linalg.norm(r[at])
-            if size**2 < 1e-3 * own / len(at):  # its residual shows hardly any of it
+            if size**2 < 1e-3 * own / len(at):  # its residual hardly changes
                 continue
             B = np.zeros((len(A), len(at)))
             B[at, np.arange(len(at))] = 1.0
@@ -376,9 +376,9 @@ def _judged(case: Case, wrong: list[Wrong], alpha: float) -> list[Wrong]:
 
 
 def _apart_in_space(case: Case, one: Wrong) -> float:
-    """How badly (length of all residuals, in sigmas) the rays of a point fit with an image point that is wrong and one
-    of the others left out in its place, at the true orientations and without noise: a large error may move a point so
-    far that derivatives at its true place say nothing. Infinite for control."""
+    """Misfit (length of all residuals, in sigmas) of a point's rays with the wrong image point included and one of
+    the others left out instead, at the true orientations and without noise: a large error may move a point so far
+    that derivatives at its true position do not apply. Infinite for control."""
     of = truth(case.layout)
     names = point_names(len(of.places))
     if one.of != "image point" or names[of.point[one.row]] in case.block.control.name:
@@ -406,12 +406,12 @@ def _apart_in_space(case: Case, one: Wrong) -> float:
     return least
 
 
-# What is named.
+# Detected blunders.
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of a case: each blunder with whether it was named, and what was named but is right."""
+    """Result of a case: each blunder with whether it was detected, and the false alarms."""
 
     case: Case
     named: list[tuple[Wrong, bool]]
@@ -419,7 +419,7 @@ class Outcome:
 
 
 def outcome(case: Case, found: list[Blunder]) -> Outcome:
-    """Blunders that are named, alone or as one of two that may as well be wrong."""
+    """Detected blunders, alone or as one of two equally likely ones."""
     seen, control = case.block.observations, case.block.control
 
     def names(one: Wrong, blunder: Blunder) -> bool:
@@ -435,7 +435,7 @@ def outcome(case: Case, found: list[Blunder]) -> Outcome:
 
 
 def drawn(count: int, layouts: tuple[Layout, ...] = LAYOUTS) -> Iterator[tuple[Layout, int, tuple[str, ...]]]:
-    """(layout, seed, kinds): layouts in turn, one to three blunders in turn, kinds in turn."""
+    """(layout, seed, kinds): layouts in rotation, one to three blunders in rotation, kinds in rotation."""
     at = 0
     for number in range(count):
         many = 1 + number // len(layouts) % 3
@@ -445,7 +445,7 @@ def drawn(count: int, layouts: tuple[Layout, ...] = LAYOUTS) -> Iterator[tuple[L
 
 
 def refusal(run: Callable[[Block], Any], case: Case) -> ControlElsewhere | None:
-    """What a run says of control that lies elsewhere."""
+    """The error that a run raises for control that lies elsewhere."""
     try:
         run(case.block)
     except ControlElsewhere as error:

@@ -1,4 +1,4 @@
-"""Small real files of the names that examples of commands use, all over the package's elevation model."""
+"""Small real files with the names used in command examples, all over the packaged elevation model."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ RECONSTRUCTION = {
     "points": {},
     "reference_lla": {"latitude": LAT, "longitude": LON, "altitude": 800.0},
 }
-SMALL = (192, 256)  # rows and columns of the image that is rectified and registered
-CELL, SIDE, WEST, NORTH = 10.0, 400, 744_100.0, 4_021_600.0  # of the map: m, cells, and its corner in zone 16 of UTM
+SMALL = (192, 256)  # rows and columns of the image for rectification and registration
+CELL, SIDE, WEST, NORTH = 10.0, 400, 744_100.0, 4_021_600.0  # map: cell size in m, cells, and its corner in UTM zone 16
 SMALL_POSE = {"lat": 36.29, "lon": -84.26, "height": 3500.0, "heading": 30.0, "pitch": 1.0, "roll": -2.0}
 SMALL_SCENE = """
 [camera]
@@ -68,7 +68,7 @@ roll_deg = {roll}
 
 
 def prepare(folder: pathlib.Path, command: str) -> None:
-    """Write the files that a command line names, as far as they are known, into a folder."""
+    """Write the known files that a command line names into a folder."""
     words = shlex.split(command, comments=True)
     for word in words:
         name = word.rstrip("/")
@@ -85,7 +85,7 @@ def _shots(path: pathlib.Path) -> None:
 
 
 def _flight(path: pathlib.Path) -> None:
-    """Straight and level, at 170 m/s."""
+    """Straight and level flight at 170 m/s."""
     lines = [f"time_s,{POSE},{READINGS}"]
     for k in range(41):
         lat, lon = 36.35 - k * 85.0 * 0.866 / 110_940.0, -84.10 + k * 85.0 * 0.5 / 89_640.0
@@ -136,8 +136,8 @@ FILES: dict[str, Callable[[pathlib.Path], object]] = {
 
 @functools.cache
 def _small_files(*, is_seen: bool) -> dict[str, pathlib.Path]:
-    """A map, an image, if it `is_seen` that of the map from a known pose, and a scene with the errors of a navigation
-    in it; made once."""
+    """A map, an image (rendered from the map with a known pose if `is_seen`), and a scene with the errors of a
+    navigation; created once."""
     import tempfile
 
     folder = pathlib.Path(tempfile.mkdtemp(prefix="jaxgeo-"))

@@ -1,4 +1,4 @@
-"""An adjustment as one dense least squares problem: every residual as a function of every unknown, by autodiff."""
+"""An adjustment as one dense least squares problem: all residuals as functions of all unknowns, by autodiff."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ ENU = ("east", "north", "up")
 
 
 class Dense(NamedTuple):
-    """Weighted residuals, their Jacobian by the unknowns that are free, and the covariance of all (zero where fixed).
+    """Weighted residuals, their Jacobian by the free unknowns, and the covariance of all unknowns (zero where fixed).
 
-    Unknowns are the adjustment's `columns`, then the points' coordinates in the order of its `points`. Image points
-    are the first 2 k residuals.
+    Unknowns are the adjustment's `columns`, then the points' coordinates in the order of its `points`. Image points are
+    the first 2 k residuals.
     """
 
     residual: np.ndarray
@@ -32,7 +32,7 @@ class Dense(NamedTuple):
 
     @property
     def leverage(self) -> np.ndarray:
-        """Covariance (k, k) of the adjusted observations in units of those measured."""
+        """Covariance (k, k) of the adjusted observations, in units of the observations' own variance."""
         J = self.jacobian
         return J @ self.covariance[np.ix_(self.free, self.free)] @ J.T
 
@@ -40,7 +40,7 @@ class Dense(NamedTuple):
 def dense(
     adjustment: Adjustment, terrain: HeightObservations | None = None, constraints: np.ndarray | None = None
 ) -> Dense:
-    """The problem at the adjusted values; with rows of `constraints` (d, unknowns), which hold a free network."""
+    """The problem at the adjusted values; rows of `constraints` (d, unknowns) define the datum of a free network."""
     function, size = residual_of(adjustment, terrain)
     residual, J = (np.asarray(x) for x in jax.jit(lambda z: (function(z), jax.jacfwd(function)(z)))(jnp.zeros(size)))
     free = free_of(adjustment, size)
@@ -59,7 +59,7 @@ def dense(
 
 
 def free_of(adjustment: Adjustment, size: int) -> np.ndarray:
-    """Indices of the unknowns that are free, from what was said to be unknown."""
+    """Indices of the free unknowns, from the adjustment's specification."""
     names = {(p.whose, p.name) for p in adjustment.parameters}
     images = adjustment.unknowns.images
     held = {n for n in adjustment.images.name.tolist() if _choice(images, n)}
@@ -84,7 +84,7 @@ def _choice(images: Any, name: str) -> bool:
 
 
 def _alike(adjustment: Adjustment) -> list[tuple[str, str]]:
-    """The columns, with those of an image's own lens called after its camera."""
+    """The columns, with those of an image's own lens named after its camera."""
     camera = dict(zip(adjustment.images.name.tolist(), adjustment.images.camera.tolist(), strict=True))
     own = ("centre", "turn")
     return [
@@ -96,7 +96,7 @@ def _alike(adjustment: Adjustment) -> list[tuple[str, str]]:
 
 
 def residual_of(adjustment: Adjustment, terrain: HeightObservations | None = None) -> tuple[Any, int]:
-    """(weighted residuals as a function of a change of all unknowns, how many these are)."""
+    """(weighted residuals as a function of a change of all unknowns, number of unknowns)."""
     block, images, points = adjustment.block, adjustment.images, adjustment.prepared.names.point.tolist()
     columns, seen, nav = _alike(adjustment), block.observations, block.navigation
     N = len(columns)

@@ -1,4 +1,4 @@
-"""Records to draw, made up where no computing is needed, and each made once."""
+"""Records for plot tests, synthetic where possible, each built once."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SHAPE = (41, 61)
 
 
 def new_axes(width: float = style.COLUMN, tall: float = 1.0) -> Axes:
-    """The only axes of a figure in the style of the house, so many inches wide."""
+    """The only axes of a figure in the package's style, `width` inches wide."""
     with mpl.rc_context(style.style(width)):
         figure = Figure(figsize=(width, tall * width), layout="constrained")
         FigureCanvasAgg(figure)
@@ -41,26 +41,26 @@ def new_axes(width: float = style.COLUMN, tall: float = 1.0) -> Axes:
 
 
 def words(axes: Axes) -> list[str]:
-    """What the legend says, line by line."""
+    """Lines of the legend."""
     legend = axes.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
 
 
 def said(axes: Axes) -> str:
-    """What stands above the legend."""
+    """Text above the legend."""
     legend = axes.get_legend()
     assert legend is not None
     return legend.get_title().get_text().replace("\n", " ")
 
 
 def labels(axes: Axes) -> list[str]:
-    """What a legend would say."""
+    """Labels of a potential legend."""
     return axes.get_legend_handles_labels()[1]
 
 
 def line(axes: Axes, label: str) -> np.ndarray:
-    """Places (n, 2) of the line with a label."""
+    """Points (n, 2) of the line with a label."""
     (found,) = [one for one in axes.lines if one.get_label() == label]
     return np.asarray(found.get_xydata())
 
@@ -104,7 +104,7 @@ def on_the_hill() -> Fix:
 
 
 def sampled(count: int = 2000, failed: int = 0, keep: bool = True) -> Sampled:
-    """Errors of 20 m east and 10 m north, of which the last have no fix."""
+    """Errors of 20 m east and 10 m north, the last of which have no fix."""
     errors = np.random.default_rng(0).standard_normal((count, 3)) * [20.0, 10.0, 5.0]
     errors[count - failed :] = np.nan
     radii = {"CE": np.nan_to_num(np.hypot(errors[:, 0], errors[:, 1]), nan=np.inf)}
@@ -117,7 +117,7 @@ def sampled(count: int = 2000, failed: int = 0, keep: bool = True) -> Sampled:
 
 @cache
 def level() -> Propagation:
-    """Errors of a camera that looks straight down from 2 km at level ground."""
+    """Errors of a nadir camera 2 km above level ground."""
     sensor = Sensor(FrameCamera.from_pixels(focal_px=300.0, width=256, height=192), Gimbal.fixed(), Mount.nadir())
     shot = Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=2000.0))
     errors = [sources.Position.from_ned(north=8.0, east=4.0, down=2.0)]
@@ -125,7 +125,7 @@ def level() -> Propagation:
 
 
 def compared(*, jumps: int = 0, failed: int = 0, keep: bool = True) -> Comparison:
-    """The propagation against samples of its own covariance, of which some jump 800 m to the east, and some fail."""
+    """The propagation against samples of its own covariance; some jump 800 m to the east, and some fail."""
     count = 3000
     errors = np.random.default_rng(2).multivariate_normal(np.zeros(3), np.asarray(level().cov_enu) + np.eye(3), count)
     errors[:jumps, 0] += 800.0
@@ -147,7 +147,7 @@ def compared(*, jumps: int = 0, failed: int = 0, keep: bool = True) -> Compariso
 
 
 def a_budget() -> Budget:
-    """A block and three errors, with 50 to 5 % of the horizontal, 60 to 0 % of the vertical variance."""
+    """A budget of a block and three errors, with 50 to 5 % of the horizontal, 60 to 0 % of the vertical variance."""
     parts = ((6.0, 0.2, "rad", 0.01), (3.0, 0.6, "m", 2.5), (1.0, 0.0, "m", 0.5))
     lines = tuple(
         SigmaShare(f"source: {k}", sigma, unit, Variance(across, up), 5.0 + k, 0.1)
@@ -165,7 +165,7 @@ def adjusted() -> Adjustment:
 
 
 def judged(wrong: tuple[int, ...] = ()) -> Reliability:
-    """A judgement by hand: all of the same redundancy, some beyond the test, the last checked by nothing."""
+    """A constructed reliability result: equal redundancies, some beyond the test, the last one uncontrolled."""
     redundancy = np.full(adjusted().residuals.shape, 0.64)
     standardised = adjusted().residuals / SIGMA_UV / 0.8
     standardised = np.clip(standardised, -3.0, 3.0)
@@ -180,7 +180,7 @@ TRUST = np.array([[0, 0, 1, 2], [0, 0, -1, 2], [0, 0, 1, 2]], np.int8)
 
 
 def accuracies(error: np.ndarray = ERROR) -> AccuracyMap:
-    """Places 0.01 degrees from each other, of which one is hidden."""
+    """An accuracy map of positions 0.01 degrees apart, one of them hidden."""
     lon, lat = np.deg2rad(5.0 + 0.01 * UV[..., 0]), np.deg2rad(44.0 + 0.01 * UV[..., 1])
     status = np.where(TRUST < 0, np.int8(Status.hidden_by_terrain), np.int8(Status.hit))
     position = Geodetic(lat=lat, lon=lon, height=np.zeros_like(lat))
@@ -188,7 +188,7 @@ def accuracies(error: np.ndarray = ERROR) -> AccuracyMap:
     return AccuracyMap(position, UV, status, TRUST, error, 2.0 * error, error, error, signs, 0.9, 100)
 
 
-# What images see.
+# Footprints.
 
 
 PLACE = Geodetic.from_degrees(lat=44.02, lon=5.03, height=500.0)
@@ -196,7 +196,7 @@ RING = np.array([[0.0, 0.0], [900.0, 0.0], [1800.0, 0.0], [1800.0, 900.0], [0.0,
 
 
 def outlined(*, lost: tuple[int, ...] = (), hidden: tuple[int, ...] = ()) -> Footprint:
-    """The footprint of a ring of places, of which some see nothing, and some lie before a jump."""
+    """The footprint of a ring of points, some without ground, and some next to a discontinuity."""
     count = len(RING)
     metres = math.radians(1.0) * 6.37e6
     lat = np.deg2rad(44.02 + RING[:, 1] / metres)
@@ -223,7 +223,7 @@ def overlaps(along: list[list[float]], status: Status = Status.hit) -> Overlap:
 
 
 def a_section(**changes) -> Section:
-    """A line that goes down through two ridges, made up."""
+    """A synthetic line of sight that passes through two ridges."""
     distance = np.linspace(0.0, 4000.0, 401)
     ground = 100.0 + 300.0 * np.exp(-(((distance - 2000.0) / 150.0) ** 2))
     void = (distance > 500.0) & (distance < 800.0)
@@ -245,7 +245,7 @@ def a_section(**changes) -> Section:
 CENTRE = Geodetic.from_degrees(lat=47.0, lon=11.0, height=0.0)
 MAP_SHAPE, CELL = (200, 300), 10.0  # cells, m
 GRID = TangentGrid.centred(CENTRE, spacing=(CELL, CELL), shape=MAP_SHAPE)
-# Blocks: two that agree, one with a candidate elsewhere, one that was too even.
+# Blocks: two that agree, one with a candidate elsewhere, one with too little texture.
 CENTRES = np.array([[50.0, 60.0], [50.0, 240.0], [150.0, 60.0], [150.0, 240.0]])
 SHIFTS = np.array(
     [[[2.0, 5.0], [9.0, -9.0]], [[2.0, 6.0], [np.nan] * 2], [[-8.0, 3.0], [np.nan] * 2], [[np.nan] * 2] * 2]
@@ -256,18 +256,18 @@ SHOT = Shot(Pose.from_degrees(lat=47.0, lon=11.0, height=2000.0))
 
 
 def image(value: float, known: np.ndarray | None = None) -> Orthoimage:
-    """Even, but for some dark rows, so that there is a range of brightness."""
+    """Uniform image with some dark rows, so that there is a range of brightness."""
     values = np.full(MAP_SHAPE, value)
     values[:4] = 0.0
     return Orthoimage.of(values, GRID, known)
 
 
 def a_pass(false_alarms: float = 1e-20, peak: tuple[int, ...] = (0, 0, -1, -1)) -> Pass:
-    """Blocks whose shift is that of the map alone: 0.1 cells for each m."""
+    """Blocks whose shift is that of the map alone: 0.1 cells per m."""
     score = np.where(np.isfinite(SHIFTS[..., 0]), 0.8, np.nan)
     covariance = np.where(np.isfinite(score)[..., None, None], 0.01 * np.eye(2), np.nan)
     matches = Matches(CENTRES, SHIFTS, score, covariance, np.array(OUTCOMES, np.int8), np.array([99, 99, 99, 0]))
-    by_error = np.broadcast_to(np.array([[0.0, -0.1], [0.1, 0.0]]), (4, 2, 2))  # north is up, and rows go down
+    by_error = np.broadcast_to(np.array([[0.0, -0.1], [0.1, 0.0]]), (4, 2, 2))  # north is up, rows go down
     ones = np.ones(4)
     shifts = Shifts(CENTRES[:, ::-1], by_error, by_error, CELL * ones, ones, ones > 0.0, 0.0 * ones, np.zeros((4, 2)))
     chosen = Chosen(np.array(peak), ones, 10, 2)
@@ -283,7 +283,7 @@ def registration(outcome: Outcome = Outcome.few_agree, passes: tuple[Pass, ...] 
 
 
 def normals_of(places: np.ndarray) -> Geodetic:
-    """Positions on the ellipsoid of places (n, 2) = (row, col)."""
+    """Ellipsoid positions of points (n, 2) = (row, col)."""
     normal = np.stack([np.asarray(GRID.normal(jnp.asarray(place))) for place in places])
     x, y, z = normal.T
     return Geodetic(lat=np.arctan2(z, np.hypot(x, y)), lon=np.arctan2(y, x), height=np.zeros(len(places)))
@@ -298,7 +298,7 @@ def block_places(residual: float = 1.0) -> BlockPlaces:
 
 
 def a_fix(sigma: float, degrees: float = 0.0):
-    """Of the middle of the image, which errs by `sigma` m along north, twice as much along east."""
+    """A fix of the image centre with errors of `sigma` m along north, twice that along east."""
     pose = Pose.from_degrees(lat=47.0, lon=11.0, height=2000.0, pitch=degrees)
     model = (sources.Position.from_ned(north=sigma, east=2.0 * sigma, down=0.0),)
     return propagate(SENSOR, Shot(pose), (127.5, 95.5), ConstantHeight(0.0), model)

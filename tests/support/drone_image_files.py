@@ -1,4 +1,4 @@
-"""Small images with the tags of drones' makers, written by Pillow."""
+"""Small images with the tags of drone manufacturers, written by Pillow."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 SIZE = (40, 30)
-FULL = (4000, 3000)  # of which the tags speak
+FULL = (4000, 3000)  # image size in the tags
 RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 SPACES = {
     "drone-dji": "http://www.dji.com/drone-dji/1.0/",
-    "drone": "http://www.dji.com/drone-dji/1.0/",  # as Autel calls it
+    "drone": "http://www.dji.com/drone-dji/1.0/",  # Autel's prefix
     "drone-skydio": "https://www.skydio.com/drone-skydio/1.0/",
     "drone-parrot": "http://www.parrot.com/drone-parrot/1.0/",
     "Camera": "http://pix4d.com/camera/1.0/",
@@ -79,7 +79,7 @@ def write_image(
     for part, values in ((EXIF, exif), (GPS, gps)):
         if values:
             tags.get_ifd(part).update(values)
-            tags[part] = tags.get_ifd(part)  # without which none is written to TIFF
+            tags[part] = tags.get_ifd(part)  # otherwise none is written to TIFF
     if path.suffix.lower() == ".jpg":
         image.save(path, exif=tags, xmp=xmp.encode())
     else:

@@ -27,7 +27,7 @@ PLACE = {"filename": "a", "camera": "dmc", "xyz": [299_000.0, 6_271_500.0, 5200.
 
 
 class Extra(NamedTuple):
-    """The modules that an extra brings and jaxgeo imports, and its uses, which take an empty folder."""
+    """The modules that an extra installs and jaxgeo imports, and its uses, which take an empty folder."""
 
     modules: tuple[str, ...]
     uses: tuple[Callable[[pathlib.Path], None], ...]
@@ -44,7 +44,7 @@ def page(folder: pathlib.Path) -> None:
     """A report of the demonstration's scene."""
     from jaxgeo.cli import app
 
-    importlib.import_module("jaxgeo.report")  # at once, before anything is computed
+    importlib.import_module("jaxgeo.report")  # at once, before any computation
 
     output = folder / "page.html"
     scene = ["--scene", example("demo_scene.toml"), "--dem", example("jacksboro.tif"), "--vertical-datum", "EPSG:5773"]
@@ -86,7 +86,7 @@ def telemetry(folder: pathlib.Path) -> None:
     packets = [local_set(usual(*ABOVE_ELLIPSOID)) for _ in range(3)]
     try:
         import av
-    except ImportError:  # enough to be taken for a transport stream
+    except ImportError:  # enough to be detected as a transport stream
         path.write_bytes((b"\x47" + bytes(187)) * 20)
     else:
         with av.open(str(path), "w", format="mpegts") as container:
@@ -135,7 +135,7 @@ def example(name: str) -> str:
 
 
 def tell_without() -> None:
-    """That what needs an extra says so, where none is installed."""
+    """Check that functions that need an extra raise an error that names it, with none installed."""
     for name, extra in EXTRAS.items():
         for use in extra.uses:
             with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""What a row of the table of files as practitioners have them holds."""
+"""Row type of the table of practitioners' files."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 
 class FieldFile(NamedTuple):
-    """One file of the folder `field`: its path there, what it is a case of, and the check of its right answer.
+    """One file of the folder `field`: its path, what it is a case of, and the check of the correct result.
 
-    `check` takes the path of the file and raises `AssertionError` where the answer is another. `slow` marks a check
-    that takes more than a few seconds.
+    `check` takes the path of the file and raises `AssertionError` for a wrong result. `slow` marks a check that takes
+    more than a few seconds.
     """
 
     file: str

@@ -1,4 +1,4 @@
-"""Right answers for the images of the folder `field`."""
+"""Correct results for the images of the folder `field`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.io.acquisitions import UnstatedDatum, read_drone_images
 from jaxgeo.io.errors import ImageError
 from tests.support.field import FieldFile
 
-FILM = 24.0 / np.hypot(36.0, 24.0)  # focal length over the diagonal of the image, of the equivalent of 24 mm
+FILM = 24.0 / np.hypot(36.0, 24.0)  # focal length over the image diagonal, for a 24 mm equivalent
 HERE = (36.3, -84.2, 900.0)
 
 
@@ -44,7 +44,7 @@ def is_read(
     share: float = 0.0632,
     **options: Any,
 ) -> Callable[[pathlib.Path], None]:
-    """Reads with a position in deg and m, an orientation in deg, a focal length in pixels and its error as a share."""
+    """Checks position in deg and m, orientation in deg, focal length in pixels and its relative error."""
 
     def check(path: pathlib.Path) -> None:
         found = read(path, **options)
@@ -61,7 +61,7 @@ def is_read(
 
 
 def is_refused(*words: str, kind: type[Exception] = TableError, **ways_out: Any) -> Callable[[pathlib.Path], None]:
-    """Is refused with words, in a line that names the file; and read with `ways_out`, if there are any."""
+    """Checks that a file is refused with these words, in a line that names it, and read with `ways_out`, if given."""
 
     def check(path: pathlib.Path) -> None:
         with pytest.raises(kind) as why:
@@ -91,7 +91,7 @@ def repeats_are_refused_only_if_used(path: pathlib.Path) -> None:
 
 
 def corners_hold_the_truth(path: pathlib.Path) -> None:
-    """Focal length 2994 px by published calibrations; by 35 mm film it would be 2758."""
+    """Focal length 2994 px by published calibrations; the 35 mm equivalent would give 2758."""
     found = read(path)
     focal = float(found.sensor.camera.focal_px[0, 0])
     sigma = sigma_of(found, "interior orientation")[0]
@@ -107,7 +107,7 @@ def is_dewarped(path: pathlib.Path) -> None:
     np.testing.assert_allclose(camera.principal_px[0], [2015.5 - 12.5, 1511.5 + 7.25])
     names = camera.distortion.names
     bent = {name: float(getattr(camera.distortion, name)[0]) for name in names}
-    flagged = found.tags[0]["drone-dji:DewarpFlag"] == "1"  # freed of distortion already
+    flagged = found.tags[0]["drone-dji:DewarpFlag"] == "1"  # distortion already removed
     theirs = {} if flagged else {"k1": 0.11, "k2": -0.26, "p1": -0.0046, "p2": 0.0026, "k3": 0.23}
     assert {name: value for name, value in bent.items() if value} == theirs
     assert sigma_of(found, "interior orientation")[0] < 0.005 * 2813.6
@@ -115,7 +115,7 @@ def is_dewarped(path: pathlib.Path) -> None:
 
 
 def neighbours_keep_their_errors(path: pathlib.Path) -> None:
-    """Standard deviations of each image are its own, those of one read with the other in a folder too."""
+    """Each image keeps its own standard deviations, also when read together with the other in a folder."""
     alone, beside = read(path), read(path.with_name("rtk35.jpg"))
     np.testing.assert_allclose(sigma_of(alone, "position"), [0.011, 0.011, 0.022])
     np.testing.assert_allclose(sigma_of(beside, "position"), [0.0108, 0.0110, 0.0221])

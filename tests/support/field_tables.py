@@ -1,4 +1,4 @@
-"""Right answers for the tables of the folder `field`."""
+"""Correct results for the tables of the folder `field`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _R_from_image(found: Any, convergence: float = 0.0) -> np.ndarray:
 
 
 def _earth(path: pathlib.Path) -> None:
-    """A table on the Earth, whatever stands between its columns: 36.3 N, 84.2 W, 900 m; 30, 20, 0 deg."""
+    """A geographic table, with any separator: 36.3 N, 84.2 W, 900 m; 30, 20, 0 deg."""
     found = read_acquisition(path, height_datum="ellipsoid")
     np.testing.assert_allclose(_place(found), PLACE, atol=1e-9)
     np.testing.assert_allclose(_angles(found), [30.0, 20.0, 0.0], atol=1e-9)
@@ -56,7 +56,7 @@ def _earth(path: pathlib.Path) -> None:
 
 
 def _in_map(found: Any) -> float:
-    """Checks the place in UTM zone 16 of the first image; the convergence of its grid in deg, by PROJ."""
+    """Checks the first image's position in UTM zone 16; returns the grid convergence there in deg, by PROJ."""
     lon, lat = pyproj.Transformer.from_crs(UTM, 4326, always_xy=True).transform(751000.12, 4020000.34)
     np.testing.assert_allclose(_place(found), [lat, lon, 900.5], atol=1e-9)
     return float(pyproj.Proj(UTM).get_factors(lon, lat).meridian_convergence)
@@ -74,7 +74,7 @@ def _opk(path: pathlib.Path) -> None:
 
 
 def _ypr(path: pathlib.Path) -> None:
-    """Heading 30 from grid north, pitch 20, roll 0: of Metashape, that names its map, and RealityCapture."""
+    """Heading 30 from grid north, pitch 20, roll 0: from Metashape, which names its map, and RealityCapture."""
     crs = None if path.name == "metashape_ref.csv" else UTM
     found = read_acquisition(path, height_datum="ellipsoid", crs=crs)
     np.testing.assert_allclose(_angles(found), [30.0 + _in_map(found), 20.0, 0.0], atol=1e-6)

@@ -1,4 +1,4 @@
-"""Right answers for the telemetry of the folder `field`."""
+"""Correct results for the telemetry of the folder `field`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_sbet(path: pathlib.Path) -> None:
 
 
 def read(count: int, *checks: Callable[[Acquisition], None], **how: object) -> Callable[[pathlib.Path], None]:
-    """A file whose `count` exposures are those of the folder's flight, but for what `checks` say."""
+    """Checks a file whose `count` exposures are those of the folder's flight, except for what `checks` test."""
 
     def check(path: pathlib.Path) -> None:
         found = read_acquisition(path, **how)
@@ -44,7 +44,7 @@ def read(count: int, *checks: Callable[[Acquisition], None], **how: object) -> C
 
 
 def refused(*words: str) -> Callable[[pathlib.Path], None]:
-    """A file that is refused in one line with these words."""
+    """Checks that a file is refused in one line with these words."""
 
     def check(path: pathlib.Path) -> None:
         with pytest.raises(TableError) as caught:
@@ -67,7 +67,7 @@ def then(*checks: Callable[[pathlib.Path], None]) -> Callable[[pathlib.Path], No
 
 
 def no_centre(found: Acquisition) -> None:
-    """Nothing to compare with, though a slant range of 4000 m is reported."""
+    """No frame centre for comparison, although a slant range of 4000 m is reported."""
     assert found.reported is not None
     np.testing.assert_allclose(found.reported.slant_range, 4000.0, atol=1e-2)
     assert np.isnan(compare_reported(found)).all()
@@ -115,7 +115,7 @@ def times(start: str) -> Callable[[Acquisition], None]:
 
 
 def corners(found: Acquisition) -> None:
-    """A centre and corners that do not fit the angles: told as they are, against figures of plane geometry."""
+    """A centre and corners that do not match the angles: reported unchanged, checked by plane geometry."""
     compared = compare_reported(found)
     north, east = 0.01 * 110_960.0, 0.02 * 89_840.0  # m to the centre, at 36.3 deg
     down = float(np.asarray(found.shots.pose.position.height)[0]) - float(np.asarray(found.reported.centre.height)[0])  # pyright: ignore[reportOptionalMemberAccess]

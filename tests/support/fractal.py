@@ -116,8 +116,8 @@ class TangentTerrain:
 class Walked:
     """Outcome of the exhaustive walk of one ray.
 
-    Range of the first crossing (NaN if none), the smallest clearance passed before it (m), and how often the surface is
-    crossed within the first cell that is crossed.
+    Range of the first crossing (NaN if none), the smallest clearance before it (m), and the number of surface crossings
+    within the first crossed cell.
     """
 
     distance: float
@@ -128,7 +128,7 @@ class Walked:
 def walk_every_cell(
     terrain: TangentTerrain, origin: np.ndarray, direction: np.ndarray, start: float, end: float
 ) -> Walked:
-    """First crossing between two ranges, found by going through every cell under the ray with the exact map."""
+    """First crossing between two ranges, by visiting every cell below the ray with the exact map."""
     rowcol_ends, _ = terrain.over(origin + np.array([start, end])[:, None] * direction)
     count = int(4 * np.abs(np.diff(rowcol_ends, axis=0)).max()) + 8
     s = np.linspace(start, end, count)
@@ -140,7 +140,7 @@ def walk_every_cell(
         line = np.maximum(whole[1:], whole[:-1])[crossed]
         low, high, low_value = s[crossed], s[crossed + 1], rowcol[crossed, axis] - line
         high_value = rowcol[crossed + 1, axis] - line
-        for _ in range(3):  # the map is all but linear here
+        for _ in range(3):  # the map is nearly linear here
             at = low - low_value * (high - low) / (high_value - low_value)
             value = terrain.over(origin + at[:, None] * direction)[0][:, axis] - line
             slope = (high_value - low_value) / (high - low)
@@ -188,7 +188,7 @@ def _first_crossing(terrain: TangentTerrain, origin: np.ndarray, direction: np.n
 
 @dataclass(frozen=True)
 class Sight:
-    """Rays (n, 3) from a common altitude, with the range at which each comes below the ceiling and at its target."""
+    """Rays (n, 3) from a common altitude, with the ranges of the ceiling crossing and of the target."""
 
     origin: np.ndarray
     direction: np.ndarray
@@ -218,7 +218,7 @@ def sights(
 
 
 def random_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: float = 15_000.0) -> Sight:
-    """Rays 60-79 degrees off nadir to points drawn over the terrain; about a third meets other ground first."""
+    """Rays 60-79 degrees off nadir to points drawn over the terrain; about a third hits other ground first."""
     rng = np.random.default_rng(seed)
     size = terrain.posts.shape[0]
     rowcol = rng.uniform(0.1 * size, 0.9 * size, (count, 2))
@@ -228,7 +228,7 @@ def random_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: f
 
 
 def grazing_sights(terrain: TangentTerrain, count: int, *, seed: int, altitude: float = 15_000.0) -> Sight:
-    """Rays 60-79 degrees off nadir that dip into one bilinear patch and come out again: two crossings in a cell."""
+    """Rays 60-79 degrees off nadir that enter one bilinear patch and leave it again: two crossings in a cell."""
     rng = np.random.default_rng(seed)
     size, z = terrain.posts.shape[0], terrain.posts
     tries = 4000 * count

@@ -1,4 +1,4 @@
-"""The seed of the mutants of files that a run reads beside those of the fixed seed."""
+"""Seed of the extra file mutants that a run reads besides those of the fixed seed."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ MOST = 1_000_000
 
 
 def fuzz_seed(project: pathlib.Path, given: str | None) -> str:
-    """The seed that the variable gives: a number, "random" to draw one; if unset or empty, `seed_of_sources`."""
+    """The seed in the variable: a number, "random" to draw one; if unset or empty, `seed_of_sources`."""
     if given == RANDOM:
         return str(2 + secrets.randbelow(MOST))
     return given or str(seed_of_sources(project))
 
 
 def seed_of_sources(project: pathlib.Path) -> int:
-    """A checksum (CRC-32) of the Python sources that decide how a mutant is made and read, by name and content.
+    """A checksum (CRC-32) of the Python sources that determine how a mutant is made and read, by name and content.
 
-    It is another one after every change of them, and the same in every run, on every machine, over the same sources.
+    It changes with every change of them, and is the same in every run, on every machine, for the same sources.
     """
     found = 0
     files = sorted(

@@ -1,4 +1,4 @@
-"""Rough hills as one formula: in JAX, as a user writes it, and in NumPy, with bounds that are worked out by hand."""
+"""Rough hills as one formula: in JAX, as a user writes it, and in NumPy, with bounds derived by hand."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ WAVES = 7
 
 
 class Hills(eqx.Module):
-    """A sum of waves over latitude and longitude about a place: amplitudes in m, wave numbers a rad, phases in rad."""
+    """A sum of waves around a position: amplitudes in m, wave numbers per rad of latitude and longitude, phases in
+    rad."""
 
     amplitude: jax.Array
     by_lat: jax.Array
@@ -32,24 +33,24 @@ class Hills(eqx.Module):
 
 
 def hills(seed: int = 0, longest: float = 3000.0, slope: float = 0.35) -> Hills:
-    """Waves from `longest` m down to a hundredth of it, which add up to a rise of `slope` m per m at most."""
+    """Waves from `longest` m down to a hundredth of it, with a total slope of at most `slope` m per m."""
     rng = np.random.default_rng(seed)
     length = longest * np.geomspace(1.0, 0.01, WAVES)
     heading = rng.uniform(0.0, 2.0 * np.pi, WAVES)
-    number = 2.0 * np.pi / length  # a m
+    number = 2.0 * np.pi / length  # per m
     amplitude = slope / WAVES / number
     by_lat, by_lon = number * np.cos(heading) * LEAST_RADIUS, number * np.sin(heading) * LEAST_RADIUS * np.cos(LAT)
     return Hills(*(jnp.asarray(x) for x in (amplitude, by_lat, by_lon, rng.uniform(0.0, 2.0 * np.pi, WAVES))))
 
 
 def steepest(shape: Hills, *, farthest: float = 0.02) -> float:
-    """A bound of the rise, m per m, within so many rad of latitude: each wave at its steepest."""
+    """Upper bound of the slope, m per m, within `farthest` rad of latitude: each wave at its steepest."""
     metres_by_lon = LEAST_RADIUS * np.cos(LAT + farthest)
     return float(np.sum(np.abs(shape.amplitude) * np.hypot(shape.by_lat / LEAST_RADIUS, shape.by_lon / metres_by_lon)))
 
 
 def terrain(shape: Hills, *, with_slope: bool = True) -> HeightFunction:
-    """The hills as jaxgeo's terrain."""
+    """The hills as a jaxgeo terrain."""
     most = float(np.sum(np.abs(shape.amplitude)))
     return HeightFunction(shape, BASE - most, BASE + most, lipschitz=steepest(shape) if with_slope else None)
 
@@ -61,7 +62,7 @@ def heights(shape: Hills, lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
 
 
 def geodetic(p_ecef: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(latitude, longitude in rad, height in m) of points (n, 3), by a fixed point iteration of its own."""
+    """(latitude, longitude in rad, height in m) of points (n, 3), by an independent fixed-point iteration."""
     a, e2 = 6378137.0, (2.0 - 1.0 / 298.257223563) / 298.257223563
     x, y, z = p_ecef.T
     level = np.hypot(x, y)
@@ -74,7 +75,7 @@ def geodetic(p_ecef: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def first_below(shape: Hills, origin: np.ndarray, direction: np.ndarray, end: float, step: float) -> float:
-    """The range in m of the first place, `step` m apart, at which a ray is below the hills; infinite if none is."""
+    """The range in m of the first sample, `step` m apart, at which a ray is below the hills; infinite if none is."""
     distance = np.arange(0.0, end, step)
     lat, lon, height = geodetic(origin + distance[:, None] * direction)
     below = height <= heights(shape, lat, lon)
@@ -82,7 +83,7 @@ def first_below(shape: Hills, origin: np.ndarray, direction: np.ndarray, end: fl
 
 
 def sampled_dem(shape: Hills, spacing: float, size: int) -> Dem:
-    """The hills at the posts of a grid about their middle."""
+    """The hills at the posts of a grid around their centre."""
     middle = Geodetic(lat=jnp.asarray(LAT), lon=jnp.asarray(LON), height=jnp.zeros(()))
     grid = TangentGrid.centred(middle, spacing=(spacing, spacing), shape=(size, size))
     row, col = np.meshgrid(np.arange(float(size)), np.arange(float(size)), indexing="ij")
@@ -93,7 +94,7 @@ def sampled_dem(shape: Hills, spacing: float, size: int) -> Dem:
 
 
 def rays_over(count: int, seed: int, height: float = 800.0) -> tuple[np.ndarray, np.ndarray]:
-    """(origins, directions) (count, 3) of rays from about the middle, half of them close to the horizon."""
+    """(origins, directions) (count, 3) of rays from near the centre, half of them close to the horizon."""
     rng = np.random.default_rng(seed)
     place = WGS84.to_ecef(Geodetic(lat=jnp.asarray(LAT), lon=jnp.asarray(LON), height=jnp.asarray(height)))
     east = np.array([-np.sin(LON), np.cos(LON), 0.0])

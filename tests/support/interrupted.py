@@ -1,4 +1,4 @@
-"""Processes that are told to stop at some moment: what they print, how they end, what they leave."""
+"""Processes stopped by a signal at a given time: their output, exit code and remaining files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
-LONGEST = 2.0  # s from the signal to the end, on a machine with a processor free
+LONGEST = 2.0  # s from the signal to the end, with a free processor
 TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
 AS_FROM_A_TERMINAL = """
@@ -24,7 +24,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 @dataclasses.dataclass(frozen=True)
 class Ended:
-    """How a process ended: None of all if it was done before its moment came."""
+    """How a process ended: all None if it finished before the signal."""
 
     code: int
     told: list[str]
@@ -35,14 +35,14 @@ class Ended:
 
 
 def allowed() -> float:
-    """s that the end may take: where more threads want to run than there are processors, each gets its part only."""
+    """Time limit in s for the end; scaled up if more threads want to run than there are processors."""
     return LONGEST * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def stopped(
     line: Sequence[str], moment: float, number: int = signal.SIGINT, *, whole_group: bool = False, **how: object
 ) -> Ended:
-    """Start a command, and send it a signal once it handles signals and has had `moment` s of processor time."""
+    """Start a command, and send it a signal once it handles signals and has used `moment` s of processor time."""
     process = started(line, **how)
     assert process.stderr is not None
     while is_running(process) and not (handles_signals(process.pid) and processor_time(process.pid) >= moment):
@@ -57,7 +57,7 @@ def stopped(
 
 
 def started(line: Sequence[str], **how: object) -> subprocess.Popen[str]:
-    """A process in a group of its own, which does not ignore Ctrl-C even where the tests run in the background."""
+    """A process in its own group, which does not ignore Ctrl-C even if the tests run in the background."""
     how = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, **how}
     whole = [sys.executable, "-S", "-c", AS_FROM_A_TERMINAL, *line]
     return subprocess.Popen(whole, text=True, start_new_session=True, **how)  # pyright: ignore
@@ -68,7 +68,7 @@ def is_running(process: subprocess.Popen[str]) -> bool:
 
 
 def handles_signals(number: int) -> bool:
-    """Whether a process handles SIGTERM, which Python by itself does not; of Linux."""
+    """Whether a process handles SIGTERM, which Python by default does not; Linux only."""
     return _status(number, "SigCgt") >> (signal.SIGTERM - 1) & 1 == 1
 
 
@@ -81,7 +81,7 @@ def _status(number: int, name: str) -> int:
 
 
 def processor_time(number: int) -> float:
-    """s of all processors that a process has had."""
+    """Processor time in s used by a process."""
     fields = _fields(number)
     return (int(fields[11]) + int(fields[12])) / TICKS if fields else 0.0
 
@@ -94,7 +94,7 @@ def _fields(number: int) -> list[str]:
 
 
 def group(number: int) -> list[int]:
-    """Processes of a group, but for those that have ended; those that are ending have some time to."""
+    """Running processes of a group; waits briefly for those that are ending."""
     found: list[int] = []
     for _ in range(100):
         ids = [int(path.name) for path in pathlib.Path("/proc").iterdir() if path.name.isdigit()]
@@ -107,7 +107,7 @@ def group(number: int) -> list[int]:
 
 
 def wait_until(holds: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Raises `AssertionError` if something does not come true."""
+    """Wait until a condition holds; raises `AssertionError` after a timeout."""
     deadline = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < deadline

@@ -1,4 +1,4 @@
-"""Packets of MISB ST 0601 made by the words of the standard, for tests: an encoder of its own."""
+"""Encoder of MISB ST 0601 packets, written from the text of the standard, for tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 KEY = bytes([0x06, 0x0E, 0x2B, 0x34, 0x02, 0x0B, 0x01, 0x01, 0x0E, 0x01, 0x03, 0x01, 0x01, 0x00, 0x00, 0x00])
 
-# Of a sensor 2 km above the ellipsoid that looks down to the right: (unit value, lowest, highest, struct format).
+# Sensor 2 km above the ellipsoid, looking down to the right: (unit value, lowest, highest, struct format).
 USUAL: dict[int, tuple[float, float, float, str]] = {
     5: (30.0, 0.0, 360.0, ">H"),
     6: (3.0, -20.0, 20.0, ">h"),
@@ -33,7 +33,7 @@ TIME_US = 1_348_087_244_105_300
 
 
 def whole(value: float, low: float, high: float, layout: str) -> bytes:
-    """A number as the standard maps it: `low` is the least code used, `high` the greatest."""
+    """A number in the mapping of the standard: `low` is the lowest code used, `high` the highest."""
     greatest = 2 ** (8 * struct.calcsize(layout)) - 1
     if layout[1].islower():
         return struct.pack(layout, round(value / high * (greatest // 2)))
@@ -41,7 +41,7 @@ def whole(value: float, low: float, high: float, layout: str) -> bytes:
 
 
 def usual(*tags: int, **changes: float) -> dict[int, bytes]:
-    """Items of those tags (all but 75, 78, 90 and 91 if none are named) and the time; `tag_13=...` changes a value."""
+    """Items of these tags (if none, all except 75, 78, 90 and 91) and the time; `tag_13=...` changes a value."""
     values = {int(name.removeprefix("tag_")): value for name, value in changes.items()}
     chosen = tags or tuple(tag for tag in USUAL if tag < 75)
     found = {2: struct.pack(">Q", TIME_US)}
@@ -52,14 +52,14 @@ def usual(*tags: int, **changes: float) -> dict[int, bytes]:
 
 
 def length(size: int, *, long: bool = False) -> bytes:
-    """BER, in the short form where that can say it."""
+    """BER length, in the short form where possible."""
     if size < 128 and not long:
         return bytes([size])
     return bytes([0x82]) + struct.pack(">H", size)
 
 
 def tag_bytes(tag: int) -> bytes:
-    """BER-OID."""
+    """BER-OID tag."""
     groups = [tag & 0x7F]
     while tag := tag >> 7:
         groups.insert(0, 0x80 | tag & 0x7F)
@@ -67,7 +67,7 @@ def tag_bytes(tag: int) -> bytes:
 
 
 def local_set(items: Mapping[int, bytes], *, long: bool = False) -> bytes:
-    """A packet: key, length, items, and the checksum over all up to its own length."""
+    """A packet: key, length, items, and the checksum over everything up to its own length."""
     body = b"".join(tag_bytes(tag) + length(len(raw), long=long) + raw for tag, raw in items.items()) + b"\x01\x02"
     packet = KEY + length(len(body) + 2, long=long) + body
     total = sum(value << 8 if place % 2 == 0 else value for place, value in enumerate(packet))
@@ -80,11 +80,11 @@ def cell(content: bytes, number: int) -> bytes:
 
 
 def synchronous(stream: bytes) -> bytes:
-    """A transport stream whose data streams are declared as synchronous metadata (stream type 0x15) in its map."""
+    """A transport stream whose program map declares the data streams as synchronous metadata (stream type 0x15)."""
     changed = bytearray(stream)
     for at in range(0, len(stream), 188):
         packet = stream[at : at + 188]
-        start = at + 5 + (1 + packet[4] if packet[3] & 0x20 else 0)  # behind the pointer field
+        start = at + 5 + (1 + packet[4] if packet[3] & 0x20 else 0)  # after the pointer field
         if not packet[1] & 0x40 or stream[start - 1 : start + 1] != b"\x00\x02":
             continue  # no program map starts here
         end = start + 3 + int.from_bytes(stream[start + 1 : start + 3], "big") % 4096 - 4
@@ -98,7 +98,7 @@ def synchronous(stream: bytes) -> bytes:
 
 
 def _crc32(section: bytes) -> int:
-    """That of MPEG-2 systems: not reflected, not inverted."""
+    """CRC of MPEG-2 systems: not reflected, not inverted."""
     crc = 0xFFFFFFFF
     for value in section:
         crc ^= value << 24

@@ -1,4 +1,4 @@
-"""A look at a small terrain with every kind of error, shared so that it is compiled once."""
+"""Forward-model inputs over a small terrain with every kind of error, shared so that they are compiled once."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def sensor() -> Sensor:
 
 
 def pose() -> Pose:
-    """To the west of the terrain of `tests.support.scenes`, 1.2 km above it, heading north and a bit tilted."""
+    """A pose west of the terrain of `tests.support.scenes`, 1.2 km above it, heading north and slightly tilted."""
     return Pose.from_degrees(lat=47.0, lon=10.986, height=1300.0, heading=3.0, pitch=1.5, roll=-1.0)
 
 
 def shot() -> Shot:
-    """Looking down to the right, at the middle of the terrain."""
+    """A shot looking down to the right, at the centre of the terrain."""
     return Shot(pose(), jnp.deg2rad(jnp.array([40.0, 2.0])))
 
 
 def trajectory() -> Trajectory:
-    """The shot in motion."""
+    """The shot as a trajectory."""
     return Trajectory.steady(shot(), velocity_ned=VELOCITY, body_rates=BODY_RATES, gimbal_rates=GIMBAL_RATES)
 
 
@@ -64,7 +64,7 @@ AIR = Atmosphere()
 
 
 def all_sources() -> ErrorModel:
-    """One of each."""
+    """An error model with one source of each class."""
     return ErrorModel(
         (
             sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
@@ -97,7 +97,7 @@ def all_sources() -> ErrorModel:
 
 
 def few_sources() -> ErrorModel:
-    """Those of a simple study."""
+    """The error sources of a simple study."""
     return ErrorModel(
         (
             sources.Attitude.from_degrees(heading=0.05, pitch=0.02, roll=0.03),
@@ -115,7 +115,7 @@ def steps(model: ErrorModel) -> jax.Array:
     return jnp.concatenate([jnp.full(len(part.axes), sizes[part.unit]) for part in parts])
 
 
-# A look at level ground with a block of correlated sources, for budgets and what is made of them.
+# Level ground with a block of correlated sources, for budgets and their use.
 LEVEL_UV, LEVEL = (1200.0, 1600.0), ConstantHeight(100.0)
 
 
@@ -126,13 +126,13 @@ def level_sensor() -> Sensor:
 
 
 def level_shot(outer: float = 60.0) -> Shot:
-    """From 3 km above the level ground, so many deg off nadir."""
+    """A shot from 3 km above the level ground, `outer` deg off nadir."""
     pose = Pose.from_degrees(lat=47.0, lon=11.0, height=3100.0, heading=160.0, pitch=3.0)
     return Shot(pose, level_sensor().gimbal.readings_from_degrees(outer=outer, inner=5.0))
 
 
 def level_errors() -> ErrorModel:
-    """Independent angles and height, and a block of position and pixel."""
+    """Independent angles and height, and a correlated block of position and pixel."""
     place = sources.Position.from_ned(north=1.0, east=2.0, down=3.0)
     pixel = sources.PixelMeasurement.from_pixels(column=4.0, row=2.0)
     correlation = 0.6 * jnp.eye(5) + 0.4

@@ -1,4 +1,4 @@
-"""Fixes at places of one's own, without a camera or ground."""
+"""Fixes at given positions, without a camera or ground."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TO_ECEF = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
 
 
 def made(places: np.ndarray = ALPS, lost: dict[int, Status] | None = None) -> Fix:
-    """Fixes at places, some without coordinates."""
+    """Fixes at positions, some without coordinates."""
     lost = lost or {}
     status = np.array([lost.get(i, Status.hit) for i in range(len(places))], np.int8)
     lat, lon, height = np.where(status[:, None] == Status.hit, places, np.nan).T

@@ -1,4 +1,4 @@
-"""Four oblique frames of a drone over a village, with their surface model: what one house hides another frame shows."""
+"""Four oblique drone frames of a village, with their surface model; occlusions differ between frames."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from jaxgeo.terrain import Dem
 from jaxgeo.terrain.grid import AbstractGrid
 
 FRAMES = ("100_0005_0018", "100_0005_0136", "100_0005_0140", "100_0005_0142")
-UNDULATION = 19.6  # m, of EGM96: the cameras and the surface are of one reconstruction, so both have the same heights
+UNDULATION = 19.6  # m, of EGM96: cameras and surface come from one reconstruction, so both have the same heights
 GRID = "EPSG:32651"
-FINER = 0.25  # cells of the surface model to one of the images'
+FINER = 0.25  # surface model cells per image cell
 
 
 @dataclass(frozen=True)
 class Village:
-    """Frames of a drone's camera, 60 deg below level from about 180 m above the ground, each with its shot."""
+    """Frames of a drone's camera, 60 deg below horizontal from about 180 m above the ground, each with its shot."""
 
     folder: pathlib.Path
     sensor: Sensor
@@ -32,7 +32,7 @@ class Village:
 
     @classmethod
     def of(cls, folder: pathlib.Path) -> Village:
-        """From the folder of real data."""
+        """Read from the folder of real data."""
         root = folder / "odm_miaoli"
         path = root / "opensfm" / "reconstruction.json"
         found = read_opensfm(path, height_datum=UNDULATION, crs=GRID)
@@ -45,9 +45,9 @@ class Village:
         return cls(root, Sensor(camera, Gimbal.fixed(), Mount.nadir()), shots, terrain)
 
     def image(self, frame: str) -> np.ndarray:
-        """(3, 912, 1368) in uint8."""
+        """Image (3, 912, 1368) in uint8."""
         return read_image(self.folder / "images" / f"{frame}.tif")[0]
 
     def grid(self) -> AbstractGrid:
-        """Cells of 0.2 m over the surface model."""
+        """Grid with cells of 0.2 m over the surface model."""
         return self.terrain.grid.coarser(FINER)

@@ -1,4 +1,4 @@
-"""A ridge before a plain, cut into tiles in several ways, rays over it, and a march over its array in NumPy alone."""
+"""A ridge before a plain, cut into tiles in several ways, rays over it, and a reference march in NumPy alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.fractal import ecef, fractal_posts, normal_and_height
 from support.rasters import write
 
 SIZE, TILES = 201, 10  # posts on a side, tiles on a side
-STEP = 1.0 / 1200.0  # deg between posts, some 90 m
+STEP = 1.0 / 1200.0  # deg between posts, about 90 m
 WEST, NORTH = 5.0, 45.0  # of the first post
 
 
@@ -27,7 +27,7 @@ def corner(row: int, col: int) -> Affine:
 
 
 def cut(folder: pathlib.Path, posts: np.ndarray, *, shared: bool, leave_out: tuple[int, ...] = (), **options) -> None:
-    """Write posts as 10 x 10 tiles that share their border posts, or whose pixels lie side by side."""
+    """Write posts as 10 x 10 tiles that share their border posts, or whose pixels are adjacent."""
     folder.mkdir(exist_ok=True)
     rows = np.linspace(0, posts.shape[0] - (1 if shared else 0), TILES + 1).astype(int)
     cols = np.linspace(0, posts.shape[1] - (1 if shared else 0), TILES + 1).astype(int)
@@ -40,7 +40,7 @@ def cut(folder: pathlib.Path, posts: np.ndarray, *, shared: bool, leave_out: tup
 
 
 def write_vrt(path: pathlib.Path, tiles: list[pathlib.Path], shape: tuple[int, int], *, shift: float = 0.0) -> None:
-    """A VRT as gdalbuildvrt writes it."""
+    """A VRT as written by gdalbuildvrt."""
     sources = []
     for tile in tiles:
         with rasterio.open(tile) as data:
@@ -59,7 +59,7 @@ def write_vrt(path: pathlib.Path, tiles: list[pathlib.Path], shape: tuple[int, i
 
 
 def ridge_before_plain() -> np.ndarray:
-    """Rough hills, a plain behind them, and a wall of a ridge in the first column of tiles."""
+    """Rough hills, a plain behind them, and a steep ridge in the first column of tiles."""
     posts = fractal_posts(SIZE, spacing=90.0, relief=500.0, exponent=3.2, seed=6)
     posts[:, 60:] = 0.02 * posts[:, 60:] + 100.0
     posts[:, 9:12] += 900.0
@@ -68,7 +68,7 @@ def ridge_before_plain() -> np.ndarray:
 
 
 def frame(row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """lat, lon, east, north, up of places on the mosaic."""
+    """lat, lon, east, north, up at positions on the mosaic."""
     lat, lon = np.radians(NORTH - row * STEP), np.radians(WEST + col * STEP)
     up = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)
@@ -113,7 +113,7 @@ def mixed_rays() -> Ray:
 
 
 def first_crossing(posts: np.ndarray, rays: Ray, end: float = 12_000.0, step: float = 4.0) -> np.ndarray:
-    """Ranges in m and the smallest clearance in m before: a march in NumPy over the array, nothing of jaxgeo."""
+    """Ranges in m and the smallest clearance in m before: a march in NumPy over the array, independent of jaxgeo."""
     found = []
     for origin, direction in zip(rays.origin, rays.direction, strict=True):
 
@@ -144,13 +144,13 @@ def first_crossing(posts: np.ndarray, rays: Ray, end: float = 12_000.0, step: fl
 
 
 def answers(rays: Ray, dem: Dem) -> Fix:
-    """Over one terrain in memory, by the program that `intersect_files` uses too."""
+    """Fixes over one terrain in memory, by the program that `intersect_files` uses too."""
     fix = _hits(padded_rays(rays), dem)
     return jax.tree.map(lambda x: np.asarray(x)[: len(rays.origin)], fix)
 
 
 def whole(path: pathlib.Path, **options) -> Dem:
-    """A file in one terrain, padded to the size of the windows, so that nothing new is compiled."""
+    """A file as one terrain, padded to the size of the windows, so that nothing new is compiled."""
     return read_dem(path, vertical_datum="ellipsoid", bounds=(-180, -90, 180, 90), **options)
 
 

@@ -1,4 +1,4 @@
-"""Four aerial frames of a real flight, as they are rectified: orientations, terrain, orthophotos to compare with."""
+"""Four aerial frames of a real flight for rectification: orientations, terrain, orthophotos for comparison."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Flight:
 
     @classmethod
     def of(cls, folder: pathlib.Path) -> Flight:
-        """From the folder of real data."""
+        """Read from the folder of real data."""
         root = folder / "ngi_block"
         crs = json.loads((root / "io" / "ngi_ext_param.geojson").read_text())["world_crs"]
         table = read_orientations(root / "io" / "ngi_xyz_opk.csv", height_datum=UNDULATION, crs=crs)
@@ -42,9 +42,9 @@ class Flight:
         return cls(root, Sensor(camera, Gimbal.fixed(), Mount.nadir()), shots, terrain)
 
     def image(self, frame: str) -> np.ndarray:
-        """(3, 1152, 640) in uint8."""
+        """Image (3, 1152, 640) in uint8."""
         return read_image(next((self.folder / "images").glob(f"*_{frame}_RGB.tif")))[0]
 
     def reference(self, number: int) -> Orthoimage:
-        """Orthophoto 1 or 2, of 5 m."""
+        """Orthophoto 1 or 2, with 5 m cells."""
         return read_orthoimage(self.folder / "reference_ortho" / f"ngi_rgb_byte_{number}.tif")

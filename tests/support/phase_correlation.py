@@ -1,7 +1,7 @@
-"""By how much parts of two pictures lie apart, in NumPy: windowed phase correlation with an upsampled peak.
+"""Shifts between parts of two pictures, in NumPy: windowed phase correlation with an upsampled peak.
 
 Guizar-Sicairos, Thurman and Fienup (2008), "Efficient subpixel image registration algorithms"; the spectrum is whitened
-half way, since pictures of another sampling agree in their coarser detail only.
+partly, because pictures with different sampling agree only in their coarser detail.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-MARGIN = 8  # cells by which a tile may be off
-FINEST = 0.25  # cycles a cell
-STEPS = (1.5 * np.arange(-50, 51) / 50, 0.03 * np.arange(-10, 11) / 10)  # cells about the peak: 0.003 at last
+MARGIN = 8  # largest shift of a tile, cells
+FINEST = 0.25  # cycles per cell
+STEPS = (1.5 * np.arange(-50, 51) / 50, 0.03 * np.arange(-10, 11) / 10)  # cells about the peak: 0.003 in the end
 ROUNDS = 3
 
 
 class Shifts(NamedTuple):
-    """Of tiles: (row, col) in cells by which what the second shows lies after the first's, their correlation
-    coefficients when that is undone, and the middles of the tiles, (row, col)."""
+    """Tile shifts (row, col) in cells of the second picture against the first, their correlation coefficients after
+    the shift is removed, and the tile centres, (row, col)."""
 
     shift: np.ndarray
     likeness: np.ndarray
@@ -29,7 +29,7 @@ class Shifts(NamedTuple):
 
 
 def shifts_of_tiles(a: np.ndarray, b: np.ndarray, known: np.ndarray, side: int, step: int) -> Shifts:
-    """Shifts of all tiles, `step` apart, that are known throughout, `MARGIN` about them included."""
+    """Shifts of all tiles, `step` apart, that are fully known, including a border of `MARGIN`."""
     found, whole = [], side + 2 * MARGIN
     for row in range(0, a.shape[0] - whole + 1, step):
         for col in range(0, a.shape[1] - whole + 1, step):
@@ -42,8 +42,8 @@ def shifts_of_tiles(a: np.ndarray, b: np.ndarray, known: np.ndarray, side: int, 
 
 
 def shift_between(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """((row, col) by which b lies after a, correlation coefficient with that undone) of the middles of two squares;
-    None if it is more than `MARGIN`. The second is cut again where the first fits it, so that windows do not pull."""
+    """((row, col) shift of b against a, correlation coefficient with it removed) of the centres of two squares; None
+    if it exceeds `MARGIN`. The second is cut again at the matched position, to avoid bias by the window."""
     side = a.shape[0] - 2 * MARGIN
     frequency = np.fft.fftfreq(side)
     kept = np.hypot(frequency[:, None], frequency[None, :]) < FINEST
@@ -74,7 +74,7 @@ def _spectrum(picture: np.ndarray, row: int, col: int, side: int) -> np.ndarray:
 
 
 def _peak(power: np.ndarray, frequency: np.ndarray, is_first: bool) -> np.ndarray:
-    """(row, col) of the highest place of what a spectrum transforms to; anywhere, or near zero."""
+    """(row, col) of the maximum of a spectrum's transform: anywhere if `is_first`, else near zero."""
     place = np.zeros(2)
     if is_first:
         coarse = np.real(np.fft.ifft2(power))

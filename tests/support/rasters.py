@@ -1,4 +1,4 @@
-"""Small rasters written for the tests of the readers."""
+"""Small rasters for the tests of the readers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEGREE = 1.0 / 1200.0
 
 
 def hills(shape: tuple[int, int], seed: int = 3) -> np.ndarray:
-    """Smooth made-up heights between about 100 and 900 m."""
+    """Smooth synthetic heights between about 100 and 900 m."""
     rng = np.random.default_rng(seed)
     row, col = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
     heights = np.full(shape, 500.0)
@@ -37,7 +37,7 @@ def write(
     mask: np.ndarray | None = None,
     **profile: Any,
 ) -> pathlib.Path:
-    """A GeoTIFF of (rows, cols) or (bands, rows, cols) heights; `affine` maps corners, as GDAL's do."""
+    """A GeoTIFF of (rows, cols) or (bands, rows, cols) heights; `affine` maps corners, as in GDAL."""
     bands = heights if heights.ndim == 3 else heights[None]
     made = {
         "driver": "GTiff",
@@ -54,7 +54,7 @@ def write(
             sink.update_tags(AREA_OR_POINT="Point")
         if unit is not None:
             sink.units = (unit,) * bands.shape[0]
-        if scale is not None:  # before any value: GDAL loses it afterwards where the CRS has a vertical part
+        if scale is not None:  # before any value: GDAL loses it afterwards if the CRS has a vertical part
             sink.scales = (scale,) * bands.shape[0]
         if offset is not None:
             sink.offsets = (offset,) * bands.shape[0]
@@ -65,7 +65,7 @@ def write(
 
 
 def gdalbuildvrt(path: pathlib.Path, tiles: list[pathlib.Path]) -> pathlib.Path:
-    """A VRT over files as `gdalbuildvrt` lays it out: without units, scales and vertical CRS."""
+    """A VRT over files as written by `gdalbuildvrt`: without units, scales and vertical CRS."""
     found, nodata, crs = [], None, None
     for tile in tiles:
         with rasterio.open(tile) as data:

@@ -1,4 +1,4 @@
-"""Records that hold numbers with many digits, and what another process finds in them."""
+"""Records with full-precision numbers, and checks of their transfer to another process."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from jaxgeo._record import Record
 
 
 class Pair(NamedTuple):
-    """A container as results have them."""
+    """A container as used in results."""
 
     first: Any
     second: Any
 
 
 def with_awkward_numbers(cls: type[Record]) -> Record:
-    """A record whose fields hold numbers that need all their 53 bits, in an array or in some container."""
+    """A record whose fields hold numbers that need all 53 bits, in an array or in a container."""
     record = object.__new__(cls)
     for i, field in enumerate(dataclasses.fields(cls)):
         number = jnp.asarray([np.pi * 10.0**i, np.nextafter(6378137.0, 7e6), -0.0, 5e-324])
@@ -31,7 +31,7 @@ def with_awkward_numbers(cls: type[Record]) -> Record:
 
 
 def leaves_of(value: Any) -> list[tuple[str, str, str]]:
-    """(kind, dtype, bytes) of each array in a record, found without the help of pytrees."""
+    """(kind, dtype, bytes) of each array in a record, collected without pytrees."""
     if isinstance(value, jax.Array | np.ndarray):
         kind = "jax" if isinstance(value, jax.Array) else "numpy"
         return [(kind, str(value.dtype), np.asarray(value).tobytes().hex())]
@@ -43,15 +43,15 @@ def leaves_of(value: Any) -> list[tuple[str, str, str]]:
 
 
 def digits(place: jaxgeo.Geodetic) -> list[str]:
-    """What a worker process finds in a record."""
+    """Hexadecimal digits of a record as read in a worker process."""
     return [float(value).hex() for value in (place.lat, place.lon, place.height)]
 
 
 def send_digits(place: jaxgeo.Geodetic, connection: Any) -> None:
-    """The same, of a process without a pool."""
+    """The same for a process without a pool."""
     connection.send(digits(place))
 
 
 def compute_in_32_bits() -> None:
-    """What a worker process may have done before."""
+    """Compute in 32 bits, as a worker process may have done before."""
     assert jnp.zeros(3).dtype == jnp.float32

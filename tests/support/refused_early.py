@@ -1,8 +1,8 @@
-"""Run calls that cannot work, and tell for each how it was refused and which programs JAX compiled before.
+"""Run calls that must fail, and report how each was refused and which programs JAX compiled before.
 
-A process of its own, in which nothing has been compiled: `python refused_early.py` reads command lines and statements
-of Python, one a line, from standard input, and prints a JSON object for each. Readers are run once before, so that what
-they compile is not counted; functions of `jax.numpy` called one by one are no programs either.
+A separate process in which nothing has been compiled: `python refused_early.py` reads command lines and Python
+statements, one per line, from standard input, and prints a JSON object for each. Readers are run once before, so that
+their compilation is not counted; neither are single functions of `jax.numpy`.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from jaxgeo.io.tables import read_shots
 from jaxgeo.uncertainty.sources import Position
 from support import command_files
 
-LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # of every program, before it is compiled
+LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"  # event of every program, before it is compiled
 SINGLE = {*dir(jnp), *dir(lax), *dir(jax.random), "stage", "threefry_seed"}
-COLUMNS = ("kind", "ce90_m", "geometry", "index", "area_m2")  # that outputs write themselves
+COLUMNS = ("kind", "ce90_m", "geometry", "index", "area_m2")  # written by outputs themselves
 
 
 class Compiled(Exception):
@@ -75,12 +75,12 @@ def _heed(programs: list[str], event: str, duration_secs: float, **more: Any) ->
 
 @contextlib.contextmanager
 def _without(module: str) -> Iterator[None]:
-    """As if a module were not installed."""
+    """Make a module appear as not installed."""
     before = sys.modules.get(module)
     if module:
         sys.modules[module] = None  # pyright: ignore[reportArgumentType]
         for name in [one for one in sys.modules if one.startswith("jaxgeo.report")]:
-            del sys.modules[name]  # which imports all that it needs at once
+            del sys.modules[name]  # whose import loads all its requirements at once
     try:
         yield
     finally:
@@ -91,7 +91,7 @@ def _without(module: str) -> Iterator[None]:
 
 
 def _is_small(line: str) -> bool:
-    """Whether a line is about the small image and the scene that goes with it."""
+    """Whether a line uses the small image and the scene that goes with it."""
     return any(word in line for word in ("rectify", "register", "image.tif", "ortho.tif"))
 
 
@@ -101,7 +101,7 @@ def _command(line: str) -> tuple[int, str]:
 
 
 def _statement(line: str, namespace: dict[str, Any]) -> tuple[int, str]:
-    """As exit codes are: 0 for done, 2 for exceptions by which callers are refused, 70 for the rest."""
+    """Run a statement; returns an exit code (0 done, 2 for refusals, 70 for other exceptions) and a message."""
     try:
         eval(line, namespace)
     except (ValueError, TypeError, OSError) as error:
@@ -123,7 +123,7 @@ def _write_files(folder: pathlib.Path, is_small: bool) -> None:
 
 
 def _namespace() -> dict[str, Any]:
-    """What statements name; files of all kinds are read."""
+    """Names available to statements; files of all kinds are read."""
     scene = read_scene("scene.toml")
     dem = jaxgeo.io.read_dem("dem.tif")
     if os.path.exists("ortho.tif"):

@@ -1,4 +1,4 @@
-"""Real frames, their poses disturbed, and how far from the given orientation a registration ends."""
+"""Real frames with disturbed poses, and the error of a registration against the given orientation."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import ErrorModel, sources
 from support.ngi import Flight
 
-HEIGHT = 3.0  # m: by which the elevation model may be off, as a whole and over a kilometre
+HEIGHT = 3.0  # m: error of the elevation model, as a whole and over a kilometre
 PIXELS = np.array([(319.5, 575.5), (40.0, 40.0), (600.0, 40.0), (40.0, 1100.0), (600.0, 1100.0)])
 REFERENCES = {"05_0182": 1, "05_0184": 2}
 
 
 class Trial(NamedTuple):
-    """A registration from a disturbed pose; unless it was refused, of the pixels `PIXELS` the horizontal distance in m
-    from the given orientation's ground and the larger of its two parts in standard deviations, and of position (north,
-    east, down) and attitude what differs from the given, in standard deviations."""
+    """A registration from a disturbed pose. Unless it was refused: for the pixels `PIXELS` the horizontal distance
+    in m from the given orientation's ground point and the larger of its two components in standard deviations; and
+    the differences of position (north, east, down) and attitude from the given ones, in standard deviations."""
 
     registration: Registration
     off: np.ndarray
@@ -34,7 +34,7 @@ class Trial(NamedTuple):
 
 
 def errors(position: float, attitude_deg: float) -> ErrorModel:
-    """Of a navigation that is that good, m and deg along each axis, over this terrain."""
+    """Error model of a navigation with these sigmas, m and deg along each axis, over this terrain."""
     return ErrorModel(
         (
             sources.Position.from_ned(north=position, east=position, down=position),
@@ -45,13 +45,13 @@ def errors(position: float, attitude_deg: float) -> ErrorModel:
 
 
 def tie_errors() -> TieErrors:
-    """Of the orthophotos, and of the terrain's heights about its mean."""
+    """Tie errors of the orthophotos, and of the terrain heights about its mean."""
     field = sources.TerrainField.of_variograms(gaussian=[(HEIGHT, 1000.0)])
     return TieErrors(registration=0.5, terrain=1.0, shift=1.0, terrain_field=field)
 
 
 def trial(flight: Flight, frame: str, rng: np.random.Generator, position: float, attitude_deg: float) -> Trial:
-    """A registration of a frame from a pose with errors drawn."""
+    """Register a frame from a pose with random errors."""
     truth = flight.shots[frame]
     found = register_image(
         flight.sensor,
@@ -88,7 +88,7 @@ def _ground(flight: Flight, shot: Shot, uv: np.ndarray, terrain: Dem) -> np.ndar
 
 
 def _pose_error(found: Shot, truth: Shot) -> np.ndarray:
-    """North, east, down in m and heading, pitch, roll in rad of one pose less the other."""
+    """North, east, down in m and heading, pitch, roll in rad of one pose minus the other."""
     R = np.asarray(R_ecef_from_ned(truth.pose.position))
     step = R.T @ (np.asarray(WGS84.to_ecef(found.pose.position)) - np.asarray(WGS84.to_ecef(truth.pose.position)))
     angles = jax.tree.map(

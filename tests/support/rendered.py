@@ -1,4 +1,4 @@
-"""What spoils images that are rendered from a map, and maps to render from."""
+"""Synthetic maps for rendering, and degradations of rendered images."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from support.fractal import fractal_posts
 
 
 def noisy(image: np.ndarray, rng: np.random.Generator, sigma: float) -> np.ndarray:
-    """With white noise of a standard deviation `sigma` times that of the image."""
+    """The image with white noise of a standard deviation `sigma` times its own."""
     return image + sigma * np.std(image) * rng.normal(size=image.shape)
 
 
 def blurred(image: np.ndarray, pixels: float) -> np.ndarray:
-    """Smoothed by a Gaussian of so many pixels."""
+    """The image smoothed by a Gaussian of `pixels` px."""
     return scipy.ndimage.gaussian_filter(image, (0.0, pixels, pixels))
 
 
 def shaded(image: np.ndarray, rng: np.random.Generator, depth: float) -> np.ndarray:
-    """Darkened by up to `depth` of the brightness, slowly from place to place, and by as much again towards the
+    """The image darkened by up to `depth` of the brightness, varying slowly, and by as much again towards the
     corners."""
     rows, cols = image.shape[1:]
     slow = fractal_posts(256, spacing=1.0, relief=1.0, exponent=5.0, seed=int(rng.integers(2**31)))
@@ -33,7 +33,7 @@ def shaded(image: np.ndarray, rng: np.random.Generator, depth: float) -> np.ndar
 
 
 def clouded(image: np.ndarray, rng: np.random.Generator, share: float) -> np.ndarray:
-    """With bright, opaque patches over a share of the image."""
+    """The image with bright, opaque patches over a share of it."""
     rows, cols = image.shape[1:]
     field = fractal_posts(256, spacing=1.0, relief=1.0, exponent=4.0, seed=int(rng.integers(2**31)))
     field = scipy.ndimage.zoom(field, (rows / 256, cols / 256), order=1)
@@ -44,14 +44,14 @@ def clouded(image: np.ndarray, rng: np.random.Generator, share: float) -> np.nda
 
 
 def spoilt(image: np.ndarray, seed: int) -> np.ndarray:
-    """Of other light, contrast and sharpness, with noise: what another day and another camera make."""
+    """The image with other illumination, contrast and sharpness, and noise: another day and camera."""
     rng = np.random.default_rng(seed)
     image = blurred(shaded(image, rng, 0.35), 0.8)
     return noisy(0.7 * image + 0.2 * np.mean(image), rng, 0.1)
 
 
 def textured(terrain: Dem, centre: Geodetic, shape: tuple[int, int], cell: float, seed: int = 0) -> Orthoimage:
-    """A map of a terrain about a place: its shading, and fields and woods that are none."""
+    """A map of a terrain around a position: its shading, and fields and woods unrelated to it."""
     grid = TangentGrid.centred(centre, spacing=(cell, cell), shape=shape)
     down, across = np.gradient(heights_on(terrain, grid, shape), cell)
     sun = np.array([-0.5, 0.6, 0.6])  # east, north, up

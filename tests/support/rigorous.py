@@ -1,4 +1,4 @@
-"""Covariances of blocks on control by orthogonal triangles of the whole Jacobian, in NumPy alone."""
+"""Covariances of blocks on control by QR decomposition of the whole Jacobian, in NumPy alone."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import scipy.linalg
 
 from jaxgeo.adjust import Adjustment
 
-STEP = 1e-30  # of complex differences, exact to rounding
+STEP = 1e-30  # complex step, exact to rounding
 
 
 class Rigorous(NamedTuple):
-    """Covariances of the images' columns (6 n, 6 n) and of each point (m, 3, 3), and the largest step in standard
-    deviations that is left to any unknown."""
+    """Covariances of the images' columns (6 n, 6 n) and of each point (m, 3, 3), and the largest remaining step of
+    any unknown in standard deviations."""
 
     images: np.ndarray
     points: np.ndarray
@@ -22,10 +22,10 @@ class Rigorous(NamedTuple):
 
 
 def by_triangles(adjustment: Adjustment, camera: np.ndarray, control: float) -> Rigorous:
-    """Of a block with control of that sigma in m and nothing else; `camera` is f, u0, v0, k1, k2, p1, p2.
+    """Covariances of a block with control of that sigma in m only; `camera` is f, u0, v0, k1, k2, p1, p2.
 
-    Householder's triangles with pivots, of rows in the order of their weights: backward stable row by row, whatever
-    these (Powell and Reid 1969), where normal equations would lose what is 1e16 times lighter.
+    Householder QR with pivoting, rows sorted by weight: row-wise backward stable for any weights (Powell and Reid
+    1969), whereas normal equations would lose rows with 1e16 times smaller weight.
     """
     block = adjustment.block
     images, places = adjustment.images, adjustment.places
@@ -55,7 +55,7 @@ def by_triangles(adjustment: Adjustment, camera: np.ndarray, control: float) -> 
 def _pixels(camera: np.ndarray, centre: np.ndarray, R: np.ndarray, place: np.ndarray, step: np.ndarray) -> np.ndarray:
     f, u0, v0, k1, k2, p1, p2 = camera
     d = np.einsum("kji,kj->ki", R, place + step[None, 6:] - centre - step[None, :3])
-    x, y, z = (d - np.cross(np.broadcast_to(step[3:6], d.shape), d)).T  # the camera turned by a small vector
+    x, y, z = (d - np.cross(np.broadcast_to(step[3:6], d.shape), d)).T  # the camera rotated by a small vector
     x, y = x / z, y / z
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * k2)

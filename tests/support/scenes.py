@@ -1,4 +1,4 @@
-"""Small synthetic terrains and rays over them, all of one shape so that one compilation serves every test."""
+"""Small synthetic terrains and rays over them, all of one shape so that every test shares one compilation."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ SPACING = 30.0  # m
 
 
 def small_dem(posts: np.ndarray, *, lat: float = 47.0, lon: float = 11.0, **options) -> Dem:
-    """A terrain of 17 x 17 posts, 30 m apart, about a point."""
+    """A terrain of 17 x 17 posts, 30 m apart, centred at a point."""
     centre = Geodetic.from_degrees(lat=lat, lon=lon, height=0.0)
     return Dem.from_array(posts, TangentGrid.centred(centre, spacing=(SPACING, SPACING), shape=posts.shape), **options)
 
 
 def flat(height: float = 100.0) -> np.ndarray:
-    """Level ground."""
+    """Level posts."""
     return np.full((SIZE, SIZE), height)
 
 
 def rough(seed: int = 0, relief: float = 60.0) -> np.ndarray:
-    """Posts drawn at random, smoothed once, 100 m and more high."""
+    """Random posts, smoothed once, at least 100 m high."""
     z = np.random.default_rng(seed).uniform(0.0, relief, (SIZE, SIZE))
     z[1:-1, 1:-1] = 0.25 * (z[:-2, 1:-1] + z[2:, 1:-1] + z[1:-1, :-2] + z[1:-1, 2:])
     return 100.0 + z

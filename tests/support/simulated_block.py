@@ -1,7 +1,7 @@
-"""Small simulated blocks, all of the same measurements, so that few compiled programs serve many tests.
+"""Small simulated blocks with the same measurement layout, so that many tests share few compiled programs.
 
-Three strips of five images over hilly ground; the last strip lies across the others and higher. Which image sees which
-point is settled once, for level flight without lens or gimbal, so that a block has the same shapes wherever it lies.
+Three strips of five images over hilly ground; the last strip crosses the others, higher up. Visibility of points in
+images is fixed, for level flight without lens or gimbal, so that a block has the same shapes at every location.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ MOUNT = Mount.nadir(
     lever_head=np.array([0.05, 0.02, 0.1]),
 )
 DRONE = Mount.forward(lever_body=np.array([0.8, -0.2, 0.4]), lever_head=np.array([0.05, 0.02, 0.1]))
-HALF_WIDTH, HALF_HEIGHT = 0.5, 0.375  # of the field at a distance of one
+HALF_WIDTH, HALF_HEIGHT = 0.5, 0.375  # of the field at unit distance
 STRIPS, EACH = 3, 5
 MIDDLE = (47.0, 11.0)
 
 
 def camera(**changes: Any) -> FrameCamera:
-    """The camera as it is."""
+    """The camera, with optional changes."""
     constants = {"focal_px": 4000.0, "principal_px": (2012.0, 1490.0), "distortion": LENS} | changes
     return FrameCamera.from_pixels(width=4000, height=3000, **constants)
 
 
 def fixed() -> Sensor:
-    """On a fixed mount, with boresight and lever arms."""
+    """Sensor on a fixed mount, with boresight and lever arms."""
     return Sensor(camera(), mount=MOUNT)
 
 
 def two_axis() -> Sensor:
-    """On a gimbal of two axes."""
+    """Sensor on a two-axis gimbal."""
     return Sensor(camera(), Gimbal.two_axis(), MOUNT)
 
 
 def drone() -> Sensor:
-    """On a drone's gimbal, which reports in local level."""
+    """Sensor on a drone's gimbal, which reports angles in local level."""
     mount = eqx.tree_at(
         lambda m: m.R_head_from_camera, DRONE, small_turn(0.004, -0.006, 0.003) @ DRONE.R_head_from_camera
     )
@@ -62,13 +62,13 @@ def drone() -> Sensor:
 
 
 def small_turn(*vector: float) -> np.ndarray:
-    """The rotation by a rotation vector in rad."""
+    """Rotation matrix of a rotation vector in rad."""
     return np.asarray(R_from_rotation_vector(jnp.array(vector)))
 
 
 @cache
 def flight() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(places (15, 3), headings, times) in m and rad of the frame, and s."""
+    """(positions (15, 3), headings, times) in m and rad of the frame, and s."""
     rng = np.random.default_rng(7)
     along = np.arange(EACH) * 150.0 - 300.0
     rows = [np.stack([np.full(EACH, -140.0), along, np.full(EACH, 700.0)], 1)]
@@ -86,7 +86,7 @@ def ground(east: Any, north: Any) -> Any:
 
 @cache
 def seen(count: int = 64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(places (count, 3), numbers of images, numbers of points): which image sees which point."""
+    """(positions (count, 3), image indices, point indices) of all visible image points."""
     rng = np.random.default_rng(11)
     places, heading, _ = flight()
     east, north = rng.uniform(-430.0, 430.0, (2, 4 * count))
@@ -108,7 +108,7 @@ def seen(count: int = 64) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A block as it truly is, and what is measured of it."""
+    """The true block, and its measurements."""
 
     frame: LocalFrame
     sensor: Sensor
@@ -125,7 +125,7 @@ class Simulated:
         return GroundPoints(list(names), self.points.of(names).place, sigma)
 
     def block(self, **changes: Any) -> Block:
-        """The block from what the navigation truly was."""
+        """The block with the true navigation."""
         given = {
             "sigma_position": SIGMA_POSITION,
             "sigma_attitude": SIGMA_ATTITUDE,
@@ -138,7 +138,7 @@ class Simulated:
         return Block.from_shots(sensor, self.names, shots, observations, **given)
 
     def noisy(self, seed: int, times: float = 1.0) -> Simulated:
-        """Image points and navigation measured with noise of their standard deviations, `times` as large."""
+        """The block with noise in image points and navigation, `times` their standard deviations."""
         rng = np.random.default_rng(seed)
         uv = self.observations.uv + rng.normal(0.0, SIGMA_UV * times, self.observations.uv.shape)
         enu = rng.normal(0.0, times, self.centre.shape) * SIGMA_POSITION
@@ -150,7 +150,7 @@ class Simulated:
         )
 
     def offsets(self, adjustment: Any) -> dict[str, float]:
-        """How far an adjustment is from the truth: m, rad, m."""
+        """Differences of an adjustment from the truth: m, rad, m."""
         R = np.swapaxes(self.R_frame_from_camera, 1, 2) @ adjustment.images.R_frame_from_camera
         return {
             "centre": float(np.abs(adjustment.images.centre - self.centre).max()),
@@ -161,12 +161,12 @@ class Simulated:
 
 @cache
 def simulated(kind: str = "fixed", lat: float = MIDDLE[0], lon: float = MIDDLE[1]) -> Simulated:
-    """A block at a place in deg on a sensor: "fixed", "two_axis" or "drone"; nothing in it is wrong."""
+    """A block at a position in deg on a sensor: "fixed", "two_axis" or "drone", without errors."""
     sensor = {"fixed": fixed, "two_axis": two_axis, "drone": drone}[kind]()
     frame = LocalFrame(Geodetic.from_degrees(lat=lat, lon=lon, height=0.0))
     place, heading, time = flight()
     n, rng = len(time), np.random.default_rng(3)
-    # Headings are those of the frame, which near the pole are far from those of the meridian of each image.
+    # Headings are those of the frame, which near the pole differ much from those of each image's meridian.
     position = frame.to_geodetic(place)
     enu = np.asarray(jax.vmap(frame.R_local_from_enu)(position))
     heading = heading + np.arctan2(enu[:, 1, 0], enu[:, 0, 0])
@@ -201,7 +201,7 @@ def moved_shots(frame: LocalFrame, shots: Shot, enu: np.ndarray, angles: np.ndar
     turn = np.asarray(jax.vmap(frame.R_local_from_enu)(pose.position))
     place = np.asarray(frame.from_geodetic(pose.position)) + np.einsum("nij,nj->ni", turn, enu)
     position = frame.to_geodetic(place)
-    if np.shape(shots.gimbal_readings)[1] == 3:  # level itself is right, what the gimbal reports in it is not
+    if np.shape(shots.gimbal_readings)[1] == 3:  # level itself is right, the gimbal's reported angles in it are not
         readings = np.asarray(shots.gimbal_readings) + angles
         return Shot(Pose(position, pose.heading, pose.pitch, pose.roll), readings, shots.time)
     given = np.stack([np.asarray(x) for x in (pose.heading, pose.pitch, pose.roll)], 1) + angles
@@ -209,7 +209,7 @@ def moved_shots(frame: LocalFrame, shots: Shot, enu: np.ndarray, angles: np.ndar
 
 
 def disturbed(block: Block, metres: float = 3.0, radians: float = 0.01, seed: int = 5) -> Block:
-    """The block started somewhere else."""
+    """The block with disturbed starting values."""
     rng, images = np.random.default_rng(seed), block.images
     centre = images.centre + rng.normal(0.0, metres, images.centre.shape)
     turns = np.stack([small_turn(*v) for v in rng.normal(0.0, radians, images.centre.shape)])

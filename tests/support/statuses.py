@@ -1,4 +1,4 @@
-"""What becomes of rays over posts, by the definitions of the statuses: an exhaustive march in NumPy alone."""
+"""Reference outcomes of rays over posts by the definitions of the statuses: an exhaustive march in NumPy alone."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from jaxgeo.status import Status
 from support.fractal import ecef, normal_and_height
 
-DEEPEST = -11_200.0  # m: a ray that is lower before it comes over the area misses it
+DEEPEST = -11_200.0  # m: a ray that gets lower before it is over the area misses it
 FARTHEST = 2.0e8  # m
 WALL = 1e-6  # m
 NEAR = 1e-3  # m
 WRONG_DISTANCE = 1e-3  # m
-PER_CELL = 3  # places a ray is looked at for each cell it passes
-COARSE = 24  # and for each length of the area, on the way to it
-MARGIN = 1.0  # m above the ceiling from which searches begin: whether a ray between is below it may be told either way
+PER_CELL = 3  # samples along the ray per cell
+COARSE = 24  # samples per length of the area, on the way to it
+MARGIN = 1.0  # m above the ceiling where searches start: both outcomes are allowed for a ray that starts in between
 
 LonLat = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a ray may be told, and the range in m of the point that comes with it (NaN if none).
+    """Allowed statuses of a ray, and the range in m of the point returned with them (NaN if none).
 
-    `margin` in m is how near the ray comes to another outcome: clearance before it is met, depth behind.
+    `margin` in m is the distance of the ray from another outcome: clearance before the hit, depth behind.
     """
 
     allowed: frozenset[Status]
@@ -38,8 +38,8 @@ class Outcome:
 class Marched:
     """Bilinear ground through `posts` (rows, cols) in m, NaN where unknown, placed by `to_rowcol(lon, lat)` in deg.
 
-    `turn` is how many columns go round the Earth, on a map in longitude and latitude; with `wraps` the first post of a
-    row follows its last one. `size` is the length of the area in m, `cell` of a cell.
+    `turn` is the number of columns around the Earth, on a map in longitude and latitude; with `wraps` the first post of
+    a row follows its last one. `size` is the length of the area in m, `cell` of a cell.
     """
 
     posts: np.ndarray
@@ -63,7 +63,8 @@ class Marched:
         return max(highest, self.void_top) if np.isnan(self.posts).any() else highest
 
     def over(self, p: np.ndarray, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Row, column and height along a path (n, 3); columns go on where longitude jumps, or are those `near`."""
+        """Row, column and height along a path (n, 3); columns continue across longitude jumps, or are those near
+        `near`."""
         normal, height = normal_and_height(p)
         lon = np.degrees(np.arctan2(normal[:, 1], normal[:, 0]))
         lat = np.degrees(np.arctan2(normal[:, 2], np.hypot(normal[:, 0], normal[:, 1])))
@@ -75,14 +76,14 @@ class Marched:
         return row, col, height
 
     def clearance(self, p: np.ndarray, i: np.ndarray, j: np.ndarray, col: np.ndarray) -> np.ndarray:
-        """Height over the patches of cells, of which `col` are columns on the path."""
+        """Height above the patches of cells, with `col` the columns on the path."""
         row, at, height = self.over(p, col + 0.5)
         z, _ = self.corners(i, j)
         u, v = row - i, at - col
         return height - (z[0] * (1 - u) * (1 - v) + z[1] * (1 - u) * v + z[2] * u * (1 - v) + z[3] * u * v)
 
     def cells(self, row: np.ndarray, col: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First row and column of the cells that hold places, and whether they are of the area."""
+        """First row and column of the cells that contain positions, and whether they are inside the area."""
         i, j = np.floor(row), np.floor(col)
         rows, cols = self.posts.shape
         if self.turn is not None:
@@ -92,14 +93,14 @@ class Marched:
         return np.clip(i, 0, rows - 2).astype(int), np.clip(j, 0, last).astype(int), inside
 
     def corners(self, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The four posts of cells (4, n), level at the ceiling of voids where one is unknown; and where that is."""
+        """The four posts of cells (4, n), level at the ceiling of voids where one is unknown; and a mask of those."""
         right = (j + 1) % self.posts.shape[1]
         z = np.stack([self.posts[i, j], self.posts[i, right], self.posts[i + 1, j], self.posts[i + 1, right]])
         is_void = np.asarray(np.isnan(z).any(axis=0))
         return np.where(is_void, self.void_top, z), is_void
 
     def outcomes(self, origin: np.ndarray, direction: np.ndarray) -> list[Outcome]:
-        """Of rays (n, 3) in ECEF."""
+        """Outcomes of rays (n, 3) in ECEF."""
         lowest_at = _lowest(origin, direction)
         lowest = _height(origin, direction, lowest_at)
         exit_ = _crossing(origin, direction, lowest_at, np.full(len(origin), FARTHEST), self.ceiling)
@@ -120,7 +121,7 @@ class Marched:
         if inside[0] and not self.corners(i, j)[1][0] and buried < -WALL:
             return Outcome(frozenset({Status.camera_below_terrain}), np.nan, -buried)
         row, col, _ = self.over((o + sinks * d)[None])
-        comes_from_above = bool(self.cells(row, col)[2][0])  # over the area where it sinks below the ceiling
+        comes_from_above = bool(self.cells(row, col)[2][0])  # over the area where it descends below the ceiling
         path = self._pieces(o, d, sinks if comes_from_above else 0.0, last) if last > 0.0 else None
         if path is None or not path.inside.any():
             allowed = frozenset(
@@ -128,12 +129,12 @@ class Marched:
             )
             return Outcome(allowed, np.nan, np.inf if path is None else path.beside)
         outcome = self._followed(o, d, path, comes_from_above or bool(inside[0]))
-        if lowest > self.ceiling - NEAR:  # between ceiling and margin, where nothing can be met
+        if lowest > self.ceiling - NEAR:  # between ceiling and margin, where no hit is possible
             return Outcome(outcome.allowed | {Status.rises_away}, np.nan, outcome.margin)
         return outcome
 
     def _followed(self, o: np.ndarray, d: np.ndarray, path: Pieces, starts_inside: bool) -> Outcome:
-        """The first event on a way that comes over the area."""
+        """The first event on a path that reaches the area."""
         first = int(np.argmax(path.inside))
         is_void, clear = self.corners(path.i, path.j)[1], path.clear
         lowest = _parabola(*clear)
@@ -161,7 +162,7 @@ class Marched:
         return Outcome(frozenset(end), path.crossing(self, o, d, k), margin)
 
     def _pieces(self, o: np.ndarray, d: np.ndarray, start: float, last: float) -> Pieces | None:
-        """The way of a ray near the area, cut where it crosses lines of posts; None if it does not come near."""
+        """The path of a ray near the area, split where it crosses lines of posts; None if it does not come near."""
         rows, cols = self.posts.shape
         s = np.linspace(start, last, int(np.clip(COARSE * (last - start) / self.size, 48, 40_000)))
         row, col, _ = self.over(o + s[:, None] * d)
@@ -187,7 +188,7 @@ class Marched:
     def _cuts(
         self, o: np.ndarray, d: np.ndarray, s: np.ndarray, row: np.ndarray, col: np.ndarray, which: int
     ) -> np.ndarray:
-        """Where the row (0) or the column (1) passes whole numbers between places `s`, by false position."""
+        """Ranges between samples `s` where the row (0) or the column (1) crosses an integer, by false position."""
         axis = (row, col)[which]
         whole = np.floor(axis)
         at = np.flatnonzero(whole[1:] != whole[:-1])
@@ -206,8 +207,8 @@ class Marched:
 
 @dataclass(frozen=True)
 class Pieces:
-    """Pieces of a ray's way between cuts: begin and end ranges, `height` at their begin; `clear` (3, n) are clearances
-    over their cells (`i`, `j`, of which `col` is the column on the path) at begin, middle and end."""
+    """Pieces of a ray's path between cuts: begin and end ranges, `height` at their begin; `clear` (3, n) are
+    clearances over their cells (`i`, `j`, with `col` the column on the path) at begin, middle and end."""
 
     begin: np.ndarray
     end: np.ndarray
@@ -231,7 +232,8 @@ class Pieces:
         return cls(begin, end, height, clear, i, j, first, inside, _beside(ground, row, col))
 
     def crossing(self, ground: Marched, o: np.ndarray, d: np.ndarray, k: int) -> float:
-        """The range where the way first is below the patch of piece k: its begin, or a root refined by the secant."""
+        """The range where the path first is below the patch of piece k: its begin, or a root refined by the secant
+        method."""
         clear, begin, length = self.clear[:, k], self.begin[k], self.end[k] - self.begin[k]
         if clear[0] <= 0.0:
             return float(begin)
@@ -255,7 +257,8 @@ class Pieces:
 
 
 def _beside(ground: Marched, row: np.ndarray, col: np.ndarray) -> float:
-    """How near in m, about, a way that turns or touches comes to the outer lines of posts without clearly crossing."""
+    """Approximate distance in m to the outer lines of posts of a path that turns or touches without clearly
+    crossing."""
     rows, cols = ground.posts.shape
     off = np.maximum(-row, row - (rows - 1))
     if not ground.wraps:
@@ -267,7 +270,7 @@ def _beside(ground: Marched, row: np.ndarray, col: np.ndarray) -> float:
 
 
 def _parabola(first: np.ndarray, half: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The lowest value of parabolas through three values."""
+    """Minimum of parabolas through three values."""
     bend = 2.0 * (first + last - 2.0 * half)
     with np.errstate(divide="ignore", invalid="ignore"):
         at = np.where(bend > 0.0, np.clip((first - last + bend) / (2.0 * bend), 0.0, 1.0), 1.0)
@@ -279,7 +282,7 @@ def _height(origin: np.ndarray, direction: np.ndarray, s: np.ndarray) -> np.ndar
 
 
 def _lowest(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """The range, not negative, at which each ray is lowest: the height of a line is convex."""
+    """The non-negative range at which each ray is lowest: the height of a line is convex."""
     low, high = np.zeros(len(origin)), np.full(len(origin), FARTHEST)
     for _ in range(90):
         a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
@@ -291,7 +294,7 @@ def _lowest(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
 def _crossing(
     origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray, height: float
 ) -> np.ndarray:
-    """The range between two at which a ray passes a height, if it does."""
+    """The range between two others at which a ray passes a height, if it does."""
     rises = _height(origin, direction, high) > _height(origin, direction, low)
     for _ in range(70):
         middle = 0.5 * (low + high)
@@ -310,7 +313,7 @@ def aimed(
     back: tuple[float, float] = (0.0, 60e3),
     azimuth: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and directions (n, 3) of rays through places in deg and m, from as many m behind as drawn."""
+    """Origins and directions (n, 3) of rays through positions in deg and m, starting a drawn distance in m behind."""
     n = len(lon)
     p = ecef(np.radians(lat), np.radians(lon), height)
     up, _ = normal_and_height(p)
@@ -325,7 +328,7 @@ def aimed(
 
 
 def differences(outcomes: list[Outcome], status: np.ndarray, distance: np.ndarray, nearest: float) -> list[str]:
-    """What is told otherwise than it may be, of rays that come no nearer than `nearest` m to another outcome."""
+    """Disallowed results, for rays whose distance from another outcome is at least `nearest` m."""
     wrong = []
     for k, expected in enumerate(outcomes):
         told = Status(int(status[k]))

@@ -1,4 +1,4 @@
-"""Terrain as a user would write it: the five methods that the interface asks for, and no more."""
+"""User-defined terrain with only the five methods that the interface requires."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AROUND = 1e-3  # m
 
 
 class Tin(AbstractTerrain):
-    """Triangles: `corners` (triangles, 3, 3) in ECEF m. A cell is (number of the triangle, 0)."""
+    """Triangles: `corners` (triangles, 3, 3) in ECEF m. A cell is (triangle index, 0)."""
 
     corners: jax.Array
 
@@ -64,8 +64,7 @@ class Tin(AbstractTerrain):
 
 
 def tin_along(centre: Geodetic, north: np.ndarray, heights: np.ndarray, half_width: float = 3000.0) -> Tin:
-    """Strips of two triangles from profile point to profile point: `north` of a centre and `heights` in m, level from
-    west to east."""
+    """Strips of two triangles between profile points, `north` of a centre, `heights` in m, level from west to east."""
     lat0, lon0 = np.rad2deg(float(centre.lat)), np.rad2deg(float(centre.lon))
     lat = lat0 + np.asarray(north) / METRES_A_DEGREE
     aside = half_width / (METRES_A_DEGREE * math.cos(float(centre.lat)))
@@ -79,14 +78,14 @@ def tin_along(centre: Geodetic, north: np.ndarray, heights: np.ndarray, half_wid
 
 
 class Bridge(Tin):
-    """Triangles that tell of heights 50 m above themselves: a plumb line of sight would meet something else."""
+    """Triangles whose reported heights are 50 m above them: a plumb line would hit something else."""
 
     def height_at(self, position: Geodetic):
         return super().height_at(position) + 50.0
 
 
 class Unknown(Tin):
-    """Triangles of whose heights nothing is known but where lines of sight meet them."""
+    """Triangles with unknown heights except where lines of sight meet them."""
 
     def height_at(self, position: Geodetic):
         return jnp.full_like(position.lat, jnp.nan)

@@ -1,4 +1,4 @@
-"""Transport streams of KLV beside a small video, written by FFmpeg through PyAV."""
+"""Transport streams of KLV and a small video, written by FFmpeg through PyAV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 def muxed(path: pathlib.Path, *streams: list[bytes], video: bool = True) -> pathlib.Path:
-    """A transport stream of pieces of KLV, one list for each data stream, with a video of 64 x 48 pixels."""
+    """A transport stream of KLV pieces, one list for each data stream, with a video of 64 x 48 pixels."""
     av = pytest.importorskip("av")
     with av.open(str(path), "w", format="mpegts") as container:
         images = container.add_stream("mpeg2video", rate=25) if video else None

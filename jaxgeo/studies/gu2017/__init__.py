@@ -1,5 +1,5 @@
-"""The registration of Gu and Qiao (2017), "A method for high accuracy airborne optical image geolocation", made again:
-its table of errors, an image from end to end, ties and blocks, the constrained search, and frames in turn."""
+"""Reproduction of the registration of Gu and Qiao (2017), "A method for high accuracy airborne optical image
+geolocation": its error table, an end-to-end image, ties and blocks, the constrained search, and frame sequences."""
 
 from jaxgeo.studies.gu2017.accuracy import Accuracy, Radii, accuracy, over_slope, radii, within
 from jaxgeo.studies.gu2017.claims import claims_of

@@ -1,4 +1,4 @@
-"""Table 1: how sure an oblique image is before and after the update, and what that depends on."""
+"""Table 1: accuracy of an oblique image before and after the update, and its dependencies."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from jaxgeo.terrain import Dem
 from jaxgeo.uncertainty import ErrorModel, Propagation, sources
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 
-COUNTS = {5: (5, 1), 10: (5, 2), 20: (5, 4), 30: (6, 5)}  # ties: in columns and rows
+COUNTS = {5: (5, 1), 10: (5, 2), 20: (5, 4), 30: (6, 5)}  # ties: columns and rows
 FIELDS = (1.0, 2.0, 5.0, 10.0, 20.0)  # deg
 SLOPES = (-10.0, 0.0, 5.0, 10.0, 20.0)  # deg, rising away from the camera
 MIDDLE = CASES[3]  # 100 m, 1 deg, 20 m, 10 m
-ELLIPSE = (278.0, 68.0)  # m, axes of an ellipse as oblique images have
+ELLIPSE = (278.0, 68.0)  # m, axes of an error ellipse typical of oblique images
 SPACING, POSTS = 100.0, 401  # m
 WIDTH = 500  # px of the image over a slope
 
@@ -42,7 +42,8 @@ class Accuracy(NamedTuple):
 
 
 class Radii(NamedTuple):
-    """Of an ellipse: radius in m that holds 90 %, that by factors of the root mean square axis, and what these hold."""
+    """Circles of an ellipse: radius in m with probability 90 %, that by factors of the RMS axis, and their
+    probabilities."""
 
     exact: float
     printed: float
@@ -53,7 +54,7 @@ class Radii(NamedTuple):
 
 
 def accuracy() -> Accuracy:
-    """All of it."""
+    """All accuracy results."""
     by_field = {field: error_table((MIDDLE,), field_of_view_deg=field)[0] for field in FIELDS}
     by_ties = {count: error_table((MIDDLE,), ties=ties)[0] for count, ties in COUNTS.items()}
     slopes = {slope: over_slope(slope) for slope in SLOPES}
@@ -71,15 +72,15 @@ def radii(axes: tuple[float, float] = ELLIPSE, probability: float = 0.9) -> Radi
 
 
 def within(sigmas: float) -> float:
-    """Probability that a round error of two axes is within so many standard deviations."""
+    """Probability that an isotropic two-axis error is within `sigmas` standard deviations."""
     return -math.expm1(-0.5 * sigmas**2)
 
 
 def over_slope(slope_deg: float, case: Case = MIDDLE) -> tuple[float, float]:
-    """What the pose adds to the fix of the middle (full derivatives, Eq 6 as if level), on ground that rises away, m.
+    """Contribution of the pose to the centre pixel's fix (full derivatives, Eq 6 as if level), on rising ground, m.
 
-    Root mean square in plan, without the height of the middle's own ground. The camera is 10 km above ground, 75 deg
-    off nadir, and looks to the north.
+    Root mean square in plan, without the ground height error at the centre. The camera is 10 km above ground, 75 deg
+    off nadir, and looks north.
     """
     sensor, shot, terrain, ties = _over(slope_deg)
     rms = [_rms(sensor, shot, terrain, ties, case, how) for how in (FullJacobian(), LevelGround())]
@@ -87,7 +88,7 @@ def over_slope(slope_deg: float, case: Case = MIDDLE) -> tuple[float, float]:
 
 
 def pose_rms(fix: Propagation) -> float:
-    """The part of a fix's root mean square error in plan, m, that is not of its last source, the terrain's height."""
+    """The part of a fix's root mean square error in plan, m, without its last source, the terrain height."""
     by_pose = np.asarray(fix.jacobian)[:2, :-1]
     return float(np.sqrt(np.trace(by_pose @ np.asarray(fix.cov_error)[:-1, :-1] @ by_pose.T)))
 
@@ -107,7 +108,7 @@ def _rms(sensor: Sensor, shot: Shot, terrain: Dem, ties: TiePoints, case: Case, 
 
 
 def _over(slope_deg: float) -> tuple[Sensor, Shot, Dem, TiePoints]:
-    """A camera that looks 75 deg off nadir at a slope about its middle, with 5 by 4 ties."""
+    """A camera that looks 75 deg off nadir at a slope around its centre, with 5 by 4 ties."""
     north = SPACING * (0.5 * (POSTS - 1) - np.arange(POSTS))
     posts = 3000.0 + math.tan(math.radians(slope_deg)) * np.clip(north, -8000.0, 8000.0)
     target = Geodetic.from_degrees(lat=30.0, lon=104.0, height=3000.0)

@@ -1,4 +1,4 @@
-"""What Gu and Qiao (2017) print, item by item, against what the study finds."""
+"""Claims of Gu and Qiao (2017) with the results of the study."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from jaxgeo.studies.gu2017.searching import CONSTRAINED, WHOLE, Searched
 
 REGISTER, MATCH, CLUSTERS = "jaxgeo.register.register_image", "jaxgeo.register.match_blocks", "jaxgeo.register.Clusters"
 TABLE, UPDATE = "jaxgeo.register.gu2017.error_table", "jaxgeo.register.update_orientation"
-ABOUT = 25.0  # m, of what "about 100 m" may be off
-ALIKE = 3.0  # cells, within which shifts are one shift
-STEADY = 0.02  # of an error that stays the same
+ABOUT = 25.0  # m, tolerance of "about 100 m"
+ALIKE = 3.0  # cells, shifts closer than this are equal
+STEADY = 0.02  # relative, for an error that stays constant
 MUCH = 10.0  # times fewer comparisons: "greatly reduced"
 
 
 def claims_of(report: Report) -> list[Claim]:
-    """Claims of every numbered equation, the table, all figures, and of the text."""
+    """Claims of every numbered equation, the table, all figures, and the text."""
     found = [*equations_of(), *_table(report.accuracy), *_circles(report), *_end_to_end(report.flow)]
     if report.searches:
         found += [*_searches(report.searches), *_translation(report.searches)]
@@ -38,7 +38,7 @@ def claims_of(report: Report) -> list[Claim]:
 
 
 def _holds(item: str, statement: str, holds: bool, function: str, reason: str, why: Explanation | None = None) -> Claim:
-    """A claim in words."""
+    """A claim stated in words."""
     return Claim(PAPER, item, statement, True, bool(holds), 0.0, "", function, why, reason)
 
 
@@ -233,7 +233,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
 
 
 def likeness(reference: Orthoimage, ortho: Orthoimage) -> float:
-    """Correlation of two orthoimages on one grid, where both are known."""
+    """Correlation of two orthoimages on one grid, where both are valid."""
     both = np.asarray(reference.known) & np.asarray(ortho.known)
     pair = [np.asarray(one.values, float).mean(axis=0)[both] for one in (reference, ortho)]
     return float(np.corrcoef(*pair)[0, 1])
@@ -280,8 +280,8 @@ def _searches(found: Sequence[Searched]) -> list[Claim]:
 
 
 def _stable(near: Searched, whole: Searched, pairs: Sequence[tuple[Searched, Searched]]) -> Claim:
-    """What the constraint does to the choice; a failure is put down to the choice and the size of blocks, if in the
-    same navigation and texture smaller ones, chosen by the pose, do not fail."""
+    """Effect of the constraint on the choice; a failure is attributed to the choice and the block size if smaller
+    blocks chosen by the pose succeed with the same navigation and texture."""
     sought, draws = near.sought, near.draws
     parts = []
     for one in (near, whole):
@@ -425,7 +425,7 @@ def _blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense]) -> list[Claim]:
 
 
 def _exchanged(value: float) -> list[float]:
-    """A number of three decimals with two neighbouring digits exchanged, in every place."""
+    """The values of a three-decimal number with two neighbouring digits exchanged, for every position."""
     whole, digits = f"{value:.3f}".split(".")
     return [float(f"{whole}.{digits[:k]}{digits[k + 1]}{digits[k]}{digits[k + 2 :]}") for k in range(len(digits) - 1)]
 

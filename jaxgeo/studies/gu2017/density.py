@@ -1,4 +1,4 @@
-"""How many ties, and of how large blocks: what accuracy that gives, and what is foretold."""
+"""Number of tie points and size of blocks: actual and predicted accuracy."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, seen_agai
 
 SIZES = (64, 100, 150, 300, 600)  # cells
 COUNTS = (5, 10, 20, 40, 80)
-LEFT = (3.0, 0.03)  # m, deg: errors as a first pass may leave them
-NOISES = (0.1, 2.0)  # of the image, times its own standard deviation
+LEFT = (3.0, 0.03)  # m, deg: typical errors after a first pass
+NOISES = (0.1, 2.0)  # image noise, times the image's own standard deviation
 ROUNDS, MORE = 4, 1.02
 SUBSETS = 3
-MOST_TIES = 512  # of an update
-PEAKS = 2  # candidates of a block
+MOST_TIES = 512  # in one update
+PEAKS = 2  # candidates per block
 
 
 class Dense(NamedTuple):
-    """Updates by ties of blocks of a size, in an image of so much noise: means over trials of how many blocks and ties
-    there are, and of the share of blocks whose best candidate is wrong or that have none; how far off fixes are, and
-    the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial."""
+    """Updates by ties from blocks of one size, in an image with the given noise: means over trials of the number of
+    blocks and ties, and of the share of blocks whose best candidate is wrong or that have none; the errors of fixes,
+    and that of the `pose`, in px (`pose_error`), with half of its 95 % interval, and that of `each` trial."""
 
     size: int
     noise: float
@@ -46,7 +46,7 @@ class Dense(NamedTuple):
 
 
 class _Matched(NamedTuple):
-    """Ties of the blocks that agree, of so many; and the share that failed."""
+    """Ties of the consistent blocks, the number of blocks, and the share that failed."""
 
     number: int
     failed: float
@@ -56,11 +56,11 @@ class _Matched(NamedTuple):
 def by_size(
     im: Imaged, seeds: Sequence[int], sizes: Sequence[int] = SIZES, noises: Sequence[float] = NOISES
 ) -> tuple[list[Dense], list[Dense]]:
-    """(by noise and the size of blocks, by the number of ties of the smallest in little noise).
+    """(by noise and block size, by the number of ties of the smallest blocks at low noise).
 
-    Each trial has other noise, light, elevation model and errors of the pose. The image is rectified with a pose as a
-    first pass leaves it, matched once, and the navigation updated by all ties. Empty for an image whose true shot is
-    not known.
+    Each trial has other noise, illumination, elevation model and pose errors. The image is rectified with a pose as
+    after a first pass, matched once, and the navigation updated by all ties. Empty for an image whose true shot is
+    unknown.
     """
     if im.true is None or im.ground is None:
         return [], []
@@ -101,9 +101,9 @@ def _ties(here: Mapped, size: int, cov: np.ndarray) -> _Matched:
 
 
 def _updated(im: Imaged, shot: Shot, case: tuple[int, float], matched: _Matched) -> list[Dense]:
-    """The update of the navigation by ties; registration is as uncertain as their residuals show, if there are enough.
+    """Update of the navigation by ties; with enough ties, their residuals give the registration's uncertainty.
 
-    Empty where it does not converge.
+    Empty if it does not converge.
     """
     ties = matched.ties
     found, registration = _with(im, shot, ties, float(im.tie_errors.registration))
@@ -128,7 +128,7 @@ def _with(im: Imaged, shot: Shot, ties: TiePoints, registration: float) -> tuple
 
 
 def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:
-    """Some of the ties."""
+    """A subset of the ties."""
     lat, lon, uv, cov = (np.asarray(x)[rows] for x in (ties.ground.lat, ties.ground.lon, ties.uv, ties.covariance))
     height = np.asarray(ties.ground.height)[rows]
     rise = None if ties.rise is None else np.asarray(ties.rise)[rows]
@@ -136,7 +136,7 @@ def _of(ties: TiePoints, rows: np.ndarray) -> TiePoints:
 
 
 def _mean(rows: Sequence[Dense]) -> Dense:
-    """Over trials: root mean squares, and means of the rest."""
+    """Statistics over trials: root mean squares, and means of the rest."""
     table = np.array([[np.nan if x is None else x for x in row.spread] for row in rows], float)
     rms, sigma = (float(np.sqrt(np.mean(table[:, k] ** 2))) for k in (0, 2))
     ce90, foretold, squares = (float(np.mean(table[:, k])) for k in (1, 3, 4))

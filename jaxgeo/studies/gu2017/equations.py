@@ -1,6 +1,6 @@
-"""The equations of Gu and Qiao (2017) written out as printed, in NumPy, against the package at the same inputs.
+"""The equations of Gu and Qiao (2017) as printed, in NumPy, compared with the package at the same inputs.
 
-Eqs 1, 2, 4 and 6 are pictures in the copy at hand; they are taken in the form that the text about them describes.
+Eqs 1, 2, 4 and 6 are pictures in the available copy; they are taken in the form described by the text around them.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ GROUND = 500.0  # m
 FOCAL, SIDE = 5700.0, 1000  # px
 POSITION, ATTITUDE, TERRAIN, REGISTRATION = 50.0, 0.5, 5.0, 3.0  # m, deg, m, m
 COLUMNS, ROWS = 5, 4  # ties
-STEP = (1.0, 1e-5, 1.0)  # m, rad, m: of differences
+STEP = (1.0, 1e-5, 1.0)  # m, rad, m: finite difference steps
 START = (30.0, -20.0, 15.0, 2e-3, -1e-3, 3e-3)  # m north, east, down; rad about the camera's axes
 
 Array = np.ndarray
 
 
 class Inputs(NamedTuple):
-    """A camera 10 km up that looks 75 deg off nadir to the north at level ground, with 20 ties and what they see:
-    `points` (n, 3) in ECEF m of pixels `uv` (n, 2), the aperture `S` in ECEF m, `R_camera_from_ecef`."""
+    """A camera 10 km up that looks 75 deg off nadir to the north at level ground, with 20 ties and their ground
+    points: `points` (n, 3) in ECEF m of pixels `uv` (n, 2), the aperture `S` in ECEF m, `R_camera_from_ecef`."""
 
     sensor: Sensor
     shot: Shot
@@ -113,7 +113,7 @@ def tie_covariance(lat: float, lon: float, registration: float, terrain: float) 
 
 def moved_conditions(of: Inputs, errors: Array, point: Array, uv: Array) -> Array:
     """Eqs 1 and 2 (px, px, m) with the camera moved by m north, east, down, turned by rad about its axes, and the
-    ground higher by m. A navigation's angles are those to the level, which turns as the camera moves."""
+    ground raised by m. Navigation angles refer to the local level, which turns as the camera moves."""
     S = of.S + of.R_ecef_from_ned @ errors[:3]
     R = _small_turn(errors[3:6]) @ of.R_camera_from_ecef @ of.R_ecef_from_ned @ _level(errors[:3]).T
     a = float(WGS84.a)
@@ -137,7 +137,7 @@ def _slope(function: Callable[[Array], Array], at: Array, k: int, step: float) -
 
 
 def _level(ned: Array) -> Array:
-    """Axes of north, east, down in ECEF, so many m from the aperture."""
+    """Axes of north, east, down in ECEF at a point `ned` m from the aperture."""
     a, b, lat = float(WGS84.a), float(WGS84.b), math.radians(LAT)
     squared = 1.0 - (b / a) ** 2
     bend = 1.0 - squared * math.sin(lat) ** 2
@@ -163,7 +163,7 @@ def _small_turn(w: Array) -> Array:
 
 
 def equations_of() -> list[Claim]:
-    """Claims of Eqs 1 to 7, but for Eq 4, which is one about images."""
+    """Claims of Eqs 1 to 7, except Eq 4, which is a claim about images."""
     of = inputs()
     return [eq1(of), eq2(of), eq3(of), *eq5(of), eq6(of), *eq7(of)]
 
@@ -241,7 +241,7 @@ def eq3(of: Inputs) -> Claim:
 
 
 def eq5(of: Inputs) -> list[Claim]:
-    """The step of the parameters, and that it ends where the ties fit (Fig. 3)."""
+    """The step of the parameters, and its convergence to the fit of the ties (Fig. 3)."""
     start = np.append(START, 0.0)
     F = np.stack([moved_conditions(of, start, p, uv) for p, uv in zip(of.points, of.uv, strict=True)])
     A, B = zip(*(_derivatives_at(of, start, p, uv) for p, uv in zip(of.points, of.uv, strict=True)), strict=True)
@@ -299,7 +299,7 @@ def _iterated(of: Inputs) -> Claim:
 
 
 def eq6(of: Inputs) -> Claim:
-    """Covariance of a tie's ground."""
+    """Covariance of a tie's ground point."""
     lat, lon = math.radians(LAT), math.radians(LON)
     printed = tie_covariance(lat, lon, REGISTRATION, TERRAIN)
     ours = np.asarray(ground_covariance(Geodetic(lat=lat, lon=lon, height=GROUND), REGISTRATION, TERRAIN))
@@ -378,8 +378,8 @@ def _updated_sigmas(of: Inputs) -> list[float]:
 
 
 def _sigmas(cov: Array) -> list[float]:
-    """Standard deviations of the position, m, and along the axes of the ellipsoid of the angles, deg: whatever axes
-    these are about."""
+    """Standard deviations of the position, m, and of the angles along the axes of their ellipsoid, deg, independent
+    of the angles' own axes."""
     angles = np.degrees(np.sqrt(np.linalg.eigvalsh(cov[3:, 3:])))
     return [float(x) for x in (*np.sqrt(np.diag(cov)[:3]), *angles)]
 
@@ -390,7 +390,7 @@ def _rows_and_weights(A: Sequence[Array]) -> tuple[jax.Array, jax.Array]:
 
 
 def _derivatives_at(of: Inputs, errors: Array, point: Array, uv: Array) -> tuple[Array, Array]:
-    """As `derivatives`, about a camera that errs."""
+    """`derivatives` at a camera with errors."""
     steps = np.repeat(STEP, (3, 3, 1))
     A = [_slope(lambda e: moved_conditions(of, e, point, uv), errors, k, steps[k]) for k in range(7)]
     B = [_slope(lambda p: moved_conditions(of, errors, p, uv), point, k, 1.0) for k in range(3)]

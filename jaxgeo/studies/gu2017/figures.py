@@ -1,4 +1,4 @@
-"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+"""Figures of the study. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Drawn = tuple[Callable[[Figure], None], tuple[float, float]]
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
-    """All pictures into a folder."""
+    """Write all figures to a folder."""
     pictures: dict[str, Drawn] = {
         "images.png": (lambda figure: draw_images(report.image, report.flow, figure), (13.0, 4.8)),
         "boards.png": (lambda figure: draw_boards(report.flow, figure), (11.0, 6.4)),
@@ -41,7 +41,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
 
 
 def draw_shifts(found: Sequence[Searched], figure: Figure) -> None:
-    """Fig. 2: shifts of all candidates, those that K-means chose ringed, in each search."""
+    """Fig. 2: shifts of all candidates, with those chosen by K-means ringed, in each search."""
     for ax, one in zip(np.ravel(figure.subplots(2, len(found) // 2).T), found, strict=False):
         _shifts(one, ax)
     handles, labels = figure.axes[0].get_legend_handles_labels()
@@ -66,7 +66,7 @@ def _shifts(one: Searched, ax: Axes) -> None:
 
 
 def draw_images(im: Imaged, found: Flow, figure: Figure) -> None:
-    """Fig. 4: the image, rectified from the navigation, and rectified as registered."""
+    """Fig. 4: the image, rectified from the navigation, and rectified after registration."""
     axes = figure.subplots(1, 3)
     axes[0].imshow(np.where(im.known, im.image, np.nan), cmap="gray")
     axes[0].set(title="Image", xlabel="column", ylabel="row")
@@ -94,7 +94,7 @@ def _show(ortho: Orthoimage | None, ax: Axes) -> None:
 
 
 def draw_boards(found: Flow, figure: Figure) -> None:
-    """Squares of the map and of the rectified image in turn, before and after."""
+    """Checkerboards of the map and the rectified image, before and after."""
     for ax, title, ortho in zip(
         figure.subplots(1, 2), ("By the navigation", "After the update"), _both(found), strict=True
     ):
@@ -106,7 +106,7 @@ def draw_boards(found: Flow, figure: Figure) -> None:
 
 
 def draw_circles(found: Flow, figure: Figure) -> None:
-    """Fig. 5: the rectified image over the map, and circles of 90 % before and after, with ellipses."""
+    """Fig. 5: the rectified image over the map, and 90 % circles before and after, with ellipses."""
     ax = figure.subplots()
     shown = found.by_navigation if found.registered is None else found.registered
     circles_on_map(found.reference, shown, found.direct, found.updated, ax)
@@ -114,7 +114,7 @@ def draw_circles(found: Flow, figure: Figure) -> None:
 
 
 def draw_blocks(by_size: Sequence[Dense], by_ties: Sequence[Dense], figure: Figure) -> None:
-    """Errors of fixes by size of blocks, in each noise, and by number of ties, with 95 % intervals."""
+    """Errors of fixes by block size, for each noise, and by number of ties, with 95 % intervals."""
     left, middle, right = figure.subplots(1, 3)
     for noise, colour in zip(dict.fromkeys(one.noise for one in by_size), (FIX, EDGE, SIGHT), strict=False):
         rows = [one for one in by_size if one.noise == noise]
@@ -149,7 +149,7 @@ def _whiskers(ax: Axes, at: Sequence[float], rows: Sequence[Dense], colour: str,
 
 
 def draw_frames(found: Sequence[Frame], figure: Figure) -> None:
-    """Errors of position and fix, frame by frame, by each way; what is foretold dashed."""
+    """Errors of position and fix, frame by frame, by each method; predicted values dashed."""
     left, right = figure.subplots(1, 2)
     ways = list(dict.fromkeys(one.way for one in found))
     for way, colour in zip(ways, (EDGE, FIX, SIGHT), strict=True):

@@ -1,4 +1,4 @@
-"""Fixes of many pixels, how sure they are, and how far off they turn out to be."""
+"""Fixes of many pixels, their predicted accuracy, and their actual errors."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ GRAZING = 3.0
 
 
 class Fixes(NamedTuple):
-    """Of pixels: places (n, 3) in ECEF, m, NaN without one, their covariances (n, 2, 2) in m2 of east and north, and
-    the axes (n, 3, 3) of east, north, up."""
+    """Fixes of pixels: positions (n, 3) in ECEF, m, NaN without a fix, covariances (n, 2, 2) in m2 of east and
+    north, and axes (n, 3, 3) of east, north, up."""
 
     ecef: Float[np.ndarray, "n 3"]
     cov: Float[np.ndarray, "n 2 2"]
     axes: Float[np.ndarray, "n 3 3"]
 
     def off(self, true: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-        """How far the places lie to the east and north of the true ones, m."""
+        """Offsets (n, 2) of the positions to the east and north of the true ones, m."""
         return np.einsum("nji,nj->ni", self.axes, self.ecef - true)[:, :2]
 
 
 class Spread(NamedTuple):
-    """How far fixes are off, in m in plan: root mean square, and the distance that one in ten surpasses, and what was
-    foretold of these (the latter by circles about each ellipse). `squares` is the mean square of the errors in standard
-    deviations, of two axes: 1 if those are right. Numbers of what is not known are None. `grazing` pixels are left out,
-    of which more than `GRAZING` times the usual error is foretold: they graze a ridge."""
+    """Horizontal errors of fixes in m: root mean square, 90th percentile, and the predicted values of both (the
+    latter by circles about each ellipse). `squares` is the mean square of the errors in standard deviations, of two
+    axes: 1 if those are right. Unknown values are None. `grazing` pixels are excluded: their predicted error exceeds
+    `GRAZING` times the median, because they graze a ridge."""
 
     rms: float | None
     ce90: float | None
@@ -60,7 +60,7 @@ def lattice(sensor: Sensor) -> Float[np.ndarray, "n 2"]:
 
 
 def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = None) -> Fixes:
-    """Fixes of the lattice from a shot whose errors, along the axes of the scene's, have a covariance."""
+    """Fixes of the lattice from a shot with the given error covariance, along the axes of the scene's errors."""
     sensor = im.sensor if sensor is None else sensor
     uv = jnp.asarray(lattice(im.sensor))
     numbers = jnp.asarray(covariance), jnp.asarray(im.tie_errors.terrain, float)
@@ -69,32 +69,32 @@ def fixes_of(im: Imaged, shot: Shot, covariance: Any, sensor: Sensor | None = No
 
 
 def alike(tree: Tree) -> Tree:
-    """The same numbers as arrays of one type, by which JAX tells programs apart: one serves wherever they come from."""
+    """The same values as arrays of one type, so that JAX reuses one compiled program whatever their origin."""
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x)) if eqx.is_inexact_array_like(x) else x, tree)
 
 
 def direct(im: Imaged, given: Shot | None = None) -> Fixes:
-    """By the navigation alone."""
+    """Fixes from the navigation alone."""
     return fixes_of(im, im.given if given is None else given, im.errors.covariance())
 
 
 def updated(im: Imaged, found: Registration) -> Fixes:
-    """By a registration. Raises `ValueError` if there is none."""
+    """Fixes after a registration. Raises `ValueError` if it is missing."""
     if found.update is None or not isinstance(found.shot, Shot):
         raise ValueError(f"the image is not registered: {found.outcome.name}: {found.outcome.message}")
     return fixes_of(im, found.shot, found.update.cov_error, found.sensor)
 
 
 def truth(im: Imaged) -> Float[np.ndarray, "n 3"] | None:
-    """What the pixels of the lattice truly see, ECEF, m; None where that is not known."""
+    """True ground points of the lattice pixels, ECEF, m; None if unknown."""
     if im.true is None or im.ground is None:
         return None
     return points_seen(im.sensor, im.true, im.ground, lattice(im.sensor))
 
 
 def pose_error(im: Imaged, sensor: Sensor, shot: Shot) -> float:
-    """Root mean square distance in px between the pixels of the lattice and where a shot has what they truly see: what
-    the pose alone is off, whatever the elevation model. NaN where the truth is not known."""
+    """Root mean square distance in px between the lattice pixels and the projections by a shot of their true ground
+    points: the error of the pose alone, independent of the elevation model. NaN if the truth is unknown."""
     true = truth(im)
     if true is None:
         return float("nan")
@@ -104,7 +104,7 @@ def pose_error(im: Imaged, sensor: Sensor, shot: Shot) -> float:
 
 
 def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
-    """How far off fixes are, over the pixels that have one."""
+    """Error statistics of fixes, over the pixels that have one."""
     known = np.isfinite(fixes.cov).all(axis=(1, 2))
     if true is not None:
         known &= np.isfinite(true).all(axis=1)
@@ -122,7 +122,7 @@ def spread(fixes: Fixes, true: Float[np.ndarray, "n 3"] | None) -> Spread:
 
 
 def _ce90(cov: Float[np.ndarray, "n 2 2"]) -> float:
-    """The median of the radii that hold 90 %."""
+    """Median of the radii that contain 90 %."""
     from jaxgeo.uncertainty.metrics import circular_error
 
     return float(np.median(np.asarray(circular_error(jnp.asarray(cov), 0.9))))

@@ -1,4 +1,4 @@
-"""The method from end to end on one image: rectified, registered, and every pixel fixed from the updated pose."""
+"""End-to-end run of the method on one image: rectification, registration, and fixes by the updated pose."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ MARGIN = 0.05  # of the window's side
 
 
 class Run(NamedTuple):
-    """One registration, of so many seconds, and fixes of a lattice of pixels by the navigation and after it."""
+    """One registration, its time in s, and fixes of a lattice of pixels by the navigation and after the
+    registration."""
 
     seed: int
     given: Shot
@@ -32,8 +33,8 @@ class Run(NamedTuple):
 
 
 class Flow(NamedTuple):
-    """Runs with other errors of the navigation, the first of them in pictures: the part of the map about the image, the
-    image on it by the navigation and as registered, and the middle pixel's fixes."""
+    """Runs with different navigation errors, the first of them for figures: the part of the map around the image,
+    the image rectified by the navigation and after registration, and the centre pixel's fixes."""
 
     runs: list[Run]
     reference: Orthoimage
@@ -44,7 +45,7 @@ class Flow(NamedTuple):
 
 
 def flow(im: Imaged, others: int = 2, seed: int = 0) -> Flow:
-    """Register an image, and again with `others` draws of the navigation's errors if the true shot is known."""
+    """Register an image, and again with `others` draws of the navigation errors if the true shot is known."""
     runs = [one_run(im, seed)]
     if im.true is not None:
         for number in range(1, others + 1):
@@ -55,7 +56,7 @@ def flow(im: Imaged, others: int = 2, seed: int = 0) -> Flow:
 
 
 def one_run(im: Imaged, seed: int) -> Run:
-    """Register an image and see what its fixes are worth."""
+    """Register an image and evaluate its fixes."""
     began = time.perf_counter()
     arguments: Any = im.sensor, im.given, im.image, im.reference, im.terrain, im.errors, im.tie_errors
     found = register_image(*arguments, known=im.known)
@@ -65,7 +66,7 @@ def one_run(im: Imaged, seed: int) -> Run:
 
 
 def middle(im: Imaged) -> tuple[float, float]:
-    """The middle pixel."""
+    """The centre pixel."""
     camera: Any = im.sensor.camera
     return 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
 
@@ -87,7 +88,7 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
 
 
 def part_of(im: Imaged) -> Orthoimage:
-    """The part of the map in which the image lies by the navigation, and a margin."""
+    """The part of the map that contains the image by the navigation, with a margin."""
     look = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
     window = window_of(look, im.reference.grid, im.reference.shape)
     if window is None:

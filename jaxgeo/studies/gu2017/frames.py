@@ -1,4 +1,4 @@
-"""Frames one after the other, whose navigation errs alike for a while: what an update of one says of the next."""
+"""Frame sequences with time-correlated navigation errors: effect of an update of one frame on the next."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sharing import Occasion
 
 FRAMES, STEP, SPEED = 6, 5.0, 60.0  # number, s, m/s to the north
-DURATION = 60.0  # s, over which the navigation's errors fade
+DURATION = 60.0  # s, correlation time of the navigation errors
 TIES, MATCHED = 5, 3.0  # in each frame; m
 FLIGHTS = 4  # over each ground
 SLOPES = {"nearly level": 2.0, "made hills": 8.0, "mountains": 16.0}  # deg, rms
-CANDIDATES = 40  # pixels drawn for the ties of a frame: the first that see ground are taken
-EVERY = 3  # frames, of which one is registered
+CANDIDATES = 40  # candidate pixels for the ties of a frame: the first that see ground are used
+EVERY = 3  # every third frame is registered
 ALONE, CARRIED, SELDOM = "each by itself", "carried over", "every third, carried over"
 
 
 class Frame(NamedTuple):
-    """A frame by one way: errors over flights (n,) of the position of the aircraft and of the fix in the middle, m,
-    root mean squares of what was foretold of them, and whether it was registered. `relief` (n,) says over which ground.
-    """
+    """A frame by one method: errors over flights (n,) of the aircraft position and of the centre pixel's fix, m,
+    root mean squares of their predicted values, and whether it was registered. `relief` (n,) names the ground of
+    each flight."""
 
     way: str
     number: int
@@ -60,7 +60,7 @@ class Frame(NamedTuple):
 
 
 class _Flown(NamedTuple):
-    """A frame: what the navigation says, what is true, and its ties."""
+    """A frame: navigation, true shot, and ties."""
 
     given: Shot
     true: Shot
@@ -68,9 +68,9 @@ class _Flown(NamedTuple):
 
 
 def frames(im: Imaged, flights: int = FLIGHTS, seed: int = 0) -> list[Frame]:
-    """Every frame by each way, with simulated ties; `flights` over each of several grounds.
+    """Every frame by each method, with simulated ties; `flights` over each of several grounds.
 
-    Every flight has an elevation model of its own that errs. Empty for an image that was not made.
+    Every flight has its own elevation model with errors. Empty for an image that is not simulated.
     """
     if im.ground is None:
         return []
@@ -96,7 +96,7 @@ def frames(im: Imaged, flights: int = FLIGHTS, seed: int = 0) -> list[Frame]:
 
 
 def grounds(hills: Dem, seed: int = 0) -> dict[str, Dem]:
-    """The hills of the package's elevation model, and made ground of other slopes on the same posts."""
+    """The hills of the packaged elevation model, and synthetic ground of other slopes on the same posts."""
     found = {"hills": hills}
     rows, cols = np.asarray(hills.posts).shape
     spacing = float(np.mean(np.asarray(hills.grid.cell_size())))
@@ -116,7 +116,7 @@ def _occasion(frame: int) -> Occasion:
 
 
 def _flown(im: Imaged, model: ErrorModel, rng: np.random.Generator) -> list[_Flown]:
-    """Frames with errors drawn from a Gauss-Markov process, and ties that err by `MATCHED` on the map."""
+    """Frames with errors drawn from a Gauss-Markov process, and ties with errors of `MATCHED` on the map."""
     assert im.ground is not None
     sensor, rho = camera(), float(np.exp(-STEP / DURATION))
     sigma = np.sqrt(np.diagonal(np.asarray(model.covariance())))
@@ -152,7 +152,7 @@ def _on_map(points: Any, off: Any) -> tuple[Any, Any]:
 
 
 def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: str) -> list[list[float]]:
-    """(error of the position, its sigma, error of the middle's fix, its sigma) of each frame."""
+    """(position error, its sigma, error of the centre fix, its sigma) of each frame."""
     told = TieErrors(registration=MATCHED, terrain=im.tie_errors.terrain)
     last: tuple[int, Update] | None = None
     rows = []
@@ -171,7 +171,7 @@ def _gone_through(im: Imaged, model: ErrorModel, flown: Sequence[_Flown], way: s
 
 
 def _foretold(im: Imaged, frame: _Flown, model: ErrorModel, prior: Prior) -> tuple[Any, Any]:
-    """(the shot as the frames before have it, the covariance of its errors)."""
+    """(predicted shot from the previous frames, covariance of its errors)."""
     look = ModelInputs(Exposure(*alike((camera(), frame.given)), jnp.asarray(0.0)), terrain=im.terrain)
     return _moved(model, look, jnp.asarray(prior.mean)[:-2]).motion, jnp.asarray(prior.covariance)[:-2, :-2]
 
@@ -200,6 +200,6 @@ def _off(im: Imaged, frame: _Flown, shot: Any, cov: Any) -> list[float]:
 
 @eqx.filter_jit
 def _apart(pose: Pose, true: Pose) -> tuple[jax.Array, jax.Array]:
-    """How far one pose lies from another in ECEF, m, and the axes of north, east, down there."""
+    """Offset of one pose from another in ECEF, m, and the axes of north, east, down there."""
     away = WGS84.to_ecef(pose.position) - WGS84.to_ecef(true.position)
     return away, R_ecef_from_ned(true.position)

@@ -1,4 +1,4 @@
-"""An image of the user's, with its map and the scene that the navigation says."""
+"""Input of a user-supplied image, with its map and navigation."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def read(
     sigmas: tuple[float, float],
     reach: Reach = HERE,
 ) -> Imaged:
-    """An image file, the orthoimage of its ground and its scene file; `sigmas` in m and deg are the navigation's,
+    """Read an image file, the orthoimage of its ground and its scene file; `sigmas` in m and deg are the navigation's,
     `reach` is what the reading of the two rasters may touch.
 
-    The orthoimage is taken to lie within one of its cells of the truth, the terrain to err by `SIGMA_TERRAIN`.
-    Raises `SceneError` for a scene without a pose, `ImageError` for images that are none or of another size.
+    The orthoimage is assumed accurate to one of its cells, the terrain to `SIGMA_TERRAIN`. Raises `SceneError` for a
+    scene without a pose, `ImageError` for invalid images or images of another size.
     """
     told = read_scene(scene)
     if told.shot is None:

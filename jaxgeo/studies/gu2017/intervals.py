@@ -1,4 +1,4 @@
-"""Intervals of what a study counts and averages."""
+"""Confidence intervals of a study's shares and means."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load on first use
 
 
 def share(hits: int, of: int) -> tuple[float, float]:
-    """The 95 % interval of a probability by `hits` of so many trials (Clopper and Pearson 1934); 0 to 1 of none."""
+    """95 % interval of a probability from `hits` of `of` trials (Clopper and Pearson 1934); 0 to 1 for no trials."""
     low = scipy.stats.beta.ppf(0.025, hits, of - hits + 1) if hits else 0.0
     high = scipy.stats.beta.ppf(0.975, hits + 1, of - hits) if hits < of else 1.0
     return float(low), float(high)
 
 
 def mean(values: Sequence[float]) -> tuple[float, float]:
-    """(mean, half of its 95 % interval by Student's t); the latter is infinite of a single value."""
+    """(mean, half of its 95 % interval by Student's t); the latter is infinite for a single value."""
     numbers = np.asarray(values, float)
     if len(numbers) < 2:
         return float(np.mean(numbers)), math.inf
@@ -26,7 +26,7 @@ def mean(values: Sequence[float]) -> tuple[float, float]:
 
 
 def rms(errors: np.ndarray) -> tuple[float, float]:
-    """(root mean square, half of its 95 % interval by the spread of the squares)."""
+    """(root mean square, half of its 95 % interval from the spread of the squares)."""
     square, half = mean(list(np.asarray(errors, float) ** 2))
     usual = math.sqrt(square)
     return usual, half / (2.0 * usual) if usual > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""An image as the paper matches it: rectified onto the cells of the map, in blocks, each sought about where it lies."""
+"""Image preparation as in the paper: rectified onto the map's cells and matched in blocks."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from jaxgeo.terrain.grid import AbstractGrid, surface_point
 from jaxgeo.uncertainty import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
-ASIDE = 1.0  # cells: standard deviation of what shifts a block beside the navigation's errors
-LATTICE = 4  # points along a side of a block, from which its true shift is computed
+ASIDE = 1.0  # cells: standard deviation of block shifts from causes other than the navigation errors
+LATTICE = 4  # points per block side, from which its true shift is computed
 
 
 class Mapped(NamedTuple):
-    """An image rectified from a `shot` that errs as `errors` say, on the cells of its map, brightness made even."""
+    """An image rectified from a `shot` with the given `errors`, on the cells of its map, with equalised brightness."""
 
     im: Imaged
     shot: Shot
@@ -37,15 +37,15 @@ class Mapped(NamedTuple):
     reference: Float[np.ndarray, "rows cols"]
 
     def shifts(self, centres: np.ndarray, size: int) -> Shifts:
-        """How the errors shift blocks."""
+        """Shifts of blocks by the errors."""
         im = self.im
         look = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
         return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
 
 
 class Blocks(NamedTuple):
-    """Blocks of a rectified image: their matches, how the errors shift them, and the `true` shifts (n, 2) in cells, NaN
-    where there is none or it is not known."""
+    """Blocks of a rectified image: their matches, their shifts by the errors, and the `true` shifts (n, 2) in cells,
+    NaN if they do not exist or are unknown."""
 
     matches: Matches
     shifts: Shifts
@@ -53,17 +53,17 @@ class Blocks(NamedTuple):
 
     @property
     def jacobian(self) -> np.ndarray:
-        """Derivatives of the shifts by the errors and the map's shift; zero for blocks that are not seen."""
+        """Derivatives of the shifts by the errors and the map's shift; zero for blocks that are not visible."""
         return np.where(np.asarray(self.shifts.seen)[:, None, None], np.asarray(self.shifts.by_error), 0.0)
 
     def is_off(self, shift: np.ndarray, cells: float = 3.0) -> Bool[np.ndarray, " n"]:
-        """Whether shifts (n, 2) are farther than so many cells from the true ones."""
+        """Whether shifts (n, 2) differ by more than `cells` cells from the true ones."""
         with np.errstate(invalid="ignore"):
             return np.linalg.norm(shift - self.true, axis=1) > cells
 
 
 def mapped(im: Imaged, shot: Shot, errors: ErrorModel) -> Mapped:
-    """Rectify an image from a shot, by the elevation model."""
+    """Rectify an image from a shot with the elevation model."""
     grid, shape = im.reference.grid, im.reference.shape
     ortho = rectify(im.sensor, shot, im.image, im.terrain, grid, shape, known=im.known).orthoimage
     grey = np.asarray(remove_illumination(ortho.values[0], ortho.known, 31))
@@ -83,9 +83,9 @@ def blocks(
     peaks: int = 4,
     largest_sigma: float = 1.0,
 ) -> Blocks:
-    """Blocks of `size` cells, sought where a `covariance` of their shifts, cells2, allows with a probability: one for
-    all, so that one program serves. Candidates correlate `above_chance` times better than chance has it (see
-    `match_blocks`)."""
+    """Blocks of `size` cells, searched inside the region that a `covariance` of their shifts, cells2, gives at a
+    probability: one covariance for all, so that they share one compiled program. Candidates correlate `above_chance`
+    times better than expected by chance (see `match_blocks`)."""
     centres = blocks_of(here.ortho.known, size)
     cov = np.broadcast_to(np.asarray(covariance, float), (len(centres), 2, 2))
     pair = here.grey, here.ortho.known, here.reference, np.asarray(here.im.reference.known)
@@ -102,7 +102,7 @@ def blocks(
 
 
 def allowed(here: Mapped, size: int) -> Float[np.ndarray, "2 2"]:
-    """The smallest multiple of the mean covariance of all blocks' shifts that is no less than that of any, cells2."""
+    """The smallest multiple of the mean covariance of the blocks' shifts that is at least each block's, cells2."""
     found = here.shifts(blocks_of(here.ortho.known, size), size)
     cov = found.covariance(unknowns(here.errors))[np.asarray(found.seen)] + ASIDE**2 * np.eye(2)
     mean = np.mean(0.5 * (cov + np.swapaxes(cov, 1, 2)), axis=0)
@@ -111,7 +111,7 @@ def allowed(here: Mapped, size: int) -> Float[np.ndarray, "2 2"]:
 
 
 def unknowns(errors: ErrorModel) -> np.ndarray:
-    """Covariance of errors and of a map's shift that is known to be none."""
+    """Covariance of the errors and of the map's shift, which is known to be zero."""
     size = errors.size
     cov = np.zeros((size + 2, size + 2))
     cov[:size, :size] = errors.covariance()
@@ -119,7 +119,7 @@ def unknowns(errors: ErrorModel) -> np.ndarray:
 
 
 def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
-    """Tie points of the blocks chosen: pixels of their middles, and where the map shows the same."""
+    """Tie points of the chosen blocks: their centre pixels, and the matching map positions."""
     kept = chosen.is_chosen & np.asarray(found.shifts.seen)
     there = (np.asarray(found.matches.centre) + chosen.of(found.matches.shift))[kept]
     metres = np.linalg.inv(np.asarray(found.shifts.cells_per_metre)[kept])
@@ -132,7 +132,7 @@ def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
 
 
 def _true(here: Mapped, centres: np.ndarray, size: int) -> np.ndarray:
-    """Shifts (n, 2) in cells of what blocks show, the medians over a lattice in each; NaN where that is not known."""
+    """True shifts (n, 2) in cells of the blocks, the medians over a lattice in each; NaN if unknown."""
     im = here.im
     if im.sight is None:
         return np.full((len(centres), 2), np.nan)
@@ -144,7 +144,7 @@ def _true(here: Mapped, centres: np.ndarray, size: int) -> np.ndarray:
     there = between(im.sight.places(im.reference.grid), np.asarray(here.shifts(places, 2).uv))
     away = np.where(shown[:, None], there - places, np.nan).reshape(len(centres), -1, 2)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of blocks that see nothing
+        warnings.simplefilter("ignore", RuntimeWarning)  # from blocks without visible ground
         return np.nanmedian(away, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""The whole study: its records, tables and pictures."""
+"""The complete study: records, tables and pictures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from jaxgeo.studies.gu2017.scene import Imaged, in_fine_cells, made
 from jaxgeo.studies.gu2017.searching import Searched, searches
 from jaxgeo.studies.sheet import Sheet, write_sheets
 
-TRIALS = 3  # of blocks, with other noise, light, elevation model and pose
+TRIALS = 3  # blocks, with other noise, illumination, elevation model and pose
 
 
 @dataclass(frozen=True)
 class Report:
-    """All that the study finds; what needs a scene whose truth is known is empty for an image of the user's."""
+    """All results of the study; fields that need a scene with known truth are empty for a user-supplied image."""
 
     image: Imaged
     accuracy: Accuracy
@@ -34,15 +34,15 @@ class Report:
 
     @functools.cached_property
     def claims(self) -> list[Claim]:
-        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
-        from jaxgeo.studies.gu2017.claims import claims_of  # it reads reports
+        """The paper's results beside those of this report; computed once, because tables and pages share them."""
+        from jaxgeo.studies.gu2017.claims import claims_of  # circular import: it imports this module
 
         return claims_of(self)
 
 
 def run(seed: int = 0, image: Imaged | None = None) -> Report:
-    """The study on an `image`, or on one that is made with the noise of a `seed`."""
-    with ThreadPoolExecutor(2) as pool:  # XLA compiles the parts side by side
+    """Run the study on an `image`, or on a simulated one with the noise of `seed`."""
+    with ThreadPoolExecutor(2) as pool:  # XLA compiles the parts in parallel
         table = pool.submit(accuracy)
         im = made(seed) if image is None else image
         in_turn = pool.submit(frames, im, seed=seed)
@@ -53,7 +53,7 @@ def run(seed: int = 0, image: Imaged | None = None) -> Report:
 
 
 def sheets_of(report: Report) -> list[Sheet]:
-    """The study's tables, in the order of the paper, and the verdicts that follow from them."""
+    """Tables of the study, in the paper's order, and the resulting verdicts."""
     found = [
         sheets.errors_sheet(report.accuracy),
         sheets.sensitivity_sheet(report.accuracy),
@@ -71,12 +71,12 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
     write_sheets("Gu and Qiao (2017)", sheets_of(report), folder)
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.gu2017 import figures  # only who wants pictures needs matplotlib
+    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.gu2017 import figures  # only pictures need matplotlib
 
     figures.write(report, folder)

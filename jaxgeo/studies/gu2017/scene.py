@@ -1,4 +1,4 @@
-"""A made scene: a map with a texture over real terrain, an oblique image of it, and a navigation that errs."""
+"""Simulated scene: a textured map over real terrain, an oblique image of it, and a navigation with errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load on first use
 
 from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_ned
 from jaxgeo.io import example_dem
@@ -24,26 +24,26 @@ from jaxgeo.uncertainty import ErrorModel, sources
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 WIDTH, HEIGHT, FOCAL = 2400, 1500, 8540.0  # px: 16 by 10 deg
-STRIDE = 5  # px between lines of sight that are followed to the ground; places between are interpolated
-JUMP = 4.0  # times the usual distance on the map of neighbouring lines of sight: a ridge hides what is between
+STRIDE = 5  # px between ray-traced lines of sight; points between are interpolated
+JUMP = 4.0  # times the median map distance of neighbouring lines of sight: a ridge hides the points between
 OFF_NADIR, AZIMUTH, ABOVE = 65.0, 20.0, 5000.0  # deg, deg, m over the ground
 TARGET = (36.300, -84.250)  # deg: hills of Tennessee
-CELLS, CELL = (960, 960), 10.0  # of the map, m
-FINE_CELLS, FINE_CELL = (1980, 1620), 3.0  # of the map under large blocks, m
+CELLS, CELL = (960, 960), 10.0  # map, m
+FINE_CELLS, FINE_CELL = (1980, 1620), 3.0  # map for large blocks, m
 SIGMA_POSITION, SIGMA_ATTITUDE = 50.0, 0.5  # m, deg: the second row of the paper's table
-SIGMA_TERRAIN = 5.0  # m, of the elevation model, alike over
+SIGMA_TERRAIN = 5.0  # m, elevation model error, with correlation length ALIKE
 ALIKE = 200.0  # m
-LEAST_MATCH = 0.5  # m: no tie is taken as better than that
+LEAST_MATCH = 0.5  # m: lower bound of a tie's standard deviation
 
 
 class Sight(NamedTuple):
-    """What lines of sight every `STRIDE` px meet, from 3 px beside the image on: `p_ecef` (rows, cols, 3) in m, NaN
-    where there is no ground."""
+    """Ground points of lines of sight every `STRIDE` px, starting 3 px outside the image: `p_ecef` (rows, cols, 3)
+    in m, NaN without ground."""
 
     p_ecef: np.ndarray
 
     def places(self, grid: AbstractGrid) -> np.ndarray:
-        """(rows, cols, 2): the (row, col) of a grid."""
+        """Grid coordinates (rows, cols, 2): the (row, col) of a grid."""
         shape = self.p_ecef.shape[:2]
         flat = self.p_ecef.reshape(-1, 3)
         known = np.isfinite(flat[:, 0])
@@ -52,10 +52,10 @@ class Sight(NamedTuple):
 
 
 class Imaged(NamedTuple):
-    """An image, a map and a terrain, and what the navigation says. `image` is (rows, cols), `known` where it shows
-    anything; `given` is the shot of the navigation, `terrain` the elevation model. `true` and `ground` are the shot and
-    the ground that there were, `clear` (bands, rows, cols) the image before it was spoilt, `sight` what its pixels
-    truly see: None where not known."""
+    """An image, a map and a terrain, with the navigation. `image` is (rows, cols), `known` its valid pixels; `given`
+    is the shot from the navigation, `terrain` the elevation model. `true` and `ground` are the true shot and ground,
+    `clear` (bands, rows, cols) the image before degradation, `sight` the true ground points of its pixels: None if
+    unknown."""
 
     sensor: Sensor
     given: Shot
@@ -72,7 +72,7 @@ class Imaged(NamedTuple):
 
 
 class World(NamedTuple):
-    """The ground that there is, a map of it, and an elevation model that errs."""
+    """The true ground, a map of it, and an elevation model with errors."""
 
     ground: Dem
     reference: Orthoimage
@@ -80,7 +80,7 @@ class World(NamedTuple):
 
 
 def camera(pixels: int = WIDTH) -> Sensor:
-    """The camera of the made scene, of so many columns over the same field of view."""
+    """The camera of the simulated scene, with `pixels` columns over the same field of view."""
     scale = pixels / WIDTH
     made = FrameCamera.from_pixels(focal_px=FOCAL * scale, width=pixels, height=round(HEIGHT * scale))
     return Sensor(made, Gimbal.fixed(), Mount.nadir())
@@ -89,7 +89,7 @@ def camera(pixels: int = WIDTH) -> Sensor:
 def navigation(
     position: float = SIGMA_POSITION, attitude_deg: float = SIGMA_ATTITUDE, sharing: Any = None
 ) -> ErrorModel:
-    """Three independent errors of the position, m, and three of the attitude, deg."""
+    """Error model with three independent errors of the position, m, and three of the attitude, deg."""
     options: dict[str, Any] = {} if sharing is None else {"sharing": sharing}
     return ErrorModel(
         (
@@ -100,13 +100,13 @@ def navigation(
 
 
 def world(seed: int = 0) -> World:
-    """The package's own elevation model, taken as what the ground is, with a made map over it."""
+    """The packaged elevation model, taken as the true ground, with a synthetic map over it."""
     ground = example_dem()
     return World(ground, textured(ground, target_on(ground), CELLS, CELL), erring(ground, seed))
 
 
 def erring(ground: Dem, seed: int) -> Dem:
-    """Ground with errors of its heights, of standard deviation `SIGMA_TERRAIN` and alike over `ALIKE` m."""
+    """The ground with height errors of standard deviation `SIGMA_TERRAIN` and correlation length `ALIKE` m."""
     posts = np.asarray(ground.posts, np.float64)
     spacing = float(np.mean(np.asarray(ground.grid.cell_size())))
     error = scipy.ndimage.gaussian_filter(np.random.default_rng([seed, 1]).normal(size=posts.shape), ALIKE / spacing)
@@ -114,7 +114,7 @@ def erring(ground: Dem, seed: int) -> Dem:
 
 
 def made(seed: int = 0) -> Imaged:
-    """An image of the made world, and a navigation that errs by a draw of the `seed`."""
+    """A simulated image of the synthetic world, and a navigation with errors drawn from `seed`."""
     there = world(seed)
     true = looking_at(target_on(there.ground), off_nadir=OFF_NADIR, azimuth=AZIMUTH, above=ABOVE)
     given = disturbed(true, np.random.default_rng(seed), metres=SIGMA_POSITION, degrees=SIGMA_ATTITUDE)
@@ -122,7 +122,7 @@ def made(seed: int = 0) -> Imaged:
 
 
 def in_fine_cells(im: Imaged, seed: int) -> Imaged:
-    """The same shot of a map in cells about as small as the pixels. Raises `ValueError` for an image not made."""
+    """The same shot over a map with nearly pixel-sized cells. Raises `ValueError` if the image is not simulated."""
     if im.true is None or im.ground is None or im.sight is None:
         raise ValueError("only an image that was made can be made again.")
     fine = textured(im.ground, target_on(im.ground), FINE_CELLS, FINE_CELL, seed)
@@ -131,7 +131,7 @@ def in_fine_cells(im: Imaged, seed: int) -> Imaged:
 
 
 def shows(im: Imaged, reference: Orthoimage) -> Imaged:
-    """The same shot of another map. Raises `ValueError` for an image that was not made."""
+    """The same shot over another map. Raises `ValueError` if the image is not simulated."""
     if im.sight is None:
         raise ValueError("only an image that was made can be made again.")
     clear, known = shown(im.sight, reference, im.sensor)
@@ -139,9 +139,9 @@ def shows(im: Imaged, reference: Orthoimage) -> Imaged:
 
 
 def taken(there: World, sensor: Sensor, true: Shot, given: Shot, seed: int, sight: Sight | None = None) -> Imaged:
-    """The image of a shot, of other light than the map, with noise; `given` is what the navigation says.
+    """The image of a shot, with other illumination than the map and with noise; `given` is the navigation's shot.
 
-    `sight`, if it is known already, is what the shot sees of this ground.
+    `sight` is the precomputed `Sight` of the shot over this ground, if available.
     """
     sight = sight_of(sensor, true, there.ground) if sight is None else sight
     clear, known = shown(sight, there.reference, sensor)
@@ -151,26 +151,26 @@ def taken(there: World, sensor: Sensor, true: Shot, given: Shot, seed: int, sigh
 
 
 def sight_of(sensor: Sensor, shot: Shot, ground: AbstractTerrain) -> Sight:
-    """What a shot sees: the first ground that lines of sight meet."""
+    """The `Sight` of a shot: first ground intersections of its lines of sight."""
     rows, cols = (np.arange(n // STRIDE + 2) * float(STRIDE) - 3.0 for n in _size(sensor))
     uv = np.stack(np.meshgrid(cols, rows), axis=-1).reshape(-1, 2)
     return Sight(points_seen(sensor, shot, ground, uv).reshape(len(rows), len(cols), 3))
 
 
 def points_seen(sensor: Sensor, shot: Shot, ground: AbstractTerrain, uv: np.ndarray) -> np.ndarray:
-    """Points (n, 3) in ECEF, m, of the first ground that pixels (n, 2) see; NaN without one."""
+    """Points (n, 3) in ECEF, m, of the first ground that pixels (n, 2) see; NaN without ground."""
     found = met(ModelInputs(Exposure(sensor, shot, jnp.asarray(0.0)), terrain=ground), np.asarray(uv, float))
     return np.where((np.asarray(found.status) == Status.hit)[:, None], np.asarray(found.p_ecef), np.nan)
 
 
 def between(lattice: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Values at pixels (n, 2) between those (rows, cols, k) of a `Sight`."""
+    """Values at pixels (n, 2), interpolated from those (rows, cols, k) of a `Sight`."""
     at = (np.asarray(uv)[:, ::-1].T + 3.0) / STRIDE
     return np.stack([scipy.ndimage.map_coordinates(band, at, order=1) for band in np.moveaxis(lattice, -1, 0)], axis=-1)
 
 
 def shown(sight: Sight, reference: Orthoimage, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """(image (1, rows, cols) of a map along lines of sight, whether it is known)."""
+    """(image (1, rows, cols) of a map along lines of sight, its valid mask)."""
     places = sight.places(reference.grid)
     far = [np.linalg.norm(np.diff(places, axis=axis, append=np.nan), axis=-1) for axis in (0, 1)]
     torn = np.any([x > JUMP * np.nanmedian(x) for x in far], axis=0) | np.isnan(places[..., 0])
@@ -190,9 +190,9 @@ def _size(sensor: Sensor) -> tuple[int, int]:
 
 
 def seen_again(im: Imaged, seed: int, noise: float = 0.1) -> Imaged:
-    """The same shot in other light, with other noise, and an elevation model that errs otherwise.
+    """The same shot with other illumination and noise, and an elevation model with other errors.
 
-    Raises `ValueError` for an image that was not made.
+    Raises `ValueError` if the image is not simulated.
     """
     if im.clear is None or im.ground is None:
         raise ValueError("only an image that was made can be made again.")
@@ -200,16 +200,16 @@ def seen_again(im: Imaged, seed: int, noise: float = 0.1) -> Imaged:
 
 
 def target_on(terrain: Dem, north: float = 0.0) -> Geodetic:
-    """What the camera looks at, so many m to the north of `TARGET`, on the ground."""
+    """The target of the camera on the ground, `north` m to the north of `TARGET`."""
     lat = TARGET[0] + np.rad2deg(north / 6.36e6)
     place = Geodetic.from_degrees(lat=lat, lon=TARGET[1], height=0.0)
     return Geodetic(lat=place.lat, lon=place.lon, height=jnp.asarray(terrain.height_at(place)))
 
 
 def looking_at(target: Geodetic, *, off_nadir: float, azimuth: float, above: float) -> Shot:
-    """From `above` m over a target, so that a nadir camera that is pitched up looks at it; angles in deg.
+    """Shot from `above` m over a target, so that a nadir camera that is pitched up looks at it; angles in deg.
 
-    The Earth is taken as flat, so that the middle of the image misses the target by some metres.
+    Assumes a flat Earth, so the image centre misses the target by some metres.
     """
     away, towards = above * np.tan(np.deg2rad(off_nadir)), np.deg2rad(azimuth)
     ned = jnp.asarray([-away * np.cos(towards), -away * np.sin(towards), -above])
@@ -218,7 +218,7 @@ def looking_at(target: Geodetic, *, off_nadir: float, azimuth: float, above: flo
 
 
 def disturbed(shot: Shot, rng: np.random.Generator, *, metres: float, degrees: float) -> Shot:
-    """The shot with errors of such standard deviations along north, east, down and of heading, pitch, roll."""
+    """The shot with errors of these standard deviations along north, east, down and of heading, pitch, roll."""
     return moved(shot, metres * rng.normal(size=3), np.deg2rad(degrees) * rng.normal(size=3))
 
 
@@ -231,10 +231,10 @@ def moved(shot: Shot, ned: np.ndarray, angles: np.ndarray) -> Shot:
 
 
 def spoilt(image: np.ndarray, seed: int, *, depth: float = 0.35, blur: float = 0.8, noise: float = 0.1) -> np.ndarray:
-    """An image (bands, rows, cols) of other light, contrast and sharpness: another day and another camera.
+    """A degraded image (bands, rows, cols) with other illumination, contrast and sharpness: another day and camera.
 
-    Darkened by up to `depth` of the brightness, slowly from place to place and towards the corners; smoothed by a
-    Gaussian of `blur` px; less of contrast; with white noise of `noise` times its standard deviation.
+    Darkened by up to `depth` of the brightness, varying slowly and towards the corners; smoothed by a Gaussian of
+    `blur` px; with reduced contrast, and white noise of `noise` times its standard deviation.
     """
     rng, (rows, cols) = np.random.default_rng([seed, 3]), image.shape[1:]
     slow = fractal_posts(128, spacing=1.0, rms_slope=0.1, exponent=5.0, seed=int(rng.integers(2**31)))
@@ -247,8 +247,8 @@ def spoilt(image: np.ndarray, seed: int, *, depth: float = 0.35, blur: float = 0
 
 
 def repeated(reference: Orthoimage, period: int, share: float) -> Orthoimage:
-    """A map whose texture repeats itself every `period` cells down and across, as orchards and streets do, but for a
-    part: `share` of its variance is of the pattern."""
+    """A map with a texture that repeats every `period` cells down and across, as orchards and streets do; the
+    pattern has `share` of its variance."""
     values = np.asarray(reference.values, float)[0]
     down, across = (np.arange(n) % period for n in values.shape)
     tile = scipy.ndimage.gaussian_filter(np.random.default_rng(7).normal(size=(period, period)), 1.5, mode="wrap")
@@ -260,7 +260,7 @@ def repeated(reference: Orthoimage, period: int, share: float) -> Orthoimage:
 def textured(
     terrain: AbstractTerrain, centre: Geodetic, shape: tuple[int, int], cell: float, seed: int = 0
 ) -> Orthoimage:
-    """A map of a terrain about a place, cells of `cell` m: its shading, and fields and woods that are none."""
+    """A map of a terrain around a position, cells of `cell` m: its shading, and fields and woods unrelated to it."""
     grid = TangentGrid.centred(centre, spacing=(cell, cell), shape=shape)
     down, across = np.gradient(heights_on(terrain, grid, shape), cell)
     sun = np.array([-0.5, 0.6, 0.6])  # east, north, up
@@ -276,7 +276,7 @@ def textured(
 
 
 def heights_on(terrain: AbstractTerrain, grid: AbstractGrid, shape: tuple[int, int]) -> np.ndarray:
-    """Heights of a terrain at the cells of a grid, m; beside a DEM those of its edge."""
+    """Heights of a terrain at the cells of a grid, m; outside a DEM those of its edge."""
     if isinstance(terrain, ConstantHeight):
         return np.full(shape, float(terrain.height))
     if not isinstance(terrain, Dem):

@@ -1,4 +1,4 @@
-"""What it saves to search only where the navigation's errors allow, and what that does to the choice of matches."""
+"""Cost savings of a search limited by the navigation errors, and its effect on the selection of matches."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from jaxgeo.studies.gu2017.accuracy import within
 from jaxgeo.studies.gu2017.mapped import Blocks, Mapped, allowed, blocks, mapped, unknowns
 from jaxgeo.studies.gu2017.scene import Imaged, disturbed, navigation, repeated, seen_again, shows
 
-FAR = 160.0  # cells to all sides: far beyond what the navigation allows
-DRAWS = 3  # of the noise, the navigation's errors and the elevation model's, in each scene
-LOOSE = 20.0  # cells: with this as the largest standard deviation of a match none is refused, as in the paper
-SPOILT = 0.1  # of the blocks chosen: with more wrong ones a choice is no longer of use
+FAR = 160.0  # cells in every direction: far beyond the navigation errors
+DRAWS = 3  # redraws of noise, navigation errors and elevation model errors, in each scene
+LOOSE = 20.0  # cells: with this limit on a match's standard deviation none is rejected, as in the paper
+SPOILT = 0.1  # share of the chosen blocks: with more wrong ones a choice is useless
 CHOICES: dict[str, AbstractChoice] = {
     "K-means": Clusters(),
     "affine": AffineCheck(),
@@ -27,9 +27,9 @@ CHOICES: dict[str, AbstractChoice] = {
 
 
 class Sought(NamedTuple):
-    """What is searched: standard deviations of the navigation, m and deg, side of a block in cells, noise of the image,
-    times its own standard deviation, how far above chance a candidate has to correlate (zero takes all, as the paper
-    seems to), up to which standard deviation in cells a match is kept, and the period of a texture that repeats itself,
+    """Search parameters: standard deviations of the navigation, m and deg, block side in cells, image noise as a
+    multiple of the image's own standard deviation, required correlation above chance (zero accepts all, as the paper
+    seems to), largest standard deviation in cells of an accepted match, and the period of a repeating texture in
     cells, with its share of the variance."""
 
     name: str
@@ -44,7 +44,7 @@ class Sought(NamedTuple):
 
 
 SCENES = (
-    Sought("plain", 10.0, 0.05, 100),  # the navigations of the paper's first two rows; some 16 blocks
+    Sought("plain", 10.0, 0.05, 100),  # navigation as in the paper's first two rows; about 16 blocks
     Sought("plain, far off", 50.0, 0.5, 100),
     Sought("small, far off", 50.0, 0.5, 40),
     Sought("repeated", 10.0, 0.05, 64, 4.0, 0.0, LOOSE, period=24, share=0.97),
@@ -55,11 +55,11 @@ CONSTRAINED, WHOLE = "3 sigma", "unconstrained"
 
 
 class Searched(NamedTuple):
-    """One search of all blocks in some draws: whole shifts compared, seconds of a draw (the first, which compiles, left
-    out), how many blocks are known to show something, have a candidate, have their true shift within what was searched,
-    and of how many the best candidate is wrong; by each choice how many were chosen, how many of these wrong, and in
-    how many draws it is of no use: more than `SPOILT` of its blocks wrong, or fewer than 3 chosen. `found` and
-    `of_choices` are of the first draw."""
+    """One search of all blocks in several draws: whole shifts compared, seconds per draw (without the first, which
+    compiles), number of blocks with known content, with a candidate, with their true shift inside the search window,
+    and with a wrong best candidate; for each choice the number chosen, the number of these that are wrong, and the
+    number of draws in which it is useless: more than `SPOILT` of its blocks wrong, or fewer than 3 chosen. `found`
+    and `of_choices` are of the first draw."""
 
     sought: Sought
     search: str
@@ -77,7 +77,7 @@ class Searched(NamedTuple):
 
 
 def searches(im: Imaged, seed: int = 0, draws: int = DRAWS, scenes: Sequence[Sought] = SCENES) -> list[Searched]:
-    """Constrained and unconstrained search of the same blocks, in each of the scenes; none but of an image made."""
+    """Constrained and unconstrained search of the same blocks, in each scene; empty unless the image is simulated."""
     if im.true is None or im.clear is None:
         return []
     rows = []
@@ -138,7 +138,7 @@ def _searched(here: Mapped, sought: Sought, name: str, cov: np.ndarray) -> Searc
 
 
 def _summed(rows: Sequence[Searched]) -> Searched:
-    """All draws together."""
+    """All draws combined."""
     names = ("draws", "blocks", "cells", "candidates", "inside", "best_wrong")
     totals: dict[str, Any] = {name: sum(getattr(row, name) for row in rows) for name in names}
     later = rows[1:] if len(rows) > 1 else rows

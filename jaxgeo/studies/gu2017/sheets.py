@@ -1,4 +1,4 @@
-"""What Gu and Qiao (2017) claim and what comes out here, side by side."""
+"""Comparison tables of Gu and Qiao (2017): claims and results obtained here."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def errors_sheet(found: Accuracy) -> Sheet:
 
 
 def sensitivity_sheet(found: Accuracy) -> Sheet:
-    """What the updated error depends on."""
+    """Dependencies of the updated error."""
     rows: list[list[Cell]] = []
     named: list[tuple[str, Row]] = [(f"{count} ties", row) for count, row in found.by_ties.items()]
     named += [(f"field of view {field:g} deg", row) for field, row in found.by_field.items()]
@@ -67,7 +67,7 @@ def slopes_sheet(found: Accuracy) -> Sheet:
 
 
 def circles_sheet(found: Accuracy) -> Sheet:
-    """The numbers of circles."""
+    """Values of the circles."""
     ellipse = radii()
     rows: list[list[Cell]] = [
         ["factor of 90 %, round errors", printed.CIRCLE_90, ellipse.round_factor, None],
@@ -90,7 +90,7 @@ def circles_sheet(found: Accuracy) -> Sheet:
 
 
 def flow_sheet(found: Flow) -> Sheet:
-    """End to end."""
+    """End-to-end runs."""
     rows: list[list[Cell]] = []
     for run in found.runs:
         done = run.registration
@@ -121,7 +121,7 @@ def _spread(one: Spread) -> list[Cell]:
 
 
 def blocks_sheet(found: Sequence[Dense]) -> Sheet:
-    """Sizes of blocks."""
+    """Results by block size."""
     rows: list[list[Cell]] = []
     for one in found:
         case: list[Cell] = [one.noise, one.size, one.trials, one.blocks, one.failed, one.ties, one.registration]
@@ -142,7 +142,7 @@ def blocks_sheet(found: Sequence[Dense]) -> Sheet:
 
 
 def ties_sheet(found: Sequence[Dense]) -> Sheet:
-    """Numbers of ties."""
+    """Results by number of ties."""
     rows: list[list[Cell]] = [
         [int(one.ties), one.trials, one.registration, one.pose, one.half, *_spread(one.spread)] for one in found
     ]
@@ -184,7 +184,7 @@ def searches_sheet(found: Sequence[Searched]) -> Sheet:
 
 
 def frames_sheet(found: Sequence[Frame]) -> Sheet:
-    """Frames in turn."""
+    """Frame sequences."""
     rows: list[list[Cell]] = []
     for one in found:
         position, fix = rms(one.position), rms(one.fix)
@@ -202,7 +202,7 @@ def frames_sheet(found: Sequence[Frame]) -> Sheet:
 
 
 def grounds_sheet(found: Sequence[Frame]) -> Sheet:
-    """The last frame, ground by ground."""
+    """The last frame by ground."""
     last = [one for one in found if one.number == max(x.number for x in found)]
     rows: list[list[Cell]] = []
     for ground in dict.fromkeys(last[0].relief):

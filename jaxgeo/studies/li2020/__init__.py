@@ -1,5 +1,5 @@
-"""The overlap analysis of Li et al. (2020), "Effect and compensation of overlap influenced by flight parameter of
-oblique aerial camera", made again: its tables beside what the same inputs give here."""
+"""Reproduction of the overlap analysis of Li et al. (2020), "Effect and compensation of overlap influenced by flight
+parameter of oblique aerial camera": its tables beside the results of this package for the same inputs."""
 
 from jaxgeo.studies.li2020.causes import Cause, causes
 from jaxgeo.studies.li2020.claims import claims_of

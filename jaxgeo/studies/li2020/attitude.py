@@ -1,4 +1,4 @@
-"""Three footprints: of a strip, of the next as expected, and of that with another attitude, without and with
+"""Footprints of a strip, of the next strip as planned, and of the next strip with another attitude, without and with
 compensation: Figs. 7 and 8 of Li et al. (2020)."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jaxgeo.studies.li2020.influence import START, wished_flight
 
 @dataclass(frozen=True)
 class Outlines:
-    """Footprints by name, what each (but the first) shares with the first, and the middle of the first."""
+    """Footprints by name, the overlap of each (except the first) with the first, and the centre of the first."""
 
     footprints: dict[str, Footprint]
     overlaps: dict[str, Overlap]
@@ -29,7 +29,7 @@ ACTUAL, COMPENSATED = "actual at T1", "compensated at T1"
 
 
 def outlines() -> Outlines:
-    """From the place and height of Table 4's first strip; flown on until the strips overlap as wished."""
+    """Footprints from the position and height of Table 4's first strip; the step gives the required overlap."""
     camera, ground = printed.sensor(mirror=False), printed.ground()
     before, after = wished_flight()
     level = (printed.HEADING_BEFORE, 0.0, 0.0)
@@ -50,7 +50,7 @@ def outlines() -> Outlines:
 
 
 def _shot(lat: float, attitude: tuple[float, float, float]) -> Shot:
-    """A level look to the right from a latitude in rad; heading, pitch and roll in deg."""
+    """A shot looking right, level, from a latitude in rad; heading, pitch and roll in deg."""
     heading, pitch, roll = attitude
     pose = Pose.from_degrees(
         lat=math.degrees(lat),

@@ -1,6 +1,6 @@
-"""The factor of Table 2 of Li et al. (2020): causes that could make its entries 2.155 % larger than Eq 19 gives.
+"""Tested causes of the factor in Table 2 of Li et al. (2020), whose entries are 2.155 % larger than Eq 19 gives.
 
-Each is put into the computation, and what comes out is held against all five entries. None of them fits.
+Each cause is applied to the computation and compared with all five entries. None of them fits.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ OPENING = 2.0 * math.tan(0.5 * OMEGA)
 
 @dataclass(frozen=True)
 class Cause:
-    """What was tried: the factor on Eq 19 that comes of it (at 1 deg), and how many of the five entries of Table 2
-    it gives. `elsewhere` is how many of the ten of Tables 1 and 3 remain right with the same change, None where it
-    has no part in them."""
+    """A tested cause: the resulting factor on Eq 19 (at 1 deg), and the number of the five entries of Table 2 that
+    it reproduces. `elsewhere` is the number of the ten entries of Tables 1 and 3 that stay right under the same
+    change, None if the cause does not affect them."""
 
     tried: str
     factor: float
@@ -39,8 +39,8 @@ class Cause:
 
 @dataclass(frozen=True)
 class Products:
-    """Products of two powers of quantities at hand: how many, how many lie in the window of the print, and how many
-    would by chance."""
+    """Products of two powers of available quantities: their number, how many match the printed factor, and how many
+    would match by chance."""
 
     count: int
     hits: int
@@ -48,13 +48,13 @@ class Products:
 
 
 def needed_factors() -> tuple[float, float]:
-    """The factors on Eq 19 that give all five entries as they are rounded: from, to."""
+    """Range (from, to) of the factor on Eq 19 that gives all five entries as rounded."""
     formula = _eq_19(CHANGES)
     return float(np.max((PRINTED - HALF_DIGIT) / formula)), float(np.min((PRINTED + HALF_DIGIT) / formula))
 
 
 def causes(influences: Sequence[Influence]) -> list[Cause]:
-    """Every cause tried, with the study's own transforms of coordinates among them."""
+    """All tested causes, including the study's own coordinate transforms."""
     found = [_tried(name, rows) for name, rows in _variants().items()]
     for field, name in (
         ("by_slant_range", "coordinates transformed, frame by the slant range on the ellipsoid"),
@@ -67,7 +67,7 @@ def causes(influences: Sequence[Influence]) -> list[Cause]:
 
 
 def products() -> Products:
-    """Whether a product of two powers (-2 to 2) of quantities at hand meets the factor, and what chance would do."""
+    """Whether products of two powers (-2 to 2) of available quantities match the factor, and the chance expectation."""
     low, high = needed_factors()
     quantities = _quantities()
     logs = []
@@ -75,7 +75,7 @@ def products() -> Products:
         for m, n in itertools.product((-2, -1, 1, 2), repeat=2):
             logs.append(m * math.log(a) + n * math.log(b))
     logs = np.array([x for x in logs if abs(x) > 1e-6])
-    near = np.abs(logs) < 0.1  # where chance is counted: a window of 20 %
+    near = np.abs(logs) < 0.1  # window of 20 % for the chance estimate
     hits = int(np.sum((logs > math.log(low)) & (logs < math.log(high))))
     return Products(len(logs), hits, float(near.sum() * math.log(high / low) / 0.2))
 
@@ -98,7 +98,7 @@ def _tried(name: str, values: np.ndarray, elsewhere: int | None = None) -> Cause
 
 
 def _variants() -> dict[str, np.ndarray]:
-    """Table 2 with something else in the place of a part of Eq 19."""
+    """Table 2 with one part of Eq 19 replaced."""
     incidence, slant, drop = _curved()
     flat_slant = HEIGHT / math.cos(THETA)
     first = printed.TABLE_4[0]
@@ -149,7 +149,7 @@ def _variants() -> dict[str, np.ndarray]:
 
 
 def _freed() -> list[Cause]:
-    """One quantity set to what would give the factor, and what that would do to Tables 1 and 3."""
+    """One quantity set to the value that gives the factor, and the effect on Tables 1 and 3."""
     factor = math.sqrt(math.prod(needed_factors()))
     theta = math.acos(math.cos(THETA) * factor)
     opening = OPENING / factor
@@ -176,14 +176,14 @@ def _right(angle: str, values: np.ndarray) -> int:
 
 
 def _flat(changes: np.ndarray, *, phi: float) -> np.ndarray:
-    """Change of the overlap by pitch over a plane, with an inner angle phi, from a level flight."""
+    """Change of the overlap by pitch over a plane, with an inner angle phi, from level flight."""
     return np.array([_ahead(pitch, 0.0, -THETA, phi) - _ahead(0.0, 0.0, -THETA, phi) for pitch in changes]) / (
         OPENING / math.cos(THETA)
     )
 
 
 def _flat_from_attitude(strip: printed.Strip) -> np.ndarray:
-    """The same from a strip's attitude and drives; the frame's length is that of its line of sight."""
+    """The same from a strip's attitude and drives; the frame length is that of its line of sight."""
     pitch, roll = math.radians(strip.pitch), math.radians(strip.roll)
     theta = -math.radians(90.0 - strip.depression_drive)
     phi = -2.0 * math.radians(strip.azimuth_drive - 45.0)
@@ -193,7 +193,7 @@ def _flat_from_attitude(strip: printed.Strip) -> np.ndarray:
 
 
 def _ahead(pitch: float, roll: float, theta: float, phi: float) -> float:
-    """How far ahead the line of sight meets a plane, over the height."""
+    """Distance ahead at which the line of sight meets a plane, divided by the height."""
     ahead, _, down = _sight(pitch, roll, theta, phi)
     return float(ahead / down)
 
@@ -206,14 +206,14 @@ def _sight(pitch: float, roll: float, theta: float, phi: float) -> np.ndarray:
 
 
 def _curved(radius: float = RADIUS) -> tuple[float, float, float]:
-    """On a sphere: incidence at the ground, slant range, and by how much lower the point lies than the plane below."""
+    """On a sphere: incidence at the ground, slant range, and drop of the point below the tangent plane."""
     incidence = math.asin((radius + HEIGHT) / radius * math.sin(THETA))
     slant = radius * math.sin(incidence - THETA) / math.sin(THETA)
     return incidence, slant, slant * math.cos(THETA) - HEIGHT
 
 
 def _map_scale(meridian: float) -> float:
-    """Scale of the Gauss-Krueger map at the place of Table 4's first strip, to the fourth power of the longitude."""
+    """Scale of the Gauss-Krueger map at Table 4's first strip, to the fourth power of the longitude."""
     first = printed.TABLE_4[0]
     lat, away = math.radians(first.lat), math.radians(first.lon - meridian)
     eta2 = WGS84.e2 / (1.0 - WGS84.e2) * math.cos(lat) ** 2
@@ -222,7 +222,7 @@ def _map_scale(meridian: float) -> float:
 
 
 def _quantities() -> dict[str, float]:
-    """Numbers of the paper's computation from which a factor could be made."""
+    """Quantities of the paper's computation that could form a factor."""
     incidence, slant, _ = _curved()
     return {
         "cos(theta)": math.cos(THETA),

@@ -1,4 +1,4 @@
-"""What Li et al. (2020) print, item by item, with what comes out here: equations, tables, figures and statements."""
+"""Claims of Li et al. (2020) with the results obtained here: equations, tables, figures and statements."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def claims_of(report: Report) -> list[Claim]:
-    """Every numbered equation, table and figure, and the numbers and statements of the text and the abstract.
+    """Claims for every numbered equation, table and figure, and the numbers and statements of text and abstract.
 
-    What needs the flights stands as not reproducible, with that reason, where the report was made without them.
+    In a report without flights, claims that need them are marked not reproducible, with that reason.
     """
     return [
         *claims_of_abstract(report),

@@ -1,4 +1,4 @@
-"""Figs. 1 to 12 of Li et al. (2020): what the text says of them, and what comes out."""
+"""Figs. 1 to 12 of Li et al. (2020): statements of the text and the results obtained here."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SKETCHES = {
 
 
 def claims_of_figures(report: Report) -> list[Claim]:
-    """All twelve, in their order."""
+    """Claims of all twelve figures, in order."""
     found = [
         claim(f"Fig. {number}", what, None, None, "studies.li2020.run", reason="A sketch without numbers.")
         for number, what in SKETCHES.items()
@@ -89,7 +89,7 @@ def _middle_overlap(report: Report, name: str) -> float:
 
 
 def _distance(report: Report, name: str) -> float:
-    """From the middle of a footprint to that of the expected one, m."""
+    """Distance in m from the centre of a footprint to that of the expected one."""
     assert report.outlines is not None
     middles = [np.asarray(report.outlines.footprints[one].fix.ecef).mean(axis=0) for one in (EXPECTED, name)]
     return float(np.linalg.norm(middles[1] - middles[0]))

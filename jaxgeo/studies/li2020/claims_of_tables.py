@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def claims_of_tables(report: Report) -> list[Claim]:
-    """All four, Table 4 by its parts."""
+    """Claims of all four tables, Table 4 by its parts."""
     heading, wanted = column_of(report, "heading", "formula"), list(printed.TABLES["heading"])
     low, high = needed_factors()
     best = max(report.causes, key=lambda one: (one.entries, one.elsewhere or 0))
@@ -77,7 +77,7 @@ def _table_4(report: Report) -> list[Claim]:
     azimuths, swapped = (float(np.std([getattr(one, name) for one in seen])) for name in ("azimuth", "swapped_azimuth"))
     per_degree = overlap_of_azimuth_error(1.0, pairs[0].depression)
     of_pair = math.sqrt(2.0) * azimuths * per_degree
-    of_mean = of_pair / len(pairs)  # what the strips between add to one pair they take from the next
+    of_mean = of_pair / len(pairs)  # errors of the intermediate strips cancel between neighbouring pairs
     found = [_pair(one.strips, one.printed, one.by_eq_16, of_pair, one.off_deg) for one in pairs]
     held = np.array([one.held for one in pairs])
     return [

@@ -43,7 +43,7 @@ def claims_of_abstract(report: Report) -> list[Claim]:
 
 
 def claims_of_text(report: Report) -> list[Claim]:
-    """Sections 2 to 5, in their order."""
+    """Sections 2 to 5, in order."""
     example, ten = report.compensations[:2]
     look = {"field_of_view": math.radians(printed.FIELD_OF_VIEW)}
     one_degree = math.radians(1.0)
@@ -182,7 +182,7 @@ def claims_of_text(report: Report) -> list[Claim]:
 
 
 def _agreement(report: Report, item: str, statement: str) -> Claim:
-    """Formula against the step along the flight on the map: for roll the formula leaves the Earth's roundness out."""
+    """Formula against the step along the flight on the map; for roll the formula ignores the Earth's curvature."""
     worst = {
         angle: max(abs(one.on_map - one.formula) for one in report.influences if one.angle == angle)
         for angle in printed.TABLES

@@ -1,4 +1,4 @@
-"""Gimbal angles that undo a change of attitude: section 3.1 of Li et al. (2020), printed, by its equations, exactly."""
+"""Gimbal angles that compensate an attitude change: section 3.1 of Li et al. (2020)."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ INNER = (0.0, 10.0, -10.0)  # deg; the paper's example has 0
 
 @dataclass(frozen=True)
 class Compensation:
-    """What brings the line of sight back from an inner angle `inner` on, all in deg.
+    """Compensation of the line of sight from a starting inner angle `inner`, all in deg.
 
-    Changes of the outer and inner angle, exactly and by Eqs 25 and 26, how far the change of attitude has turned the
-    line of sight (`off`), and how far it is off after Eqs 25 and 26 (`left`). A mirror's drive turns by -inner / 2.
+    Changes of the outer and inner angle, exact and by Eqs 25 and 26; the turn of the line of sight by the attitude
+    change (`off`), and the error that remains after Eqs 25 and 26 (`left`). The drive of a mirror turns by -inner / 2.
     """
 
     inner: float
@@ -36,19 +36,19 @@ class Compensation:
 
     @property
     def drive_change(self) -> float:
-        """Change of the azimuth drive, whose mirror turns the line of sight twice as far."""
+        """Change of the azimuth drive, whose mirror turns the line of sight by twice the angle."""
         return -0.5 * self.inner_change
 
 
 def compensations() -> list[Compensation]:
-    """The paper's example (its inner angle is 0), and the same with other inner angles."""
+    """The paper's example (inner angle 0), and the same with other inner angles."""
     found = jnp.rad2deg(jax.vmap(_compensation)(jnp.deg2rad(jnp.array(INNER))))
     return [Compensation(inner, *row) for inner, row in zip(INNER, found.tolist(), strict=True)]
 
 
 @jax.jit
 def _compensation(phi: Scalar) -> Float[Array, "6"]:
-    """The numbers of a record, in order, rad."""
+    """The values of a record, in order, rad."""
     before, after = _attitude(printed.HEADING_BEFORE, 0.0, 0.0), _attitude(*printed.ATTITUDE_AFTER)
     theta = jnp.asarray(-math.radians(printed.OFF_NADIR))
     aim = line_of_sight_ned(before, theta, phi)

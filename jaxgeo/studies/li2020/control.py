@@ -1,7 +1,7 @@
-"""Overlap with errors of the gimbal's control: the first subject that Li et al. (2020) leave to later work.
+"""Overlap with gimbal control errors: the first subject that Li et al. (2020) leave to future work.
 
-The paper's camera in its flight (near end 74 deg off nadir, 8143 m above level ground, 172 m/s) takes strips of a few
-frames in noise: errors of attitude with and without compensation, and errors of both drives, drawn anew for each frame.
+The paper's camera and flight (near end 74 deg off nadir, 8143 m above level ground, 172 m/s) take strips of a few
+frames with random errors: attitude with and without compensation, and both drives, redrawn for each frame.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from jaxgeo.studies.li2020 import printed
 from jaxgeo.terrain import ConstantHeight
 
 IMAGES, STATIONS = 3, 5
-ATTITUDE = 0.1  # deg, standard deviation of heading, pitch and roll; more, and frames lie beside each other
-LASTING = 0.1  # s, in which they are forgotten: anew for each frame
+ATTITUDE = 0.1  # deg, standard deviation of heading, pitch and roll; if larger, frames no longer overlap
+LASTING = 0.1  # s, correlation time: independent for each frame
 CONTROL = (0.0025, 0.005, 0.01, 0.02, 0.05)  # deg, standard deviation of a drive's reading
-FREE = 0.99  # share of pairs that shall have no gap
-HALF = math.degrees(math.atan(0.5 * printed.ACROSS * printed.PIXEL_PITCH / printed.FOCAL_LENGTH))  # of the field, deg
+FREE = 0.99  # required share of pairs without a gap
+HALF = math.degrees(math.atan(0.5 * printed.ACROSS * printed.PIXEL_PITCH / printed.FOCAL_LENGTH))  # half field, deg
 
 
 @dataclass(frozen=True)
 class Control:
-    """Overlap at the near end of strips in noise.
+    """Overlap at the near end of strips with random errors.
 
     `attitude` and `control` are standard deviations in deg, of the three angles and of a drive; `mean` and `spread`
-    (standard deviation) those of the overlap with their standard errors, `formula` the spread by Eqs 18, 19 and the
-    mirror's gain of two, `gaps` the share of pairs with a gap, and `needed` the overlap to wish for so that 99 % of
-    pairs have none, by the spread.
+    (standard deviation) are those of the overlap, with standard errors; `formula` is the spread by Eqs 18, 19 and the
+    mirror's gain of two, `gaps` the share of pairs with a gap, and `needed` the nominal overlap at which 99 % of pairs
+    have no gap, given the spread.
     """
 
     attitude: float
@@ -49,9 +49,9 @@ class Control:
 
 
 def controls(flights: int = 512, *, seed: int = 0) -> list[Control]:
-    """Attitude alone, compensated, and compensated by drives that err by each of `CONTROL`.
+    """Attitude errors alone, compensated, and compensated by drives with each of the errors `CONTROL`.
 
-    The same standard normal numbers serve all rows.
+    All rows use the same standard normal draws.
     """
     strip = _strip()
     rows = [(ATTITUDE, False, 0.0), *((ATTITUDE, True, control) for control in (0.0, *CONTROL))]
@@ -59,8 +59,9 @@ def controls(flights: int = 512, *, seed: int = 0) -> list[Control]:
 
 
 def spread_by_formula(attitude_deg: float, control_deg: float) -> float:
-    """Standard deviation of the overlap of two frames, by errors of heading and pitch (Eqs 18 and 19) or of the
-    azimuth drive, whose mirror turns the line of sight twice as far; both frames err. Small angles, level ground."""
+    """Standard deviation of the overlap of two frames, from errors of heading and pitch (Eqs 18 and 19) or of the
+    azimuth drive, whose mirror turns the line of sight by twice the angle; both frames have errors. Small angles,
+    level ground."""
     theta, opening = math.radians(printed.OFF_NADIR), 2.0 * math.tan(math.radians(0.5 * printed.FIELD_OF_VIEW))
     by_attitude = math.radians(attitude_deg) * math.hypot(math.sin(theta), math.cos(theta))
     by_drive = 2.0 * math.radians(control_deg)
@@ -106,7 +107,7 @@ def _flown(strip: Strip, row: tuple[float, bool, float], flights: int, seed: int
 
 
 def _spread(near: np.ndarray) -> tuple[float, float]:
-    """Standard deviation of all, and its standard error from those of flights."""
+    """Standard deviation over all pairs, and its standard error from those of the flights."""
     squares = np.mean((near - near.mean()) ** 2, axis=1)
     spread = math.sqrt(squares.mean())
     return spread, float(squares.std(ddof=1) / math.sqrt(len(squares)) / (2.0 * spread)) if spread > 0.0 else 0.0

@@ -1,4 +1,4 @@
-"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+"""Figures of the study. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TURNS = np.linspace(0.0, 1.2, 61)  # deg
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
-    """All pictures into a folder."""
+    """Write all figures to a folder."""
     pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
         "footprints.png": (lambda figure: draw_footprints(report.outlines or outlines(), figure), (11.0, 3.9)),
         "attitude.png": (lambda figure: draw_attitude(report.sightings, report.pairs, figure), (10.0, 4.2)),
@@ -54,7 +54,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
 
 
 def draw_footprints(found: Outlines, figure: Figure) -> None:
-    """Figs. 7 and 8: a strip, the next as expected, and as it is with another attitude."""
+    """Figs. 7 and 8: a strip, the next as planned, and the next with another attitude."""
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     titles = {ACTUAL: "Without compensation (Fig. 7)", COMPENSATED: "With compensation (Fig. 8)"}
     for ax, (last, title) in zip(panels, titles.items(), strict=True):
@@ -80,7 +80,7 @@ def draw_footprints(found: Outlines, figure: Figure) -> None:
 def _with_overlap(name: str, found: Outlines) -> str:
     if name == FIRST:
         return name
-    along = np.asarray(found.overlaps[name].along)  # where the wish is for: in the middle of what both reach
+    along = np.asarray(found.overlaps[name].along)  # the required overlap applies at the centre of the common range
     middle = float(along[len(along) // 2])
     return f"{name}: {middle:.1%} overlap" if middle >= 0.0 else f"{name}: a gap of {-middle:.0%} of a frame"
 
@@ -90,7 +90,7 @@ def _places(ax: Axes) -> np.ndarray:
 
 
 def draw_attitude(seen: Sequence[Sighting], pairs: Sequence[StripPair], figure: Figure) -> None:
-    """Fig. 10: how the attitude changes from strip to strip, and how the line of sight does."""
+    """Fig. 10: changes of the attitude and of the line of sight from strip to strip."""
     left, right = figure.subplots(1, 2)
     names = [pair.strips for pair in pairs]
     rows = {
@@ -115,7 +115,7 @@ def draw_attitude(seen: Sequence[Sighting], pairs: Sequence[StripPair], figure: 
 
 
 def draw_strips(found: Sequence[Strips], figure: Figure) -> None:
-    """Figs. 11 and 12 in kind: overlap from strip to strip over level ground and over mountains, by the timing."""
+    """Counterpart of Figs. 11 and 12: overlap from strip to strip over level ground and mountains, by timing method."""
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for ax, (ground, title) in zip(panels, GROUNDS.items(), strict=True):
         for one in [one for one in found if one.ground == ground]:
@@ -130,7 +130,7 @@ def draw_strips(found: Sequence[Strips], figure: Figure) -> None:
 
 
 def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure: Figure) -> None:
-    """How the overlap scatters by errors of the gimbal's control, and how far relief takes it off the wish."""
+    """Scatter of the overlap from gimbal control errors, and its deviation from the required overlap over relief."""
     left, right = figure.subplots(1, 2)
     rows = [one for one in control if one.control > 0.0]
     sigmas = np.array([one.control for one in rows])
@@ -157,7 +157,7 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
     for beside, ((timing, (colour, line)), (ground, marker)) in zip((-3.0, -1.0, 1.0, 3.0), kinds, strict=True):
         some = [one for one in relief if (one.timing, one.ground) == (timing, ground)]
         right.errorbar(
-            [one.relief + beside for one in some],  # m, so that the bars do not cover each other
+            [one.relief + beside for one in some],  # m, offset so that the bars do not cover each other
             [100.0 * one.off for one in some],
             yerr=[100.0 * one.off_error for one in some],
             color=colour,
@@ -177,7 +177,7 @@ def draw_later_work(control: Sequence[Control], relief: Sequence[Relief], figure
 
 
 def draw_folding(figure: Figure) -> None:
-    """How the distance of Eq 16 folds where the step along the flight goes on."""
+    """The unsigned distance of Eq 16, which folds back where the step along the flight continues."""
     ax = figure.subplots()
     formula, along, distance = (100.0 * values for values in folding(TURNS))
     ax.plot(TURNS, formula, color="0.6", linewidth=4.0, label="Eq 18")

@@ -1,4 +1,4 @@
-"""The strips of Table 4 of Li et al. (2020): lines of sight, the drives that compensation asks for, and overlaps."""
+"""The strips of Table 4 of Li et al. (2020): lines of sight, drives required for compensation, and overlaps."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Sighting:
     """A strip's line of sight and its drives, all in deg.
 
     `azimuth` from true north and `depression` from the horizontal are those of the line of sight by the printed
-    attitude and drives; `swapped_azimuth` is that with roll and pitch as the table's Greek letters say. The predicted
-    drives put the line of sight on the mean of all strips.
+    attitude and drives; `swapped_azimuth` takes roll and pitch by the Greek letters of the table. The predicted drives
+    put the line of sight on the mean of all strips.
     """
 
     strip: int
@@ -43,13 +43,13 @@ class Sighting:
 
 @dataclass(frozen=True)
 class StripPair:
-    """Overlap of a strip with the one before: printed, by the step of Eq 16, and by the step along three directions.
+    """Overlap of a strip with the previous one: printed, by the step of Eq 16, and by the step along three directions.
 
-    `along_track` is that of the aircraft's places from first to last, `along_ground` that of the located points from
-    first to last, `across_sight` the normal to the mean line of sight. `held` is along the track again, with the line
-    of sight of every strip on the mean: the part of the aircraft's places. The frame's length in m, by the slant range,
-    and the `speed` in m/s are those of the strip before. `flown` in m is the chord from place to place of the aircraft.
-    `turned` is by how much in deg the line of sight's azimuth changes from the one strip to the other.
+    `along_track` uses the direction between the first and last aircraft position, `along_ground` that between the first
+    and last located point, `across_sight` the normal to the mean line of sight. `held` is along the track with every
+    line of sight on the mean: the contribution of the aircraft positions. The frame length in m, by the slant range,
+    and the `speed` in m/s are those of the previous strip. `flown` in m is the chord between the aircraft positions.
+    `turned` is the change in deg of the line of sight's azimuth between the two strips.
     """
 
     strips: str
@@ -68,12 +68,12 @@ class StripPair:
 
     @property
     def off_deg(self) -> float:
-        """Change of the line of sight's azimuth, deg, that the difference to the print amounts to."""
+        """Change of the line of sight's azimuth, deg, equivalent to the difference from the printed overlap."""
         return (self.by_eq_16 - self.printed) / overlap_of_azimuth_error(1.0, self.depression)
 
 
 class _Seen(NamedTuple):
-    """Of each strip: ground point, slant range in m, line of sight in north-east-down, the aircraft in ECEF m."""
+    """Per strip: ground point, slant range in m, line of sight in north-east-down, and the aircraft in ECEF m."""
 
     point: Geodetic
     slant_range: Float[Array, " n"]
@@ -82,7 +82,7 @@ class _Seen(NamedTuple):
 
 
 def sightings() -> list[Sighting]:
-    """Lines of sight of Table 4, and the drives that would have held them on their mean."""
+    """Lines of sight of Table 4, and the drives that would have kept them on their mean."""
     azimuth, depression = _azimuth_and_depression(_seen(_shots()).sight_ned)
     swapped = [strip._replace(roll=strip.pitch, pitch=strip.roll) for strip in printed.TABLE_4]
     swapped_azimuth, _ = _azimuth_and_depression(_seen(_shots(swapped)).sight_ned)
@@ -152,7 +152,7 @@ def mean_depression(found: list[Sighting]) -> float:
 
 
 def overlap_of_azimuth_error(error_deg: float, depression_deg: float) -> float:
-    """What an error of the line of sight's azimuth does to the overlap; one of the mirror's drive does it twice."""
+    """Effect of an azimuth error of the line of sight on the overlap; an error of the mirror's drive counts twice."""
     change = geometry.overlap_change_by_heading(
         heading_change=math.radians(error_deg),
         off_nadir=math.radians(90.0 - depression_deg),
@@ -183,7 +183,7 @@ def _seen(shots: Shot) -> _Seen:
 
 
 def _points(seen: _Seen) -> list[Geodetic]:
-    """The ground points one by one."""
+    """The ground points as a list."""
     return [jax.tree.map(lambda leaf, k=k: leaf[k], seen.point) for k in range(len(printed.TABLE_4))]
 
 

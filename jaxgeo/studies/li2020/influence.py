@@ -1,4 +1,4 @@
-"""What a change of one attitude angle does to the overlap: Tables 1 to 3 of Li et al. (2020), three ways."""
+"""Effect of a change of one attitude angle on the overlap: Tables 1 to 3 of Li et al. (2020), three ways."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ START = printed.TABLE_4[0]
 
 @dataclass(frozen=True)
 class Influence:
-    """Change of the overlap by a change of one angle (deg), printed, by the formula, and by transforming coordinates.
+    """Change of the overlap by a change of one angle (deg): printed, by the formula, and by coordinate transforms.
 
-    `by_slant_range` takes the step along the flight and a frame of twice the slant range times tan(omega/2), `on_map`
-    the step and the frame in metres of the same map; `by_eq_16` the distance of the two points for the step, and the
-    frame of the slant range.
+    `by_slant_range` uses the step along the flight and a frame length of twice the slant range times tan(omega/2);
+    `on_map` the step and the frame length in metres of the same map; `by_eq_16` the distance of the two points as the
+    step, and the frame length by the slant range.
     """
 
     angle: str
@@ -43,7 +43,7 @@ class Influence:
 
 
 class _Frame(NamedTuple):
-    """A frame on the ground: its middle on the map, and its length on the map and by its slant range, m."""
+    """A frame on the ground: its centre on the map, and its length on the map and by its slant range, m."""
 
     middle: MapVector
     map_length: Scalar
@@ -51,10 +51,10 @@ class _Frame(NamedTuple):
 
 
 def tables_1_to_3() -> list[Influence]:
-    """Tables 1 to 3 from the place and height of Table 4's first strip, flying south in level flight.
+    """Tables 1 to 3 from the position and height of Table 4's first strip, in level flight to the south.
 
-    The second strip is flown to where the two frames overlap as wished on the map. For heading and pitch the frame's
-    length stays that of the first strip, as in Eqs 18 and 19; a roll gives the second one another, as in Eq 22.
+    The step to the second strip gives the required overlap of the two frames on the map. For heading and pitch the
+    frame length stays that of the first strip, as in Eqs 18 and 19; a roll changes that of the second, as in Eq 22.
     """
     attitudes = np.array([_attitude(angle, change) for angle in printed.TABLES for change in printed.CHANGES])
     found = _changes(attitudes).reshape(len(printed.TABLES), -1, 3)
@@ -69,13 +69,13 @@ def tables_1_to_3() -> list[Influence]:
 
 def folding(changes_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Change of the overlap by changes of heading (n,) in deg: by Eq 18, by the step along the flight, and by the
-    distance of Eq 16, both with the frame of the slant range."""
+    distance of Eq 16, both with the frame length by the slant range."""
     found = _changes(np.array([_attitude("heading", change) for change in changes_deg]))
     return np.asarray(FORMULAS["heading"](np.radians(changes_deg))), found[:, 0], found[:, 2]
 
 
 def wished_flight() -> tuple[float, float]:
-    """Latitudes in rad of the two strips: flown south until the frames overlap as wished on the map."""
+    """Latitudes in rad of the two strips: flown south until the frames have the required overlap on the map."""
     metres = float(WGS84.meridian_radius(jnp.deg2rad(START.lat))) + START.height_above_ground
     flown = 400.0
     lat = math.radians(START.lat)
@@ -98,7 +98,7 @@ FORMULAS: dict[str, Callable[[np.ndarray], Array]] = {
 
 
 def _attitude(angle: str, change_deg: float) -> tuple[float, float, float]:
-    """Changes (heading, pitch, roll) in rad; Table 3 rolls the left wing down, which lifts a look to the right."""
+    """Changes (heading, pitch, roll) in rad; Table 3 rolls the left wing down, which raises a view to the right."""
     change = math.radians(change_deg)
     return {"heading": (change, 0.0, 0.0), "pitch": (0.0, change, 0.0), "roll": (0.0, 0.0, -change)}[angle]
 
@@ -126,7 +126,7 @@ def _overlaps(lat: Scalar, next_lat: Scalar, attitudes: Float[Array, "n 3"]) -> 
 
 
 def _frame(lat: Scalar, attitude: Vector3) -> _Frame:
-    """The frame seen to the right on a flight to the south, with changes of attitude (heading, pitch, roll) in rad."""
+    """The frame seen to the right in southward flight, with changes of attitude (heading, pitch, roll) in rad."""
     sensor, projection = printed.sensor(mirror=False), printed.gauss_krueger()
     position = Geodetic(lat=lat, lon=math.radians(START.lon), height=START.height_above_ground)
     pose = Pose(position, jnp.pi + attitude[0], attitude[1], attitude[2])

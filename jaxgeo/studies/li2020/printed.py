@@ -1,4 +1,4 @@
-"""What Li et al. (2020) print, in their units (deg, m and km/h), and the sensor, map and shots that stand for it."""
+"""Printed values of Li et al. (2020) in their units (deg, m and km/h), with the corresponding sensor, map and shots."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxgeo.terrain import ConstantHeight
 
 FIELD_OF_VIEW = 0.88  # deg along the flight
 OFF_NADIR = 74.0  # deg, of Tables 1 to 3 and of the compensation
-OVERLAP = 0.15  # wished throughout
+OVERLAP = 0.15  # required overlap throughout
 
 CHANGES = (0.2, 0.4, 0.6, 0.8, 1.0)  # deg
 TABLES = {  # Tables 1, 2 and 3: change of the overlap by a change of one angle
@@ -26,14 +26,14 @@ TABLES = {  # Tables 1, 2 and 3: change of the overlap by a change of one angle
 HEADING_BEFORE, ATTITUDE_AFTER = 180.0, (179.0, 1.0, 1.0)  # deg, the compensation: heading; heading, pitch, roll
 AZIMUTH_DRIVE_CHANGE, DEPRESSION_CHANGE = 0.618, -1.016  # deg, Eqs 25 and 26
 
-MOUNTAIN_HEIGHT = 8080.0  # m above the ground that was planned for (8460 - 380)
-MOUNTAIN_CHANGE = -620.0  # m, as much nearer is the mountain that was met
+MOUNTAIN_HEIGHT = 8080.0  # m above the planned ground height (8460 - 380)
+MOUNTAIN_CHANGE = -620.0  # m, the mountain is nearer by this amount
 MOUNTAIN_OVERLAP_CHANGE, MOUNTAIN_OVERLAP, MOUNTAIN_FLOWN = -0.077, 0.073, 0.07
 FLOWN = 0.16  # mean overlap over the plain, from the images
 
 
 class Strip(NamedTuple):
-    """A column of Table 4. It prints beta with roll and alpha with pitch, the other way round than Eq 4: words hold."""
+    """A column of Table 4. It prints beta with roll and alpha with pitch, opposite to Eq 4; the words are used."""
 
     lat: float
     lon: float
@@ -56,14 +56,14 @@ TABLE_4 = (
 )
 CENTRAL_MERIDIAN = 111.0  # deg, that of the six-degree zone of Table 4; the paper names none
 
-ALONG, ACROSS, PIXEL_PITCH = 3072, 4096, 9e-6  # of a detector; only the field of view has a part in the study
+ALONG, ACROSS, PIXEL_PITCH = 3072, 4096, 9e-6  # of a detector; only the field of view affects the study
 FOCAL_LENGTH = 0.5 * ALONG * PIXEL_PITCH / math.tan(math.radians(0.5 * FIELD_OF_VIEW))  # m
 MIDDLE = ((ACROSS - 1) / 2.0, (ALONG - 1) / 2.0)
 EDGES = ((MIDDLE[0], ALONG - 0.5), MIDDLE, (MIDDLE[0], -0.5))  # rear edge, line of sight, front edge of a frame
 
 
 def sensor(*, mirror: bool) -> Sensor:
-    """The camera, with the paper's field along the flight; read by the drives of Table 4 or by the angles of Eq 3."""
+    """The camera, with the paper's field of view along the flight; read by the drives of Table 4 or angles of Eq 3."""
     return li_2020_sensor(
         focal_length=FOCAL_LENGTH,
         pixel_pitch=PIXEL_PITCH,
@@ -74,7 +74,7 @@ def sensor(*, mirror: bool) -> Sensor:
 
 
 def gauss_krueger() -> TransverseMercator:
-    """The map about the zone's meridian; Eqs 10 to 12 are its series, micrometres off there."""
+    """The map about the zone's meridian; Eqs 10 to 12 are its series, micrometres off in this zone."""
     return TransverseMercator.gauss_krueger(math.radians(CENTRAL_MERIDIAN))
 
 
@@ -84,7 +84,7 @@ def ground() -> ConstantHeight:
 
 
 def pose_of(strip: Strip) -> Pose:
-    """Where the aircraft was at a strip's near end, and how it lay."""
+    """Position and attitude of the aircraft at a strip's near end."""
     return Pose.from_degrees(
         lat=strip.lat,
         lon=strip.lon,

@@ -1,7 +1,7 @@
-"""Overlap over relief: the second subject that Li et al. (2020) leave to later work.
+"""Overlap over relief: the second subject that Li et al. (2020) leave to future work.
 
-The paper's camera in its flight (near end 74 deg off nadir, 8143 m above the mean ground, 172 m/s) over fractal ground
-of several seeds, and over several places of the example terrain with its relief made larger and smaller.
+The paper's camera and flight (near end 74 deg off nadir, 8143 m above the mean ground, 172 m/s) over fractal ground of
+several seeds, and over several places of the example terrain with its relief scaled up and down.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy  # loads its parts when they are asked for
+import scipy  # submodules load on first use
 
 from jaxgeo.coverage import VelocityHeight, plan
 from jaxgeo.io import example_dem
@@ -26,7 +26,7 @@ from jaxgeo.terrain import Dem
 
 FRACTAL, EXAMPLE = "fractal", "example terrain"
 RELIEF = (50.0, 100.0, 200.0)  # m, standard deviation of the heights
-PLACES = 6  # seeds of the fractal ground, or places of the example terrain
+PLACES = 6  # seeds of the fractal ground, or places in the example terrain
 APART = 2500.0  # m between such places, across the flight
 KNOTS = 61
 CONFIDENCE = 0.95
@@ -37,9 +37,10 @@ class Relief:
     """Overlap at the near end over relief, over several places.
 
     `relief` in m is the standard deviation of the heights; `mean`, `spread` (standard deviation along a flight) and
-    `off` (rms off the wish) are over the places, each with half of its 95 % interval; `least` is the least of all;
-    `by_height` the rms off the wish that the ground's height alone gives a step planned for the mean, (1 - rho0) times
-    Eq 28; `gaps` the share of pairs with a gap at the near end, or of which not all of the near end sees ground.
+    `off` (RMS difference from the required overlap) are taken over the places, each with half of its 95 % interval;
+    `least` is the overall minimum; `by_height` is the RMS difference that the ground height alone causes for a step
+    planned for the mean height, (1 - rho0) times Eq 28; `gaps` is the share of pairs with a gap at the near end, or
+    whose near end does not see ground along all of its length.
     """
 
     ground: str
@@ -58,9 +59,9 @@ class Relief:
 
 
 def reliefs(relief: Sequence[float] = RELIEF, *, places: int = PLACES, seed: int = 0) -> list[Relief]:
-    """Each ground and relief, timed over the mean height, as the paper does, and over the ground that is seen.
+    """Results for each ground and relief, timed over the mean height, as in the paper, and over the visible ground.
 
-    `seed` gives other fractal ground; the places of the example terrain stay.
+    `seed` selects other fractal ground; the places in the example terrain stay the same.
     """
     terrain = example_dem()
     posts = np.asarray(terrain.posts)
@@ -84,7 +85,7 @@ def reliefs(relief: Sequence[float] = RELIEF, *, places: int = PLACES, seed: int
 
 
 def _shape(ground: str, posts: np.ndarray, seed: int) -> np.ndarray:
-    """Heights of mean zero and a standard deviation of one, on the grid of the example terrain."""
+    """Heights of zero mean and unit standard deviation, on the grid of the example terrain."""
     if ground == FRACTAL:
         rows, cols = posts.shape
         posts = fractal_posts(max(rows, cols), spacing=1.0, rms_slope=0.5, seed=seed)[:rows, :cols]
@@ -92,7 +93,7 @@ def _shape(ground: str, posts: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _near(dem: Dem, timing: VelocityHeight, level: float, place: int, places: int) -> np.ndarray:
-    """Overlaps at the near end along one flight; NaN where not all of it sees ground."""
+    """Overlaps at the near end along one flight; NaN where part of the near end sees no ground."""
     across = APART * (place - 0.5 * (places - 1))
     flown = plan(printed.sensor(mirror=False), _flight(level, across), dem, timing, along="rows")
     return np.asarray(flown.overlaps.near)
@@ -100,8 +101,8 @@ def _near(dem: Dem, timing: VelocityHeight, level: float, place: int, places: in
 
 @functools.cache
 def _flight(level: float, across: float) -> Trajectory:
-    """South, so that the near end passes the middle of the example terrain, `across` m to its east."""
-    lat, lon = 36.3029, -84.2458  # deg, the middle
+    """Southward flight whose near end passes the centre of the example terrain, `across` m to its east."""
+    lat, lon = 36.3029, -84.2458  # deg, centre
     height, speed = printed.TABLE_4[0].height_above_ground, printed.TABLE_4[0].speed_kmh / 3.6
     times = np.linspace(0.0, DURATION, KNOTS)
     east = height * math.tan(math.radians(printed.OFF_NADIR)) + across
@@ -139,6 +140,6 @@ def _summary(ground: str, relief: float, timing: str, near: list[np.ndarray]) ->
 
 
 def _half_interval(values: np.ndarray) -> float:
-    """Of the mean, by Student's t."""
+    """Half of the 95 % interval of the mean, by Student's t."""
     factor: Any = scipy.stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1)
     return float(factor * values.std(ddof=1) / math.sqrt(len(values)))

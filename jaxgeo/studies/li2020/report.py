@@ -1,4 +1,4 @@
-"""The whole study: its records, tables and pictures."""
+"""The complete study: records, tables and pictures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jaxgeo.studies.sheet import Sheet, write_sheets
 
 @dataclass(frozen=True)
 class Report:
-    """All that the study finds; where flights were left out, `outlines` is None and what follows it is empty."""
+    """All results of the study; without flights, `outlines` is None and the fields after it are empty."""
 
     influences: list[Influence]
     causes: list[Cause]
@@ -40,14 +40,14 @@ class Report:
 
     @functools.cached_property
     def claims(self) -> list[Claim]:
-        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        """The paper's results beside those of this report; computed once, because tables and pages share them."""
         return claims_of(self)
 
 
 def run(*, flights: bool = True, seed: int = 0) -> Report:
-    """The study. Without `flights` the footprints of Figs. 7 and 8, the strips of Figs. 11 and 12, and those with
-    errors of control and over relief, which take by far the most time, are left out. `seed` redraws all that is
-    random: the errors of control and the fractal ground."""
+    """Run the study. Without `flights` it omits the slow parts: the footprints of Figs. 7 and 8, the strips of Figs.
+    11 and 12, and those with control errors and over relief. `seed` sets the random control errors and the fractal
+    ground."""
     seen, overlaps, influences = sightings(), pairs(), tables_1_to_3()
     found = Report(
         influences=influences,
@@ -67,7 +67,7 @@ def run(*, flights: bool = True, seed: int = 0) -> Report:
 
 
 def sheets_of(report: Report) -> list[Sheet]:
-    """The study's tables, in the order of the paper, and the verdicts."""
+    """Tables of the study, in the paper's order, and the verdicts."""
     found = [
         sheets.influence_sheet(report.influences),
         sheets.causes_sheet(report.causes, report.products),
@@ -86,12 +86,12 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
     write_sheets("Li et al. (2020)", sheets_of(report), folder)
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.li2020 import figures  # only who wants pictures needs matplotlib
+    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.li2020 import figures  # only pictures need matplotlib
 
     figures.write(report, folder)

@@ -1,4 +1,4 @@
-"""The printed numbers of Li et al. (2020) and ours, side by side."""
+"""Comparison tables of Li et al. (2020): printed values and those obtained here."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ REMARKS = {"heading": "Eq 18", "pitch": "Eq 19; the print is 2.155 % larger, une
 
 
 def influence_sheet(found: Sequence[Influence]) -> Sheet:
-    """Tables 1 to 3: changes of the overlap by changes of attitude."""
+    """Tables 1 to 3: changes of the overlap by attitude changes."""
     rows: list[list[Cell]] = [
         [
             one.angle,
@@ -58,7 +58,7 @@ def influence_sheet(found: Sequence[Influence]) -> Sheet:
 
 
 def causes_sheet(found: Sequence[Cause], combined: Products) -> Sheet:
-    """What was tried to explain the factor of Table 2."""
+    """Tested causes of the factor of Table 2."""
     rows: list[list[Cell]] = [
         [one.factor, one.entries, one.elsewhere, one.tried]
         for one in sorted(found, key=lambda one: abs(one.factor - 1.02155))
@@ -77,7 +77,7 @@ def causes_sheet(found: Sequence[Cause], combined: Products) -> Sheet:
 
 
 def compensation_sheet(found: Sequence[Compensation]) -> Sheet:
-    """Section 3.1: the compensation of a change of attitude."""
+    """Section 3.1: compensation of an attitude change."""
     rows: list[list[Cell]] = []
     for one in found:
         is_example = one.inner == 0.0
@@ -95,7 +95,7 @@ def compensation_sheet(found: Sequence[Compensation]) -> Sheet:
 
 
 def sightings_sheet(found: Sequence[Sighting]) -> Sheet:
-    """Table 4: lines of sight, and the drives that hold them."""
+    """Table 4: lines of sight, and the drives that keep them constant."""
     rows: list[list[Cell]] = [
         [
             one.strip,
@@ -162,7 +162,7 @@ def overlaps_sheet(found: Sequence[StripPair]) -> Sheet:
 
 
 def timing_sheet(found: Sequence[Period], over: Mountain) -> Sheet:
-    """Sections 3.2, 3.3 and 4: the mountain, and times from strip to strip."""
+    """Sections 3.2, 3.3 and 4: the mountain, and times between strips."""
     remark = f"Eq 28; {printed.MOUNTAIN_FLOWN:.0%} in the images"
     rows: list[list[Cell]] = [
         ["change of overlap over the mountain", printed.MOUNTAIN_OVERLAP_CHANGE, over.change, "Eq 28"],
@@ -181,7 +181,7 @@ def timing_sheet(found: Sequence[Period], over: Mountain) -> Sheet:
 
 
 def strips_sheet(found: Sequence[Strips]) -> Sheet:
-    """Figs. 11 and 12 in kind."""
+    """Counterpart of Figs. 11 and 12."""
     shown = {(PLAIN, AS_IN_THE_PAPER): printed.FLOWN, (MOUNTAINS, AS_IN_THE_PAPER): printed.MOUNTAIN_FLOWN}
     rows: list[list[Cell]] = [
         [
@@ -211,7 +211,7 @@ def strips_sheet(found: Sequence[Strips]) -> Sheet:
 
 
 def control_sheet(found: Sequence[Control]) -> Sheet:
-    """Errors of the gimbal's control: the paper's later work."""
+    """Gimbal control errors: the paper's future work."""
     rows: list[list[Cell]] = [
         [
             one.attitude,
@@ -242,7 +242,7 @@ def control_sheet(found: Sequence[Control]) -> Sheet:
 
 
 def relief_sheet(found: Sequence[Relief]) -> Sheet:
-    """Relief of the ground: the paper's later work."""
+    """Relief of the ground: the paper's future work."""
     rows: list[list[Cell]] = [
         [
             one.ground,

@@ -1,8 +1,8 @@
-"""Strips over a plain and over mountains: Figs. 11 and 12 of Li et al. (2020) in kind.
+"""Strips over a plain and over mountains, comparable to Figs. 11 and 12 of Li et al. (2020).
 
-The paper's images are not to be had. Here an aircraft whose speed and height swing by 5 % takes strips with its camera,
-65 deg off nadir, over level ground and over the mountains of the example terrain. The paper times its strips by the
-speed and height of the moment, Eq 36, over the ground that was planned for; three other ways stand beside it.
+The paper's images are not available. Here an aircraft whose speed and height oscillate by 5 % takes strips with the
+paper's camera, 65 deg off nadir, over level ground and over the mountains of the example terrain. The paper times its
+strips by the current speed and height, Eq 36, over the planned ground height; three other timings are compared.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from jaxgeo.studies.li2020 import printed
 from jaxgeo.terrain import ConstantHeight
 
 OFF_NADIR = 65.0  # deg
-PLANNED = 300.0  # m above the ellipsoid, the ground that the fixed period is planned for: the valleys' height
+PLANNED = 300.0  # m above the ellipsoid, ground height of the fixed period's plan: that of the valleys
 HEIGHT, SPEED, HEADING = 5500.0, 170.0, 150.0  # m, m/s, deg
-SWING, OF_SPEED, OF_HEIGHT = 0.05, 23.0, 31.0  # share of them by which they swing, and in how many s
-LAT, LON = 36.40, -84.20  # deg, where the flight begins
+SWING, OF_SPEED, OF_HEIGHT = 0.05, 23.0, 31.0  # relative amplitude, and periods in s
+LAT, LON = 36.40, -84.20  # deg, start of the flight
 DURATION = 30.0  # s
-METRES_NORTH, METRES_EAST = 110_940.0, 111_320.0  # of a degree, the latter at the equator
+METRES_NORTH, METRES_EAST = 110_940.0, 111_320.0  # per degree, the latter at the equator
 PLAIN, MOUNTAINS = "plain", "mountains"
 AS_IN_THE_PAPER = "planned height"  # the timing of Figs. 11 and 12
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Strips of a flight: the ground, how they were timed, when they were taken (s), and what each (but the first)
-    shares with the one before."""
+    """Strips of a flight: the ground, the timing method, exposure times (s), and the overlap of each strip (except
+    the first) with the previous one."""
 
     ground: str
     timing: str
@@ -42,17 +42,17 @@ class Strips:
 
     @property
     def near(self) -> np.ndarray:
-        """Overlap at the near end, of each strip but the first."""
+        """Overlap at the near end, of each strip except the first."""
         return np.asarray(self.overlaps.near)
 
     @property
     def rms(self) -> float:
-        """Root of the mean squared difference to the wished overlap, at the near end."""
+        """Root mean square difference from the required overlap, at the near end."""
         return float(np.sqrt(np.mean((self.near - printed.OVERLAP) ** 2)))
 
 
 def strips() -> list[Strips]:
-    """Strips over the plain and over the mountains, timed in each way."""
+    """Strips over the plain and over the mountains, with each timing method."""
     camera, flight = printed.sensor(mirror=False), _flight()
     grounds: dict[str, Any] = {PLAIN: ConstantHeight(PLANNED), MOUNTAINS: example_dem()}
     timings: dict[str, Any] = {
@@ -70,7 +70,7 @@ def strips() -> list[Strips]:
 
 
 def _planned_period() -> float:
-    """Eq 29 at the mean speed and height, over the ground that was planned for, at the near end of the strip."""
+    """Period by Eq 29 at the mean speed and height, over the planned ground height, at the near end of the strip."""
     half = math.degrees(math.atan(0.5 * printed.ACROSS * printed.PIXEL_PITCH / printed.FOCAL_LENGTH))
     period = geometry.period_of_overlap(
         overlap=printed.OVERLAP,
@@ -83,7 +83,7 @@ def _planned_period() -> float:
 
 
 def _flight() -> Trajectory:
-    """Straight on, with swings of speed and height."""
+    """Straight flight with oscillating speed and height."""
     times = np.linspace(0.0, DURATION, 61)
     speed = SPEED * (1.0 + SWING * np.sin(2.0 * np.pi * times / OF_SPEED))
     way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(times))])

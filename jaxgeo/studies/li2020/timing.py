@@ -1,4 +1,4 @@
-"""Heights over mountains and the time from strip to strip: sections 3.2, 3.3 and 4 of Li et al. (2020)."""
+"""Heights over mountains and times between strips: sections 3.2, 3.3 and 4 of Li et al. (2020)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgeo.studies.li2020.flight import StripPair
 
 @dataclass(frozen=True)
 class Mountain:
-    """Overlap over a mountain nobody planned for: by Eq 28, and what the same step gives over the nearer ground."""
+    """Overlap over an unplanned mountain: by Eq 28, and with the same step over the nearer ground."""
 
     change: float
     by_eq_28: float
@@ -22,7 +22,7 @@ class Mountain:
 
 @dataclass(frozen=True)
 class Period:
-    """Time in s between two strips: by Eq 29 for the wished overlap, and what the aircraft's places imply."""
+    """Time in s between two strips: by Eq 29 for the required overlap, and from the aircraft positions."""
 
     strips: str
     by_eq_29: float
@@ -30,7 +30,7 @@ class Period:
 
 
 def mountain() -> Mountain:
-    """Section 4: the mountain stands 620 m above the ground that was planned for, 8080 m below the aircraft."""
+    """Section 4: the mountain is 620 m above the planned ground height, 8080 m below the aircraft."""
     heights = {"height_change": printed.MOUNTAIN_CHANGE, "height_above_ground": printed.MOUNTAIN_HEIGHT}
     change = float(geometry.overlap_change_by_height(**heights))
     same_step = float(geometry.overlap_after_height_change(**heights, overlap=printed.OVERLAP))

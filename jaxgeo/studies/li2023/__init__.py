@@ -1,5 +1,5 @@
-"""The error analysis of Li et al. (2023), "A target location method for aerial images through fast iteration of
-elevation based on DEM", made again: its tables and figures beside what the same inputs give here."""
+"""Reproduction of the error analysis of Li et al. (2023), "A target location method for aerial images through fast
+iteration of elevation based on DEM": its tables and figures beside the results of this package for the same inputs."""
 
 from jaxgeo.studies.li2023.causes import Cause, causes
 from jaxgeo.studies.li2023.claims import claims_of

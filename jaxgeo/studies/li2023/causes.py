@@ -1,4 +1,4 @@
-"""Which single cause would explain the errors that Li et al. (2023) found against a map, and how likely it is."""
+"""Single causes that could explain the errors of Li et al. (2023) against a map, and their probability."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ DRAWS = 100_000
 
 @dataclass(frozen=True)
 class Cause:
-    """One quantity in error by the same amount at all three targets, in `unit`: what fits the actual errors best.
+    """One quantity with the same error at all three targets, in `unit`: the least-squares fit to the actual errors.
 
-    `errors` in m at plain, hill and mountain with that amount; `left` is the root mean square of what remains of the
-    actual ones, and `left_chance` the probability that the other errors of Table 1, drawn anew for each target, leave
-    as much or more. `sigma` is the standard deviation that the paper states, in `unit`, and `chance` the probability of
-    an error as large or larger; None where it states none.
+    `errors` in m at plain, hill and mountain with that amount; `left` is the root mean square of the remaining errors,
+    and `left_chance` the probability that the other errors of Table 1, drawn anew for each target, leave as much or
+    more. `sigma` is the standard deviation that the paper states, in `unit`, and `chance` the probability of an error
+    at least as large; None where the paper states no sigma.
     """
 
     name: str
@@ -52,12 +52,13 @@ class Cause:
 
     @property
     def chance(self) -> float | None:
-        """Of an error of that amount or more, to either side."""
+        """Two-sided probability of an error at least as large."""
         return None if self.sigmas is None else float(2.0 * stats.norm.sf(self.sigmas))
 
 
 def causes() -> list[Cause]:
-    """Every cause by itself, by least squares on the three errors: angles, heights, and the place of map or aircraft.
+    """Each cause alone, by least squares on the three errors: angles, heights, and horizontal position of map or
+    aircraft.
 
     Only magnitudes are printed, so each cause has one unknown, its magnitude. The errors are taken as horizontal, as
     against a map, over level ground at the heights of the printed targets.
@@ -85,6 +86,6 @@ def causes() -> list[Cause]:
     found = [cause(name, "°", table[:, k] * math.radians(1.0), k, math.degrees(1.0)) for k, name in enumerate(ANGLES)]
     last = table.shape[1] - 1
     found.append(cause("height of the elevation model", "m", table[:, last], last))
-    found.append(cause("height of the aircraft", "m", table[:, last]))  # the same shift, the other way
+    found.append(cause("height of the aircraft", "m", table[:, last]))  # the same shift with opposite sign
     found.append(cause("place of the map, the elevation model or the aircraft", "m", np.ones(3)))
     return sorted(found, key=lambda one: one.left)

@@ -1,4 +1,4 @@
-"""What Li et al. (2023) print, item by item, with what comes out here: equations, tables, figures and statements."""
+"""Claims of Li et al. (2023) with the results obtained here: equations, tables, figures and statements."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from jaxgeo.studies.li2023.report import Report
 
 ERRORS = 3.0  # standard errors of the paper's own draws within which a random result counts as reproduced
-LAST_DIGIT = 5e-5  # of angles and lines of sight, which have four
-LENGTHS = {"lat_rms": 0.002, "lon_rms": 0.001}  # deg, of the conclusions
+LAST_DIGIT = 5e-5  # angles and lines of sight have four decimals
+LENGTHS = {"lat_rms": 0.002, "lon_rms": 0.001}  # deg, from the conclusions
 WORDS = {"lat": "latitude", "lon": "longitude", "outer": "outer angle", "inner": "inner angle"}
-CEP_MOUNTAIN = 200.0  # m, of the abstract
+CEP_MOUNTAIN = 200.0  # m, from the abstract
 SKETCHES = {
     "Fig. 1": "a sketch of the camera in its frame",
     "Fig. 2": "a sketch of an image being taken",
@@ -36,17 +36,17 @@ SKETCHES = {
 
 
 def claims_of(report: Report) -> list[Claim]:
-    """Every numbered equation, table and figure, and the numbers and statements of text and abstract."""
+    """Claims for every numbered equation, table and figure, and the numbers and statements of text and abstract."""
     return [*claims_besides_searches(report), *search_claims(report.searches)]
 
 
 def claims_besides_searches(report: Report) -> list[Claim]:
-    """All but those on the searches: Figs 6 to 11, Table 4, and what is said of them."""
+    """All claims except those on the searches: Figs 6 to 11, Table 4, and the statements on them."""
     return [*equations(), *_tables(report), *_figures(report), *_section_5_1(report), *_conclusions(report)]
 
 
 def claim(item: str, statement: str, wanted: object, obtained: object, function: str, **more: object) -> Claim:
-    """A claim of this paper; `function` without the package's name."""
+    """A claim of this paper; `function` is given without the package's name."""
     name = f"jaxgeo.{function}" if function else ""
     return Claim(PAPER, item, statement, wanted, obtained, function=name, **more)  # type: ignore[arg-type]
 
@@ -67,8 +67,8 @@ def _tables(report: Report) -> Iterator[Claim]:
 
 
 def _table_2(report: Report) -> Iterator[Claim]:
-    """Held against the print's rounding: 1e-4 deg of the aircraft's place and of the angles. What of one digit changed
-    comes nearest is the explanation, if it comes within that."""
+    """Compared with the print's rounding: 1e-4 deg in the aircraft's position and in the angles. The closest
+    one-digit change is the explanation, if it agrees within that."""
     for one in report.targets[: len(printed.TERRAINS)]:
         row = printed.TERRAINS[one.terrain]
         along_meridian, along_parallel = metres_per_radian(printed.target_of(row))
@@ -163,7 +163,7 @@ def table_3(positions: list[Accuracy], tilts: list[Tilt]) -> Iterator[Claim]:
 
 
 def _cep_of(linear: Accuracy, rms_ned: np.ndarray) -> float:
-    """CE50 with the correlation over level ground and the printed RMS north and east."""
+    """CE50 from the correlation over level ground and the printed RMS north and east."""
     from jaxgeo.uncertainty.metrics import circular_error
 
     scale = np.array([rms_ned[1] / linear.east, rms_ned[0] / linear.north])
@@ -197,7 +197,7 @@ def _figures(report: Report) -> Iterator[Claim]:
 
 
 def _fig_5_and_table_3(report: Report) -> Claim:
-    """Section 2.2 and conclusion (1): over the DEM the error is that of Fig. 5 at 20 m."""
+    """Section 2.2 and conclusion (1): over the DEM the error equals that of Fig. 5 at 20 m."""
     found, row = report.inclination, printed.TERRAINS["plain"]
     sigma = int(np.argmin(np.abs(found.sigmas - printed.DEM_SIGMA)))
     at = float(np.interp(row.outer, found.frames, found.full[sigma]))
@@ -293,5 +293,5 @@ def _one(found: list[Accuracy], terrain: str, method: str) -> Accuracy:
 
 
 def _share_error(share: float) -> float:
-    """Standard error of a share among the paper's draws."""
+    """Standard error of a share in the paper's draws."""
     return math.sqrt(share * (1.0 - share) / printed.DRAWS)

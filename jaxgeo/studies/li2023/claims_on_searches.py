@@ -1,4 +1,4 @@
-"""What Li et al. (2023) claim of the searches, against what came out here."""
+"""Claims of Li et al. (2023) about the searches, compared with the results obtained here."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from jaxgeo.terrain import Dem, Ending, FastIteration, HeightsBetween, ImprovedL
 from jaxgeo.terrain.search.studied import AbstractStudiedSearch
 
 PAPER = "Li 2023"
-SLOPES = (-0.9, -0.5, 0.0, 0.5, 0.9)  # k: tan(slope along the look) / tan(depression)
-ABOVE, EPS = 200.0, 0.2  # m: where the search begins above the target, and where it ends
+SLOPES = (-0.9, -0.5, 0.0, 0.5, 0.9)  # k: tan(ground slope along the view) / tan(depression)
+ABOVE, EPS = 200.0, 0.2  # m: start height of the search above the target, and its tolerance
 SPACING = 30.0  # m between posts
 STANDARD_ERRORS = 3.0
-SIMILAR = 1.2  # times the least: "equally efficient"; the printed times of the plain differ by 1.17
+SIMILAR = 1.2  # times the smallest: "equally efficient"; the printed times of the plain differ by 1.17
 CONVERGES = 0.99  # share of rays
 
 FAST = "jaxgeo.terrain.FastIteration"
@@ -39,7 +39,7 @@ RUN = "jaxgeo.studies.li2023.searches.compare_searches"
 
 
 def plane_claims() -> list[Claim]:
-    """What sections 3 and 4 say of planes, by one run each: the steps of Fig. 11 and the cases of Figs 6 to 8."""
+    """Statements of sections 3 and 4 on planes, one run each: the steps of Fig. 11 and the cases of Figs 6 to 8."""
     fast = FastIteration(eps=EPS, window=HeightsBetween(0.0, ABOVE))
     photogrammetric = Photogrammetric(eps=EPS, start=ABOVE)
     improved = ImprovedLiteral(eps=EPS, start=ABOVE)
@@ -80,11 +80,11 @@ def plane_claims() -> list[Claim]:
 
 
 def evaluations_as_printed(k: float, above: float = ABOVE, eps: float = EPS) -> int:
-    """How often the steps of Fig. 11 ask for the ground on a plane from `above` m over the target, until eps in m.
+    """Ground height evaluations of the steps of Fig. 11 on a plane, from `above` m over the target to `eps` in m.
 
-    Over a plane through the target the ground under the ray's point at height Z is at -k Z.
+    Over a plane through the target the ground below the ray's point at height Z is at -k Z.
     """
-    high, low, asked = above, -k * above, 1  # Zmax and the ground below it
+    high, low, asked = above, -k * above, 1  # Zmax and the ground height below it
     while True:
         middle = (high + low) / 2.0
         difference, asked = middle - (-k * middle), asked + 1
@@ -97,7 +97,7 @@ def evaluations_as_printed(k: float, above: float = ABOVE, eps: float = EPS) -> 
 
 
 def _on_plane(k: float, search: AbstractStudiedSearch) -> Run:
-    """A search along a ray that sinks by 45 deg onto a plane of slope k along it."""
+    """A search along a ray with 45 deg depression onto a plane of slope k along it."""
     dem, rays = _plane(k)
     return jax.tree.map(lambda x: x[0], run_from(approaches(rays, dem), dem, search))
 
@@ -110,7 +110,7 @@ def _plane(k: float) -> tuple[Dem, Ray]:
 
 
 def search_claims(found: Comparison) -> list[Claim]:
-    """Table 4, the 45.5 %, and what text and figures say of the searches."""
+    """Table 4, the 45.5 %, and the statements of text and figures on the searches."""
     return [*plane_claims(), *_sketches(), *_table_4(found), *_savings(found), *_statements(found)]
 
 
@@ -120,7 +120,7 @@ def _sketches() -> list[Claim]:
 
 
 def _table_4(found: Comparison) -> list[Claim]:
-    """A row for each terrain: ratios to the fast search, in evaluations; the nearest choice of all as their cause."""
+    """A row for each terrain: evaluation ratios to the fast search, explained by the closest of all settings."""
     names, free = ", ".join(IN_PRINT[:-1]), found.nearest(FREE)
     claims = []
     for kind in KINDS:
@@ -195,7 +195,7 @@ def _savings(found: Comparison) -> list[Claim]:
 
 
 def _statements(found: Comparison) -> list[Claim]:
-    """What sections 3 to 5 say in words; each holds or does not by the shares and costs of the run."""
+    """Statements of sections 3 to 5, tested by the shares and costs of the run."""
 
     def lost(kind: str, name: str) -> float:
         return found.share(kind, name, *NOT_CONVERGED).value

@@ -1,4 +1,4 @@
-"""The numbered equations of Li et al. (2023), as printed, beside the functions that stand for them here.
+"""The numbered equations of Li et al. (2023) as printed, compared with the corresponding functions of the package.
 
 Inputs are the three rows of Table 2: aircraft, frame angles, and the printed targets.
 """
@@ -25,7 +25,7 @@ PAPER = "Li 2023"
 B = A * math.sqrt(1.0 - E2)
 ROUNDING = 1e-12
 MICROMETRE = 1e-6
-ROUNDS = 12  # of the latitude, to its last digit
+ROUNDS = 12  # iterations of the latitude, to full precision
 PIXEL = (100.0, -250.0)  # columns and rows from the middle of the image, for Eq. 1
 ITERATIONS = 4  # "more than four" of them give the accuracy that section 2.1 states
 LAT_CLAIMED, HEIGHT_CLAIMED = 1e-5, 1e-3  # arcsec, m
@@ -37,7 +37,7 @@ def equations() -> list[Claim]:
 
 
 def _eq_1() -> Claim:
-    # T_s = [a m, a n, -f]: the ray goes on through the centre, to the other side of it.
+    # T_s = [a m, a n, -f]: the ray continues through the perspective centre to the other side.
     sensor, (m, n) = printed.sensor(), PIXEL
     pitch, focal = 10e-6, 1.9
     print_ = np.array([pitch * m, pitch * n, -focal])
@@ -162,7 +162,7 @@ def _eqs_7_and_8() -> Iterator[Claim]:
 
 
 def _iterations() -> Claim:
-    """What four rounds of Eq. 7 leave, with values of the round before as printed, and with the newest."""
+    """Error left by four iterations of Eq. 7, with the previous iteration's values as printed, and with the newest."""
 
     def left(iterate: Callable[..., Geodetic]) -> tuple[float, float]:
         lat, height = 0.0, 0.0
@@ -216,7 +216,7 @@ def ecef_as_printed(lat_deg: float, lon_deg: float, height: float) -> np.ndarray
 
 
 def sight_as_printed(row: printed.Terrain) -> np.ndarray:
-    """Eq. 2 for the line of sight, its matrices written out: Earth from NED, NED from body, body from camera."""
+    """Eq. 2 for the line of sight, with explicit matrices: Earth from NED, NED from body, body from camera."""
     return in_numpy.R_ecef_from_ned(math.radians(row.lat), math.radians(row.lon)) @ sight_ned_as_printed(row)
 
 
@@ -229,25 +229,25 @@ def sight_ned_as_printed(row: printed.Terrain) -> np.ndarray:
 
 
 def sight_ned(row: printed.Terrain) -> np.ndarray:
-    """Our line of sight of a row of Table 2, in north, east, down."""
+    """The package's line of sight of a row of Table 2, in north, east, down."""
     shot = printed.shot_of(row)
     direction = line_of_sight(printed.sensor(), shot, jnp.zeros(()), jnp.asarray(printed.UV))[1]
     return np.asarray(R_ecef_from_ned(shot.pose.position)).T @ np.asarray(direction)
 
 
 def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle between two directions."""
+    """Angle in deg between two directions."""
     return math.degrees(math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)))
 
 
 def _fix(row: printed.Terrain) -> np.ndarray:
-    """The point met at the height of a printed target, in ECEF."""
+    """The point located at the height of a printed target, in ECEF."""
     look = ModelInputs.of(printed.sensor(), printed.shot_of(row), printed.UV, printed.level_ground(row.target[2]))
     return np.asarray(look.nominal_fix(FIRST_HIT).fix.ecef)
 
 
 def near_range(origin: np.ndarray, direction: np.ndarray) -> float:
-    """Range to the near point of the unit sphere; NaN where there is none."""
+    """Range to the near intersection with the unit sphere; NaN if the ray misses."""
     a, b, c = direction @ direction, origin @ direction, origin @ origin - 1.0
     return float((-b - math.sqrt(b * b - a * c)) / a) if b * b >= a * c else math.nan
 
@@ -259,7 +259,7 @@ def _latitude(point: np.ndarray, N: float, height: float, inverted: bool) -> flo
 
 
 def _exact(point: np.ndarray) -> tuple[float, float]:
-    """(latitude in rad, height in m): tan(lat) = (z + e2 N sin(lat)) / p, each round with an error e2 times smaller."""
+    """(latitude in rad, height in m): tan(lat) = (z + e2 N sin(lat)) / p, each iteration reduces the error by e2."""
     p, z = math.hypot(point[0], point[1]), float(point[2])
     lat, N = math.atan2(z, p), A
     for _ in range(ROUNDS):

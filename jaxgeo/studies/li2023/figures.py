@@ -1,4 +1,4 @@
-"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+"""Figures of the study. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from jaxgeo.terrain import Outcome
 
 QUIET, BAND = "#9db7d5", "#f1e3c6"
 SHOWN_SIGMAS = (10.0, 50.0, 100.0, 150.0, 190.0)  # m
-MOST_POINTS = 4000  # of a cloud
+MOST_POINTS = 4000  # in a scatter plot
 LOOKS = {
     "linear": ("#8a8a8a", "o"),
     "linear, facet": ("#c9b27c", "D"),
@@ -36,11 +36,11 @@ LEVEL_AT = {"linear": -0.28, "sampled": -0.14}
 FRACTAL_AT = {"linear, facet": -0.02, "linear, footprint": 0.16, "sampled": 0.34}
 REAL_BY = 0.09
 KIND_COLOURS = dict(zip(KINDS, ("#9db7d5", "#c9b27c", EDGE), strict=True))
-BESIDE = 0.22  # between kinds of terrain, where searches are 1 apart
+BESIDE = 0.22  # offset between kinds of terrain; searches are 1 apart
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
-    """All pictures into a folder."""
+    """Write all figures to a folder."""
     pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
         "pointing.png": (lambda figure: draw_pointing(report.pointing[0], figure), (10.0, 4.0)),
         "inclination.png": (lambda figure: draw_inclination(report.inclination, figure), (10.0, 4.4)),
@@ -51,7 +51,7 @@ def write(report: Report, folder: pathlib.Path) -> None:
 
 
 def draw_pointing(found: Pointing, figure: Figure) -> None:
-    """Fig. 12: how the pointing errors are distributed, and the shares that the paper states."""
+    """Fig. 12: distribution of the pointing errors, and the shares stated in the paper."""
     left, right = figure.subplots(1, 2)
     low, high = printed.LOS_BAND
     claim = f"{low}° to {high}°: {found.in_band[0]:.0%}, printed > 50 %"
@@ -89,7 +89,7 @@ def draw_pointing(found: Pointing, figure: Figure) -> None:
 
 
 def draw_inclination(found: Inclination, figure: Figure) -> None:
-    """Fig. 5: lines over the frame angle, and the map over both."""
+    """Fig. 5: curves over the frame angle, and the map over both."""
     left, right = figure.subplots(1, 2)
     shades = np.linspace(0.35, 0.95, len(SHOWN_SIGMAS))
     for sigma, shade in zip(SHOWN_SIGMAS, shades, strict=True):
@@ -113,7 +113,7 @@ def draw_inclination(found: Inclination, figure: Figure) -> None:
 
 
 def draw_positions(found: list[Accuracy], figure: Figure) -> None:
-    """Table 3: every prediction beside the printed one, and what the printed circle of the plain holds."""
+    """Table 3: every prediction beside the printed one, and the share inside the printed circle of the plain."""
     left, right = figure.subplots(1, 2, width_ratios=[1.35, 1.0])
     _draw_rms(found, left)
     plain = {one.method: one for one in found if (one.terrain, one.ground) == ("plain", LEVEL_GROUND)}
@@ -121,7 +121,7 @@ def draw_positions(found: list[Accuracy], figure: Figure) -> None:
 
 
 def _draw_rms(found: list[Accuracy], ax: Any) -> None:
-    """RMS by terrain: what is printed, ours on level and synthetic ground, and the error against a map."""
+    """RMS by terrain: printed, obtained on level and synthetic ground, and the error against a map."""
     seen: set[str] = set()
     for base, (name, row) in enumerate(printed.TERRAINS.items()):
         first = {"label": "printed"} if base == 0 else {}
@@ -152,7 +152,7 @@ def _draw_rms(found: list[Accuracy], ax: Any) -> None:
 
 
 def _draw_circles(cloud: Accuracy, errors: np.ndarray | None, ax: Any) -> None:
-    """Linear radii over a cloud of samples."""
+    """Linear radii over a scatter plot of samples."""
     errors = np.zeros((0, 3)) if errors is None else errors[:MOST_POINTS]
     ax.plot(errors[:, 0], errors[:, 1], ".", color=QUIET, markersize=2.0, zorder=0, rasterized=True)
     actual = printed.TERRAINS[cloud.terrain].actual
@@ -172,7 +172,7 @@ def _draw_circles(cloud: Accuracy, errors: np.ndarray | None, ax: Any) -> None:
 
 
 def draw_searches(found: Comparison, figure: Figure) -> None:
-    """Table 4: how many heights each search asks for, its cost beside the print's, and how often it is right."""
+    """Table 4: height evaluations of each search, its cost beside the printed one, and its success rate."""
     left, right = figure.subplots(1, 2, width_ratios=[1.2, 1.0])
     for k, (kind, colour) in enumerate(KIND_COLOURS.items()):
         across = np.arange(len(SEARCHES)) + BESIDE * (k - 1)

@@ -1,4 +1,4 @@
-"""RMS of a target's position over the frame angle and the error of its height: Fig. 5 of Li et al. (2023)."""
+"""RMS of a target's position by frame angle and height error: Fig. 5 of Li et al. (2023)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxgeo.uncertainty import presets, propagate
 class Inclination:
     """RMS in space in m, rows by `sigmas` (m) of height, columns by `frames` (deg of the outer frame angle).
 
-    `height_only` is what an error of height alone does, `full` with the ten angles of Table 1 besides.
+    `height_only` is the effect of a height error alone, `full` adds the ten angles of Table 1.
     """
 
     frames: np.ndarray
@@ -25,9 +25,9 @@ class Inclination:
 
 
 def fig_5(frames: Sequence[float], sigmas: Sequence[float]) -> Inclination:
-    """Fig. 5 at some frame angles in deg and standard deviations of height in m, by linear propagation.
+    """Fig. 5 at the given frame angles in deg and standard deviations of height in m, by linear propagation.
 
-    That is a sum of squares: one propagation for each frame angle serves all standard deviations.
+    The variance is a sum of squares, so one propagation for each frame angle serves all standard deviations.
     """
     model, ground = presets.li_2023(terrain_height=printed.DEM_SIGMA), printed.level_ground(printed.FIG_5_GROUND)
     angles, height = [], []

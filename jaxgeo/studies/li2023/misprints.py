@@ -1,4 +1,4 @@
-"""Which change of one printed digit of Table 2 of Li et al. (2023) brings a target nearest to the printed one."""
+"""Single-digit changes in Table 2 of Li et al. (2023) that bring a target closest to the printed one."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.equations import A, B, ecef_as_printed, near_range, sight_as_printed
 
-DIGITS = 4  # behind the point, in all of Table 2
-NEAR = 10.0  # m: the plain's target lies so far off as it is printed
-QUANTITIES = ("lat", "lon", "outer", "inner")  # that differ between the rows; the others would move all targets
+DIGITS = 4  # decimals, in all of Table 2
+NEAR = 10.0  # m: offset of the plain's target with the printed values
+QUANTITIES = ("lat", "lon", "outer", "inner")  # differ between the rows; the others would move all targets
 
 
 @dataclass(frozen=True)
 class Misprint:
-    """A quantity of a row with one digit changed, and how far from the printed target (m) it then comes down."""
+    """A quantity of a row with one digit changed, and the distance (m) from the located to the printed target."""
 
     terrain: str
     quantity: str
@@ -27,12 +27,12 @@ class Misprint:
 
 
 def misses() -> dict[str, float]:
-    """How far (m) each row's target lies off the printed one, as it is printed."""
+    """Distance (m) of each row's target from the printed one, with the printed values."""
     return {name: _miss(row) for name, row in printed.TERRAINS.items()}
 
 
 def one_digit(name: str) -> list[Misprint]:
-    """Each change of one digit, or the sign, of what stands in one row alone that meets the ground, nearest first."""
+    """Every one-digit or sign change of a row's own quantities that gives a ground intersection, closest first."""
     row = printed.TERRAINS[name]
     found = []
     for quantity in QUANTITIES:
@@ -54,7 +54,7 @@ def _changed(value: float) -> Iterator[float]:
 
 
 def _miss(row: printed.Terrain) -> float:
-    """Distance in m between the point met at the printed height and the printed target; NaN for none."""
+    """Distance in m from the point located at the printed height to the printed target; NaN without one."""
     origin, direction = ecef_as_printed(row.lat, row.lon, printed.ALTITUDE), sight_as_printed(row)
     axes = np.array([A, A, B]) + row.target[2]  # to 6 mm in height
     point = origin + near_range(origin / axes, direction / axes) * direction

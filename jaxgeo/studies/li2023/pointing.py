@@ -1,4 +1,4 @@
-"""How far the line of sight points from where it is thought to: section 5.1 and Fig. 12 of Li et al. (2023)."""
+"""Pointing errors of the line of sight: section 5.1 and Fig. 12 of Li et al. (2023)."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from jaxgeo.uncertainty.metrics import circular_probability
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 LIMITS = (printed.LOS_BAND[0], printed.LOS_BAND[1], *printed.LOS_WITHIN)  # deg
-GRID = np.linspace(0.0, 0.25, 126)  # deg, on which the linear distribution is drawn
+GRID = np.linspace(0.0, 0.25, 126)  # deg, abscissae of the linear distribution
 RANDOM = Random()
 
 
 @dataclass(frozen=True)
 class Pointing:
-    """Pointing errors of one line of sight: the angle in space between nominal and erring direction.
+    """Pointing errors of one line of sight: the angle in space between the nominal and the perturbed direction.
 
     `linear_rms` and `sampled_rms` in deg, `standard_error` that of the latter; the shares below an angle in deg are
     those of the linear Gaussian and of the samples `angles` (deg); `chance` is the linear share below each of `GRID`.
@@ -45,7 +45,7 @@ class Pointing:
 
     @property
     def in_band(self) -> tuple[float, float]:
-        """Shares (linear, sampled) in the band that the paper says holds more than half."""
+        """Shares (linear, sampled) in the band that the paper says contains more than half."""
         low, high = printed.LOS_BAND
         return (
             self.linear_within[high] - self.linear_within[low],
@@ -54,7 +54,7 @@ class Pointing:
 
 
 def pointing_errors(setting: str, shot: Shot, *, samples: int, key: Array) -> Pointing:
-    """Pointing errors of a shot under Table 1: to first order, and of `samples` draws."""
+    """Pointing errors of a shot under Table 1: to first order, and from `samples` draws."""
     look = ModelInputs.of(printed.sensor(), shot, printed.UV, printed.level_ground(0.0))
     model = presets.li_2023()
     variances, angles = _errors(look, model, key, samples)
@@ -92,5 +92,5 @@ def _errors(
 
 
 def _direction(look: ModelInputs) -> Vector3:
-    """Where the look points, in ECEF: no error of this study moves the aircraft, so any fixed frame serves."""
+    """Direction of the line of sight in ECEF; no error of this study moves the aircraft, so any fixed frame works."""
     return line_of_sight(look.sensor, look.motion, jnp.asarray(look.time), look.uv)[1]

@@ -1,4 +1,4 @@
-"""How sure the targets of Li et al. (2023) are: Table 3, over level ground and over synthetic terrain."""
+"""Accuracy of the targets of Li et al. (2023): Table 3, over level ground and over synthetic terrain."""
 
 from __future__ import annotations
 
@@ -28,23 +28,22 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.slopes import AbstractSlope
 
 LEVEL_GROUND = "level"
-RMS_SLOPES = {"hill": math.radians(8.0), "mountain": math.radians(22.0)}  # of the synthetic terrains
-SPACING = 30.0  # m, of the posts of ASTER GDEM V2
-MIDDLE = 2500.0  # m from the terrain's middle: no place lies farther out, for what errs has to find ground too
-LEVEL = 5.0  # m: the ground at a place is as high as the printed target to this
-NEAR = 60.0  # m: a place is in sight if the fix is no farther from it
+RMS_SLOPES = {"hill": math.radians(8.0), "mountain": math.radians(22.0)}  # synthetic terrains
+SPACING = 30.0  # m, post spacing of ASTER GDEM V2
+MIDDLE = 2500.0  # m, largest distance of a place from the terrain's centre, so that perturbed rays also hit ground
+LEVEL = 5.0  # m, tolerance of the ground height at a place against the printed target
+NEAR = 60.0  # m: a place is visible if the fix is within this distance
 MOST_TRIED = 300  # places
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How sure one fix is: RMS about the nominal fix in m along each axis and in space, and what it is made into.
+    """Accuracy of one fix: RMS about the nominal fix in m along each axis and in space, and derived figures.
 
-    `rms_over_1_2` is what the paper prints as "circular error probable", `held` the share that its circle truly holds;
-    `ce50` and `ce90` are the true radii on the level plane, in m, and `beyond` is the chance of an error there larger
-    than the one that the paper found against a map. `found` is the share of samples with a fix (1 if it
-    was not sampled), whose moments are those of the samples with a fix; in radii and shares the others count as
-    infinitely far.
+    `rms_over_1_2` is what the paper prints as "circular error probable", `held` the true probability of that circle;
+    `ce50` and `ce90` are the true radii on the level plane, in m, and `beyond` is the probability of an error there
+    larger than the one that the paper found against a map. `found` is the share of samples with a fix (1 if not
+    sampled); moments are those of the samples with a fix; in radii and shares the others count as infinitely far.
     """
 
     terrain: str
@@ -69,7 +68,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Judged:
-    """What `jaxgeo.accuracy` answers at a place: the method chosen, in words, its CE90 in m, and the sampled one."""
+    """Result of `jaxgeo.accuracy` at a place: the selected method as text, its CE90 in m, and the sampled CE90."""
 
     terrain: str
     ground: str
@@ -98,12 +97,12 @@ def over_fractal_ground(
     seed: int = 0,
     names: Sequence[str] = tuple(RMS_SLOPES),
 ) -> tuple[list[Accuracy], list[Judged]]:
-    """Hill and mountain over synthetic fractal terrain of a stated rms slope: at each of several places, every one on a
-    terrain of its own, drawn from `seed`.
+    """Hill and mountain over synthetic fractal terrain with the given RMS slope: several places, each on its own
+    terrain, drawn from `seed`.
 
-    There the ground is as high as the printed target, and the aircraft is moved sideways so that its line of sight
-    comes down there. The errors are propagated with the slope of the facet under the fix, with that of the footprint,
-    and sampled; `jaxgeo.accuracy` chooses among these by itself.
+    The ground height there equals that of the printed target, and the aircraft is moved sideways so that its line of
+    sight intersects the ground there. The errors are propagated with the slope of the facet under the fix, with that of
+    the footprint, and by sampling; `jaxgeo.accuracy` chooses among these by itself.
     """
     rows, judged = [], []
     for name in names:
@@ -119,9 +118,10 @@ def over_fractal_ground(
 def over_real_ground(
     *, samples: int, key: Array, places: int = 12, seed: int = 0, names: Sequence[str] = tuple(RMS_SLOPES)
 ) -> tuple[list[Accuracy], list[Judged]]:
-    """Hill and mountain over the real elevation model that comes with the package, at places drawn from `seed`.
+    """Hill and mountain over the packaged real elevation model, at places drawn from `seed`.
 
-    The aircraft is moved there and as high above the ground as above the printed target; angles are those of Table 2.
+    The aircraft is moved there, with the height above ground that it has above the printed target; angles are those of
+    Table 2.
     """
     dem, rows, judged = example_dem(), [], []
     for name in names:
@@ -156,12 +156,12 @@ def terrain_seed(seed: int, place: int) -> int:
 
 
 def fractal_name(name: str) -> str:
-    """What the ground of a row is called."""
+    """Name of the ground of a row."""
     return f"synthetic, rms slope {math.degrees(RMS_SLOPES[name]):.0f}°"
 
 
 def fractal_ground(name: str, *, size: int, seed: int) -> Dem:
-    """Made-up terrain about the printed target of a row, whose height is the mean of its middle."""
+    """Synthetic terrain around the printed target of a row, whose height is the mean of its central part."""
     target = printed.target_of(printed.TERRAINS[name])
     posts = fractal_posts(size, spacing=SPACING, rms_slope=RMS_SLOPES[name], seed=seed)
     centre = Geodetic(lat=target.lat, lon=target.lon, height=0.0)
@@ -170,9 +170,9 @@ def fractal_ground(name: str, *, size: int, seed: int) -> Dem:
 
 
 def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
-    """Shots of a row, moved sideways so as to see ground as high as the printed target, near the terrain's middle.
+    """Shots of a row, moved sideways to see ground at the height of the printed target, near the terrain's centre.
 
-    Raises `ValueError` if too few such places are in sight.
+    Raises `ValueError` if too few such places are visible.
     """
     row = printed.TERRAINS[name]
     shot, shots = printed.shot_of(row), []
@@ -193,9 +193,9 @@ def shots_in_sight(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]
 
 
 def shots_over(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
-    """Shots of a row over other ground, at places of its middle drawn from `seed` that are in sight.
+    """Shots of a row over other ground, at visible places in its central part drawn from `seed`.
 
-    Raises `ValueError` if too few are.
+    Raises `ValueError` if there are too few.
     """
     row, shots = printed.TERRAINS[name], []
     posts = np.asarray(dem.posts)
@@ -209,7 +209,7 @@ def shots_over(name: str, dem: Dem, *, places: int, seed: int) -> list[Shot]:
         shot = printed.shot_of(row)
         where = (jnp.asarray(lat), jnp.asarray(lon), jnp.asarray(printed.ALTITUDE - row.target[2] + height))
         shot = _moved(shot, where)
-        for _ in range(3):  # meridians converge otherwise there, so the step is taken again
+        for _ in range(3):  # meridian convergence differs there, so the step is iterated
             level = _fix(shot, printed.level_ground(height)).position
             position = shot.pose.position
             shot = _moved(shot, (position.lat + lat - level.lat, position.lon + lon - level.lon, position.height))
@@ -226,7 +226,7 @@ def _moved(shot: Shot, where: tuple[Any, Any, Any]) -> Shot:
 
 
 def _sees(shot: Shot, dem: Dem, lat: float, lon: float) -> bool:
-    """Whether the line of sight comes down at a place in rad."""
+    """Whether the line of sight meets the ground at a position in rad."""
     fix = _fix(shot, dem)
     along_meridian, along_parallel = metres_per_radian(fix.position)
     north, east = (fix.position.lat - lat) * along_meridian, (fix.position.lon - lon) * along_parallel
@@ -234,7 +234,7 @@ def _sees(shot: Shot, dem: Dem, lat: float, lon: float) -> bool:
 
 
 def _places(dem: Dem, height: float, seed: int) -> list[list[float]]:
-    """Latitude and longitude in rad of posts in a terrain's middle that are about as high as asked, shuffled."""
+    """Latitude and longitude in rad of central posts of a terrain with about the required height, shuffled."""
     posts = np.asarray(dem.posts)
     rowcol = np.argwhere(np.abs(posts - height) <= LEVEL)
     rowcol = rowcol[np.all(np.abs(rowcol - (np.array(posts.shape) - 1) / 2.0) <= MIDDLE / SPACING, axis=1)]

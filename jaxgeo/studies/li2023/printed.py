@@ -1,4 +1,4 @@
-"""What Li et al. (2023) print, in their units (deg and m), and the sensor and shots that stand for it."""
+"""Printed values of Li et al. (2023) in their units (deg and m), with the corresponding sensor and shots."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from jaxgeo.terrain import ConstantHeight
 
 HEADING, PITCH, ROLL = -102.4800, 2.8679, -0.3876  # deg, Table 2: the same in all three rows
 DEM_SIGMA = 20.0  # m, section 5.2: ASTER GDEM V2
-UV = (3791.5, 24417.5)  # the middle of their image of 7584 columns and 48836 rows: the line of sight itself
+UV = (3791.5, 24417.5)  # centre of their image of 7584 columns and 48836 rows: the line of sight
 
 LOS_RMS = 0.0681  # deg, section 5.1
 ANGLE_SIGMAS = (0.05, 0.02, 0.02, 0.02, 0.02, 0.03, 0.01, 0.01, 0.01, 0.01)  # deg, Table 1, in its order
-DRAWS = 10_000  # of their simulation
+DRAWS = 10_000  # in their simulation
 LOS_NOMINAL = (0.9386, -0.2277, 0.2592)  # section 5.1, north, east, down
 LOS_WITHIN = {0.10: 0.8624, 0.15: 0.984}  # share of the 10 000 pointing errors below an angle in deg
-LOS_BAND = (0.004, 0.05)  # deg, in which "more than 50 %" of them are said to fall
+LOS_BAND = (0.004, 0.05)  # deg, said to contain "more than 50 %" of them
 
 FIG_5_AIRCRAFT = (28.9702, 89.0043, 15409.0)  # lat, lon in deg, height in m
 FIG_5_GROUND = 3824.0  # m
@@ -28,7 +28,7 @@ FIG_5_SIGMAS = (10.0, 190.0)  # m, from and to
 
 
 class Terrain(NamedTuple):
-    """A row of Tables 2 and 3: aircraft and frame, the target found, its errors, and that against a map."""
+    """A row of Tables 2 and 3: aircraft and frame, the located target, its errors, and that against a map."""
 
     lat: float
     lon: float
@@ -75,17 +75,17 @@ TERRAINS = {
         actual=516.9,
     ),
 }
-MOUNTAIN_INNER = -0.6064  # deg: what brings the mountain's target to the printed place; Table 2 prints -0.7064
+MOUNTAIN_INNER = -0.6064  # deg: puts the mountain's target at the printed position; Table 2 prints -0.7064
 ALTITUDE = 15_409.0  # m, in all three rows
 
 
 def sensor() -> Sensor:
-    """The camera of section 5.2 in its two-axis frame; the line of sight needs no more of it than its middle."""
+    """The camera of section 5.2 in its two-axis frame; the line of sight uses only its central pixel."""
     return li_2023_sensor(focal_length=1.9, pixel_pitch=10e-6, width=7584, height=48836)
 
 
 def shot_of(terrain: Terrain, inner: float | None = None) -> Shot:
-    """The shot of a row of Table 2, perhaps with another inner frame angle in deg."""
+    """The shot of a row of Table 2, optionally with another inner frame angle in deg."""
     lat, lon = terrain.lat, terrain.lon
     pose = Pose.from_degrees(lat=lat, lon=lon, height=ALTITUDE, heading=HEADING, pitch=PITCH, roll=ROLL)
     return _shot(pose, terrain.outer, terrain.inner if inner is None else inner)
@@ -94,14 +94,14 @@ def shot_of(terrain: Terrain, inner: float | None = None) -> Shot:
 def level_shot(outer: float) -> Shot:
     """The aircraft of Fig. 5 in level flight, the inner frame at zero and the outer at an angle in deg.
 
-    The paper gives it no heading; that of Table 2 is taken.
+    The paper states no heading; that of Table 2 is used.
     """
     lat, lon, height = FIG_5_AIRCRAFT
     return _shot(Pose.from_degrees(lat=lat, lon=lon, height=height, heading=HEADING), outer, 0.0)
 
 
 def level_ground(height: float) -> ConstantHeight:
-    """Ground of one height in m; as an array, so that all heights share what is compiled for one."""
+    """Ground of one height in m, as an array, so that all heights share one compiled program."""
     return ConstantHeight(jnp.asarray(height, jnp.float64))
 
 

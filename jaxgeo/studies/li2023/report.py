@@ -1,4 +1,4 @@
-"""The whole study: its records, tables and pictures."""
+"""The complete study: records, tables and pictures."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SIGMAS = np.linspace(*printed.FIG_5_SIGMAS, 19).tolist()
 
 @dataclass(frozen=True)
 class Report:
-    """All that the study finds."""
+    """All results of the study."""
 
     pointing: list[Pointing]
     inclination: Inclination
@@ -49,16 +49,16 @@ class Report:
 
     @functools.cached_property
     def claims(self) -> list[Claim]:
-        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        """The paper's results beside those of this report; computed once, because tables and pages share them."""
         return claims_of(self)
 
 
 def run(
     *, samples: int = SAMPLES, places: int = PLACES, seed: int = 0, terrains: int = TERRAINS, rays: int = RAYS
 ) -> Report:
-    """The study, with so many samples for each row of a table; on synthetic and real terrain they are shared among its
-    places. The searches run over so many terrains of each kind with so many rays each. All that is random is drawn from
-    `seed`: samples, terrains, places and rays.
+    """Run the study with `samples` samples for each row of a table; on synthetic and real terrain they are split among
+    `places` places. The searches run over `terrains` terrains of each kind with `rays` rays each. `seed` sets all
+    random numbers: samples, terrains, places and rays.
 
     Raises `ValueError` for fewer than two samples or terrains, one place or eight rays.
     """
@@ -92,7 +92,7 @@ def run(
 
 
 def sheets_of(report: Report) -> list[Sheet]:
-    """The study's tables, in the order of the paper."""
+    """Tables of the study, in the paper's order."""
     return [
         sheets.pointing_sheet(report.pointing),
         sheets.sight_sheet(),
@@ -110,12 +110,12 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
     write_sheets("Li et al. (2023)", sheets_of(report), folder, beside=[sheets.places_sheet(report.positions)])
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.li2023 import figures  # only who wants pictures needs matplotlib
+    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.li2023 import figures  # only pictures need matplotlib
 
     figures.write(report, folder)

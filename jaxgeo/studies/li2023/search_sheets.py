@@ -1,4 +1,4 @@
-"""The searches of Li et al. (2023) in tables: Table 4 made again, what is saved, and what would give the print."""
+"""Tables of the searches of Li et al. (2023): Table 4 reproduced, savings, and the effect of settings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PRINTED_SAVING = 0.455  # abstract and section 5.2
 
 
 def search_sheets(found: Comparison) -> list[Sheet]:
-    """All tables about the searches."""
+    """All tables of the searches."""
     return [searches_sheet(found), savings_sheet(found), segments_sheet(found), settings_sheet(found)]
 
 
@@ -81,7 +81,7 @@ def searches_sheet(found: Comparison) -> Sheet:
 
 
 def savings_sheet(found: Comparison) -> Sheet:
-    """The fast search against the others in numbers with intervals over terrains."""
+    """Savings of the fast search against the others, with intervals over terrains."""
     rows: list[list[Cell]] = []
 
     def add(kind: str, what: str, printed: float | None, number: Interval) -> None:
@@ -99,7 +99,7 @@ def savings_sheet(found: Comparison) -> Sheet:
 
 
 def savings_note(found: Comparison) -> str:
-    """What the numbers say of mountains."""
+    """Summary of the results on mountains."""
     mean, middle = found.saving("mountain"), found.saving("mountain", np.median)
     rays, cost = found.tail("mountain")
     improved = found.ratio("mountain", "improved")
@@ -130,7 +130,7 @@ def savings_note(found: Comparison) -> str:
 
 
 def segments_sheet(found: Comparison) -> Sheet:
-    """The mean saving on mountains by K and M of the segmented search."""
+    """Mean saving on mountains by K and M of the segmented search."""
     columns = {"K, steps": ".0f"} | {f"M = {m}": ".1f" for m in SEGMENTS}
     rows: list[list[Cell]] = [[k, *(100.0 * found.segmented[k, m].value for m in SEGMENTS)] for k in STEPS]
     all_values = [x.value for x in found.segmented.values()]
@@ -146,12 +146,12 @@ def segments_sheet(found: Comparison) -> Sheet:
 
 
 def nearest_segments(found: Comparison) -> tuple[tuple[int, int], Interval]:
-    """K, M and the mean saving on mountains nearest to the printed one."""
+    """K, M and the mean saving on mountains closest to the printed one."""
     return min(found.segmented.items(), key=lambda one: abs(one[1].value - PRINTED_SAVING))
 
 
 def settings_sheet(found: Comparison) -> Sheet:
-    """The choices tried, the ratios of the mountain that each gives, and how far all are from the printed ones."""
+    """Tested settings, the mountain ratios of each, and the distance of all ratios from the printed ones."""
     rows: list[list[Cell]] = [["print", *printed_ratios("mountain"), None, None, None, ""]]
     for one in found.choices:
         whole = len(one.costs) == len(KINDS)
@@ -171,7 +171,7 @@ def settings_sheet(found: Comparison) -> Sheet:
 
 
 def settings_note(found: Comparison) -> str:
-    """Whether any choice gives the print, and how near the nearest come."""
+    """Whether any setting reproduces the print, and how close the best ones come."""
     free, held, single, single_held = (found.nearest(g) for g in (FREE, FREE_AND_CONSTANT, SINGLE, SINGLE_AND_CONSTANT))
     together = math.prod(len(tried) for tried in variants().values()) * len(EPSILONS) * 2
     return (
@@ -188,7 +188,7 @@ def settings_note(found: Comparison) -> str:
 
 
 def settings_verdict(found: Comparison) -> str:
-    """In a sentence each: how many choices give the printed ratios of the mountain, and of all kinds."""
+    """One sentence each: the number of settings that give the printed ratios of the mountain, and of all kinds."""
     many = [one for one in found.choices if one.group not in (SINGLE, SINGLE_AND_CONSTANT)]
     whole = [one for one in many if len(one.costs) == len(KINDS)]
     return " ".join(

@@ -1,7 +1,7 @@
-"""Sections 3 and 4 and Table 4: the searches side by side over many terrains, and what would give the printed table.
+"""Sections 3 and 4 and Table 4: comparison of the searches over many terrains, and settings that would give the print.
 
-The tiles of the paper were never published, nor K and M of the segmented search, the size of the target's area, or what
-a "time" holds. Terrains are synthetic (see `make_scene`), at the depressions of Table 2, and redrawn with every seed.
+The paper publishes neither its tiles nor K and M of the segmented search, the size of the target area, or what its
+"time" includes. Terrains are synthetic (see `make_scene`), at the depressions of Table 2, and redrawn with every seed.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from jaxgeo.terrain import (
 
 TERRAINS = 10
 RAYS = 500
-TUNED = 3  # terrains of each kind on which choices are tried
-SIZE = 601  # posts to a side
+TUNED = 3  # terrains of each kind used to test settings
+SIZE = 601  # posts per side
 RESAMPLES = 2000
 EPS = 0.2  # m, section 5.2
-GIVES_PRINT = 1.10  # within this factor of every printed ratio, a choice gives the printed table
+GIVES_PRINT = 1.10  # a setting reproduces the printed table within this factor of every printed ratio
 
 SEARCHES: dict[str, AbstractSearch] = {
     "exhaustive": ExhaustiveFirst(),
@@ -84,7 +84,7 @@ EPSILONS = (0.2, 0.5, 1.0, 2.0)  # m; 2 m is a tenth of the DEM's 20 m
 CONSTANTS = (0.0, 1.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0)  # evaluations
 STEPS = (3, 4, 5, 6, 8)  # K
 SEGMENTS = (4, 10, 16, 32)  # M
-LIMITS = (20, 100, 400, 1000)  # of the improved search
+LIMITS = (20, 100, 400, 1000)  # iteration limits of the improved search
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Trial:
 
 
 class Interval(NamedTuple):
-    """A number and, between `low` and `high`, its 95 % interval over terrains."""
+    """A value and its 95 % interval over terrains, from `low` to `high`."""
 
     value: float
     low: float
@@ -112,7 +112,7 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice of what the paper leaves open, and what it gives: by kind, the costs of exhaustive, improved, segmented
+    """A setting of what the paper leaves open, and its result: by kind, the costs of exhaustive, improved, segmented
     and fast search in one unit."""
 
     group: str
@@ -120,25 +120,25 @@ class Choice:
     costs: dict[str, tuple[float, ...]]
 
     def ratios(self, kind: str) -> tuple[float, ...]:
-        """Costs of exhaustive, improved and segmented search over those of the fast one."""
+        """Costs of exhaustive, improved and segmented search divided by those of the fast one."""
         *others, fast = self.costs[kind]
         return tuple(cost / fast for cost in others)
 
     def farthest(self, kinds: Iterable[str] | None = None) -> float:
-        """The greatest factor between a ratio and the printed one, over these kinds or all that there are."""
+        """Largest factor between a ratio and the printed one, over these kinds or all available ones."""
         return max(float(_off(self.ratios(kind), kind).max()) for kind in (self.costs if kinds is None else kinds))
 
     def distance(self, kinds: Iterable[str] | None = None) -> float:
-        """The factor between ratios and printed ones: the exponential of the rms of the logarithms."""
+        """RMS factor between ratios and printed ones: the exponential of the RMS of the logarithms."""
         logs = [np.log(_off(self.ratios(kind), kind)) for kind in (self.costs if kinds is None else kinds)]
         return float(np.exp(np.sqrt(np.mean(np.square(logs)))))
 
     def gives_print(self, kinds: Iterable[str] | None = None) -> bool:
-        """Whether every ratio of these kinds is near enough to the printed one."""
+        """Whether every ratio of these kinds is within `GIVES_PRINT` of the printed one."""
         return self.farthest(kinds) <= GIVES_PRINT
 
     def distance_of_times(self) -> float:
-        """The same of all printed times about the one factor that suits them best: from terrain to terrain too."""
+        """The same for all printed times after the best common factor, so terrains are compared with each other too."""
         logs = [np.log(np.array(costs) / printed_times(kind)) for kind, costs in self.costs.items()]
         return float(np.exp(np.std(np.concatenate(logs))))
 
@@ -148,7 +148,7 @@ def _off(ratios: Sequence[float], kind: str) -> np.ndarray:
 
 
 def printed_ratios(kind: str) -> tuple[float, ...]:
-    """Times of Table 4 of exhaustive, improved and segmented search over those of the fast one."""
+    """Times of Table 4 of exhaustive, improved and segmented search divided by those of the fast one."""
     *others, fast = printed_times(kind)
     return tuple(ms / fast for ms in others)
 
@@ -160,7 +160,7 @@ def printed_times(kind: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that is found about the searches: trials, mean savings by K and M on mountains, and the choices tried."""
+    """All results of the searches: trials, mean savings by K and M on mountains, and the tested settings."""
 
     trials: list[Trial]
     segmented: dict[tuple[int, int], Interval]
@@ -176,7 +176,7 @@ class Comparison:
         return np.concatenate([one.found.evaluations for one in self.of(kind, search)])
 
     def us_per_ray(self, kind: str, search: str) -> float:
-        """The median over terrains of the time in us per ray of a compiled batch."""
+        """Median over terrains of the time in us per ray of a compiled batch."""
         return float(np.median([one.found.us_per_ray for one in self.of(kind, search)]))
 
     def share(self, kind: str, search: str, *outcomes: Outcome) -> Interval:
@@ -184,27 +184,27 @@ class Comparison:
         return interval(np.mean, [one.share(*outcomes) for one in self.of(kind, search)])
 
     def ratio(self, kind: str, search: str, by: Callable[[np.ndarray], float] = np.mean) -> Interval:
-        """Evaluations of a search over those of the fast one, of their means or another statistic of a terrain's rays;
-        the interval is of the ratio of the means over terrains."""
+        """Evaluations of a search divided by those of the fast one, by their means or another statistic over a
+        terrain's rays; the interval is that of the ratio of the means over terrains."""
         return interval(_quotient, *(self._by_terrain(kind, name, by) for name in (search, "fast")))
 
     def saving(self, kind: str, by: Callable[[np.ndarray], float] = np.mean) -> Interval:
-        """What share of the evaluations of the segmented search the fast one saves."""
+        """Share of the segmented search's evaluations that the fast one saves."""
         return interval(_saving, *(self._by_terrain(kind, name, by) for name in ("segmented", "fast")))
 
     def tail(self, kind: str, steps: int = 6) -> tuple[float, float]:
-        """Of the segmented search: the share of rays that K steps do not settle, and their share of evaluations."""
+        """For the segmented search: the share of rays not settled after K steps, and their share of the evaluations."""
         evaluations = self.evaluations(kind, "segmented")
         is_beyond = evaluations > 1 + 2 * steps
         return float(is_beyond.mean()), float(evaluations[is_beyond].sum() / evaluations.sum())
 
     def single_savings(self, kind: str) -> np.ndarray:
-        """The share of evaluations that the fast search saves against the segmented one, of every single ray."""
+        """Share of evaluations that the fast search saves against the segmented one, for every single ray."""
         segmented, fast = (self.evaluations(kind, name) for name in ("segmented", "fast"))
         return 1.0 - fast / segmented
 
     def nearest(self, group: str) -> Choice:
-        """Of the choices of a group that were tried on every kind of terrain, the one nearest to the printed ratios."""
+        """The setting of a group closest to the printed ratios, among those tested on every kind of terrain."""
         of_all = [one for one in self.choices if one.group == group and len(one.costs) == len(KINDS)]
         return min(of_all, key=Choice.distance)
 
@@ -213,7 +213,7 @@ class Comparison:
 
 
 def interval(statistic: Callable[..., np.ndarray | np.floating], *values: Sequence[float]) -> Interval:
-    """A statistic of one value for each terrain, or several in pairs, with the percentile bootstrap over terrains."""
+    """A statistic of one value per terrain, or of several paired ones, with the percentile bootstrap over terrains."""
     data = [np.asarray(one) for one in values]
     drawn = bootstrap(
         data,
@@ -237,9 +237,10 @@ def _saving(segmented: np.ndarray, fast: np.ndarray, axis: int = -1) -> np.ndarr
 
 
 def compare_searches(*, terrains: int = TERRAINS, rays: int = RAYS, seed: int = 0, size: int = SIZE) -> Comparison:
-    """All searches over so many terrains of each kind with so many rays each; choices are tried on the first few.
+    """Run all searches over `terrains` terrains of each kind with `rays` rays each; settings are tested on the first
+    few.
 
-    The exhaustive search runs on every fourth ray of them. Raises `ValueError` for fewer than two terrains, which give
+    The exhaustive search runs on every fourth ray of those. Raises `ValueError` for fewer than two terrains, which give
     no interval, and for fewer than eight rays.
     """
     for name, number, least in (("terrains", terrains, 2), ("rays", rays, 8)):
@@ -255,7 +256,7 @@ def compare_searches(*, terrains: int = TERRAINS, rays: int = RAYS, seed: int = 
                 name: (drawn.fewer(few) if name == "exhaustive" else drawn).find(search, repeats=1)
                 for name, search in SEARCHES.items()
             }
-            # Beside itself the first hit is always right: it is held against the exhaustive search.
+            # The first hit is the reference, so it is itself checked against the exhaustive search.
             exhaustive, first = found["exhaustive"], found["first hit"]
             there = np.where(exhaustive.outcomes >= Outcome.cycled, np.nan, exhaustive.distance)
             codes = outcomes_of_ranges(first.distance[:few], there)
@@ -281,7 +282,7 @@ def _scene(name: str, kind: Kind, seed: int, rays: int, size: int) -> Scene:
 
 
 def _savings_by_segments(over: Sequence[Over]) -> dict[tuple[int, int], Interval]:
-    """The fast search's mean saving against the segmented one, by K and M."""
+    """Mean saving of the fast search against the segmented one, by K and M."""
     fast = [float(one.find(FastIteration()).evaluations.mean()) for one in over]
 
     def saving(steps: int, segments: int) -> Interval:
@@ -292,7 +293,7 @@ def _savings_by_segments(over: Sequence[Over]) -> dict[tuple[int, int], Interval
 
 
 def variants() -> dict[str, dict[str, AbstractStudiedSearch]]:
-    """The choices of each search of Table 4 at one eps in m, by column and by what is chosen."""
+    """The settings of each search of Table 4 at one eps in m, by column and by setting."""
     return {
         "exhaustive": {
             "heights of the whole terrain down to the ground": ExhaustiveFirst(),
@@ -328,8 +329,8 @@ Asked = dict[str, np.ndarray]  # by column of Table 4: evaluations (variants, ra
 
 
 def choices_of_methods(over: Mapping[str, Sequence[Over]]) -> list[Choice]:
-    """The choices of the methods: each alone beside the standard ones, and the nearest to the print of all together, by
-    evaluations over many rays, with a constant that every time holds, and of one single ray of each terrain."""
+    """Settings of the methods: each alone with the others standard, and the combinations closest to the print, by
+    evaluations over many rays, with a constant added to every time, and with one single ray of each terrain."""
     names = {method: list(tried) for method, tried in variants().items()}
     standard = {method: tried[0] for method, tried in names.items()}
     standard |= {"improved": "secant, at most 100 steps", "segmented": "K = 6, M = 16"}
@@ -355,7 +356,7 @@ def choices_of_methods(over: Mapping[str, Sequence[Over]]) -> list[Choice]:
 
 
 def _ask(over: Sequence[Over], eps: float) -> Asked:
-    """Evaluations of every variant of every search of Table 4 for the rays over some terrains, one after the other."""
+    """Evaluations of every variant of every search of Table 4 for the rays of the terrains, concatenated."""
     return {
         method: np.stack(
             [
@@ -368,8 +369,8 @@ def _ask(over: Sequence[Over], eps: float) -> Asked:
 
 
 def _nearest_of_all(asked: dict[float, dict[str, Asked]], names: dict[str, list[str]]) -> list[Choice]:
-    """Of every combination the ones nearest to the printed ratios: by means or medians of many rays and by single rays,
-    without and with a constant that all times hold."""
+    """The combinations closest to the printed ratios: by means or medians of many rays and by single rays, without
+    and with a constant added to all times."""
     choices = []
     none = CONSTANTS[:1]
     for group, kinds, constants, is_single in (
@@ -393,7 +394,7 @@ def _nearest_of_all(asked: dict[float, dict[str, Asked]], names: dict[str, list[
 
 
 def _costs(asked: Asked, constant: float, statistic: str | None) -> Asked:
-    """Evaluations and a constant, of every ray or a statistic of all rays as if of one."""
+    """Evaluations plus a constant, for every ray, or a statistic of all rays as if for one."""
     if statistic is None:
         return {method: found + constant for method, found in asked.items()}
     of = STATISTICS[statistic]
@@ -401,8 +402,8 @@ def _costs(asked: Asked, constant: float, statistic: str | None) -> Asked:
 
 
 def _nearest(costs: dict[str, Asked]) -> tuple[float, dict[str, int], dict[str, int]]:
-    """The variants of every search, the same for all kinds, and the ray of each kind, with which the ratios are nearest
-    to the print: the sum of the squared logarithms, the variants, the rays."""
+    """The variants of every search, the same for all kinds, and the ray of each kind, whose ratios are closest to
+    the print: the sum of the squared logarithms, the variants, the rays."""
     found = []
     logs = {kind: {method: np.log(x) for method, x in of.items()} for kind, of in costs.items()}
     for fast in range(len(next(iter(costs.values()))["fast"])):
@@ -421,7 +422,7 @@ def _nearest(costs: dict[str, Asked]) -> tuple[float, dict[str, int], dict[str, 
 
 
 def choices_of_terrain(seeds: Sequence[int], rays: int, size: int) -> list[Choice]:
-    """Other mountains, the methods left as they are: costs in mean evaluations."""
+    """Other mountains with unchanged methods: costs in mean evaluations."""
     choices = []
     for name, kind in MOUNTAINS.items():
         over = [Over.of(_scene(name, kind, seed, rays, size)).fewer(rays // 4) for seed in seeds]

@@ -1,4 +1,4 @@
-"""The printed numbers of Li et al. (2023) and ours, side by side."""
+"""Comparison tables of Li et al. (2023): printed values and those obtained here."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxgeo.studies.li2023.tilts import Tilt, printed_rms
 from jaxgeo.studies.sheet import Cell, Sheet
 
 SHOWN_FRAMES = (60.0, 65.0, 70.0, 74.0, 78.0)  # deg
-SHOWN_MISPRINTS = 3  # of each row
+SHOWN_MISPRINTS = 3  # per row
 SHOWN_SIGMAS = (10.0, 20.0, 50.0, 100.0, 150.0, 190.0)  # m
 
 
@@ -79,7 +79,7 @@ def inclination_sheet(found: Inclination) -> Sheet:
 
 
 def targets_sheet(found: Sequence[Target]) -> Sheet:
-    """Table 2: the targets obtained, and what they lie off the printed ones."""
+    """Table 2: the targets obtained, and their offsets from the printed ones."""
     rows = []
     for one in found:
         lat, lon, height = (float(x) for x in one.position.to_degrees())
@@ -114,7 +114,7 @@ def positions_sheet(found: Sequence[Accuracy]) -> Sheet:
 
 
 def circles_sheet(found: Sequence[Accuracy]) -> Sheet:
-    """What is printed as CEP beside the true radii, and the errors that the paper found against a map."""
+    """The printed CEP beside the true radii, and the errors that the paper found against a map."""
     rows: list[list[Cell]] = []
     for name, row in printed.TERRAINS.items():
         rows.append([name, "real tile", "printed", row.cep, None, None, None, row.actual, None, None])
@@ -138,7 +138,7 @@ def circles_sheet(found: Sequence[Accuracy]) -> Sheet:
 
 
 def tilts_sheet(found: Sequence[Tilt]) -> Sheet:
-    """Which tilted plane comes nearest to each row of Table 3."""
+    """Tilted plane closest to each row of Table 3."""
     rows: list[list[Cell]] = []
     for one in found:
         pairs = zip(one.printed_enu[[1, 0, 2]].tolist(), one.rms_enu[[1, 0, 2]].tolist(), strict=True)
@@ -154,7 +154,7 @@ def tilts_sheet(found: Sequence[Tilt]) -> Sheet:
 
 
 def places_sheet(found: Sequence[Accuracy]) -> Sheet:
-    """Every place by itself, for a file."""
+    """Every place separately, for a file."""
     fields = ("lat_deg", "lon_deg", "north", "east", "height", "rms", "rms_over_1_2", "held", "ce50", "ce90", "beyond")
     rows = [
         [one.terrain, one.ground, one.method, one.place, *(getattr(one, field) for field in fields), one.found]
@@ -165,7 +165,7 @@ def places_sheet(found: Sequence[Accuracy]) -> Sheet:
 
 
 def groups(found: Sequence[Accuracy]) -> dict[tuple[str, str, str], list[Accuracy]]:
-    """Records of one terrain, ground and method together, in order."""
+    """Records grouped by terrain, ground and method, in order."""
     together: dict[tuple[str, str, str], list[Accuracy]] = {}
     for one in found:
         together.setdefault((one.terrain, one.ground, one.method), []).append(one)
@@ -173,7 +173,7 @@ def groups(found: Sequence[Accuracy]) -> dict[tuple[str, str, str], list[Accurac
 
 
 def median(group: Sequence[Accuracy], field: str) -> float:
-    """Median of a number over the places."""
+    """Median of a field over the places."""
     return float(np.median([getattr(one, field) for one in group]))
 
 
@@ -188,7 +188,7 @@ def _ground_note(found: Sequence[Accuracy]) -> str:
 
 
 def judged_sheet(found: Sequence[Judged]) -> Sheet:
-    """What `jaxgeo.accuracy` answers by itself at the places of Table 3's sheets."""
+    """Method and result that `jaxgeo.accuracy` selects at the places of Table 3's sheets."""
     rows: list[list[Cell]] = []
     for terrain, ground in dict.fromkeys((one.terrain, one.ground) for one in found):
         group = [one for one in found if (one.terrain, one.ground) == (terrain, ground)]
@@ -229,7 +229,7 @@ def causes_sheet(found: Sequence[Cause]) -> Sheet:
 
 
 def misprints_sheet() -> Sheet:
-    """The changes of one digit of Table 2 that bring each target nearest to the printed one."""
+    """One-digit changes of Table 2 that bring each target closest to the printed one."""
     rows: list[list[Cell]] = []
     counts = []
     for name, off in misprints.misses().items():

@@ -1,4 +1,4 @@
-"""From the frame angles of Table 2 of Li et al. (2023) to the targets that it prints."""
+"""Targets located from the frame angles of Table 2 of Li et al. (2023), compared with the printed ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from jaxgeo.uncertainty.model_inputs import ModelInputs
 
 @dataclass(frozen=True)
 class Target:
-    """The target obtained, and how far north and east (m) of the printed one it lies."""
+    """The target obtained, and its offset north and east (m) from the printed one."""
 
     terrain: str
     inner_deg: float
@@ -26,7 +26,7 @@ class Target:
 
 
 def table_2() -> list[Target]:
-    """The targets of Table 2, met at the printed heights; the mountain's again with an inner angle 0.1 deg larger."""
+    """The targets of Table 2, located at the printed heights; the mountain also with an inner angle 0.1 deg larger."""
     rows = [(name, row, row.inner) for name, row in printed.TERRAINS.items()]
     rows.append(("mountain, other inner", printed.TERRAINS["mountain"], printed.MOUNTAIN_INNER))
     return [_target(name, row, inner, printed.shot_of(row, inner)) for name, row, inner in rows]

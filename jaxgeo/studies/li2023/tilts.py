@@ -1,4 +1,4 @@
-"""Which tilt of the ground would give the errors that Li et al. (2023) print for hill and mountain."""
+"""Ground tilts that would explain the errors printed by Li et al. (2023) for hill and mountain."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.uncertainty import Propagation, presets, propagate
 
-WIDEST, NARROWEST, ACROSS = 0.75, 1e-5, 13  # of a grid of slopes, and its nodes along a side
+WIDEST, NARROWEST, ACROSS = 0.75, 1e-5, 13  # range of the slope grid, and its nodes per side
 
 
 @dataclass(frozen=True)
 class Tilt:
-    """The plane of best fit to a row of Table 3: slopes in deg along the look (rising away) and across (to its left).
+    """The best-fit plane to a row of Table 3: slopes in deg along the view (rising away) and across (to its left).
 
-    `rms_enu` in m are the errors on it, beside the printed ones; there are two slopes for three numbers.
+    `rms_enu` in m are the errors on it, beside the printed ones; two slopes are fitted to three numbers.
     """
 
     terrain: str
@@ -48,10 +48,10 @@ def printed_rms(row: printed.Terrain) -> np.ndarray:
 
 
 def rms_on_slope(level: Propagation, slope_en: np.ndarray) -> np.ndarray:
-    """RMS in east, north, up (m) of what was propagated over level ground, on a plane of slopes to east and north.
+    """RMS in east, north, up (m) on a plane with slopes to east and north, from a propagation over level ground.
 
-    What errs slides along the line of sight from the level plane to the other; the last axis of the error vector, the
-    height of the ground, raises that by itself.
+    Each error moves the point along the line of sight from the level plane to the tilted one; the last axis of the
+    error vector, the ground height, also raises the plane.
     """
     jacobian, direction = np.asarray(level.jacobian), np.asarray(level.aim.direction_enu)
     normal = np.append(-slope_en, 1.0)
@@ -71,7 +71,7 @@ def _tilt(name: str, level: Propagation, wanted: np.ndarray) -> Tilt:
 
 
 def _best(cost: Callable[[np.ndarray], float]) -> np.ndarray:
-    """The two slopes of least cost, by a grid about the best so far that shrinks to a third each time."""
+    """The two slopes of lowest cost, by a grid around the current best that shrinks to a third each time."""
     centre, half = np.zeros(2), WIDEST
     while half > NARROWEST:
         offsets = half * np.linspace(-1.0, 1.0, ACROSS)

@@ -1,5 +1,5 @@
-"""The calibration of Xue et al. (2019), "High Precision Positioning of Unmanned Helicopter with Area Array Images",
-made again on a simulated block: direct georeferencing, free net, self-calibration and boresight beside the print."""
+"""Reproduction of Xue et al. (2019), "High Precision Positioning of Unmanned Helicopter with Area Array Images", on
+a simulated block: direct georeferencing, free network, self-calibration and boresight calibration against the paper."""
 
 from jaxgeo.studies.xue2019.cases import Case, Cases, Recovered, cases_of
 from jaxgeo.studies.xue2019.claims import claims_of

@@ -1,4 +1,4 @@
-"""The paper's cases on a simulated block, from direct georeferencing to what calibration makes of it."""
+"""The paper's cases on a simulated block, from direct georeferencing to the calibrated result."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from jaxgeo.studies.xue2019.simulation import Flown, Simulated, boresight_of, in
 
 MODELS: dict[str, type[AbstractCorrection]] = {"Bauer": Bauer, "Ebner": Ebner, "Brown": BrownPhysical}
 PRINTED_AS = {"direct pair": "direct", "compensated pair": "compensated", "free net position": "free net"}
-FIELD_IMAGE, FIELD_GROUND = 1.0, (0.03, 0.05, 0.09)  # px and m: noise of measuring that gives the print with control
-LOOSE = 100.0  # navigation that may start an adjustment, but not pull it, has sigmas larger by this
+FIELD_IMAGE, FIELD_GROUND = 1.0, (0.03, 0.05, 0.09)  # px and m: measurement noise that fits the print with control
+LOOSE = 100.0  # factor on the navigation's sigmas: it starts an adjustment without constraining it
 SMALL = 0.05 / (0.5 * printed.COLUMNS * printed.PIXEL_PITCH)  # 0.05 mm at the image's edge, in half sides: a prior
 MINUTES = 60.0 * np.rad2deg(1.0)  # of arc
-BARRED = 1e6  # px, the sigma of a ray that is to have no part: so the block keeps its size, and the program serves
+BARRED = 1e6  # px, sigma that excludes a ray; array shapes stay, so the compiled program is reused
 
 
 @dataclass(frozen=True)
 class Case:
-    """A case: its errors at check points (`differences` (m, 3), found less surveyed, m), beside what is printed."""
+    """Errors of one case at check points (`differences` (m, 3), estimated minus surveyed, m), and the printed RMS."""
 
     name: str
     title: str
@@ -56,12 +56,12 @@ class Case:
 
     @property
     def plane(self) -> float:
-        """Root of the sum of squares of those in x and y, m."""
+        """Root of the summed squares of the RMS in x and y, m."""
         return float(np.hypot(*self.rms[:2]))
 
 
 class Recovered(NamedTuple):
-    """What a self-calibration found, with standard deviations of unit weight: mm, and minutes of arc about x, y, z.
+    """Result of a self-calibration, with standard deviations of unit weight: mm, and minutes of arc about x, y, z.
 
     `off` and `covariance` are the errors of the boresight, a rotation vector in body axes, in minutes of arc.
     """
@@ -77,8 +77,8 @@ class Recovered(NamedTuple):
 
 
 class Cases(NamedTuple):
-    """All cases, what was recovered (the three models in one step, and in two), the last model's adjustment, and the
-    sensor that it calibrates."""
+    """All cases, the calibration results (three models in one step, and in two), the adjustment with the last model,
+    and the sensor that it calibrates."""
 
     cases: list[Case]
     recovered: list[Recovered]
@@ -93,11 +93,12 @@ class Cases(NamedTuple):
 def cases_of(
     found: Simulated, told: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
 ) -> Cases:
-    """Every case on one block; `told` hears which is next, `models` names those of self-calibration.
+    """Every case on one block; `told` is called with the name of the next case, `models` names the self-calibration
+    models.
 
-    With the last of them the boresight is found in two steps, and direct georeferencing compensated. Cases without
-    additional parameters carry its parameters, all zero and held, so that one program does for all of them. Direct
-    georeferencing holds the navigation's orientations and intersects all points by themselves.
+    With the last model the boresight is estimated in two steps, and direct georeferencing is compensated. Cases without
+    additional parameters include those of the last model, fixed at zero, so that all cases share one compiled program.
+    Direct georeferencing fixes the navigation's orientations and intersects every point separately.
     """
     last = models[-1]
     everywhere, checks, pair = found.ground, found.checks, adjacent_pairs(found)
@@ -133,9 +134,9 @@ def cases_of(
 def field_cases(
     flight: Flown, seed: int, told: Callable[[str], None] = lambda _: None, models: Sequence[str] = tuple(MODELS)
 ) -> list[Case]:
-    """The cases with control, of image points and targets that are measured less well (`FIELD_IMAGE`, `FIELD_GROUND`).
+    """The cases with control, with noisier image points and targets (`FIELD_IMAGE`, `FIELD_GROUND`).
 
-    The adjustments know the noise; their programs are those of `cases_of`.
+    The adjustments use the matching sigmas and reuse the compiled programs of `cases_of`.
     """
     found = measured(flight, seed, sigma_image=FIELD_IMAGE, sigma_ground=FIELD_GROUND)
     cases = []
@@ -154,7 +155,7 @@ def pair_draws(
 ) -> dict[str, np.ndarray]:
     """Errors (draws, 3), RMS in m, of direct georeferencing from adjacent pairs with other noise.
 
-    "direct" is with the maker's calibration, "compensated" with the `calibrated` sensor.
+    "direct" uses the maker's calibration, "compensated" the `calibrated` sensor.
     """
     held, rows = Unknowns(images=Fixed()), {"direct": [], "compensated": []}
     for seed in seeds:
@@ -170,9 +171,9 @@ def pair_draws(
 
 
 def self_calibration(lens: type[AbstractCorrection], *, boresight: bool = True) -> Unknowns:
-    """Interior orientation, additional parameters that do not do the same, and the boresight.
+    """Unknowns: interior orientation, additional parameters not redundant with it, and the boresight.
 
-    The parameters are known beforehand to be small (0.05 mm at the image's edge): Brown's are many for one block.
+    The additional parameters have a small prior (0.05 mm at the image's edge): Brown's are many for one block.
     """
     names = [name for name in lens.names if name not in lens.interior]
     return Unknowns(
@@ -184,9 +185,9 @@ def self_calibration(lens: type[AbstractCorrection], *, boresight: bool = True) 
 
 
 def strips_apart(found: Simulated) -> ImagePoints:
-    """The measurements with no point common to two strips.
+    """The measurements without tie points across strips.
 
-    A tie point of two strips becomes two points; a surveyed one stays in the strip that sees it most often.
+    A tie point seen from two strips becomes two points; a surveyed point stays in the strip that sees it most often.
     """
     seen = found.observations
     strip_of = dict(zip(found.image.tolist(), found.strip.tolist(), strict=True))
@@ -203,9 +204,9 @@ def strips_apart(found: Simulated) -> ImagePoints:
 
 
 def adjacent_pairs(found: Simulated) -> ImagePoints:
-    """The measurements with each surveyed point left to two images: neighbours in a strip, about which it lies best.
+    """The measurements with two images per surveyed point: the neighbours in a strip around which it is best centred.
 
-    All others of these points are as good as not measured (`BARRED`).
+    Other rays to these points are excluded by their sigma (`BARRED`).
     """
     seen = found.observations
     index = {name: i for i, name in enumerate(found.image.tolist())}
@@ -224,7 +225,7 @@ def adjacent_pairs(found: Simulated) -> ImagePoints:
 
 
 def one_step(model: str, adjustment: Adjustment, found: Simulated) -> Recovered:
-    """Interior orientation and boresight as an adjustment found them."""
+    """Interior orientation and boresight as estimated by an adjustment."""
     at = {p.name: i for i, p in enumerate(adjustment.parameters)}
     sigma = np.array([p.sigma for p in adjustment.parameters])
     turns = [at[f"boresight {axis}"] for axis in "xyz"]
@@ -236,7 +237,7 @@ def one_step(model: str, adjustment: Adjustment, found: Simulated) -> Recovered:
 
 
 def two_steps(model: str, adjustment: Adjustment, step: TwoStep, found: Simulated) -> Recovered:
-    """The same of an adjustment on control alone, and the boresight from its orientations and the navigation."""
+    """The same from an adjustment on control alone; the boresight comes from its orientations and the navigation."""
     interior, spread = _interior(adjustment)
     turn = _boresight(step.mount, step.covariance[:3, :3], found.true)
     return Recovered(f"{model}, two steps", interior, spread, *turn, step.sigma0)
@@ -251,13 +252,13 @@ def _interior(adjustment: Adjustment) -> tuple[Interior, Interior]:
 def _boresight(
     mount: Mount, covariance: np.ndarray, true: Sensor
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(angles about x, y, z; their standard deviations; rotation vector off the truth; its covariance), minutes."""
+    """(angles about x, y, z; standard deviations; error as a rotation vector; its covariance), minutes of arc."""
     spread = np.sqrt(np.diagonal(covariance))
     return boresight_of(mount), spread * MINUTES, boresight_off(mount, true) * MINUTES, covariance * MINUTES**2
 
 
 def boresight_off(mount: Mount, true: Sensor) -> np.ndarray:
-    """Rotation vector of a boresight off the true one, body axes, rad."""
+    """Boresight error against the true one as a rotation vector, body axes, rad."""
     R = np.asarray(mount.R_body_from_base) @ np.asarray(true.mount.R_body_from_base).T
     return np.asarray(rotation_vector_from_R(jnp.asarray(R)))
 

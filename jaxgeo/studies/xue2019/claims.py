@@ -1,7 +1,7 @@
-"""What Xue et al. (2019) print, item by item, with what comes out here: equations, tables, figures and statements.
+"""Claims of Xue et al. (2019) with the results obtained here: equations, tables, figures and statements.
 
-The field is real and not published; ours is a simulated block flown over ground of the same kind, with the errors that
-the paper found. What is compared is what such a block gives.
+The paper's field data are not published. The comparison uses a simulated block over similar ground, with the errors
+that the paper found.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxgeo.studies.xue2019.report import Report
 
 ERRORS = 2.0  # standard errors of the difference of two root mean squares, over the points of each
-LAST_DIGIT = 5e-5  # m, half of the last one of the printed residuals
+LAST_DIGIT = 5e-5  # m, half of the last printed digit of the residuals
 AXES = "root mean square of the residuals in x, y, z"
 CASES = "jaxgeo.studies.xue2019.cases.cases_of"
 RECOVERED_WITHIN = 3.0  # sigmas
@@ -42,7 +42,7 @@ NOT_PUBLISHED = {
 
 
 def claims_of(report: Report) -> list[Claim]:
-    """Every numbered equation, table and figure, and the numbers and statements of text and abstract."""
+    """Claims for every numbered equation, table and figure, and the numbers and statements of text and abstract."""
     return [
         *equations(report),
         *_tables_1_and_2(report),
@@ -85,7 +85,7 @@ def _tables_1_and_2(report: Report) -> Iterator[Claim]:
 
 
 def _table_3(report: Report) -> Iterator[Claim]:
-    """Each row at 12 check points; the noise of measuring in the field is the cause that is tried."""
+    """Each row at 12 check points; the measurement noise in the field is tested as the cause."""
     field = {case.name: case for case in report.field}
     worse = "/".join(f"{sigma:.2f}" for sigma in FIELD_GROUND)
     for name in ("control", *(name for name in MODELS if name in field)):
@@ -108,7 +108,7 @@ def _table_3(report: Report) -> Iterator[Claim]:
 
 
 def _table_4(report: Report) -> Iterator[Claim]:
-    """The simulated truth is the print for Brown: what is held against it is the model's own way to it."""
+    """The simulated truth is the paper's Brown calibration, so each model is compared with its own printed values."""
     values = np.array(list(printed.INTERIORS.values()))
     among = values.max(axis=0) - values.min(axis=0)
     for one in report.cases.recovered:
@@ -150,7 +150,7 @@ def _figures(report: Report) -> Iterator[Claim]:
 
 
 def _direct(report: Report) -> Iterator[Claim]:
-    """The paper does not say of which rays its direct georeferencing is."""
+    """Direct georeferencing; the paper does not state which rays it uses."""
     for section, name in (("Section 2.2", "direct"), ("Section 2.5", "compensated")):
         shown, draws = printed.RMS[name], np.vstack([report.cases.of(f"{name} pair").rms, report.pairs[name]])
         spread = draws.std(axis=0, ddof=1)
@@ -212,7 +212,7 @@ def _boresight(report: Report) -> Iterator[Claim]:
 
 
 def _improvements(report: Report) -> Iterator[Claim]:
-    """By compensation, in plan and height: from the printed residuals, and of ours from pairs."""
+    """Improvement by compensation in plan and height: from the printed residuals, and from pairs in the simulation."""
     before, after = (np.array(printed.RMS[name]) for name in ("direct", "compensated"))
     rounded = np.zeros(2)
     for ends in itertools.product((-LAST_DIGIT, LAST_DIGIT), repeat=6):
@@ -302,7 +302,7 @@ def _statement(item: str, statement: str, holds: bool, reason: str) -> Claim:
 
 
 def _tolerance(shown: tuple[float, float, float], case: Case) -> tuple[float, ...]:
-    """Two root mean squares over so many points each, of equal normal errors, differ by this at most."""
+    """Largest expected difference of two root mean squares of equal normal errors over the given numbers of points."""
     error = ERRORS * math.sqrt(2.0 / (2.0 * len(case.differences)))
     return tuple(error * value for value in shown)
 

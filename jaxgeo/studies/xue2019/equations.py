@@ -1,4 +1,4 @@
-"""Eqs 1 to 5 of Xue et al. (2019) as printed, in NumPy, beside the functions of the package at the same inputs."""
+"""Eqs 1 to 5 of Xue et al. (2019) as printed, in NumPy, compared with the package's functions at the same inputs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from jaxgeo.studies.xue2019.report import Report
 
 PAPER = "Xue 2019"
-SHOTS = (3, 40, 77)  # of the block, for Eqs 1, 3 and 4
+SHOTS = (3, 40, 77)  # image indices for Eqs 1, 3 and 4
 BELOW = np.array([[60.0, -80.0, -520.0], [-150.0, 40.0, -480.0], [5.0, 120.0, -500.0]])  # m, points below a camera
 BAUER = (2.0e-7, 3.0e-5, -5.0e-5)  # mm^-2, 1, 1: additional parameters for Eq. 1
 R0 = 20.0  # mm
@@ -62,7 +62,7 @@ def collinearity(block: Simulated) -> Claim:
         right = -f * (a1 * X + b1 * Y + c1 * Z) / (a3 * X + b3 * Y + c3 * Z)
         up = -f * (a2 * X + b2 * Y + c2 * Z) / (a3 * X + b3 * Y + c3 * Z)
         x, y = right, up
-        for _ in range(30):  # dx and dy are of the measured x and y
+        for _ in range(30):  # dx and dy are functions of the measured x and y
             dx, dy = bauer(x, y)
             x, y = right - dx, up - dy
         wanted += [x + x0, y + y0]
@@ -82,7 +82,7 @@ def collinearity(block: Simulated) -> Claim:
 
 
 def intersection(block: Simulated) -> Claim:
-    """Eq. 2, whose coefficients are those that make Eq. 1 linear in the point: l1 = f a1 + (x - x0) a3 and so on."""
+    """Eq. 2, with the coefficients that make Eq. 1 linear in the point: l1 = f a1 + (x - x0) a3 and so on."""
     f, x0, y0 = printed.CALIBRATED
     sensor, at = block.given, jnp.array([3, 4, 5])
     shots = jax.tree.map(lambda x: jnp.asarray(x)[at], block.shots)
@@ -166,7 +166,7 @@ def position(block: Simulated) -> Claim:
 
 
 def sum_of_squares(adjustment: Adjustment, block: Simulated) -> Claim:
-    """Eq. 5: V'PV over its five groups, of the adjusted values."""
+    """Eq. 5: V'PV over its five groups, at the adjusted values."""
     groups = weighted_squares(adjustment, block)
     return Claim(
         PAPER,
@@ -185,7 +185,7 @@ def sum_of_squares(adjustment: Adjustment, block: Simulated) -> Claim:
 
 
 def normal_equations(adjustment: Adjustment, block: Simulated) -> Claim:
-    """Eq. 5: at the adjusted values V'PV has no slope along interior orientation and boresight."""
+    """Eq. 5: at the adjusted values V'PV is stationary in interior orientation and boresight."""
     sigma = {p.name: p.sigma for p in adjustment.parameters}
     names = ("focal", "principal column", "principal row", "boresight x", "boresight y", "boresight z")
     slopes = []
@@ -208,7 +208,7 @@ def normal_equations(adjustment: Adjustment, block: Simulated) -> Claim:
 
 
 def weighted_squares(adjustment: Adjustment, block: Simulated, step: np.ndarray | None = None) -> list[float]:
-    """V'PV of each group of Eq. 5, with f, xp, yp (px) and the boresight (rad, body axes) off by a `step` (6,)."""
+    """V'PV of each group of Eq. 5, with f, xp, yp (px) and the boresight (rad, body axes) offset by a `step` (6,)."""
     step = np.zeros(6) if step is None else step
     seen, images, places = adjustment.block.observations, adjustment.images, adjustment.places
     at = {name: i for i, name in enumerate(images.name.tolist())}
@@ -253,7 +253,7 @@ def by_navigation(adjustment: Adjustment, block: Simulated, turn: np.ndarray) ->
 
 
 def distorted(camera: FrameCamera, ideal: np.ndarray) -> np.ndarray:
-    """Where a lens of additional parameters images ideal directions (n, 2): x + dx = ideal, by iteration."""
+    """Image coordinates of ideal directions (n, 2) with additional parameters: x + dx = ideal, by iteration."""
     lens = camera.distortion
     scale, x = float(np.asarray(lens.scale)), ideal  # type: ignore[attr-defined]
     for _ in range(8):
@@ -262,7 +262,7 @@ def distorted(camera: FrameCamera, ideal: np.ndarray) -> np.ndarray:
 
 
 def orientations(block: Simulated) -> tuple[np.ndarray, np.ndarray]:
-    """(centres, R_frame_from_camera) of `SHOTS` by the package, with the true boresight."""
+    """(centres, R_frame_from_camera) of `SHOTS` from the package, with the true boresight."""
     shots = jax.tree.map(lambda x: jnp.asarray(x)[jnp.asarray(SHOTS) % len(block.image)], block.shots)
     return sights_of(block.frame, block.true, shots)
 
@@ -284,14 +284,14 @@ def angles(block: Simulated, i: int) -> np.ndarray:
 
 
 def geodetic(position: object, i: int | None = None) -> tuple[float, float, float]:
-    """Latitude and longitude in rad and height in m, of one or of the i-th of many."""
+    """Latitude and longitude in rad and height in m, of a single position or of the i-th of a batch."""
     values = [np.asarray(getattr(position, name)) for name in ("lat", "lon", "height")]
     lat, lon, height = (float(x if i is None else x[i % len(x)]) for x in values)
     return lat, lon, height
 
 
 def small(turn: np.ndarray) -> np.ndarray:
-    """Rotation by a small rotation vector."""
+    """Rotation matrix of a small rotation vector."""
     x, y, z = turn
     W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + W + 0.5 * W @ W

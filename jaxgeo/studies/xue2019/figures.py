@@ -1,4 +1,4 @@
-"""Pictures of the study, for a text or a talk. Needs matplotlib."""
+"""Figures of the study. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jaxgeo.studies.xue2019.report import Report
 from jaxgeo.studies.xue2019.simulation import Simulated, height_at
 from jaxgeo.studies.xue2019.trials import NAMES, Trials
 
-PANELS = (  # of the residuals, with the paper's figures
+PANELS = (  # residuals, by figure of the paper
     ("direct", "Fig. 6"),
     ("direct pair", ""),
     ("free net position", ""),
@@ -31,12 +31,12 @@ PANELS = (  # of the residuals, with the paper's figures
     ("compensated pair", ""),
 )
 UP, DOWN = "#1a7f5a", "#b3893b"
-MOST = 22.0  # um, shown of an error of the interior orientation
-ARROW = 0.17  # of the area's side: how long the key of each panel is drawn
+MOST = 22.0  # um, largest interior orientation error shown
+ARROW = 0.17  # key length in each panel, as a share of the area's side
 
 
 def write(report: Report, folder: pathlib.Path) -> None:
-    """All pictures into a folder."""
+    """Write all figures to a folder."""
     pictures: dict[str, tuple[Callable[[Figure], None], tuple[float, float]]] = {
         "layout.png": (lambda figure: draw_layout(report.block, figure), (7.4, 6.2)),
         "residuals.png": (lambda figure: draw_residuals(report.cases, report.block.size, figure), (16.0, 7.6)),
@@ -73,7 +73,7 @@ def draw_layout(block: Simulated, figure: Figure) -> None:
 
 
 def draw_residuals(found: Cases, size: float, figure: Figure) -> None:
-    """Figs. 6 and 7 and 9 to 12: residuals in plan as arrows, in height as bars, to the scale of each panel."""
+    """Figs. 6 and 7 and 9 to 12: residuals in plan as arrows, in height as bars, scaled per panel."""
     there = {case.name for case in found.cases}
     shown = [panel for panel in PANELS if panel[0] in there]
     panels = figure.subplots(2, -(-len(shown) // 2), sharex=True, sharey=True)
@@ -92,7 +92,7 @@ def draw_residuals(found: Cases, size: float, figure: Figure) -> None:
 
 
 def _residuals(case: Case, size: float, number: str, ax: Axes) -> None:
-    """One case; plan and height have scales of their own."""
+    """One case, with separate scales for plan and height."""
     plan, height = case.differences[:, :2], case.differences[:, 2]
     keys = _round(np.abs(plan).max()), _round(np.abs(height).max())
     east, north = case.checks.place[:, :2].T
@@ -115,13 +115,13 @@ def _residuals(case: Case, size: float, number: str, ax: Axes) -> None:
 
 
 def _round(value: float) -> float:
-    """The least of 1, 2 and 5 times a power of ten of which a value is no more than five quarters."""
+    """Smallest 1, 2 or 5 times a power of ten such that the value is at most five quarters of it."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(min(step * power for step in (1.0, 2.0, 5.0, 10.0) if value <= 1.25 * step * power))
 
 
 def draw_parameters(found: Cases, figure: Figure) -> None:
-    """How far off interior orientation and boresight are found, with bars of three standard deviations."""
+    """Errors of interior orientation and boresight, with bars of three standard deviations."""
     left, right = figure.subplots(1, 2, width_ratios=(1, 1))
     true = printed.INTERIORS["Brown"]
     colours = {"Bauer": DOWN, "Ebner": SIGHT, "Brown": FIX}
@@ -166,8 +166,8 @@ def draw_correlations(found: Cases, figure: Figure) -> None:
 
 
 def draw_trials(found: Trials, figure: Figure) -> None:
-    """Squared errors against chi-square with six degrees of freedom, and the parameters one by one."""
-    from scipy.stats import chi2  # loads its parts when they are asked for
+    """Squared errors against chi-square with six degrees of freedom, and the single parameters."""
+    from scipy.stats import chi2  # imported on first use
 
     left, right = figure.subplots(1, 2)
     squares = np.sort(found.squares)

@@ -1,4 +1,4 @@
-"""What may have made the paper's free network: one assumption after the other, beside the print."""
+"""Candidate explanations of the paper's free network results: one free network per assumption."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class FreeNet:
 
 
 def off_by_compensated(pair: np.ndarray) -> float:
-    """How far positions would lie off the control in y, m, for what the compensated row has more than a `pair` does.
+    """Common position offset in y, m, that would explain the compensated row's excess over the error of a `pair`.
 
-    What calibration leaves there beyond the noise (`pair` (3,), RMS in m) must be common to all images: the boresight
-    is taken from orientations alone, which know nothing of a shift of the positions.
+    A y error that remains after calibration beyond the noise (`pair` (3,), RMS in m) must be common to all images: the
+    boresight is estimated from orientations alone, which are insensitive to a shift of the positions.
     """
     return float(np.sqrt(max(printed.RMS["compensated"][1] ** 2 - float(pair[1]) ** 2, 0.0)))
 
@@ -57,7 +57,7 @@ def free_nets(
     seed: int = 0,
     told: Callable[[str], None] = lambda _: None,
 ) -> list[FreeNet]:
-    """Free networks of one block (and of one flown with one heading), each with another assumption.
+    """Free networks of one block (and of one flown with one heading), one per assumption.
 
     `pair` (3,) are the errors of compensated direct georeferencing from pairs, see `off_by_compensated`.
     """
@@ -96,7 +96,7 @@ def free_nets(
 
 
 def weighed(block: Block, position: float, attitude: float) -> Block:
-    """A block whose navigation has standard deviations that many times as large."""
+    """The block with the navigation's standard deviations multiplied by `position` and `attitude`."""
     navigation = block.navigation
     assert navigation is not None
     return replace(
@@ -110,7 +110,7 @@ def weighed(block: Block, position: float, attitude: float) -> Block:
 
 
 def moved(block: Block, shift: np.ndarray) -> Block:
-    """A block whose observed positions are off by (3,) m in the frame."""
+    """The block with its observed positions shifted by (3,) m in the frame."""
     navigation = block.navigation
     assert navigation is not None
     return replace(block, navigation=replace(navigation, position=navigation.position + shift))

@@ -1,4 +1,4 @@
-"""Limits of a standard for maps at 1:500, by which a case is judged."""
+"""Accuracy limits of a standard for 1:500 maps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest root mean square errors allowed in plan and in height, m, and the standard that says so.
+    """Largest allowed root mean square errors in plan and in height, m, and the standard that sets them.
 
-    Raises `ValueError` for limits that are not positive and finite, and without a source.
+    Raises `ValueError` if a limit is not positive and finite, or the source is empty.
     """
 
     plane: float
@@ -25,12 +25,12 @@ class Limits:
             raise ValueError("limits need their source: the standard, its year and clause.")
 
     def hold(self, plane: float, height: float) -> bool:
-        """Whether errors in plan and in height, m, keep to them."""
+        """Whether errors in plan and in height, m, are within the limits."""
         return plane <= self.plane and height <= self.height
 
 
-# 0.6 mm on the map, of points of detail in flat and hilly ground. The paper names CH/Z 3003-2010 and
-# GB/T 23236-2009 and quotes neither; their own limits for densified points can be given in place of these.
+# 0.6 mm on the map, for detail points in flat and hilly ground. The paper names CH/Z 3003-2010 and
+# GB/T 23236-2009 and quotes neither; their own limits for densified points can be passed instead.
 HILLS_AT_1_500 = Limits(
     plane=0.6e-3 * 500.0,
     height=0.40,

@@ -1,4 +1,4 @@
-"""What Xue et al. (2019) print, in their units: m, mm and minutes of arc; x is taken as east, y as north."""
+"""Printed values of Xue et al. (2019) in their units: m, mm and minutes of arc; x is taken as east, y as north."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INTERIORS = {  # Table 4, by self-calibration
 BORESIGHT = (-4.1910, 0.8226, 19.4448)  # minutes of arc about x, y and z
 
 COLUMNS, ROWS = 10328, 7760
-PIXEL_PITCH = 5.2e-3  # mm; the paper names the camera, its maker the numbers of pixels and their size
+PIXEL_PITCH = 5.2e-3  # mm; number and size of pixels are from the maker of the camera that the paper names
 HEIGHT = 500.0  # m above ground, Table 2
 ALONG, ACROSS = 0.80, 0.50  # overlap, Table 2
 GROUND_SAMPLE = 0.05  # m, Table 2
@@ -43,4 +43,4 @@ RMS = {  # of the residuals at check points in x, y, z, m: section 2 and Table 3
     "compensated": (0.2924, 0.4635, 1.0253),
 }
 IMPROVEMENT = (0.4637, 0.6249)  # of direct georeferencing by compensation, in plan and in height
-WITH_CONTROL = (0.07, 0.09)  # m, "better than", in plan and in height: far within the limits for maps at 1:500
+WITH_CONTROL = (0.07, 0.09)  # m, "better than", in plan and in height: well within the limits for maps at 1:500

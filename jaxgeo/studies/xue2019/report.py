@@ -1,4 +1,4 @@
-"""The whole study: its records, tables and pictures."""
+"""The complete study: records, tables and pictures."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from jaxgeo.studies.xue2019.trials import trials as run_trials
 
 @dataclass(frozen=True)
 class Report:
-    """All that the study finds on one block; `trials` is None where there were none.
+    """All results of the study on one block; `trials` is None if none were run.
 
-    `field` are the cases with control, of worse measurements; `pairs` (draws, 3) by name the errors of direct
-    georeferencing from pairs with other noise, m; `limits` what maps at 1:500 are judged by.
+    `field` are the cases with control and noisier measurements; `pairs` maps names to errors (draws, 3) of direct
+    georeferencing from image pairs with other noise, m; `limits` are the accuracy limits for maps at 1:500.
     """
 
     block: Simulated
@@ -39,7 +39,7 @@ class Report:
 
     @functools.cached_property
     def claims(self) -> list[Claim]:
-        """What the paper prints, beside what this report found; computed once, as tables and pages share it."""
+        """The paper's results beside those of this report; computed once, because tables and pages share them."""
         return claims_of(self)
 
 
@@ -53,11 +53,11 @@ def run(
     limits: Limits = HILLS_AT_1_500,
     told: Callable[[str], None] = lambda _: None,
 ) -> Report:
-    """The study over `size` m squared, with the noise of a `seed`; and `trials` smaller blocks with other noise.
+    """Run the study over `size` m squared, with the noise of `seed`, and `trials` smaller blocks with other noise.
 
-    Pairs are drawn `draws` times more. `models` names those of self-calibration; `limits` are those of a standard for
-    maps at 1:500; `told` hears which case is next. Raises `ValueError` for an area without room for strips, for fewer
-    trials than none, and for fewer draws than 2.
+    Image pairs are drawn `draws` more times. `models` names the self-calibration models; `limits` are those of a
+    standard for maps at 1:500; `told` is a callback that receives the name of the next case. Raises `ValueError` for an
+    area too small for strips, for a negative number of trials, and for fewer than 2 draws.
     """
     if trials < 0:
         raise ValueError(f"trials must be 0 or more; got {trials}.")
@@ -79,7 +79,7 @@ def run(
 
 
 def sheets_of(report: Report) -> list[Sheet]:
-    """The study's tables, in the order of the paper."""
+    """Tables of the study, in the paper's order."""
     found = [
         sheets.block_sheet(report.block),
         sheets.cases_sheet(report.cases),
@@ -97,12 +97,12 @@ def sheets_of(report: Report) -> list[Sheet]:
 
 
 def write_tables(report: Report, folder: pathlib.Path) -> None:
-    """Every table as CSV, and all of them as one Markdown text, into a folder that is there."""
+    """Write every table as CSV, and all tables as one Markdown file, to an existing folder."""
     write_sheets("Xue et al. (2019)", sheets_of(report), folder)
 
 
 def write_pictures(report: Report, folder: pathlib.Path) -> None:
-    """The pictures, into a folder that is there; raises `ImportError` without matplotlib."""
-    from jaxgeo.studies.xue2019 import figures  # only who wants pictures needs matplotlib
+    """Write the pictures to an existing folder; raises `ImportError` without matplotlib."""
+    from jaxgeo.studies.xue2019 import figures  # only pictures need matplotlib
 
     figures.write(report, folder)

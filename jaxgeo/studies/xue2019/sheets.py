@@ -1,4 +1,4 @@
-"""The printed numbers of Xue et al. (2019) and ours, side by side."""
+"""Comparison tables of Xue et al. (2019): printed values and those obtained here."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from jaxgeo.studies.xue2019.simulation import (
 )
 from jaxgeo.studies.xue2019.trials import NAMES, Trials
 
-# What an error of the focal length does to heights by itself, m.
+# Effect of a focal length error alone on heights, m.
 BY_FOCAL = (printed.CALIBRATED.f / printed.INTERIORS["Brown"].f - 1.0) * printed.HEIGHT
 
 
 def block_sheet(block: Simulated) -> Sheet:
-    """What was flown and what was simulated."""
+    """Flight and simulation parameters."""
     images, seen, ties = len(block.image), len(block.observations), len(np.unique(block.observations.point))
     sample = printed.HEIGHT * printed.PIXEL_PITCH / printed.INTERIORS["Brown"].f
     true, given = block.true.camera, block.given.camera
@@ -99,7 +99,7 @@ def pairs_sheet(found: Cases, pairs: dict[str, np.ndarray]) -> Sheet:
 
 
 def free_net_sheet(nets: Sequence[FreeNet]) -> Sheet:
-    """What was tried to explain the printed free network."""
+    """Assumptions tested to explain the printed free network."""
     shown = printed.RMS["free net"]
     rows: list[list[Cell]] = [["printed", *shown, None, None, None, None, None, ""]]
     for net in nets:
@@ -117,7 +117,7 @@ def free_net_sheet(nets: Sequence[FreeNet]) -> Sheet:
 
 
 def field_sheet(found: Cases, field: Sequence[Case]) -> Sheet:
-    """The cases with control, by the noise of measuring."""
+    """Cases with control, by measurement noise."""
     rows: list[list[Cell]] = []
     for case in field:
         assert case.printed is not None
@@ -173,7 +173,7 @@ def boresight_sheet(found: Cases) -> Sheet:
 
 
 def improvement_sheet(found: Cases) -> Sheet:
-    """What compensation makes of direct georeferencing."""
+    """Improvement of direct georeferencing by compensation."""
     before, after = printed.RMS["direct"], printed.RMS["compensated"]
     rows: list[list[Cell]] = [["printed", "", *_improvement(np.array(before), np.array(after))]]
     for rays, suffix in (("all rays", ""), ("adjacent pair", " pair")):
@@ -190,7 +190,7 @@ def improvement_sheet(found: Cases) -> Sheet:
 
 
 def mapping_sheet(found: Cases, limits: Limits) -> Sheet:
-    """Whether it is good enough for maps at 1:500, by the limits of a standard."""
+    """Whether the accuracy meets a standard's limits for maps at 1:500."""
     rows: list[list[Cell]] = []
     for case in found.cases:
         ours = case.plane, float(case.rms[2])
@@ -209,7 +209,7 @@ def mapping_sheet(found: Cases, limits: Limits) -> Sheet:
 
 
 def trials_sheet(found: Trials) -> Sheet:
-    """Errors against what the adjustments say of them."""
+    """Actual errors against the covariances of the adjustments."""
     normalised = found.normalised
     rows: list[list[Cell]] = [
         [name, float(values.mean()), float(values.std(ddof=1)), float(np.mean(np.abs(values) < 1.96))]

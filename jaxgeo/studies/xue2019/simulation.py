@@ -1,6 +1,6 @@
-"""A block like the paper's, simulated: its camera, flight, navigation, ground and targets, and all their errors.
+"""Simulation of a block like that of the paper: camera, flight, navigation, ground, targets, and all their errors.
 
-Everything that is not noise (flight, ground, points, and so which image sees which point) is the same for every seed.
+Flight, ground, points and visibility are the same for every seed; only the noise changes.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ from jaxgeo.sensor import (
 from jaxgeo.studies.xue2019 import printed
 from jaxgeo.studies.xue2019.printed import Interior
 
-GEOMETRY = 2019  # seed of all that is not noise
+GEOMETRY = 2019  # seed of everything except the noise
 ORIGIN = (34.5, 113.0)  # deg, near Songshan
 GROUND, RELIEF = 250.0, 45.0  # m: mean height, and hills above and below it
 SPEED = 25.0  # m/s
-SWAY, TILT, CRAB = 3.0, 1.0, 2.0  # m and deg: how far flight and attitude stray from what was planned
-LEVER = (0.10, 0.05, 0.30)  # m, IMU to camera, body axes; measured on the ground, and known
+SWAY, TILT, CRAB = 3.0, 1.0, 2.0  # m and deg: deviation of flight and attitude from the plan
+LEVER = (0.10, 0.05, 0.30)  # m, IMU to camera, body axes; surveyed, free of error
 SIGMA_IMAGE = 0.3  # px
 SIGMA_GROUND = (0.010, 0.010, 0.015)  # m, of control and check points
 TIES = 30  # in an image
-# What the maker's calibration has left of the distortion: 0.8 um on the way out and -7.6 um in the corners, more than
-# Bauer's and Ebner's terms can follow. Over the image it is balanced, <k1 r4 + k2 r6> = 0, so that it changes no
-# focal length. It has no decentring: p1 = 1e-4 is, but for terms of the third order, a tilt of 0.7' with a shift of the
-# principal point by 11 um, and would be found as boresight by all three.
+# Distortion left by the maker's calibration: 0.8 um halfway out and -7.6 um in the corners, more than
+# Bauer's and Ebner's terms can model. It is balanced over the image, <k1 r4 + k2 r6> = 0, so it does not change the
+# focal length. There is no decentring: p1 = 1e-4 is, except for third-order terms, a tilt of 0.7' and a shift of the
+# principal point by 11 um, and all three models would estimate it as boresight.
 LENS = BrownConrady(k1=8.0e-4, k2=-3.822e-3)
-RIPPLE, WAVES = 0.05, 3.0  # px, and periods over the image: of a chip that is not flat, which no lens model has
-REACH = 0.45  # of the area's side: how far from its middle control lies
+RIPPLE, WAVES = 0.05, 3.0  # px, and periods over the image: an uneven chip, in no lens model
+REACH = 0.45  # share of the area's side: distance of control from the centre
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight without noise: the true sensor, places (n, 3) in `frame` and angles (n, 3) of its images (heading,
-    pitch, roll, rad), all points, and which (`point`) is where (`uv`, px) in which image (`at`)."""
+    """A flight without noise: the true sensor, image positions (n, 3) in `frame` and angles (n, 3) (heading, pitch,
+    roll, rad), all points, and the visible image points: point index `point`, pixel `uv` (px), image index `at`."""
 
     size: float
     true: Sensor
@@ -70,10 +70,10 @@ class Flown:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A simulated block: the true sensor, the one that the maker calibrated, and what was measured.
+    """A simulated block: the true sensor, the sensor as calibrated by the maker, and the measurements.
 
-    `shots` are the navigation's; `ground` are the 9 control points (`control`) and 12 check points (`checks`) as they
-    were surveyed, in `frame`.
+    `shots` come from the navigation; `ground` holds the surveyed coordinates of the 9 control points (`control`) and 12
+    check points (`checks`), in `frame`.
     """
 
     size: float
@@ -88,12 +88,12 @@ class Simulated:
 
     @property
     def control(self) -> GroundPoints:
-        """Those that take part in the adjustment."""
+        """Points used as control in the adjustment."""
         return self.ground.of([name for name in self.ground.name.tolist() if name.startswith("C")])
 
     @property
     def checks(self) -> GroundPoints:
-        """The others."""
+        """Check points, not used in the adjustment."""
         return self.ground.without(self.control.name)
 
     def block(
@@ -106,7 +106,7 @@ class Simulated:
         attitude: bool = True,
         observations: ImagePoints | None = None,
     ) -> Block:
-        """What is adjusted: with the given sensor, or another; with a lens of additional parameters, all still zero."""
+        """The block to adjust; optionally with another sensor, and a lens with additional parameters, all zero."""
         sensor = self.given if sensor is None else sensor
         sensor = sensor if lens is None else with_lens(sensor, lens)
         found = Block.from_shots(
@@ -126,7 +126,7 @@ class Simulated:
 
 
 def simulated(size: float = 1000.0, seed: int = 0) -> Simulated:
-    """A block over `size` m squared: 6 strips of 19 images for 1 km, and some 1600 images for the paper's 5 km."""
+    """A block over `size` m squared: 6 strips of 19 images for 1 km, and about 1600 images for the paper's 5 km."""
     return measured(flown(size), seed)
 
 
@@ -138,12 +138,12 @@ def flown(
     ripple: float = RIPPLE,
     one_heading: bool = False,
 ) -> Flown:
-    """A flight over an area, with so many tie points in an image.
+    """A flight over an area, with `ties` tie points per image.
 
     The true camera has the focal length and principal point of the paper's Brown model, and its boresight; `lens` and
-    `ripple` (px) are what the maker's calibration has left of the distortion. Strips are flown north and south by
-    turns; with `one_heading` the helicopter flies every second one backwards, its nose to the north. Raises
-    `ValueError` for an area that is smaller than what lies between two strips.
+    `ripple` (px) are the distortion left by the maker's calibration. Strips alternate between north and south; with
+    `one_heading` the helicopter flies every second strip backwards, its nose to the north. Raises `ValueError` for an
+    area smaller than the strip spacing.
     """
     if not spacing()[1] <= size < math.inf:
         raise ValueError(f"the area's size must be {math.ceil(spacing()[1])} m or more, and finite; got {size:g} m.")
@@ -170,7 +170,7 @@ def measured(
     sigma_image: float = SIGMA_IMAGE,
     sigma_ground: tuple[float, float, float] = SIGMA_GROUND,
 ) -> Simulated:
-    """A flight with noise, and the camera as its maker calibrated it, without boresight and distortion.
+    """A flight with noise, and the camera as calibrated by its maker, without boresight and distortion.
 
     Standard deviations are those of image points (px) and of surveyed points (east, north, up, m).
     """
@@ -198,23 +198,23 @@ def measured(
 def true_boresight() -> np.ndarray:
     """R_body_from_base with the paper's angles.
 
-    It does not say which way they turn, nor what its axes are: they are taken as roll, pitch and heading of the body
-    against the camera, R_base_from_body = Rz(z) Ry(y) Rx(x) with axes forward, right and down. So the errors of direct
-    georeferencing are most like those printed; the other way round roll and principal point add up from strip to strip,
-    to 4 m in height in place of 2.
+    The paper states neither their sense of rotation nor their axes. They are taken as roll, pitch and heading of the
+    body against the camera, R_base_from_body = Rz(z) Ry(y) Rx(x) with axes forward, right and down. With this choice
+    the errors of direct georeferencing are closest to those printed; with the opposite sense, roll and principal point
+    add up from strip to strip, to 4 m in height instead of 2.
     """
     roll, pitch, heading = (angle / 60.0 for angle in printed.BORESIGHT)
     return np.asarray(boresight_from_degrees(heading=heading, pitch=pitch, roll=roll)).T
 
 
 def boresight_of(mount: Mount) -> np.ndarray:
-    """Its angles about x, y and z as in `true_boresight`, minutes of arc."""
+    """Boresight angles about x, y and z as in `true_boresight`, minutes of arc."""
     angles = heading_pitch_roll_from_R(jnp.asarray(np.asarray(mount.R_body_from_base, np.float64).T))
     return 60.0 * np.rad2deg([float(angle) for angle in angles[::-1]])
 
 
 def height_at(east: np.ndarray, north: np.ndarray) -> np.ndarray:
-    """Hills: height of the ground in the frame, m."""
+    """Height of the hilly ground in the frame, m."""
     long = np.sin(2.0 * np.pi * (east / 900.0 + 0.1)) * np.cos(2.0 * np.pi * north / 1100.0)
     return GROUND + RELIEF * (0.7 * long + 0.3 * np.sin(2.0 * np.pi * (east + 2.0 * north) / 700.0))
 
@@ -236,13 +236,13 @@ def interior_of(camera: AbstractCamera) -> Interior:
 
 
 def spacing() -> tuple[float, float]:
-    """m from image to image along a strip, and from strip to strip."""
+    """Spacing in m of images along a strip, and of strips."""
     scale = printed.HEIGHT * printed.PIXEL_PITCH / printed.INTERIORS["Brown"].f
     return (1.0 - printed.ALONG) * printed.ROWS * scale, (1.0 - printed.ACROSS) * printed.COLUMNS * scale
 
 
 def _camera(interior: Interior, lens: BrownConrady | None = None) -> FrameCamera:
-    """Principal points print with y up; those of a camera here have it down, as rows go."""
+    """The camera; printed principal points have y up, cameras here have y down, along the rows."""
     f, xp, yp = (1e-3 * length for length in interior)
     return FrameCamera.from_metric(
         focal_length=f,
@@ -255,7 +255,7 @@ def _camera(interior: Interior, lens: BrownConrady | None = None) -> FrameCamera
 
 
 def _planned(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(places, headings, number of the strip, times) as planned: north and south by turns, as if to a larger area."""
+    """(positions, headings, strip numbers, times) as planned, alternating north and south, part of a larger area."""
     along, across = spacing()
     strips, images = math.ceil(size / across) + 1, math.ceil(size / along) + 5
     strip, step = (x.ravel() for x in np.meshgrid(np.arange(strips), np.arange(images), indexing="ij"))
@@ -273,7 +273,7 @@ def _shots(frame: LocalFrame, place: np.ndarray, angles: np.ndarray, time: np.nd
 
 
 def _ties(place: np.ndarray, ties: int, rng: np.random.Generator) -> np.ndarray:
-    """Points on a jittered grid, as many as an image is to have."""
+    """Tie points on a jittered grid, `ties` per image."""
     along, across = spacing()
     step = math.sqrt(along * across / ((1.0 - printed.ALONG) * (1.0 - printed.ACROSS) * ties))
     low, high = place[:, :2].min(axis=0) - across, place[:, :2].max(axis=0) + across
@@ -284,7 +284,7 @@ def _ties(place: np.ndarray, ties: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _targets(size: float) -> tuple[np.ndarray, np.ndarray]:
-    """(names, places): control on 3 x 3 places (C), check points halfway between neighbours (K)."""
+    """(names, positions): control on a 3 x 3 grid (C), check points halfway between neighbours (K)."""
     marks = [(i, j) for i in range(-2, 3) for j in range(-2, 3)]
     control = [(i, j) for i, j in marks if i % 2 == 0 and j % 2 == 0]
     checks = [(i, j) for i, j in marks if (i + j) % 2 == 1]
@@ -296,10 +296,10 @@ def _targets(size: float) -> tuple[np.ndarray, np.ndarray]:
 def _seen(
     true: Sensor, frame: LocalFrame, shots: Shot, points: np.ndarray, ripple: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(image, point, pixel without noise) of all points that are in an image."""
+    """(image, point, pixel without noise) of all points inside an image."""
     centre, R = sights_of(frame, true, shots)
     at, point, uv = [], [], []
-    few = min(len(points), 40 * TIES)  # as many for every image, so that one program does for all
+    few = min(len(points), 40 * TIES)  # same count for every image, so that one compiled program is enough
     for i in range(len(centre)):
         near = np.sort(np.argsort(np.sum((points - centre[i])[:, :2] ** 2, axis=1))[:few])
         pixels, _ = (np.asarray(x) for x in _projected(true.camera, jnp.asarray((points[near] - centre[i]) @ R[i])))
@@ -317,6 +317,6 @@ def _projected(camera: AbstractCamera, p_camera: jax.Array) -> tuple[jax.Array, 
 
 
 def _numbered(strip: np.ndarray) -> list[tuple[int, int]]:
-    """(strip, number in it) of each image."""
+    """(strip, number in the strip) of each image."""
     first = {s: int(np.argmax(strip == s)) for s in np.unique(strip).tolist()}
     return [(s, i - first[s]) for i, s in enumerate(strip.tolist())]

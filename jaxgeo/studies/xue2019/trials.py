@@ -1,4 +1,4 @@
-"""Whether what an adjustment says of its errors is true: the same block with other noise, many times."""
+"""Monte Carlo test of an adjustment's covariances: the same block adjusted many times with new noise."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ class Trials:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Of the sum of all squares."""
+        """Degrees of freedom of the sum of all squares."""
         return self.errors.size
 
     def bounds(self, level: float = 0.01) -> tuple[float, float]:
-        """Between which the sum of all squares lies with probability 1 - `level` if the covariances are true."""
-        from scipy.stats import chi2  # loads its parts when they are asked for
+        """Interval of the sum of all squares with probability 1 - `level` if the covariances are correct."""
+        from scipy.stats import chi2  # imported on first use
 
         low, high = chi2.ppf([0.5 * level, 1.0 - 0.5 * level], self.degrees_of_freedom)
         return float(low), float(high)
 
     def holds(self, level: float = 0.01) -> bool:
-        """Whether it does."""
+        """Whether the sum of squares is within `bounds`."""
         low, high = self.bounds(level)
         return bool(low < np.sum(self.squares) < high)
 
 
 def trials(count: int = 100, *, size: float = SIZE, seed: int = 0) -> Trials:
-    """Self-calibrations of interior orientation and boresight in one step, of a camera without distortion.
+    """One-step self-calibrations of interior orientation and boresight, of a camera without distortion.
 
-    Only the noise is drawn anew, so that all go through one compiled program.
+    Only the noise is redrawn, so all trials share one compiled program.
     """
     flight = flown(size, ties=TIES, lens=None, ripple=0.0)
     unknowns = Unknowns(focal=Free(), principal=Free(), boresight=Free())

@@ -1,7 +1,7 @@
-"""Eqs 1 to 36 of Li et al. (2020) as they are printed, in NumPy, beside this package's functions at the same inputs.
+"""Eqs 1 to 36 of Li et al. (2020) as printed, in NumPy, compared with this package's functions at the same inputs.
 
-Where the print is wrong, the formula put right is set against the function, and an independent computation where there
-is one.
+Where the print is wrong, the corrected formula is compared with the function, and with an independent computation if
+available.
 """
 
 from jaxgeo.studies.claims import Claim
@@ -16,7 +16,7 @@ __all__ = ["PAPER", "equations"]
 
 
 def equations() -> list[Claim]:
-    """A claim for every numbered equation, in their order; those with no number follow the one they come after."""
+    """A claim for every numbered equation, in order; unnumbered ones follow the equation they come after."""
     return [
         *overlap(),
         *frames(),

@@ -1,4 +1,4 @@
-"""Printed formulas beside functions of this package: how a claim is made of them, and the inputs.
+"""Claims that compare printed formulas with functions of this package, and their inputs.
 
 Angles in rad, lengths in m.
 """
@@ -16,7 +16,7 @@ from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.li2020 import printed
 
 PAPER = "Li 2020"
-EXACT = 1e-9  # relative, of formulas that are the same
+EXACT = 1e-9  # relative, for identical formulas
 A, B = WGS84.a, WGS84.b
 E2 = WGS84.e2
 
@@ -50,10 +50,10 @@ def claim(
     reason: str = "",
     digits: str = ".5g",
 ) -> Claim:
-    """Numbers, or arrays of them, by the printed formula and by the function at the same inputs.
+    """A claim with numbers, or arrays of them, from the printed formula and from the function at the same inputs.
 
-    A misprint has a `cause`, and the values of the formula put `right`, which are to be those of the function, and the
-    `independent` ones where there are such.
+    A misprint has a `cause`, and the values of the corrected formula (`right`), which must equal those of the function
+    and, if given, the `independent` ones.
     """
     shown, found = (_listed(values) for values in (wanted, obtained))
     bounds = _bounds(found, tolerance)

@@ -82,7 +82,7 @@ def earth() -> list[Claim]:
 
 
 def _ned_of_eq_6(p: np.ndarray, lat: float, lon: float, height: float, *, put_right: bool = False) -> np.ndarray:
-    """Eq 6: shift, turn by L, turn by B, shift. Printed is sin B at the upper left, and a shift of R_N e1 sin H."""
+    """Eq 6: shift, turn by L, turn by B, shift. Printed are sin B at the upper left and a shift of R_N e1 sin H."""
     N = A / math.sqrt(1.0 - E2 * math.sin(lat) ** 2)
     shift = N * E2 * math.sin(lat) if put_right else N * math.sqrt(E2) * math.sin(height)
     sine = -math.sin(lat) if put_right else math.sin(lat)
@@ -112,7 +112,7 @@ def _geodetic_of_eq_8(p: np.ndarray, exponent: float) -> tuple[float, float]:
 
 
 def _longitude_of_eq_9(x: float, y: float) -> float:
-    """Eq 9: arctan(y / x), and pi added or taken away where x < 0, by the sign of that."""
+    """Eq 9: arctan(y / x), plus or minus pi where x < 0, by the sign of that."""
     lon = math.atan(y / x)
     if x > 0.0:
         return lon

@@ -98,14 +98,14 @@ def map_of_eq_10(lat: float, lon: float) -> tuple[float, float]:
 
 
 def _arc(lat: float) -> float:
-    """Arc of the meridian by Gauss-Legendre quadrature of its radius."""
+    """Meridian arc length by Gauss-Legendre quadrature of the meridian radius."""
     nodes, weights = np.polynomial.legendre.leggauss(32)
     at = 0.5 * lat * (nodes + 1.0)
     return float(0.5 * lat * np.sum(weights * A * (1.0 - E2) / (1.0 - E2 * np.sin(at) ** 2) ** 1.5))
 
 
 def _arc_of_eq_11(lat: float, *, second: int, last: int) -> float:
-    """Eq 11 by the coefficients of Eq 12: which of A1 and B1 stands before sin 2B, and the last numerator of A1."""
+    """Eq 11 with the coefficients of Eq 12: which of A1 and B1 multiplies sin 2B, and the last numerator of A1."""
     e = E2
     A1 = (
         1

@@ -1,4 +1,4 @@
-"""Eqs 1, 2 and 17 to 22: overlap, and what a change of attitude does to it."""
+"""Eqs 1, 2 and 17 to 22: overlap, and its change by an attitude change."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def attitude() -> list[Claim]:
             ],
             "coverage.geometry.overlap_at",
         ),
-        claim(  # Eq 21: L_step / (2 H tan(omega / 2)) (cos(theta) - cos(theta + dalpha)), L_step of the wish
+        claim(  # Eq 21: L_step / (2 H tan(omega / 2)) (cos(theta) - cos(theta + dalpha)), L_step of the nominal overlap
             21,
             "change of overlap by roll, by the step",
             [_eq_21(*one) for one in rolls],
@@ -133,7 +133,7 @@ def attitude() -> list[Claim]:
 
 
 def _pitched(turn: float, theta: float, omega: float) -> float:
-    """Change of the overlap by pitch: lines of sight by Eqs 3 and 4 brought down on a plane."""
+    """Change of the overlap by pitch: lines of sight by Eqs 3 and 4 intersected with a plane."""
     sight = C_aircraft_from_ned(0.0, turn, 0.0).T @ C_camera_from_aircraft(-theta, 0.0).T @ np.array([0.0, 0.0, 1.0])
     return float(-sight[0] / sight[2] / length_of_eq_1(1.0, theta, omega))
 

@@ -1,4 +1,4 @@
-"""Eqs 3, 4, 13 to 16 and 23 to 26: matrices, lines of sight, where they come down, and their compensation."""
+"""Eqs 3, 4, 13 to 16 and 23 to 26: rotation matrices, lines of sight, ground intersections, and compensation."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _place(lat: float, lon: float) -> Geodetic:
 
 
 def _range_of_eq_15(centre: np.ndarray, sight: np.ndarray, height: float) -> float:
-    """Eq 15: the ellipsoid with axes RE + h and RP + h, met by a line (Eq 14)."""
+    """Eq 15: intersection of a line (Eq 14) with the ellipsoid of axes RE + h and RP + h."""
     axes = np.array([A + height, A + height, B + height])
     o, d = centre / axes, sight / np.linalg.norm(sight) / axes
     aa, bb, cc = d @ d, o @ d, o @ o - 1.0

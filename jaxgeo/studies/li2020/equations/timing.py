@@ -34,7 +34,7 @@ def timing() -> list[Claim]:
         return {"height_above_ground": height, "off_nadir": theta, "field_of_view": omega}
 
     def with_omega(number: int, what: str, formula: Callable[..., float], ours: Any, name: str, **more: Any) -> Claim:
-        """Printed with omega, put right with the tangent; the angle from the horizontal is that of the inputs."""
+        """Printed with omega, corrected with the tangent; the angle from the horizontal is that of the inputs."""
         return claim(
             number,
             what,
@@ -48,7 +48,7 @@ def timing() -> list[Claim]:
         )
 
     return [
-        claim(  # Eq 27: dH = dH_P = -dh_T, the change of the aircraft's height or that of the ground with a minus
+        claim(  # Eq 27: dH = dH_P = -dh_T, the change of the aircraft's height or minus that of the ground
             27,
             "change of the height above the ground",
             [aircraft - ground for ground, aircraft in heights],
@@ -149,13 +149,13 @@ def timing() -> list[Claim]:
 
 
 def _way(time: float) -> float:
-    """Integral of the speed SPEED + SWING sin(2 pi t / PERIOD) from 0 on, m."""
+    """Integral of the speed SPEED + SWING sin(2 pi t / PERIOD) from 0, m."""
     turn = 2.0 * math.pi / PERIOD
     return SPEED * time + SWING / turn * (1.0 - math.cos(turn * time))
 
 
 def _flown_way() -> float:
-    """Way of a trajectory with that speed to the north, by its positions at the two times, at its height."""
+    """Distance along a northward trajectory with that speed, from its positions at the two times, at its height."""
     times = np.linspace(0.0, 10.0, 21)
     lat0, height = 0.6, 8143.0
     radius = float(WGS84.meridian_radius(jnp.asarray(lat0))) + height
