@@ -117,7 +117,9 @@ def test_alone_too_an_axis_along_the_line_of_sight_stays_where_it_is(name):
     sensor, ned, start, expected = SINGULAR[name]
     for turn in (0.0, 1e-12, 1e-9, 1e-6, 1e-3):
         aside = np.array(ned) + turn * np.array([0.0, 0.64, 0.48])
-        asked = functools.partial(point, sensor, Shot(LEVEL), target=LineOfSight(aside), readings=np.array(start))
+        asked = functools.partial(
+            point_gimbal, sensor, Shot(LEVEL), target=LineOfSight(aside), readings=np.array(start)
+        )
         found, ours = asked(), asked(solver=FixedNewton())
         assert found.status == ours.status
         assert abs(found.miss - ours.miss) < SAME

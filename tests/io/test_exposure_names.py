@@ -93,7 +93,7 @@ def test_a_name_among_several_files_serves_for_its_file_alone(files) -> None:
         (row,) = views_of_files(asked([files["video"]], name)).carried
         assert row["name"] == "2"
     for name in ("b.ts/2", "a.ts/7", "a.ts/"):
-        with pytest.raises(UserError, match=f"--exposure {name}: no exposure has this name; there are 0, 1, 2"):
+        with pytest.raises(UserError, match=f"--exposure {name}: no exposure has this name; known: 0, 1, 2"):
             views_of_files(asked([files["video"]], name))
 
 
