@@ -17,6 +17,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io import example_dem
 from jaxgeo.io.acquisitions.usual_errors import LEVEL, LEVEL_ELSE, POSITION
 from jaxgeo.io.scene import ellipsoidal_heights
+from jaxgeo.observation import Exposure
 from jaxgeo.sensor import FrameCamera, Gimbal, Mount, Pose, Sensor, Shot
 from jaxgeo.sensor.camera import check_size
 from jaxgeo.uncertainty.model_inputs import ModelInputs
@@ -81,7 +82,7 @@ def tagged(sensor: Sensor, shot: Shot, seed: int) -> Shot:
     rng = np.random.default_rng(seed)
     north, east, down = POSITION
     angles: dict[str, Any] = {name: LEVEL.get(name, LEVEL_ELSE) for name in sensor.gimbal.names}
-    look = ModelInputs.of(sensor, shot, np.zeros(2), example_dem())
+    look = ModelInputs(Exposure(sensor, shot, 0.0))
     for source in (Position.from_ned(north=north, east=east, down=down), GimbalAngles.from_degrees(**angles)):
         error: Any = np.asarray(source.sigma) * rng.standard_normal(len(source.axes))
         look = eqx.filter_jit(source.moved)(look, error)

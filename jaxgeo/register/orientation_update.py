@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
@@ -24,7 +23,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain, Dem
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
 from jaxgeo.uncertainty.sources import TerrainField
 
 ALONE = 10.0  # standard deviations of a lone tie: largest prior uncertainty of its pixel
@@ -77,8 +76,7 @@ def update_orientation(
     tie_errors = checked_tie_errors(tie_errors, ties)
     check_is(loss, AbstractLoss, "loss")
     check_is(propagation, AbstractTiePropagation, "propagation")
-    terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
-    look = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=terrain)
+    look = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
     model = checked_model(errors, look)
     _check_sources(model)
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)

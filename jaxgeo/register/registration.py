@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy  # submodules load lazily
@@ -35,7 +34,7 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
 
 LEAST_REGISTRATION = 0.1  # cells: lower bound of the registration error of ties
 COARSER = 1  # retries in coarser cells before the first pass is given up
@@ -168,7 +167,7 @@ def register_image(
     check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
-    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=_of_arrays(terrain))
+    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
     model = checked_model(errors, look)
     tie_errors = as_float64(tie_errors, "tie_errors")
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
@@ -316,7 +315,3 @@ def _moved(given: _Given, error: np.ndarray) -> ModelInputs:
 def _look_of(found: Update, look: ModelInputs) -> ModelInputs:
     time = look.time if found.time is None else found.time
     return ModelInputs(Exposure(found.sensor, found.shot, time, found.atmosphere), terrain=found.terrain)
-
-
-def _of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
-    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)

@@ -10,13 +10,13 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxgeo._arguments import check_latitude, checked_exposure
+from jaxgeo._arguments import check_latitude, check_terrain, checked_air, checked_exposure
 from jaxgeo._checks import as_array, as_float64, check_is
 from jaxgeo._record import Record
 from jaxgeo._typing import IndexField, PixelField, ScalarField, StatusField
 from jaxgeo.earth import Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.observation import accepts_exposure, accepts_observation
+from jaxgeo.observation import Exposure, accepts_exposure, accepts_observation
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.status import Status, count_statuses, counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
@@ -40,7 +40,7 @@ from jaxgeo.uncertainty.map_cells import (
 )
 from jaxgeo.uncertainty.method_selection import Diagnostics, Method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
-from jaxgeo.uncertainty.model_inputs import ModelInputs
+from jaxgeo.uncertainty.model_inputs import ModelInputs, of_arrays
 from jaxgeo.uncertainty.sampled import CHUNK
 
 BLOCK = 128  # cells evaluated at once: about 100 MB
@@ -247,9 +247,10 @@ def _world(
     if isinstance(shot, Pose) and not sensor.gimbal.axes:
         raise ValueError("From a Pose the gimbal is turned to each place, but this sensor's has no axes: give a Shot.")
     given = Shot(shot, sensor.gimbal.neutral_readings()) if isinstance(shot, Pose) else shot
+    check_terrain(terrain, search)
     sensor, motion, moment = checked_exposure(sensor, given, time)
+    some = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
     moment = moment if isinstance(motion, Trajectory) else None
-    some = ModelInputs.of(sensor, motion, (0.0, 0.0), terrain, time=moment, search=search, atmosphere=atmosphere)
     model = checked_model(errors, some)
     motion = motion.pose if isinstance(shot, Pose) and isinstance(motion, Shot) else motion
     return MapContext(sensor, motion, moment, some.terrain, some.air), model

@@ -130,9 +130,7 @@ class ModelInputs(Record):
         sensor, motion, moment, pixel = given
         if isinstance(motion, Trajectory):
             motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
-        # A Python number would be a constant of the program, recompiled for each new value.
-        terrain = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
-        return cls(Exposure(sensor, motion, moment, checked_air(atmosphere)), pixel, terrain)
+        return cls(Exposure(sensor, motion, moment, checked_air(atmosphere)), pixel, of_arrays(terrain))
 
     @property
     def sensor(self) -> Sensor:
@@ -213,6 +211,11 @@ class ModelInputs(Record):
         sound = jnp.all(jnp.isfinite(origin)) & jnp.all(jnp.isfinite(direction))
         stand_in = Ray(jnp.array([WGS84.a + 1000.0, 0.0, 0.0]), jnp.array([-1.0, 0.0, 0.0]))
         return tree_where(sound, Ray(origin, direction), stand_in).through(self.air)
+
+
+def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
+    """The terrain with arrays for Python numbers, which would be constants of a program, recompiled for each value."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64) if isinstance(x, float | int) else x, terrain)
 
 
 @eqx.filter_jit
