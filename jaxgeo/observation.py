@@ -77,43 +77,30 @@ class OfObservation(Protocol, Generic[P, R]):
 
 def accepts_exposure(function: Callable[Concatenate[Sensor, Any, P], R]) -> OfExposure[P, R]:
     """Decorator: the function takes an `Exposure` in place of sensor, shot, time and atmosphere."""
-
-    inner: Callable[..., Any] = function
-    names = inspect.signature(function).parameters
-
-    @functools.wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        if args and isinstance(args[0], Exposure):
-            exposure, *rest = args
-            named = _moment(function.__name__, names, exposure, kwargs)
-            return inner(exposure.sensor, exposure.motion, *rest, **named)
-        if args and isinstance(args[0], Observation):
-            raise TypeError(f"{function.__name__} takes an Exposure; got an Observation. Give its `exposure`.")
-        return inner(*args, **kwargs)
-
-    return call  # pyright: ignore[reportReturnType]
+    return _accepting(function, Exposure, "takes an Exposure; got an Observation: give its `exposure`")
 
 
 def accepts_observation(function: Callable[Concatenate[Sensor, Any, Any, P], R]) -> OfObservation[P, R]:
     """Decorator: the function takes an `Observation` in place of sensor, shot, pixel, time and atmosphere."""
+    return _accepting(function, Observation, "takes an Observation; got an Exposure: give Observation(exposure, uv)")
 
-    inner: Callable[..., Any] = function
+
+def _accepting(function: Callable[..., Any], kind: type[Exposure | Observation], otherwise: str) -> Any:
+    """The function with a value of a kind in place of its first arguments; `otherwise` is said of the other kind."""
     names = inspect.signature(function).parameters
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if args and isinstance(args[0], Observation):
-            observation, *rest = args
-            exposure = observation.exposure
-            named = _moment(function.__name__, names, exposure, kwargs)
-            return inner(exposure.sensor, exposure.motion, observation.uv, *rest, **named)
-        if args and isinstance(args[0], Exposure):
-            raise TypeError(
-                f"{function.__name__} takes an Observation; got an Exposure: give Observation(exposure, uv)."
-            )
-        return inner(*args, **kwargs)
+        if not args or not isinstance(args[0], Exposure | Observation):
+            return function(*args, **kwargs)
+        given, *rest = args
+        if not isinstance(given, kind):
+            raise TypeError(f"{function.__name__} {otherwise}.")
+        exposure, uv = (given.exposure, [given.uv]) if isinstance(given, Observation) else (given, [])
+        named = _moment(function.__name__, names, exposure, kwargs)
+        return function(exposure.sensor, exposure.motion, *uv, *rest, **named)
 
-    return call  # pyright: ignore[reportReturnType]
+    return call
 
 
 def _moment(function: str, names: Collection[str], exposure: Exposure, kwargs: dict[str, Any]) -> dict[str, Any]:

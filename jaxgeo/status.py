@@ -54,7 +54,7 @@ class Status(enum.IntEnum):
 
 
 _MESSAGES = {
-    Status.hit: "The point is seen: no ground that is known lies before it.",
+    Status.hit: "Visible: no known terrain in the way.",
     Status.near_tangent: "The ray meets the terrain almost along it: the position holds, its derivatives do not.",
     Status.enters_from_side: "The ray comes in over the edge below the terrain's ceiling: it may be hidden.",
     Status.hits_void: "The ray goes below the ceiling over a void, where the ground is unknown; this is where it does.",

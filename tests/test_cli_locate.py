@@ -133,7 +133,7 @@ def test_no_fix_at_all_is_told_with_the_reason(image: pathlib.Path) -> None:
 WRONG = [
     (
         ["{image}", "--ground", "300"],
-        ["not said what its altitude is measured from", 'Give --height-datum: "ellipsoid"'],
+        ["vertical datum of its altitude is not stated", 'Give --height-datum: "ellipsoid"'],
     ),
     (["{image}", "--height-datum", "ellipsoid"], ["give the ground", "--dem FILE", "--ground HEIGHT"]),
     (["{image}", *GROUND, "--dem", DEM], ["give the ground", "either"]),

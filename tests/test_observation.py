@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxgeo
-from jaxgeo import Atmosphere, ConstantHeight, ErrorModel, Exposure, Observation, uncertainty
+from jaxgeo import Atmosphere, ConstantHeight, ErrorModel, Exposure, Observation, coverage, uncertainty
 from jaxgeo.uncertainty import sources
 
 CAMERA = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -46,6 +46,10 @@ MORE = {
     "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),
 }
 OF_EXPOSURE = {"project": (jaxgeo.project, (POINT,), {})}
+AIMING = {
+    "point_gimbal": (coverage.point_gimbal, {"target": POINT}),
+    "line_of_sight": (coverage.line_of_sight, {}),
+}
 
 
 def same(one: object, other: object) -> None:
@@ -75,6 +79,14 @@ def test_an_exposure_stands_for_sensor_and_shot(name: str, kind: str) -> None:
     function, rest, named = OF_EXPOSURE[name]
     exposure, parts, moment = EXPOSURES[kind]
     same(function(exposure, *rest, **named), function(*parts, *rest, **named, **moment))
+
+
+@pytest.mark.parametrize("name", AIMING)
+def test_an_exposure_is_pointed_as_its_shot(name: str) -> None:
+    function, named = AIMING[name]
+    same(function(Exposure(SENSOR, SHOT), **named), function(SENSOR, SHOT, **named))
+    with pytest.raises(TypeError, match=f"{name} has no time; give an exposure without one"):
+        function(EXPOSURES["trajectory"][0], **named)
 
 
 def test_locate_and_project_are_inverse() -> None:

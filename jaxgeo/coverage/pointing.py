@@ -17,6 +17,7 @@ from jaxgeo._record import Record
 from jaxgeo._typing import ScalarField, StatusCode, StatusField
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import FIRST_HIT, visibility
+from jaxgeo.observation import accepts_exposure
 from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.sensor.aiming import Aimed, LineOfSight, Target, aim, aim_along
 from jaxgeo.sensor.camera import Numbers
@@ -48,6 +49,7 @@ class Pointing(Record):
         return jnp.asarray(self.status) == Status.hit
 
 
+@accepts_exposure
 def point_gimbal(
     sensor: Sensor,
     shot: Shot | Trajectory,
@@ -118,6 +120,7 @@ def point_gimbal(
     return _pointed_along(sensor, shot.poses, for_each_knot(shot, target, "target"), uv, start, terrain, air, solver)
 
 
+@accepts_exposure
 def line_of_sight(sensor: Sensor, shot: Shot, *, uv: Numbers | None = None) -> LineOfSight:
     """Line of sight (north-east-down) of the optical axis of a shot, or of pixel `uv`; a target for `point_gimbal`."""
     check_is(shot, Shot, "shot", "Of a Trajectory, trajectory.at(time) is one.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 
+A_WRONG_GUESS = "a wrong guess can shift the result by up to 100 m"  # of the vertical datum: geoid undulations
 LONGEST = 1000  # characters of a message; longer ones are cut in the middle
 
 _BREAK = re.compile(r"[ \t]*[\r\n\v\f\x1c-\x1e\x85\u2028\u2029]+[ \t]*")

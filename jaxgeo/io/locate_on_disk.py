@@ -19,6 +19,7 @@ from jaxgeo.io.files import MAX_POSTS, DemFiles
 from jaxgeo.io.sightlines import Sightlines, comes_in, in_parts, padded_rays
 from jaxgeo.io.windows import Window
 from jaxgeo.locate import intersect
+from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.sensor.exposure import line_of_sight
 from jaxgeo.status import Status
@@ -62,6 +63,7 @@ def intersect_files(rays: Ray, files: DemFiles, *, max_posts: int = MAX_POSTS) -
     return jax.tree.map(lambda x: jnp.asarray(x.reshape(shape + x.shape[1:])), answers)
 
 
+@accepts_observation
 def locate_files(
     sensor: Sensor,
     shot: Shot | Trajectory,

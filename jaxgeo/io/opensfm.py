@@ -19,7 +19,7 @@ from jaxgeo.earth import WGS84, Geodetic, R_ecef_from_enu, R_ecef_from_ned
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io._json import number_of, read_json, shown, size_of, table_of, value_of, vectors_of
 from jaxgeo.io._map_grid import MapGrid, metric_map
-from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.rotations import R_from_rotation_vector, heading_pitch_roll_from_R
 from jaxgeo.sensor import BrownConrady, FrameCamera, Pose
@@ -191,7 +191,7 @@ def _placed(
         raise TableError(f"{where}: altitude {altitude:g} m is outside [{low:g}, {high:g}] m.")
     if height_datum is None:
         raise TableError(
-            f"{where}: what altitudes are measured from is not in the file, and a guess may be off by 100 m. Pass "
+            f"{where}: the vertical datum of altitudes is not stated; {A_WRONG_GUESS}. Pass "
             f'height_datum=...: "ellipsoid", "EPSG:5773" (EGM96 mean sea level), an undulation in m.'
         )
     if crs is None:

@@ -14,7 +14,7 @@ from pyproj.enums import TransformDirection
 from pyproj.transformer import Transformer
 
 from jaxgeo.io._proj import UNKNOWN_CRS, NoOperation, how_to_get, known_crs, operation
-from jaxgeo.io.errors import VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, VerticalDatumError
 from jaxgeo.io.geoid_grid import check_grids_of, grid_by_path, wrapped
 
 USUAL_CHOICES = (
@@ -88,7 +88,7 @@ def height_shift(
     depths = is_depth(stated)
     if asked is None and named is None:
         raise VerticalDatumError(
-            f"the file does not say what its heights are measured from, and a guess may be off by 100 m. "
+            f"the file does not state the vertical datum of its heights; {A_WRONG_GUESS}. "
             f"Pass vertical_datum=...: {USUAL_CHOICES}."
         )
     if asked is None:

@@ -98,7 +98,7 @@ class Budget(Record):
             sigma, slope = ("", "") if row.line is None else _as_read(row.line)
             rows.append((row.name, sigma, *self._percent(row.variance), f"{row.without:.3f} m", slope))
         total = (f"{math.sqrt(self.total.horizontal):.3f} m", f"{math.sqrt(self.total.vertical):.3f} m")
-        rows.append(("standard deviation in all", "", *total, f"{percent} {self.circular_error:.3f} m", ""))
+        rows.append(("total standard deviation", "", *total, f"{percent} {self.circular_error:.3f} m", ""))
         note = "" if self.status == Status.hit else f"\n{self.status.name}: {self.status.message}"
         return _table(rows) + note
 

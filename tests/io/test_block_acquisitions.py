@@ -183,7 +183,7 @@ def test_tables_that_do_not_fit_their_cameras(file) -> None:
     refused(path, "no image is of camera='kite'", camera="kite")
     refused(bare, "there is no column camera; give one camera", cameras=both)
     refused(bare, "camera='eagle' is asked for, but there is no column camera", camera="eagle")
-    with pytest.raises(UnstatedDatum, match="does not say what its heights are measured from"):
+    with pytest.raises(UnstatedDatum, match="does not state the vertical datum of its heights"):
         acquisition_of_orientations(path)
     with pytest.raises(TypeError, match="cameras"):
         acquisition_of_orientations(path, cameras=3, height_datum="ellipsoid")  # type: ignore[arg-type]

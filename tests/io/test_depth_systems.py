@@ -95,7 +95,7 @@ def test_a_system_without_a_name_keeps_its_direction_and_its_unit(
     foot = vertical_crs(direction, "unknown", 'LENGTHUNIT["foot",0.3048]')
     crs = CompoundCRS("unknown", components=["EPSG:4326", foot])
     path = write(tmp_path / "dem.tif", HEIGHTS, crs=crs.to_wkt(), profile="BASELINE")
-    with pytest.raises(VerticalDatumError, match="does not say what its heights are measured from"):
+    with pytest.raises(VerticalDatumError, match="does not state the vertical datum of its heights"):
         read_dem(path)
     np.testing.assert_allclose(posts(path, vertical_datum=47.5), sign * 0.3048 * HEIGHTS + 47.5, rtol=0, atol=1e-9)
     expected = sign * 0.3048 * HEIGHTS + undulations(HEIGHTS.shape)

@@ -154,7 +154,7 @@ def test_what_is_unknown_is_left_out_and_said(log) -> None:
     "text, how, words",
     [
         (subtitles(), {}, r"the first is 900 m, 300 m above the take-off.*height_datum=.*takeoff_height="),
-        (airdata(), {}, "it is not said what its altitude is measured from"),
+        (airdata(), {}, "the vertical datum of its altitude is not stated"),
     ],
 )
 def test_heights_are_asked_for(log, text: str, how: Any, words: str) -> None:

@@ -254,7 +254,7 @@ def test_wrong_files(file, case: str) -> None:
 
 def test_what_the_caller_gives_wrong(file, tmp_path: pathlib.Path) -> None:
     path = file(content())
-    with pytest.raises(TableError, match="reference_lla: what altitudes are measured from is not in the file"):
+    with pytest.raises(TableError, match="reference_lla: the vertical datum of altitudes is not stated"):
         read_opensfm(path)
     with pytest.raises(VerticalDatumError, match="reference_lla: height_datum='EPSG:0' is unknown"):
         read_opensfm(path, height_datum="EPSG:0")

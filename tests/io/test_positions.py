@@ -128,7 +128,7 @@ def test_heights_are_above_the_datum_of_the_file_of_positions(folder: pathlib.Pa
     path = written(folder, "geo.txt", GEO)
     geoid = float(undulation(36.3, -84.2))
     assert place(read(folder, path, height_datum="EPSG:5773"))[0, 2] == pytest.approx(900.0 + geoid, abs=1e-3)  # m
-    with pytest.raises(UnstatedDatum, match=r"geo\.txt: it is not said what its heights.*height_datum="):
+    with pytest.raises(UnstatedDatum, match=r"geo\.txt: the vertical datum of its heights.*height_datum="):
         read(folder, path)
 
 

@@ -168,7 +168,7 @@ def test_the_real_file_in_egm2008_is_read_with_one_undulation(jaxgeo_test_data: 
 
 
 REFUSED = [
-    (None, r"dem\.tif: the file does not say what its heights are measured from.*EPSG:5773.*ellipsoid.*undulation"),
+    (None, r"dem\.tif: the file does not state the vertical datum of its heights.*EPSG:5773.*ellipsoid.*undulation"),
     ("EPSG:999999", r"'EPSG:999999' is unknown to PROJ; the usual choices"),
     ("egm96", r"'egm96' is unknown to PROJ; the usual choices"),
     ("EPSG:4326", r"'EPSG:4326' \(WGS 84\) says nothing about heights"),

@@ -152,7 +152,7 @@ def test_a_vertical_crs_named_unknown_keeps_its_unit(tmp_path: pathlib.Path) -> 
     stated = build_vrt(tmp_path / "plain" / "stated.vrt", tiles(tmp_path / "plain"), crs=crs.replace('"', "&quot;"))
     for path in (mosaic, stated):
         np.testing.assert_allclose(heights(path), POSTS * US_FOOT, rtol=0, atol=1e-9)
-    with pytest.raises(DemError, match="does not say what its heights are measured from"):
+    with pytest.raises(DemError, match="does not state the vertical datum of its heights"):
         read_dem(stated)
 
 

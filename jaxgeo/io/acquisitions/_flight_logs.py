@@ -14,7 +14,7 @@ from jaxgeo.earth import Geodetic
 from jaxgeo.io._csv import POSE_COLUMNS
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
-from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_GIVEN
 from jaxgeo.io.scene import ellipsoidal_heights
 from jaxgeo.io.sentinels import Sentinel, sentinel_of
@@ -182,8 +182,8 @@ def _heights(
             "above it are added"
         )  # fmt: skip
         raise UnstatedDatum(
-            f"{path}: it is not said what its altitude is measured from (the first is {shown}), and a guess may be off "
-            f"by 100 m. {CHOICES.removesuffix('.')}{choice}."
+            f"{path}: the vertical datum of its altitude is not stated (the first is {shown}); {A_WRONG_GUESS}. "
+            f"{CHOICES.removesuffix('.')}{choice}."
         )
     try:
         return ellipsoidal_heights(columns["lon"], columns["lat"], columns["altitude"], datum), []

@@ -8,7 +8,7 @@ from jaxgeo.io._csv import POSE_COLUMNS, Limits
 from jaxgeo.io.acquisitions._image_tags import ImageTags
 from jaxgeo.io.acquisitions._makers import Maker
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.scene import ellipsoidal_heights
 
 LAT: Limits = (-90.0, 90.0, "deg")
@@ -122,8 +122,8 @@ def _which_datum(tags: ImageTags, maker: Maker) -> str:
         else ""
     )
     return (
-        f"{tags.path}: it is not said what its altitude is measured from ({evidence}), and a guess may be off by "
-        f'100 m. Give height_datum=: "ellipsoid" (WGS 84; usual with RTK), "EPSG:5773" (EGM96 mean sea level), an '
+        f"{tags.path}: the vertical datum of its altitude is not stated ({evidence}); {A_WRONG_GUESS}. "
+        f'Give height_datum=: "ellipsoid" (WGS 84; usual with RTK), "EPSG:5773" (EGM96 mean sea level), an '
         f"undulation in m, the path of a geoid grid{takeoff}."
     )
 

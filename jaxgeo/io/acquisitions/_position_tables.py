@@ -19,7 +19,7 @@ from jaxgeo.io._orientation_columns import ALIASES, MAP_COLUMNS, SIGMA_COLUMNS, 
 from jaxgeo.io._text import read_text
 from jaxgeo.io.acquisitions.blocks import CHOICES
 from jaxgeo.io.acquisitions.record import UnstatedDatum
-from jaxgeo.io.errors import OutsideDatum, TableError, VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, OutsideDatum, TableError, VerticalDatumError
 from jaxgeo.io.gcp import projection_text
 from jaxgeo.io.orientations import crs_of, has_vertical, positions_of, which_map
 from jaxgeo.io.sentinels import MARKS, sentinel_of
@@ -192,9 +192,7 @@ def _of_columns(columns: Columns, form: str, height_datum: Any, crs: Any, told: 
     limits = MAP_COLUMNS | POSE_COLUMNS
     numbers = {name: columns.numbers(name, limits[name]) for name in (across, along)}
     if has_heights and height_datum is None and not has_vertical(path, crs):
-        raise UnstatedDatum(
-            f"{path}: it is not said what its heights are measured from, and a guess may be off by 100 m. {CHOICES}"
-        )
+        raise UnstatedDatum(f"{path}: the vertical datum of its heights is not stated; {A_WRONG_GUESS}. {CHOICES}")
     numbers[up] = columns.numbers(up, limits[up]) if has_heights else np.zeros(len(names))
     position, _ = positions_of(columns, numbers, crs, height_datum if has_heights else "ellipsoid")
     sigma, of_sigma = _sigma(columns)

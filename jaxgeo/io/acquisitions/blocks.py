@@ -16,7 +16,7 @@ from jaxgeo.io._json import read_json, shown
 from jaxgeo.io._map_grid import understood_crs
 from jaxgeo.io._orientation_columns import read_orientation_columns
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum, for_each
-from jaxgeo.io.errors import TableError
+from jaxgeo.io.errors import A_WRONG_GUESS, TableError
 from jaxgeo.io.given_camera import AS_GIVEN, AS_READ
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm
 from jaxgeo.io.orientations import Orientations, check_columns, crs_of, has_vertical, read_orientations
@@ -109,8 +109,8 @@ def acquisition_of_orientations(
     if height_datum is None and not has_vertical(path, of_map):
         check_columns(columns, of_map)
         raise UnstatedDatum(
-            f"{os.fspath(path)}: a table of orientations does not say what its heights are measured from, and a guess "
-            f"may be off by 100 m. {CHOICES}"
+            f"{os.fspath(path)}: a table of orientations does not state the vertical datum of its heights; "
+            f"{A_WRONG_GUESS}. {CHOICES}"
         )
     table = read_orientations(path, height_datum=height_datum, crs=crs, linear_alteration_above=linear_alteration_above)
     if table.camera is not None:
@@ -248,7 +248,6 @@ def _refuse_unstated(path: str | os.PathLike[str], part: int | None) -> None:
         if lla is not None:
             altitude = lla.get("altitude") if isinstance(lla, dict) else lla
             raise UnstatedDatum(
-                f"{os.fspath(path)}: reference_lla has altitude {shown(altitude)}, and the file does not say what "
-                f"altitudes are measured from: it depends on what those of the images were, and a guess may be off by "
-                f"100 m. {CHOICES}"
+                f"{os.fspath(path)}: reference_lla has altitude {shown(altitude)}, but its vertical datum, that of "
+                f"the images' altitudes, is not stated; {A_WRONG_GUESS}. {CHOICES}"
             )

@@ -36,7 +36,7 @@ from jaxgeo.io.acquisitions.blocks import (
     shots_of,
 )
 from jaxgeo.io.acquisitions.record import Acquisition, UnstatedDatum
-from jaxgeo.io.errors import TableError, VerticalDatumError
+from jaxgeo.io.errors import A_WRONG_GUESS, TableError, VerticalDatumError
 from jaxgeo.io.given_camera import AS_READ
 from jaxgeo.io.limits import NESTING, PARAMETER_BYTES
 from jaxgeo.io.orientations import poses_of_opk
@@ -247,8 +247,8 @@ def _poses_in_map(
     horizontal, vertical = metric_map(path, crs)
     if height_datum is None and (vertical is None or is_unnamed(vertical)):
         raise UnstatedDatum(
-            f"{path}: the map {horizontal.name!r} has no vertical part, so the file does not say what its heights are "
-            f"measured from, and a guess may be off by 100 m. {CHOICES}"
+            f"{path}: the CRS {horizontal.name!r} has no vertical part, so the vertical datum of its heights is not "
+            f"stated; {A_WRONG_GUESS}. {CHOICES}"
         )
     large = np.any(np.abs(opk) > LARGEST_ANGLE, axis=1)
     if np.any(large):
