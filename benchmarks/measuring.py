@@ -214,6 +214,13 @@ def _status(name: str) -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
+def fresh_process(code: str) -> list[float]:
+    """Numbers that Python code prints in a fresh process with this process's path and no compilation cache."""
+    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false", "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return [float(word) for word in done.stdout.split()]
+
+
 def in_subprocess(task: str, arguments: dict[str, Any], timeout: float) -> dict[str, Any]:
     """Result of a task of `workers.py` in a fresh process; {'reason': ...} if it fails or exceeds the timeout."""
     command = [sys.executable, str(HERE / "workers.py"), task, json.dumps(arguments)]

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import pathlib
-import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -229,17 +227,11 @@ def first_calls(repeats: int) -> Table:
     ]
     columns += [Column("over FixedNewton's", "", "lower"), Column("each later call", "ms", "lower")]
     table = Table("The first call of a single pointing", columns)
-    environment = os.environ | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     for gimbal in ("two axes", "a drone's three axes, through the air"):
         best: dict[bool, list[float]] = {}
         for _ in range(repeats):
             for own in (False, True):
-                code = FIRST_CALL.format(asked=(gimbal, own))
-                done = subprocess.run(
-                    [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-                )
-                figures = [float(x) for x in done.stdout.split()]
+                figures = measuring.fresh_process(FIRST_CALL.format(asked=(gimbal, own)))
                 best[own] = [min(pair) for pair in zip(figures, best.get(own, figures), strict=True)]
         for own, name in ((True, "FixedNewton"), (False, "optimistix.Newton, the default")):
             wall, processor, later = best[own]

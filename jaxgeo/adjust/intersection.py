@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Int
 
+from jaxgeo._checks import is_known
 from jaxgeo._numerics import all_finite, finite_or
 from jaxgeo._record import Record
 from jaxgeo._typing import (
@@ -23,8 +24,9 @@ from jaxgeo._typing import (
     Vector3,
     Vector3Field,
 )
+from jaxgeo.adjust._least_squares import check_least_squares
 from jaxgeo.adjust._measurements import Measured, checked_measurements
-from jaxgeo.adjust._solution import Root, Seen, ranges_of, solved, spread_of
+from jaxgeo.adjust._solution import Root, WeightedImages, least_squares_point, ranges_of, spread_of
 from jaxgeo.adjust.rays import (
     Flags,
     Image,
@@ -40,6 +42,7 @@ from jaxgeo.adjust.rays import (
 )
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic, R_ecef_from_enu
 from jaxgeo.sensor import Sensor, Shot
+from jaxgeo.sensor.root_finder import compiled_quickly
 from jaxgeo.sensor.sensor import made_safe
 from jaxgeo.status import Status, first_failure, seen_beside, status_where
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
@@ -99,11 +102,11 @@ class Intersection(Record):
         """Covariance in ECEF, m2, (..., 3, 3)."""
         cov, lat, lon = (jnp.asarray(x) for x in (self.cov_enu, self.position.lat, self.position.lon))
 
-        def turned_into_ecef(cov: Matrix3, lat: Scalar, lon: Scalar) -> Matrix3:
+        def rotate_to_ecef(cov: Matrix3, lat: Scalar, lon: Scalar) -> Matrix3:
             R = R_ecef_from_enu(Geodetic(lat=lat, lon=lon, height=jnp.zeros_like(lat)))
             return R @ cov @ R.T
 
-        several = jax.vmap(turned_into_ecef)(cov.reshape(-1, 3, 3), lat.reshape(-1), lon.reshape(-1))
+        several = jax.vmap(rotate_to_ecef)(cov.reshape(-1, 3, 3), lat.reshape(-1), lon.reshape(-1))
         return several.reshape(cov.shape)
 
     @property
@@ -140,6 +143,7 @@ def forward_intersection(
     atmosphere: Atmosphere | None = None,
     shot_of: Any = None,
     flight_of: Any = None,
+    solver: Any = None,
 ) -> Intersection:
     """Intersect the rays of pixels in several shots in one point, with its covariance.
 
@@ -187,24 +191,30 @@ def forward_intersection(
     >>> print(f"{found.position.height:.3f} m, LE90 {found.linear_error(0.9):.2f} m")
     610.000 m, LE90 1.01 m
     """
+    check_least_squares(solver)
     measured = checked_measurements(sensor, shots, uvs, sigma, errors, use, atmosphere, shot_of, flight_of)
-    return _intersected(measured)
+    program = compiled_quickly(_intersect) if is_known((measured, solver)) else _intersect_jitted
+    return program(measured, solver)
 
 
 @eqx.filter_jit
-def _intersected(measured: Measured) -> Intersection:
+def _intersect_jitted(measured: Measured, solver: Any) -> Intersection:
+    return _intersect(measured, solver)
+
+
+def _intersect(measured: Measured, solver: Any) -> Intersection:
     images, directions, rays, status = _lines(measured)
     used, air = images.used, finite_or(measured.air, 1.0)
     p_ecef, meet = nearest_point(*jax.lax.stop_gradient((images.sight.centre, directions)), used)
-    seen, errors = Seen(images, _pixel_weights(measured.sigma, used), air), None
-    p_ecef, step = solved(seen, p_ecef)
+    weighted, errors = WeightedImages(images, _pixel_weights(measured.sigma, used), air), None
+    p_ecef, step = least_squares_point(weighted, p_ecef, solver)
     if measured.errors is not None:
         errors = _errors_at(measured, rays, p_ecef, air)
     if errors is not None and measured.sigma is None:
-        seen = Seen(images, errors[0], air)
-        p_ecef, step = solved(seen, p_ecef)
+        weighted = WeightedImages(images, errors[0], air)
+        p_ecef, step = least_squares_point(weighted, p_ecef, solver)
     residuals, statuses = residuals_of(images, p_ecef, air)
-    cov, chi_square = spread_of(seen, errors, p_ecef, residuals)
+    cov, chi_square = spread_of(weighted, errors, p_ecef, residuals)
 
     ranges, angle = ranges_of(images, p_ecef), largest_angle(directions, used)
     deviation = jnp.sqrt(jnp.maximum(jnp.trace(cov), 0.0))
@@ -240,16 +250,16 @@ def _lines(measured: Measured) -> tuple[Image, Rays, tuple[Sensor, Shot, Residua
 
     sensors, shots, uvs = jax.tree.map(filled, (sensors, shots, uvs))
     sights = jax.vmap(Sensor.sight)(sensors, shots)
-    _, directions, seen = jax.vmap(Sensor.ray_from)(sensors, sights, uvs, sound)
-    seen = seen_beside(seen, directions)
-    has_ray = sound & (seen == Status.hit)
+    _, directions, statuses = jax.vmap(Sensor.ray_from)(sensors, sights, uvs, sound)
+    statuses = seen_beside(statuses, directions)
+    has_ray = sound & (statuses == Status.hit)
     directions = jnp.where(has_ray[:, None], directions, jnp.array([[1.0, 0.0, 0.0]]))
     fit = all_finite((measured.air, measured.errors)) & jnp.all(~sound | _is_sigma(measured.sigma, sound))
     is_valid = fit & jnp.all(valid | ~measured.use)
     status = first_failure(
         status_where(is_valid, Status.hit, Status.invalid_input.code),
         status_where(jnp.sum(measured.use) < 2, Status.too_few_rays, Status.hit.code),
-        _first(seen, sound),
+        _first(statuses, sound),
     )
     return Image(sensors.camera, sights, uvs, has_ray), directions, (sensors, shots, uvs, has_ray), status
 

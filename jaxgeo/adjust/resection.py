@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations
+from typing import Any, TypeAlias
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import scipy  # submodules load lazily
+from jaxtyping import Array
 
+from jaxgeo._numerics import matmul3
+from jaxgeo.adjust._least_squares import check_least_squares, minimize
 from jaxgeo.adjust.block import Images
 from jaxgeo.adjust.ground_points import GroundPoints
 from jaxgeo.adjust.initial_points import camera_rays
 from jaxgeo.adjust.records import ImagePoints
+from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import FrameCamera
 
 FLAT = 0.1  # thickness of the points over their width, below which a plane is assumed for start values
@@ -23,9 +31,16 @@ SUBSETS = 40  # subsets of four points tried
 SMALL = 8  # points, up to which all subsets are listed
 ENOUGH = 0.75  # share of the points that suffices as agreement with a subset
 
+Refinement: TypeAlias = Callable[..., tuple[float, np.ndarray, np.ndarray]]
+
 
 def resect_block(
-    cameras: Mapping[str, FrameCamera], camera_of: Mapping[str, str], observations: ImagePoints, control: GroundPoints
+    cameras: Mapping[str, FrameCamera],
+    camera_of: Mapping[str, str],
+    observations: ImagePoints,
+    control: GroundPoints,
+    *,
+    solver: Any = None,
 ) -> Images:
     """Orientations of images from the control points in them, each image independently, as start values.
 
@@ -36,6 +51,7 @@ def resect_block(
     """
     known = np.all(np.isfinite(control.sigma), axis=1)
     where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
+    refine = _refinement(solver)
     missing = [camera for camera in camera_of.values() if camera not in cameras]
     if missing:
         raise ValueError(f"there is no camera {missing[0]!r}; known are {', '.join(cameras)}.")
@@ -49,7 +65,7 @@ def resect_block(
             )
         places = np.array([where[name] for name in observations.point[rows].tolist()])
         try:
-            centre, R, agree = _agreed(cameras[camera], observations.uv[rows], places)
+            centre, R, agree = _agreed(cameras[camera], observations.uv[rows], places, refine)
         except ValueError as error:
             raise ValueError(f"image {image}: {error}") from None
         if not np.all(agree):
@@ -65,16 +81,20 @@ def resect_block(
     return Images(np.array(list(camera_of)), np.array(list(camera_of.values())), np.array(centres), np.array(rotations))
 
 
-def resect_image(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def resect_image(
+    camera: FrameCamera, uv: np.ndarray, places: np.ndarray, *, solver: Any = None
+) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centre, R_frame_from_camera) from pixels (k, 2) of positions (k, 3), k at least 4.
 
     Raises `ValueError` for collinear positions, and if no start converges.
     """
-    centre, R, _ = _agreed(camera, uv, places)
+    centre, R, _ = _agreed(camera, uv, places, _refinement(solver))
     return centre, R
 
 
-def _agreed(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _agreed(
+    camera: FrameCamera, uv: np.ndarray, places: np.ndarray, refine: Refinement
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(centre, R, flags of the agreeing points) from all points; if they are inconsistent, from those that agree
     with the orientation of a four-point subset."""
     rays = camera_rays(camera, np.asarray(uv, np.float64))
@@ -85,20 +105,23 @@ def _agreed(camera: FrameCamera, uv: np.ndarray, places: np.ndarray) -> tuple[np
             f"the camera sees nothing at {np.asarray(uv)[np.argmax(lost)].tolist()} px, where its lens folds."
         )
     if _in_one_line(places):  # or all but one distant point
-        if (found := _consensus(ideal, places)) is not None:
+        if (found := _consensus(ideal, places, refine)) is not None:
             return found
         raise ValueError("the ground points lie in one line, from which no orientation follows.")
     size = float(np.abs(ideal - ideal.mean(axis=0)).max())
-    cost, centre, R = _best(ideal, places)
+    cost, centre, R = _best(ideal, places, refine)
     off = float(np.sqrt(cost / ideal.size))
     everything = np.ones(len(places), bool)
     if off <= AGREED * size:
         return centre, R, everything
-    found = _consensus(ideal, places)
+    found = _consensus(ideal, places, refine)
     if found is not None:
         return found
     if not np.isfinite(cost):
-        raise ValueError("no orientation puts all ground points in front of the camera; are image and points a pair?")
+        raise ValueError(
+            "no start converged to an orientation with all ground points in front of the camera; are image and points "
+            "a pair?"
+        )
     if off > MOST_OFF * size:
         off_px = off * float(np.mean(np.asarray(camera.focal_px)))
         raise ValueError(
@@ -113,7 +136,7 @@ def _in_one_line(places: np.ndarray) -> bool:
     return bool(spread[1] < 1e-3 * spread[0])
 
 
-def _best(ideal: np.ndarray, places: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _best(ideal: np.ndarray, places: np.ndarray, refine: Refinement) -> tuple[float, np.ndarray, np.ndarray]:
     """(sum of squares, centre, R) of the best of all starts; infinite if none converges."""
     middle = places.mean(axis=0)
     offsets = places - middle
@@ -123,11 +146,13 @@ def _best(ideal: np.ndarray, places: np.ndarray) -> tuple[float, np.ndarray, np.
         starts += _of_plane(ideal, offsets @ axes.T, axes)
     else:
         starts += [_of_space(ideal, offsets)]
-    cost, centre, R = min((_refined(ideal, offsets, *start) for start in starts), key=lambda found: found[0])
+    cost, centre, R = min((refine(ideal, offsets, *start) for start in starts), key=lambda found: found[0])
     return cost, centre + middle, R
 
 
-def _consensus(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _consensus(
+    ideal: np.ndarray, places: np.ndarray, refine: Refinement
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """(centre, R, flags) from the points that agree with the best four-point orientation; None if fewer than five,
     or less than two thirds, agree."""
     least = max(LEAST + 1, -(-2 * len(places) // 3))
@@ -143,23 +168,24 @@ def _consensus(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nd
         rows = np.array(subset, int)
         if _in_one_line(places[rows]):
             continue
-        cost, centre, R = _best(ideal[rows], places[rows])
+        cost, centre, R = _best(ideal[rows], places[rows], refine)
         agree = _agreeing(ideal, places, centre, R) if np.isfinite(cost) else most
         most = agree if np.sum(agree) > np.sum(most) else most
         if np.sum(most) >= max(least, ENOUGH * len(places)):
             break
     if np.sum(most) < least:
         return None
-    _, centre, R = _best(ideal[most], places[most])
+    _, centre, R = _best(ideal[most], places[most], refine)
     return centre, R, _agreeing(ideal, places, centre, R)
 
 
 def _agreeing(ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Flags of points whose residuals are within `AGREED` of the image area that most points cover."""
-    seen = (places - centre) @ R
-    off = np.linalg.norm(seen[:, :2] / np.where(seen[:, 2:] > 0.0, seen[:, 2:], np.inf) - ideal, axis=1)
+    p_camera = (places - centre) @ R
+    depth = p_camera[:, 2:]
+    off = np.linalg.norm(p_camera[:, :2] / np.where(depth > 0.0, depth, np.inf) - ideal, axis=1)
     size = 2.0 * np.median(np.abs(ideal - np.median(ideal, axis=0)).max(axis=1))
-    return (off < AGREED * size) & (seen[:, 2] > 0.0)
+    return (off < AGREED * size) & (depth[:, 0] > 0.0)
 
 
 def _vertical(ideal: np.ndarray, offsets: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,7 +234,12 @@ def _of_space(ideal: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nda
     return centre, R.T
 
 
-def _refined(
+def _refinement(solver: Any) -> Refinement:
+    check_least_squares(solver)
+    return _refine if solver is None else functools.partial(_refine_by, solver)
+
+
+def _refine(
     ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """(sum of squares, centre, R) of least squares from a start; infinite if points lie behind the camera."""
@@ -216,14 +247,40 @@ def _refined(
     size = np.linalg.norm(centre)
 
     def off(step: np.ndarray) -> np.ndarray:
-        seen = (places - centre - step[:3] * size) @ (R @ Rotation.from_rotvec(step[3:]).as_matrix())
-        return (seen[:, :2] / seen[:, 2:] - ideal).ravel()
+        p_camera = (places - centre - step[:3] * size) @ (R @ Rotation.from_rotvec(step[3:]).as_matrix())
+        return (p_camera[:, :2] / p_camera[:, 2:] - ideal).ravel()
 
     found = scipy.optimize.least_squares(off, np.zeros(6), method="lm", x_scale="jac")
     centre = centre + found.x[:3] * size
     R = R @ Rotation.from_rotvec(found.x[3:]).as_matrix()
     ahead = np.all(((places - centre) @ R)[:, 2] > 0.0)
     return (2.0 * found.cost if ahead else np.inf), centre, R
+
+
+def _refine_by(
+    solver: Any, ideal: np.ndarray, places: np.ndarray, centre: np.ndarray, R: np.ndarray
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """As `_refine`, by a solver of optimistix; infinite also if that does not converge."""
+    cost, centre_, R_ = _pose_by(solver, *(jnp.asarray(part) for part in (ideal, places, centre, R)))
+    return float(cost), np.asarray(centre_), np.asarray(R_)
+
+
+@eqx.filter_jit
+def _pose_by(solver: Any, ideal: Array, places: Array, centre: Array, R: Array) -> tuple[Array, Array, Array]:
+    size = jnp.linalg.norm(centre)
+
+    def pose(step: Array) -> tuple[Array, Array]:
+        return centre + step[:3] * size, matmul3(R, R_from_rotation_vector(step[3:]))
+
+    def residual(step: Array, _: Any) -> Array:
+        to, turned = pose(step)
+        p_camera = (places - to) @ turned
+        return (p_camera[:, :2] / p_camera[:, 2:] - ideal).ravel()
+
+    step, converged = minimize(residual, solver, jnp.zeros(6), None)
+    to, turned = pose(step)
+    ahead = jnp.all(((places - to) @ turned)[:, 2] > 0.0)
+    return jnp.where(converged & ahead, jnp.sum(residual(step, None) ** 2), jnp.inf), to, turned
 
 
 def _nearest_rotation(M: np.ndarray) -> np.ndarray:
