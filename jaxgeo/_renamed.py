@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
@@ -23,3 +26,20 @@ def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
         return getattr(importlib.import_module(package), new)
 
     return __getattr__
+
+
+def renamed_argument(old: str, new: str) -> Callable[[Callable[..., T]], Callable[..., T]]:
+    """Decorator that passes a keyword argument by its old name on by its new one, with a `DeprecationWarning`."""
+
+    def decorate(function: Callable[..., T]) -> Callable[..., T]:
+        @functools.wraps(function)
+        def call(*args: Any, **kwargs: Any) -> T:
+            if old in kwargs:
+                words = f"{function.__name__}({old}=) is now {new}=; the old name goes with version 0.3."
+                warnings.warn(words, DeprecationWarning, stacklevel=2)
+                kwargs[new] = kwargs.pop(old)
+            return function(*args, **kwargs)
+
+        return call
+
+    return decorate

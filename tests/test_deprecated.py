@@ -37,3 +37,23 @@ def test_a_name_that_never_was_is_refused() -> None:
 
     with pytest.raises(AttributeError, match="has no attribute 'EachSortie'"):
         _ = uncertainty.EachSortie
+
+
+def test_a_renamed_argument_warns_and_is_passed_on() -> None:
+    from jaxgeo._renamed import renamed_argument
+
+    @renamed_argument("told", "callback")
+    def function(x: int, *, callback: str | None = None) -> tuple[int, str | None]:
+        return x, callback
+
+    with pytest.warns(DeprecationWarning, match=r"function\(told=\) is now callback=; .* version 0\.3"):
+        assert function(1, told="a") == (1, "a")
+    assert function(1, callback="b") == (1, "b")
+
+
+def test_shifts_seen_is_visible() -> None:
+    from jaxgeo.register.prediction import Shifts
+
+    shifts = Shifts(*range(8))
+    with pytest.warns(DeprecationWarning, match="Shifts.visible"):
+        assert shifts.seen == shifts.visible == 5

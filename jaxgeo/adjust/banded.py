@@ -80,7 +80,7 @@ class Factor(Record):
     scale: Float[Array, "slabs m"]
     scale_shared: Float[Array, " s"]
 
-    def solved(
+    def solve(
         self, slabs: Float[Array, "slabs m k"], shared: Float[Array, "s k"]
     ) -> tuple[Float[Array, "slabs m k"], Float[Array, "s k"]]:
         """Inverse of the matrix times k columns."""
@@ -177,8 +177,8 @@ def band_of(image: np.ndarray, point: np.ndarray, n: int) -> Band:
     import scipy  # submodules load lazily
 
     ones = np.ones(len(image), np.int32)
-    seen = scipy.sparse.csr_array((ones, (image, point)), shape=(n, int(point.max()) + 1))
-    shared = (seen @ seen.T).tocoo()
+    incidence = scipy.sparse.csr_array((ones, (image, point)), shape=(n, int(point.max()) + 1))
+    shared = (incidence @ incidence.T).tocoo()
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(shared.tocsr(), symmetric_mode=True)
     place = np.empty(n, int)
     place[order] = np.arange(n)

@@ -149,10 +149,10 @@ class Block:
 
     def kept(self, rows: np.ndarray) -> np.ndarray:
         """Flags of those among the given measurements whose points still have two rays or are control."""
-        seen = self.observations
-        _, point = np.unique(seen.point, return_inverse=True)
+        observations = self.observations
+        _, point = np.unique(observations.point, return_inverse=True)
         often = np.bincount(point, weights=rows, minlength=point.max() + 1)[point] >= 2
-        control = np.zeros(len(rows), bool) if self.control is None else np.isin(seen.point, self.control.name)
+        control = np.zeros(len(rows), bool) if self.control is None else np.isin(observations.point, self.control.name)
         return rows & (often | control)
 
     def parts(self) -> list[np.ndarray]:
@@ -161,8 +161,8 @@ class Block:
 
         images, image = np.unique(self.observations.image, return_inverse=True)
         points, point = np.unique(self.observations.point, return_inverse=True)
-        seen = scipy.sparse.coo_array((np.ones(len(image)), (image, point)), shape=(len(images), len(points)))
-        count, part = scipy.sparse.csgraph.connected_components((seen @ seen.T).tocsr(), directed=False)
+        incidence = scipy.sparse.coo_array((np.ones(len(image)), (image, point)), shape=(len(images), len(points)))
+        count, part = scipy.sparse.csgraph.connected_components((incidence @ incidence.T).tocsr(), directed=False)
         return sorted((images[part == k] for k in range(count)), key=len, reverse=True)
 
     def _check_cameras(self) -> None:

@@ -19,7 +19,7 @@ from jaxgeo.adjust.banded import Tridiagonal, factored
 from jaxgeo.adjust.collinearity import Observed, navigation_residual
 from jaxgeo.adjust.navigation import Navigation
 from jaxgeo.adjust.problem import observed_of
-from jaxgeo.adjust.reduction import on_diagonal, solved, undamped
+from jaxgeo.adjust.reduction import on_diagonal, solve_reduced, undamped
 from jaxgeo.adjust.values import POSE, Values
 from jaxgeo.rotations import R_from_rotation_vector
 from jaxgeo.sensor import Mount
@@ -110,10 +110,10 @@ def _two_step(
     free, _ = free_columns(problem)
 
     def one(x: Float[Array, " size"], step: Float[Array, "6"], image: Any) -> Float[Array, "6"]:
-        seen, centre, R, strip = image
+        observed_image, centre, R, strip = image
         arm = lever + x[3:] if with_lever else lever
         R = matmul3(R, R_from_rotation_vector(step[3:]))
-        return navigation_residual(seen, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip)
+        return navigation_residual(observed_image, centre + step[:3], R, R_from_rotation_vector(x[:3]), arm, strip)
 
     def linear(x: Float[Array, " size"], image: Any) -> tuple[Array, Array, Array]:
         none = jnp.zeros(6)
@@ -132,7 +132,7 @@ def _two_step(
         columns = jnp.concatenate([J, off[:, :, None]], axis=2)  # of x and of the misclosure
         right = jnp.einsum("nka,nkj->nja", B, columns)
         none = jnp.zeros((size + 1, problem.shared))
-        left = jax.vmap(lambda r, s: solved(problem, factor, r, s)[0])(jnp.moveaxis(right, 1, 0), none)
+        left = jax.vmap(lambda r, s: solve_reduced(problem, factor, r, s)[0])(jnp.moveaxis(right, 1, 0), none)
         total = jnp.einsum("nki,nkj->ij", columns, columns) - jnp.einsum("nia,jna->ij", right, left)
         normal = total[:size, :size]
         return x - jnp.linalg.solve(normal, total[:size, size]), normal, total[size, size]

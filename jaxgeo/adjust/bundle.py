@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo._record import portable
+from jaxgeo._renamed import renamed_argument
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.datum import motions, unheld
@@ -63,11 +64,11 @@ class BehindCamera(ValueError):
 
     def __init__(self, block: Block, rows: np.ndarray) -> None:
         self.rows = rows
-        seen, first = block.observations, rows[0]
+        observations, first = block.observations, rows[0]
         super().__init__(
-            f"point {seen.point[first]} has come to lie behind image {seen.image[first]}, or beyond the field of its "
-            f"lens, though it was measured there in row {first} ({len(rows)} such measurements): its rays do not meet "
-            f"in front of the cameras. Leave these rows out (error.rows), or correct the orientations to start from."
+            f"point {observations.point[first]} has come to lie behind image {observations.image[first]}, or beyond "
+            f"the field of its lens, though it was measured there in row {first} ({len(rows)} such "
+            f"measurements): its rays do not meet in front of the cameras. Leave these rows out (error.rows), or correct the orientations to start from."
         )
 
 
@@ -79,6 +80,7 @@ class InnerConstraints:
     """
 
 
+@renamed_argument("told", "callback")
 def adjust(
     block: Block,
     unknowns: Unknowns | None = None,
@@ -87,14 +89,14 @@ def adjust(
     datum: InnerConstraints | None = None,
     terrain: HeightObservations | None = None,
     solver: Solver | None = None,
-    told: Callable[[Iteration], Any] | None = None,
+    callback: Callable[[Iteration], Any] | None = None,
     screen: float | None = SIGMAS,
 ) -> Adjustment:
     """Bundle adjustment: maximum-likelihood orientations, points and calibrations of a block.
 
     Least squares over image points, control, navigation and priors, each with its own covariance (Xue et al. 2019, Eqs
     1 and 3-5). A `loss` applies to image points and control. `terrain` adds observations of the points' heights on a
-    terrain model (`HeightObservations`). `told` is called with every iteration.
+    terrain model (`HeightObservations`). `callback` is called with every iteration.
 
     Before the first iteration, image points and control that disagree with all others by more than `screen` standard
     deviations are set aside, with a `RuntimeWarning`; the adjustment's `screened` lists them. Those that agree with the
@@ -113,13 +115,13 @@ def adjust(
         screened = replace(screened, poor=True)
     full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
     ready = masked(block, full, screened.kept)
-    solution = solve(ready.problem, loss, solver, told, start)
+    solution = solve(ready.problem, loss, solver, callback, start)
     if screen is not None and screened.aside and solution.converged:
         before, screened = screened.aside, taken_back(block, full, solution.values, screened, screen)
         if len(screened.aside) < len(before):
             full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
             ready = masked(block, full, screened.kept)
-            first, solution = solution, solve(ready.problem, loss, solver, told, solution.values)
+            first, solution = solution, solve(ready.problem, loss, solver, callback, solution.values)
             more = (replace(one, number=one.number + first.log[-1].number) for one in solution.log[1:])
             solution = solution._replace(log=(*first.log, *more))
     if screened.aside:
@@ -185,8 +187,8 @@ def _check_parallax(block: Block, ready: Prepared, solution: Solution) -> None:
     if len(lost) == 0:
         return
     names = ready.names.point[lost]
-    seen = block.observations
-    first = ", ".join(np.unique(seen.image[seen.point == names[0]]).tolist()[:4])
+    observations = block.observations
+    first = ", ".join(np.unique(observations.image[observations.point == names[0]]).tolist()[:4])
     raise DeficientBlock(
         f"nothing holds the distance of point {names[0]}: its rays, of images {first}, are parallel ({len(lost)} such "
         f"points). Leave it out, or give images from further apart, control or terrain.",

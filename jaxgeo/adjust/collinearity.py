@@ -67,7 +67,7 @@ class Observed(Record):
 
 
 def navigation_residual(
-    seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
+    observed: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
 ) -> Float[Array, "6"]:
     """Weighted residuals of position (m) and attitude (rad), predicted from an orientation less observed.
 
@@ -77,27 +77,29 @@ def navigation_residual(
     angles).
     """
     # # The boresight rotates base against body, or, for local level without a base, camera against head.
-    before = jnp.where(seen.level, jnp.eye(3), matmul3(boresight, seen.R_body_from_base))
-    R_head_from_camera = jnp.where(seen.level, matmul3(boresight, seen.R_head_from_camera), seen.R_head_from_camera)
+    before = jnp.where(observed.level, jnp.eye(3), matmul3(boresight, observed.R_body_from_base))
+    R_head_from_camera = jnp.where(
+        observed.level, matmul3(boresight, observed.R_head_from_camera), observed.R_head_from_camera
+    )
     R_frame_from_head = matmul3(R, R_head_from_camera.T)
-    R_reference_from_head = matmul3(before, seen.R_base_from_head)
+    R_reference_from_head = matmul3(before, observed.R_base_from_head)
     implied = matmul3(R_frame_from_head, R_reference_from_head.T)
-    turn = rotation_vector_from_R(matmul3(seen.R_frame_from_reference.T, implied))
-    R_frame_from_body = jnp.where(seen.level, seen.R_frame_from_body, implied)
-    imu = centre - matvec(R_frame_from_body, lever) - matvec(R_frame_from_head, seen.lever_head)
-    off = imu + strip[:3] + seen.centred_time * strip[3:] - seen.position
-    return jnp.concatenate([matvec(seen.information_position, off), matvec(seen.information_attitude, turn)])
+    turn = rotation_vector_from_R(matmul3(observed.R_frame_from_reference.T, implied))
+    R_frame_from_body = jnp.where(observed.level, observed.R_frame_from_body, implied)
+    imu = centre - matvec(R_frame_from_body, lever) - matvec(R_frame_from_head, observed.lever_head)
+    off = imu + strip[:3] + observed.centred_time * strip[3:] - observed.position
+    return jnp.concatenate([matvec(observed.information_position, off), matvec(observed.information_attitude, turn)])
 
 
 def navigation_linear(
-    seen: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
+    observed: Observed, centre: Vector3, R: Matrix3, boresight: Matrix3, lever: Vector3, strip: Float[Array, "6"]
 ) -> tuple[Float[Array, "6"], Float[Array, "6 18"]]:
     """The same residuals and their derivatives by pose (6), mount (6) and strip (6)."""
 
     def residual(step: Float[Array, "18"]) -> Float[Array, "6"]:
         pose, mount, of_strip = step[:6], step[6:12], step[12:]
         return navigation_residual(
-            seen,
+            observed,
             centre + pose[:3],
             matmul3(R, R_from_rotation_vector(pose[3:])),
             matmul3(R_from_rotation_vector(mount[:3]), boresight),

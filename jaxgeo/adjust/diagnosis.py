@@ -101,11 +101,11 @@ class Diagnosis:
 
 def diagnosed(block: Block, unknowns: Unknowns, ready: Prepared, solution: Solution, screened: Screen) -> Diagnosis:
     """Diagnosis of iterations that did not converge; `ready` and `block` as they were adjusted."""
-    values, seen = solution.values, block.observations
+    values, observations = solution.values, block.observations
     residual = np.asarray(image_residuals(ready.problem, values)).T[ready.order.place]
     sizes = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
     points = [
-        Misfit(IMAGE_POINT, str(seen.image[i]), str(seen.point[i]), int(i), float(sizes[i]))
+        Misfit(IMAGE_POINT, str(observations.image[i]), str(observations.point[i]), int(i), float(sizes[i]))
         for i in np.argsort(-sizes, kind="stable")[:MOST]
     ]
     control = _of_control(block, ready, solution)

@@ -69,8 +69,8 @@ def linearised(problem: Problem, values: Values, loss: AbstractLoss) -> Equation
 
     Split into three programs: as one, XLA recomputes intermediate results, and it takes twice as long.
     """
-    seen = _image_points(problem, values, loss)
-    return _normal(problem, values, loss, seen, _by_image(problem, seen))
+    linear = _image_points(problem, values, loss)
+    return _normal(problem, values, loss, linear, _by_image(problem, linear))
 
 
 @eqx.filter_jit
@@ -79,9 +79,9 @@ def _image_points(problem: Problem, values: Values, loss: AbstractLoss) -> tuple
 
 
 @eqx.filter_jit
-def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "rows width columns"]]:
+def _by_image(problem: Problem, linear: tuple[Array, ...]) -> list[Float[Array, "rows width columns"]]:
     """Derivatives by pose and lens, and residuals, of the measurements of each image, for both axes."""
-    residual, _, by_pose, by_lens, _ = seen
+    residual, _, by_pose, by_lens, _ = linear
     found = []
     for axis in range(2):
         rows = jnp.concatenate([by_pose[axis], by_lens[axis], residual[axis][None]])
@@ -91,10 +91,10 @@ def _by_image(problem: Problem, seen: tuple[Array, ...]) -> list[Float[Array, "r
 
 @eqx.filter_jit
 def _normal(
-    problem: Problem, values: Values, loss: AbstractLoss, seen: tuple[Array, ...], by_image: list[Array]
+    problem: Problem, values: Values, loss: AbstractLoss, linear: tuple[Array, ...], by_image: list[Array]
 ) -> Equations:
     layout = problem.layout
-    residual, by_point, by_pose, by_lens, rho = seen
+    residual, by_point, by_pose, by_lens, rho = linear
     own = jnp.concatenate([by_pose, by_lens], axis=1) if problem.own_lens else by_pose
     coupling = own[0][:, None] * by_point[0][None] + own[1][:, None] * by_point[1][None]
     x, y = by_point

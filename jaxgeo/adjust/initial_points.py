@@ -53,17 +53,18 @@ def rays_of(block: Block, chosen: np.ndarray, image: np.ndarray) -> tuple[np.nda
 
     Raises `ValueError` naming image and point where the lens has no ray for a pixel.
     """
-    seen, images = block.observations, block.images
+    observations, images = block.observations, block.images
     direction = np.empty((len(chosen), 3))
     for name, camera in block.cameras.items():
         own = np.flatnonzero(images.camera[image] == name)
         if own.size:
-            direction[own] = camera_rays(camera, seen.uv[chosen[own]])
+            direction[own] = camera_rays(camera, observations.uv[chosen[own]])
     lost = ~np.all(np.isfinite(direction), axis=1)
     if np.any(lost):
         row = chosen[int(np.argmax(lost))]
         raise ValueError(
-            f"point {seen.point[row]} in image {seen.image[row]}: the camera sees nothing at {seen.uv[row].tolist()} "
+            f"point {observations.point[row]} in image {observations.image[row]}: the camera sees nothing "
+            f"at {observations.uv[row].tolist()} "
             f"px, as its lens folds there; is the pixel, or the lens, that of another camera?"
         )
     return images.centre[image], np.einsum("nij,nj->ni", images.R_frame_from_camera[image], direction)

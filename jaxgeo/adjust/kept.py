@@ -71,10 +71,10 @@ def masked(block: Block, ready: Prepared, kept: Kept) -> Prepared:
     if np.all(kept.rows) and np.all(kept.control):
         return ready
     problem, names, order = ready
-    seen, control = block.observations, control_of(block)
+    observations, control = block.observations, control_of(block)
     information = np.asarray(problem.layout.information).copy()
     information[order.place[~kept.rows]] = 0.0
-    there = np.isin(names.point, seen.point[kept.rows])
+    there = np.isin(names.point, observations.point[kept.rows])
     row_of = dict(zip(names.point.tolist(), order.row_of_point.tolist(), strict=True))
     freed = np.array([row_of[name] for name in control.name[~kept.control].tolist() if name in row_of], int)
     gone = order.row_of_point[~there]

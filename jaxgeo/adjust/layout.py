@@ -101,15 +101,16 @@ def layout_of(
         lower = rays
         there = np.arange(rays)[None, :] < counts[chosen][:, None]
         taken = np.where(there, start[chosen][:, None] + np.arange(rays)[None, :], 0)
-        seen = np.where(there, image[taken], n)
-        sort = np.lexsort(seen.T[::-1])
+        image_of_ray = np.where(there, image[taken], n)
+        sort = np.lexsort(image_of_ray.T[::-1])
         chosen = chosen[sort]
-        size, chunks, batch, own = _chunking(seen[sort], n, columns // n, dense)
+        size, chunks, batch, own = _chunking(image_of_ray[sort], n, columns // n, dense)
         pad = size * chunks - len(chosen)
-        there, taken, seen = (
-            np.concatenate([x[sort], np.full((pad, rays), fill)]) for x, fill in ((there, False), (taken, 0), (seen, n))
+        there, taken, image_of_ray = (
+            np.concatenate([x[sort], np.full((pad, rays), fill)])
+            for x, fill in ((there, False), (taken, 0), (image_of_ray, n))
         )
-        slots, ray_of_slot = _slots(seen.reshape(chunks, size, rays), n, own)
+        slots, ray_of_slot = _slots(image_of_ray.reshape(chunks, size, rays), n, own)
         row = np.arange(size * chunks).reshape(chunks, size, 1)
         measured = np.where(ray_of_slot < rays, first + ray_of_slot * size * chunks + row, -1)
         given.append((rays, chunks, size, first, first_row, own, batch, slots, measured))
@@ -162,12 +163,12 @@ def _group_limits(counts: np.ndarray) -> list[int]:
     return limits[::-1]
 
 
-def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, int, bool]:
+def _chunking(image_of_ray: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, int, bool]:
     """(points per chunk, chunks, chunks per batch, whether chunks are dense) of the cheapest chunking.
 
-    `seen` (points, rays) are the images, n for none; an image has c columns.
+    `image_of_ray` (points, rays) are the images, n for none; an image has c columns.
     """
-    points, best = len(seen), (np.inf, 0, 0, 0, False)
+    points, best = len(image_of_ray), (np.inf, 0, 0, 0, False)
     if dense:
         most = max(DENSE_POINTS, DENSE_BYTES // (24 * n * c))
         chunks = -(-points // most)
@@ -176,7 +177,7 @@ def _chunking(seen: np.ndarray, n: int, c: int, dense: bool) -> tuple[int, int, 
     for size in POINTS:
         chunks = rounded(-(-points // size))
         there = np.zeros((chunks, n + 1), bool)
-        there[np.arange(points)[:, None] // size, seen] = True
+        there[np.arange(points)[:, None] // size, image_of_ray] = True
         columns = c * int(there[:, :n].sum(axis=1).max())
         batch = min(chunks, max(1, BATCH_BYTES // (8 * columns**2)))
         batches = -(-chunks // batch)
@@ -194,17 +195,17 @@ def rounded(count: int) -> int:
     return -(-count // step) * step
 
 
-def _slots(seen: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:
+def _slots(image_of_ray: np.ndarray, n: int, dense: bool) -> tuple[np.ndarray, np.ndarray]:
     """(slots (chunks, q), ray of each point in each slot) from the images (chunks, size, rays) that see the points."""
-    chunks, size, rays = seen.shape
-    own = [np.arange(n) if dense else np.unique(images[images < n]) for images in seen]
+    chunks, size, rays = image_of_ray.shape
+    own = [np.arange(n) if dense else np.unique(images[images < n]) for images in image_of_ray]
     q = max(len(images) for images in own)
     slots, ray_of_slot = np.full((chunks, q), n), np.full((chunks, size, q), rays)
     ray = np.broadcast_to(np.arange(rays), (size, rays))
     for chunk, images in enumerate(own):
         slots[chunk, : len(images)] = images
         by_image = np.full((size, n + 1), rays)
-        np.put_along_axis(by_image, seen[chunk], ray, axis=1)
+        np.put_along_axis(by_image, image_of_ray[chunk], ray, axis=1)
         ray_of_slot[chunk, :, : len(images)] = by_image[:, images]
     return slots, ray_of_slot
 

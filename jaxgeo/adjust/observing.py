@@ -89,9 +89,9 @@ def observing(problem: Problem, values: Values, control_root: Float[Array, " row
     off, by = jnp.zeros((n, 6)), jnp.zeros((n, 6, 18))
     weights = jnp.zeros((n, 6))
     if problem.observed is not None:
-        seen = problem.observed
-        off, by = jax.vmap(navigation_linear)(seen, *of_images(problem, values))
-        parts = (seen.information_position, seen.information_attitude)
+        observed = problem.observed
+        off, by = jax.vmap(navigation_linear)(observed, *of_images(problem, values))
+        parts = (observed.information_position, observed.information_attitude)
         weights = jnp.concatenate([jnp.linalg.norm(x, axis=2) for x in parts], axis=1)
     return Observing(
         control=control,

@@ -24,7 +24,7 @@ from jaxgeo.adjust.reduction import (
     condensed,
     places,
     rows_of,
-    solved,
+    solve_reduced,
     times_inverse,
     undamped,
 )
@@ -146,7 +146,7 @@ def covariance_of_reduced(problem: Problem, posterior: Posterior) -> Float[Array
         covariance = jnp.block([[own, border], [border.T, posterior.inverse.corner]])
     else:
         eye = jnp.eye(N + s)
-        whole = jax.vmap(lambda one, other: solved(problem, posterior.factor, one, other))
+        whole = jax.vmap(lambda one, other: solve_reduced(problem, posterior.factor, one, other))
         found = whole(eye[:, :N].reshape(-1, problem.n, c), eye[:, N:])
         covariance = jnp.concatenate([found[0].reshape(N + s, N), found[1]], axis=1)
         covariance = 0.5 * (covariance + covariance.T)
@@ -329,7 +329,9 @@ class _Transfer(Record):
         G, points, factor = posterior.datum.points, posterior.points, posterior.points.factor
         half = times_inverse(factor, G)  # L^-1 G of each point
         images, corner = condensed(problem, points, half)  # (L^-1 G)' D, summed over the points
-        of_images, of_shared = jax.vmap(lambda x, y: solved(problem, posterior.factor, x, y))(images, corner)  # F Q
+        of_images, of_shared = jax.vmap(lambda x, y: solve_reduced(problem, posterior.factor, x, y))(
+            images, corner
+        )  # F Q
         along = along_points(problem, points, of_images, of_shared)  # (F Q) D' of each point, (d, 3, rows)
         of_points = backward_rows(factor, half + along)
         if posterior.weak is not None:

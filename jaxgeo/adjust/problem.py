@@ -71,8 +71,8 @@ def prepared(
     by_name = np.argsort(images.name)
     image = by_name[np.searchsorted(images.name, block.observations.image, sorter=by_name)]
     columns = len(images) * (6 + (len(active) if own_lens else 0))
-    seen = block.observations
-    layout, order = layout_of(image, point, seen.uv, seen.sigma, camera, columns)
+    observations = block.observations
+    layout, order = layout_of(image, point, observations.uv, observations.sigma, camera, columns)
     pose = spread(unknowns.images, images.name.tolist(), 1, "images", Free())
     if not np.all((pose == 0.0) | np.isinf(pose)):
         raise ValueError(
@@ -220,19 +220,19 @@ def _known_points(block: Block, points: np.ndarray, order: Order) -> tuple[np.nd
     for given in (block.points, block.control):
         if given is None:
             continue
-        seen = np.array([i for i, name in enumerate(given.name.tolist()) if name in row_of], int)
-        rows = np.array([row_of[name] for name in given.name[seen].tolist()], int)
-        sigma = given.sigma[seen]
+        in_block = np.array([i for i, name in enumerate(given.name.tolist()) if name in row_of], int)
+        rows = np.array([row_of[name] for name in given.name[in_block].tolist()], int)
+        sigma = given.sigma[in_block]
         if given is block.points:
-            place[rows] = given.place[seen]
+            place[rows] = given.place[in_block]
             continue
         start = np.where(np.isnan(place[rows]), np.nan, place[rows])
-        place[rows] = np.where(np.isfinite(sigma), given.place[seen], start)  # unknown coordinates: from their rays
+        place[rows] = np.where(np.isfinite(sigma), given.place[in_block], start)  # unknown coordinates: from their rays
         with np.errstate(divide="ignore"):
             weight = np.where(sigma > 0.0, 1.0 / sigma, 0.0)
         known[rows] = np.eye(3) * weight[:, None, :]
         if given.covariance is not None:
-            known[rows] = np.linalg.inv(np.linalg.cholesky(given.covariance[seen]))
+            known[rows] = np.linalg.inv(np.linalg.cholesky(given.covariance[in_block]))
         free[rows] = sigma > 0.0
     return place, known, free
 

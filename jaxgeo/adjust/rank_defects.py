@@ -89,7 +89,7 @@ def _shifted(matrix: Tridiagonal) -> Factor:
 def _solved(factor: Factor, column: Float[Array, " N"]) -> Float[Array, " N"]:
     slabs, m, _ = factor.own.shape
     images, shared = column[: slabs * m].reshape(slabs, m, 1), column[slabs * m :][:, None]
-    return jnp.concatenate([x.ravel() for x in factor.solved(images, shared)])
+    return jnp.concatenate([x.ravel() for x in factor.solve(images, shared)])
 
 
 def _least(matrix: Tridiagonal, most: int) -> tuple[np.ndarray, np.ndarray]:

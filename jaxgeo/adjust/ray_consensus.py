@@ -45,16 +45,16 @@ class Rays:
     @classmethod
     def of(cls, block: Block) -> Rays:
         """Rays with the start orientations of the block."""
-        seen, images = block.observations, block.images
+        observations, images = block.observations, block.images
         by_name = np.argsort(images.name)
-        image = by_name[np.searchsorted(images.name, seen.image, sorter=by_name)]
-        names, point = np.unique(seen.point, return_inverse=True)
-        own, sigma = np.empty((len(seen), 3)), np.empty(len(seen))
+        image = by_name[np.searchsorted(images.name, observations.image, sorter=by_name)]
+        names, point = np.unique(observations.point, return_inverse=True)
+        own, sigma = np.empty((len(observations), 3)), np.empty(len(observations))
         for name, camera in block.cameras.items():
             rows = np.flatnonzero(images.camera[image] == name)
             if rows.size:
-                own[rows] = camera_rays(camera, seen.uv[rows])
-                sigma[rows] = seen.sigma[rows].mean(axis=1) / np.mean(np.asarray(camera.focal_px))
+                own[rows] = camera_rays(camera, observations.uv[rows])
+                sigma[rows] = observations.sigma[rows].mean(axis=1) / np.mean(np.asarray(camera.focal_px))
         used = np.all(np.isfinite(own), axis=1)
         own[~used] = [0.0, 0.0, 1.0]
         rays = cls(image, point, own, sigma, used, images.centre.copy(), images.R_frame_from_camera.copy(), names)

@@ -122,10 +122,10 @@ def moved_by_errors(
     """
 
     def of_ray(sensor: Sensor, shot: Shot, uv: Pixel, used: Flag) -> Float[Array, "2 axes"]:
-        look = ModelInputs(Exposure(sensor, shot, 0.0, air), uv)
+        inputs = ModelInputs(Exposure(sensor, shot, 0.0, air), uv)
 
         def residual(error: Float[Array, " axes"]) -> Pixel:
-            moved = model.moved(look, error)
+            moved = model.moved(inputs, error)
             assert isinstance(moved.motion, Shot)
             sight = moved.sensor.sight(moved.motion)
             return Image(moved.sensor.camera, sight, jnp.asarray(moved.uv), used).residual(p_ecef, moved.air)[0]

@@ -86,12 +86,12 @@ def on_diagonal(band: Band, images: Float[Array, "n c c"]) -> Float[Array, "bloc
     return blocks.at[: band.slabs, each, :, each, :].set(own, unique_indices=True)
 
 
-def solved(
+def solve_reduced(
     problem: Problem, factor: Factor, images: Float[Array, "n c"], shared: Float[Array, " s"]
 ) -> tuple[Float[Array, "n c"], Float[Array, " s"]]:
     """Inverse of the reduced system times one column."""
     band = problem.layout.band
-    slabs, shared = factor.solved(band.to_slabs(images)[:, :, None], shared[:, None])
+    slabs, shared = factor.solve(band.to_slabs(images)[:, :, None], shared[:, None])
     return band.of_images(slabs[:, :, 0]), shared[:, 0]
 
 

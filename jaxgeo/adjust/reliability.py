@@ -102,12 +102,12 @@ def blunders(adjustment: Adjustment, alpha: float = 0.001) -> list[Blunder]:
 
 def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -> list[Blunder]:
     """Image points and control points whose statistics exceed `least`, the largest first."""
-    seen, known = block.observations, control_of(block)
+    observations, known = block.observations, control_of(block)
     statistic = np.concatenate([points.statistic, control.statistic])
     length = np.concatenate([points.length, control.length])
-    point = np.concatenate([seen.point, known.name])
-    image = np.concatenate([seen.image, np.full(len(known), "")])
-    found, k = [], len(seen)
+    point = np.concatenate([observations.point, known.name])
+    image = np.concatenate([observations.image, np.full(len(known), "")])
+    found, k = [], len(observations)
     if not np.any(statistic > least):
         return found
     rows_of = _rows_of(point)
@@ -119,7 +119,7 @@ def named(block: Block, points: Hypotheses, control: Hypotheses, least: float) -
         alike = others[np.abs(length[others] - length[at]) < ALIKE * length[at]]
         instead = tuple(image[alike[alike < k]].tolist())
         of_image = at < k
-        error = points.error[at] * seen.sigma[at] if of_image else control.error[at - k]
+        error = points.error[at] * observations.sigma[at] if of_image else control.error[at - k]
         found.append(
             Blunder(
                 str(image[at]),

@@ -274,12 +274,12 @@ def _pose_by(solver: Any, ideal: Array, places: Array, centre: Array, R: Array) 
 
     def residual(step: Array, _: Any) -> Array:
         to, turned = pose(step)
-        p_camera = (places - to) @ turned
+        p_camera = (places - to[None]) @ turned
         return (p_camera[:, :2] / p_camera[:, 2:] - ideal).ravel()
 
     step, converged = minimize(residual, solver, jnp.zeros(6), None)
     to, turned = pose(step)
-    ahead = jnp.all(((places - to) @ turned)[:, 2] > 0.0)
+    ahead = jnp.all(((places - to[None]) @ turned)[:, 2] > 0.0)
     return jnp.where(converged & ahead, jnp.sum(residual(step, None) ** 2), jnp.inf), to, turned
 
 

@@ -141,7 +141,7 @@ class _Screening:
     @cached_property
     def _image_points(self) -> tuple[list[Screened], tuple[str, ...]]:
         """Rays that miss the others of their point, and images most of whose rays do."""
-        rays, seen, images = self.rays, self.block.observations, self.block.images
+        rays, observations, images = self.rays, self.block.observations, self.block.images
         wrong = rays.residual > self.limit
         well = rays.used & (rays.checked > LEAST_CHECKED)
         count = np.bincount(rays.image, weights=well, minlength=len(images))
@@ -154,11 +154,13 @@ class _Screening:
             sigmas = float(rays.residual[row])
             why = f"its ray misses where the other rays of the point meet by {sigmas:.0f} standard deviations"
             if not rays.used[row]:
-                why = f"the camera sees nothing at {seen.uv[row].tolist()} px, as its lens folds there"
+                why = f"the camera sees nothing at {observations.uv[row].tolist()} px, as its lens folds there"
             elif np.sum(rays.point == rays.point[row]) == 2:
-                other = seen.image[(rays.point == rays.point[row]) & (rays.image != rays.image[row])]
+                other = observations.image[(rays.point == rays.point[row]) & (rays.image != rays.image[row])]
                 why = f"its ray and that of image {other[0]} miss each other by {sigmas:.0f} standard deviations each"
-            found.append(Screened(IMAGE_POINT, str(seen.image[row]), str(seen.point[row]), int(row), sigmas, why))
+            found.append(
+                Screened(IMAGE_POINT, str(observations.image[row]), str(observations.point[row]), int(row), sigmas, why)
+            )
         return found, tuple(images.name[doubtful].tolist())
 
     @cached_property
@@ -252,9 +254,10 @@ def _check_lens(block: Block, rays: Rays) -> None:
     if not np.any(share > MOST):
         return
     row = int(np.argmax(~rays.used & (share[rays.image] > MOST)))
-    seen = block.observations
+    observations = block.observations
     raise ValueError(
-        f"point {seen.point[row]} in image {seen.image[row]}: the camera sees nothing at {seen.uv[row].tolist()} px, "
+        f"point {observations.point[row]} in image {observations.image[row]}: the camera sees nothing "
+        f"at {observations.uv[row].tolist()} px, "
         f"as its lens folds there; is the pixel, or the lens, that of another camera?"
     )
 

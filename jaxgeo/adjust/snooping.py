@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgeo._renamed import renamed_argument
 from jaxgeo.adjust.adjustment import Adjustment
 from jaxgeo.adjust.block import Block
 from jaxgeo.adjust.bundle import BehindCamera, InnerConstraints, adjusted
@@ -31,13 +32,14 @@ CLEAR = 2.0  # times the limit: residual of the robust solution above which a me
 NEARLY = 0.5  # of the worst: similarly bad measurements elsewhere in the block are removed with it
 
 
+@renamed_argument("told", "callback")
 def without_blunders(
     block: Block,
     unknowns: Unknowns | None = None,
     *,
     alpha: float = 0.001,
     most: int = 100,
-    told: Callable[[Blunder], Any] | None = None,
+    callback: Callable[[Blunder], Any] | None = None,
     screen: float | None = SIGMAS,
     loss: AbstractLoss | None = None,
     datum: InnerConstraints | None = None,
@@ -52,10 +54,10 @@ def without_blunders(
 
     `alpha` applies to each test: of n good measurements about alpha n are rejected; with alpha / n, any at all in a
     good block with probability `alpha` at most. A point that is left with one ray is removed completely. At most `most`
-    measurements are removed; a `RuntimeWarning` reports whether more are left. `told` is called with each blunder; the
-    other options are those of `adjust`. Raises as `adjust`.
+    measurements are removed; a `RuntimeWarning` reports whether more are left. `callback` is called with each blunder;
+    the other options are those of `adjust`. Raises as `adjust`.
     """
-    snooping = _Snooping.of(block, Unknowns() if unknowns is None else unknowns, terrain, screen, told)
+    snooping = _Snooping.of(block, Unknowns() if unknowns is None else unknowns, terrain, screen, callback)
     snooping.loss = LeastSquares() if loss is None else loss
     snooping.datum, snooping.solver, snooping.limit, snooping.most = datum, solver, limit(alpha), most
     snooping.start_robustly()
@@ -79,7 +81,7 @@ class _Snooping:
     unknowns: Unknowns
     full: Prepared
     screened: Screen
-    told: Callable[[Blunder], Any] | None
+    callback: Callable[[Blunder], Any] | None
     kept: Kept
     found: dict[tuple[str, int], Blunder | None] = field(default_factory=dict)
     back: set[tuple[str, int]] = field(default_factory=set)
@@ -92,14 +94,14 @@ class _Snooping:
 
     @classmethod
     def of(
-        cls, block: Block, unknowns: Unknowns, terrain: HeightObservations | None, screen: float | None, told: Any
+        cls, block: Block, unknowns: Unknowns, terrain: HeightObservations | None, screen: float | None, callback: Any
     ) -> _Snooping:
         screened, values = screened_of(block, unknowns, screen), None
         full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
         if screen is not None and len(control_of(block)):
             screened, values = start_by_ties(block, full, screened, screen, (LeastSquares(), Cauchy()))
             full = prepared(block, unknowns, terrain, set_aside(block, screened.kept))
-        snooping = cls(block, unknowns, full, screened, told, screened.kept, values=values)
+        snooping = cls(block, unknowns, full, screened, callback, screened.kept, values=values)
         snooping.found = {(one.kind, one.row): None for one in screened.aside}
         return snooping
 
@@ -208,14 +210,14 @@ class _Snooping:
 
     def fitting_points(self, adjustment: Adjustment) -> list[tuple[str, int]]:
         """Points removed completely before the adjustment whose rays intersect."""
-        seen = self.block.observations
+        observations = self.block.observations
         lost = {key for key, blunder in self.found.items() if key[0] == IMAGE_POINT and blunder is None} - self.back
-        names = {str(seen.point[row]) for _, row in lost} - set(adjustment.prepared.names.point.tolist())
+        names = {str(observations.point[row]) for _, row in lost} - set(adjustment.prepared.names.point.tolist())
         if not names:
             return []
         rays = Rays.of(replace(self.block, cameras=adjustment.cameras, images=adjustment.images))
-        good = [name for name in names if np.max(rays.residual[seen.point == name]) < self.limit]
-        return [(IMAGE_POINT, int(row)) for name in good for row in np.flatnonzero(seen.point == name)]
+        good = [name for name in names if np.max(rays.residual[observations.point == name]) < self.limit]
+        return [(IMAGE_POINT, int(row)) for name in good for row in np.flatnonzero(observations.point == name)]
 
     def take_back(self, keys: list[tuple[str, int]]) -> None:
         rows, control = self.kept.rows.copy(), self.kept.control.copy()
@@ -223,8 +225,8 @@ class _Snooping:
             (rows if kind == IMAGE_POINT else control)[row] = True
             self.found.pop((kind, row), None)
         # # Measurements removed with their point are restored with it, unless they are blunders themselves.
-        seen = self.block.observations
-        again = np.isin(seen.point, seen.point[[row for kind, row in keys if kind == IMAGE_POINT]])
+        observations = self.block.observations
+        again = np.isin(observations.point, observations.point[[row for kind, row in keys if kind == IMAGE_POINT]])
         again[[row for kind, row in self.found if kind == IMAGE_POINT]] = False
         self.back |= set(keys)
         self.kept = Kept(rows | again, control).whole(self.block)
@@ -238,17 +240,19 @@ class _Snooping:
         points, control = points.alone(of_points), control.alone(of_control)
         tested = {(b.kind, b.row): b for b in named(self.block, points, control, 0.0)}
         screened = {(one.kind, one.row): one.sigmas for one in self.screened.aside}
-        seen = self.block.observations
+        observations = self.block.observations
         for key in waiting:
             if key not in self.found:  # reported as the other ray of a point
                 continue
             kind, row = key
-            point = str(seen.point[row] if kind == IMAGE_POINT else control_of(self.block).name[row])
-            image = str(seen.image[row]) if kind == IMAGE_POINT else ""
+            point = str(observations.point[row] if kind == IMAGE_POINT else control_of(self.block).name[row])
+            image = str(observations.image[row]) if kind == IMAGE_POINT else ""
             blunder = tested.get(key)
             if blunder is None:  # its point has no measurements left
-                others = [(k, r) for k, r in waiting if k == IMAGE_POINT and r != row and seen.point[r] == point]
-                instead = tuple(str(seen.image[r]) for _, r in others)
+                others = [
+                    (k, r) for k, r in waiting if k == IMAGE_POINT and r != row and observations.point[r] == point
+                ]
+                instead = tuple(str(observations.image[r]) for _, r in others)
                 size, none = screened.get(key, np.inf), (np.nan,) * (2 if kind == IMAGE_POINT else 3)
                 blunder = Blunder(image, point, row, float(size), none, instead, kind)
                 for other in others:
@@ -263,8 +267,8 @@ class _Snooping:
     def record(self, key: tuple[str, int], blunder: Blunder) -> None:
         self.found.pop(key, None)  # in the order of detection
         self.found[key] = blunder
-        if self.told is not None:
-            self.told(blunder)
+        if self.callback is not None:
+            self.callback(blunder)
 
 
 def _worst(found: list[Blunder]) -> list[Blunder]:

@@ -29,7 +29,7 @@ from jaxgeo.adjust.reduction import (
     gather,
     reduced,
     scales_of_points,
-    solved,
+    solve_reduced,
     undamped,
 )
 from jaxgeo.adjust.values import Values, moved
@@ -85,10 +85,12 @@ def solve(
     problem: Problem,
     loss: AbstractLoss | None = None,
     solver: Solver | None = None,
-    told: Callable[[Iteration], Any] | None = None,
+    callback: Callable[[Iteration], Any] | None = None,
     start: Values | None = None,
 ) -> Solution:
-    """Values of least cost near the problem's start, or near another `start`; `told` is called with every iteration."""
+    """Values of least cost near the problem's start, or near another `start`; `callback` is called with every
+    iteration.
+    """
     loss, solver = LeastSquares() if loss is None else loss, Solver() if solver is None else solver
     relative = solver.relative
     if relative is None:
@@ -108,8 +110,8 @@ def solve(
         accepted = promised > 0.0 and (decrease > 0.0 or (abs(decrease) <= 1e-12 * cost and promised <= 1e-10 * cost))
         gain = decrease / promised if promised > 0.0 else 0.0
         log.append(Iteration(len(log), new_cost if accepted else cost, promised, decrease, damping, accepted))
-        if told is not None:
-            told(log[-1])
+        if callback is not None:
+            callback(log[-1])
         if accepted:
             converged = promised <= least or (decrease <= least and gain > 0.5)
             values, cost = trial, new_cost
@@ -144,7 +146,7 @@ def _stepped(
     damping: Scalar,
 ) -> tuple[Values, Scalar, Scalar]:
     points, system = ready
-    images, shared = solved(problem, factored(system.matrix), -system.images, -system.shared)
+    images, shared = solve_reduced(problem, factored(system.matrix), -system.images, -system.shared)
     of_points = back_substituted(problem, points, images, shared) * problem.free_point.T
     trial = moved(values, step_of(problem, images, shared, of_points), problem.active)
     return trial, cost_of(problem, trial, loss), promised_by(problem, equations, images, shared, of_points, damping)
@@ -178,7 +180,7 @@ def _stepped_apart(
     of the whole, damped by their own weights and applied as finite motions, which leave pixels unchanged."""
     points, system = ready
     factor = factored(with_holds(problem, system.matrix, motions, False))
-    images, shared = solved(problem, factor, -system.images, -system.shared)
+    images, shared = solve_reduced(problem, factor, -system.images, -system.shared)
     y = images, shared, back_substituted(problem, points, images, shared) * problem.free_point.T
     found = apart(problem, points, factor, motions, damping)
     scale = 1.0 / jnp.sqrt(motions.own)

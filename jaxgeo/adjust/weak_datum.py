@@ -25,7 +25,7 @@ from jaxgeo.adjust.banded import Band, Factor, Tridiagonal
 from jaxgeo.adjust.datum import whole_of
 from jaxgeo.adjust.equations import Equations
 from jaxgeo.adjust.observing import observing
-from jaxgeo.adjust.reduction import Eliminated, along_points, backward_rows, condensed, solved, times_inverse
+from jaxgeo.adjust.reduction import Eliminated, along_points, backward_rows, condensed, solve_reduced, times_inverse
 from jaxgeo.adjust.values import Values
 from jaxgeo.rotations import R_from_rotation_vector
 
@@ -193,7 +193,7 @@ def apart(problem: Problem, points: Eliminated, factor: Factor, motions: Motions
     half = times_inverse(points.factor, K_points)
     from_images, from_shared = condensed(problem, points, half)
     right = K_images - from_images, K_shared - from_shared
-    images, shared = jax.vmap(lambda z, s: solved(problem, factor, z, s))(*right)
+    images, shared = jax.vmap(lambda z, s: solve_reduced(problem, factor, z, s))(*right)
     left = half - along_points(problem, points, images, shared)
     F = images, shared, backward_rows(points.factor, left) * problem.free_point.T[None]
     taken = sum((k.reshape(7, -1) @ f.reshape(7, -1).T for k, f in zip(motions.K, F, strict=True)), jnp.zeros((7, 7)))

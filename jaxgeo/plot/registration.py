@@ -188,7 +188,7 @@ def _upwards(shift: np.ndarray) -> np.ndarray:
 def _searched(done: Pass, covariance: np.ndarray, probability: float) -> np.ndarray:
     """Search ellipse (2, n) of the block nearest to the centre, in cells to the right and upwards."""
     centre = np.asarray(done.matches.centre)
-    was_searched = (np.asarray(done.matches.searched) > 0) & np.asarray(done.shifts.seen)
+    was_searched = (np.asarray(done.matches.searched) > 0) & np.asarray(done.shifts.visible)
     off = np.linalg.norm(centre - centre.mean(axis=0), axis=1)
     block = int(np.argmin(np.where(was_searched, off, np.inf)))
     cells = np.asarray(done.shifts.covariance(covariance))[block] + AT_FIRST**2 * np.eye(2)

@@ -44,7 +44,7 @@ Square = Float[Array, "unknowns unknowns"]
 class Problem(Record):
     """Forward-model inputs and error model of the navigation, tie points and their errors, and the prior."""
 
-    look: ModelInputs
+    inputs: ModelInputs
     model: ErrorModel
     ties: PaddedTies
     tie_errors: TieErrors
@@ -57,7 +57,7 @@ class Equations(NamedTuple):
     """Residuals of ties in px, their weights, and the normal equations; each unknown is scaled to unit standard
     deviation.
 
-    `seen` is the status of the first tie without an image, else `hit`; `cells` are the terrain cells that contain the
+    `status` is the status of the first tie without an image, else `hit`; `cells` are the terrain cells that contain the
     ties.
     """
 
@@ -67,7 +67,7 @@ class Equations(NamedTuple):
     whiten: AbstractWhitener
     normal: Square
     gradient: Unknowns
-    seen: StatusCode
+    status: StatusCode
     cells: Cells
 
 
@@ -85,7 +85,7 @@ def equations_about(
     them."""
     ties, count = problem.ties, problem.model.size
     unknowns = jnp.asarray(problem.prior.mean) + factor @ place
-    about = dataclasses.replace(problem.look, exposure=exposure)
+    about = dataclasses.replace(problem.inputs, exposure=exposure)
     places, R = _places(problem, unknowns[-2:])
     cells = cells_of(problem, place, factor) if cells is None else cells
     given = (places, R, cells) if ties.rise is None else (places, R, cells, ties.rise)
@@ -96,8 +96,8 @@ def equations_about(
     derivatives, (uv, statuses, p_ecef) = jax.jacfwd(images, has_aux=True)(jnp.zeros(count + 5))
     by_error, by_surface, by_enu = jnp.split(derivatives, [count, count + 2], axis=2)
     has_image = seen_beside(statuses, uv) == Status.hit
-    seen = ties.used & has_image
-    residuals = jnp.where(ties.used[:, None], jnp.where(seen[:, None], ties.uv - uv, jnp.inf), 0.0)
+    has_row = ties.used & has_image
+    residuals = jnp.where(ties.used[:, None], jnp.where(has_row[:, None], ties.uv - uv, jnp.inf), 0.0)
 
     sensitivity = Sensitivity(problem.propagation.along(by_surface, by_enu), by_enu[:, :, 2], p_ecef)
     cov = tie_covariances(ties, problem.tie_errors, sensitivity)
@@ -107,7 +107,7 @@ def equations_about(
     whiten = whitener(cov, roots, weights, ties, problem.tie_errors, sensitivity)
 
     jacobian = jnp.concatenate([-by_error, by_surface], axis=2)
-    jacobian = jnp.where(seen[:, None, None], jacobian, 0.0)
+    jacobian = jnp.where(has_row[:, None, None], jacobian, 0.0)
     rows = jnp.concatenate([jnp.einsum("tij,jk->tik", jacobian, factor), residuals[:, :, None]], axis=2)
     rows = whiten(rows)
     normal = information_of(rows[:, :-1]) + jnp.eye(count + 2)
@@ -121,11 +121,11 @@ def cells_of(problem: Problem, place: Unknowns, factor: Square) -> Cells:
     """Terrain cells that contain the ties."""
     shift = jnp.asarray(problem.prior.mean)[-2:] + (factor @ place)[-2:]
     places, _ = _places(problem, shift)
-    return jax.vmap(lambda p: _cell(problem.look.terrain, p))(places)
+    return jax.vmap(lambda p: _cell(problem.inputs.terrain, p))(places)
 
 
 def _images(
-    problem: Problem, look: ModelInputs, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
+    problem: Problem, inputs: ModelInputs, unknowns: Unknowns, change: Float[Array, " changes"], ties: Any
 ) -> tuple[Pixels, Any]:
     """Pixels of the ties, and the tuple (pixels, statuses, places), after three consecutive changes.
 
@@ -133,8 +133,8 @@ def _images(
     m. One function, so that it is compiled once.
     """
     error, along, enu = jnp.split(change, [problem.model.size, problem.model.size + 2])
-    moved = problem.model.moved(look, error).exposure
-    terrain = problem.model.moved(problem.look, unknowns[:-2] + error).terrain
+    moved = problem.model.moved(inputs, error).exposure
+    terrain = problem.model.moved(problem.inputs, unknowns[:-2] + error).terrain
 
     def image(
         place: Vector3, R: Matrix3, cell: Int[Array, "2"], rise: Float[Array, "2"] | None = None
@@ -143,7 +143,7 @@ def _images(
         if rise is None:
             p_ecef = on_surface(terrain, p_ecef, cell)
         else:
-            lift = problem.look.terrain.clearance(place, cell) - terrain.clearance(place, cell)
+            lift = problem.inputs.terrain.clearance(place, cell) - terrain.clearance(place, cell)
             p_ecef = p_ecef + R[:, 2] * (jnp.sum(rise * along) + lift)
         p_ecef = p_ecef + R @ enu
         uv, status, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.atmosphere)
@@ -163,7 +163,7 @@ def _places(problem: Problem, shift: Float[Array, "2"]) -> tuple[Float[Array, "t
         R, p_ecef = R_ecef_from_enu(position), WGS84.to_ecef(position)
         if rise:
             return p_ecef - R[:, :2] @ shift - R[:, 2] * jnp.sum(rise[0] * shift), R
-        return on_surface(problem.look.terrain, p_ecef) - R[:, :2] @ shift, R
+        return on_surface(problem.inputs.terrain, p_ecef) - R[:, :2] @ shift, R
 
     planes = () if ties.rise is None else (ties.rise,)
     return jax.vmap(place)(ties.lat, ties.lon, ties.height, *planes)

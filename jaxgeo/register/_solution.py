@@ -42,7 +42,7 @@ class State(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Result of an update with padded ties; `foretold` is the prior uncertainty of the ties in their standard
+    """Result of an update with padded ties; `predicted` is the prior uncertainty of the ties in their standard
     deviations."""
 
     exposure: Exposure
@@ -57,21 +57,21 @@ class Solution(NamedTuple):
     chi_square_ties: Scalar
     chi_square_prior: Scalar
     determined: Scalar
-    foretold: Scalar
+    predicted: Scalar
     steps: Int[Array, ""]
     has_ground: Bool[Array, " ties"]
     status: StatusCode
 
 
 @eqx.filter_jit
-def solved(problem: Problem) -> Solution:
+def solve(problem: Problem) -> Solution:
     """Orientation update from validated input."""
     factor = problem.prior.factor()
-    start = problem.model.moved(problem.look, jnp.asarray(problem.prior.mean)[:-2]).exposure
+    start = problem.model.moved(problem.inputs, jnp.asarray(problem.prior.mean)[:-2]).exposure
     dynamic, static = eqx.partition(start, eqx.is_array)
 
-    def tried(state: State) -> State:
-        return _tried(problem, factor, state, static)
+    def iterate(state: State) -> State:
+        return _iterate(problem, factor, state, static)
 
     def goes_on(state: State) -> Flag:
         return ~state.done & (state.count < MOST_STEPS)
@@ -81,15 +81,15 @@ def solved(problem: Problem) -> Solution:
     blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), of_start)
     settled = jnp.asarray(not isinstance(problem.loss, Tukey | Cauchy))
     first = State(dynamic, zero, blank, zero, jnp.asarray(0.0), settled, jnp.asarray(False), jnp.asarray(0))
-    state = jax.lax.while_loop(goes_on, tried, first)
-    return _told(problem, factor, state, eqx.combine(state.exposure, static))
+    state = jax.lax.while_loop(goes_on, iterate, first)
+    return _result(problem, factor, state, eqx.combine(state.exposure, static))
 
 
-def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State:
+def _iterate(problem: Problem, factor: Square, state: State, static: Any) -> State:
     """One step: accepted if the sum of squares decreases, otherwise shortened for the next trial."""
     kept = eqx.combine(state.exposure, static)
     change = (factor @ state.step)[:-2]
-    moved = problem.model.moved(dataclasses.replace(problem.look, exposure=kept), change).exposure
+    moved = problem.model.moved(dataclasses.replace(problem.inputs, exposure=kept), change).exposure
     place = state.place + state.step
     old = state.equations
     cells = jnp.where(state.count < HELD, cells_of(problem, place, factor), old.cells)
@@ -117,14 +117,14 @@ def _tried(problem: Problem, factor: Square, state: State, static: Any) -> State
 
 
 def _has_ground(problem: Problem) -> Bool[Array, " ties"]:
-    terrain, ties = problem.look.terrain, problem.ties
+    terrain, ties = problem.inputs.terrain, problem.ties
     if not isinstance(terrain, Dem) or ties.rise is not None:
         return jnp.ones_like(ties.used)
     at = lambda lat, lon: terrain.height_at(Geodetic(lat=lat, lon=lon, height=jnp.zeros_like(lat)))  # noqa: E731
     return jnp.isfinite(jax.vmap(at)(ties.lat, ties.lon)) | ~ties.used
 
 
-def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) -> Solution:
+def _result(problem: Problem, factor: Square, state: State, exposure: Exposure) -> Solution:
     """Solution from the last state; all numbers are NaN unless the status is `hit`."""
     equations, ties = state.equations, problem.ties
     unknowns = jnp.asarray(problem.prior.mean) + factor @ state.place
@@ -134,15 +134,15 @@ def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) ->
     whitened = equations.whiten(equations.residuals[:, :, None])
     sigma = jnp.sqrt(jnp.stack([equations.covariances[:, 0, 0], equations.covariances[:, 1, 1]], axis=1))
     most = jnp.max(jnp.where(ties.used, equations.weights, 0.0))
-    told = jnp.maximum(jnp.trace(equations.normal) - root.shape[0], 0.0)
-    foretold = jnp.sqrt(told / jnp.where(most > 0.0, most, 1.0))
+    information = jnp.maximum(jnp.trace(equations.normal) - root.shape[0], 0.0)
+    predicted = jnp.sqrt(information / jnp.where(most > 0.0, most, 1.0))
 
     has_ground = _has_ground(problem)
     is_found = state.done & all_finite((unknowns, equations.normal, equations.residuals))
     is_sound = all_finite((ties, problem.prior)) & jnp.all(has_ground)
     status = first_failure(
         status_where(is_sound, Status.hit, Status.invalid_input.code),
-        equations.seen,
+        equations.status,
         status_where(is_found, Status.hit, Status.not_converged.code),
     )
     ok = status == Status.hit
@@ -151,7 +151,7 @@ def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) ->
     )
     dynamic, static = eqx.partition(exposure, eqx.is_array)
     unknowns = known(unknowns)
-    terrain: Any = problem.model.moved(problem.look, unknowns[:-2]).terrain
+    terrain: Any = problem.model.moved(problem.inputs, unknowns[:-2]).terrain
     is_dem = isinstance(terrain, Dem)
     return Solution(
         eqx.combine(known(dynamic), static),
@@ -166,7 +166,7 @@ def _told(problem: Problem, factor: Square, state: State, exposure: Exposure) ->
         known(squared_length(whitened)),
         known(jnp.sum(state.place**2)),
         known(root.shape[0] - jnp.trace(inverse)),
-        foretold,
+        predicted,
         state.count,
         has_ground,
         status,

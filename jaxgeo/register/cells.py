@@ -76,10 +76,10 @@ def cells_one_by_one(view: View, corner: Float[Array, "2"], shape: tuple[int, in
         normal = view.grid.normal(rowcol)
         height, place, status = height_on(view.terrain, normal)
         p_ecef = surface_point(normal) + height * normal
-        uv, seen, origin = image_of_point(view.sensor, view.motion, view.time, p_ecef, view.air)
+        uv, image_status, origin = image_of_point(view.sensor, view.motion, view.time, p_ecef, view.air)
         line = origin - p_ecef
         sine = dot(line, normal) / safe_sqrt(dot(line, line))
-        return *uv, *place, sine, first_failure(status, seen)
+        return *uv, *place, sine, first_failure(status, image_status)
 
     rows, cols = shape
     row, col = jnp.meshgrid(jnp.arange(float(rows)), jnp.arange(float(cols)), indexing="ij")

@@ -87,10 +87,10 @@ def basis(cells: Float[Array, " n"], last: Scalar) -> Float[Array, "n nodes"]:
 
 def _seen_cells(view: View, spread: Any, height: Array, status: Array) -> Cells:
     """Cells from interpolated chart columns, at given ground heights."""
-    p_camera, up = _seen(spread, _heights(view), height)
-    u, v, seen = projected(view.sensor.camera, p_camera)
+    p_camera, up = _in_camera(spread, _heights(view), height)
+    u, v, image_status = projected(view.sensor.camera, p_camera)
     row, col = spread[-2], spread[-1]
-    return Cells(u, v, row, col, _sine(p_camera, up), jnp.where(status == Status.hit, seen, status))
+    return Cells(u, v, row, col, _sine(p_camera, up), jnp.where(status == Status.hit, image_status, status))
 
 
 def _heights(view: View) -> Float[Array, " k"]:
@@ -113,14 +113,14 @@ def _columns(view: View, sight: Sight, rowcol: Float[Array, "n 2"]) -> Float[Arr
     def one(place: Float[Array, "2"]) -> Float[Array, " k"]:
         normal = view.grid.normal(place)
         foot = surface_point(normal)
-        seen = jax.vmap(lambda h: sight.to_camera(foot + h * normal, view.air))(heights)
+        p_camera = jax.vmap(lambda h: sight.to_camera(foot + h * normal, view.air))(heights)
         on_terrain = view.terrain.grid.rowcol(normal) if isinstance(view.terrain, Dem) else jnp.zeros(2)
-        return jnp.concatenate([seen.reshape(-1), on_terrain])
+        return jnp.concatenate([p_camera.reshape(-1), on_terrain])
 
     return jax.vmap(one)(rowcol)
 
 
-def _seen(columns: Any, heights: Float[Array, " k"], height: Array) -> tuple[list[Array], list[Array]]:
+def _in_camera(columns: Any, heights: Float[Array, " k"], height: Array) -> tuple[list[Array], list[Array]]:
     """(positions in the camera frame at `height`, their derivatives by height in m per m), components first."""
     low, span = heights[0], heights[-1] - heights[0]
     t = (height - low) / span
@@ -148,10 +148,10 @@ def _error(view: View, columns: Array, exact: Array) -> Scalar:
     worst = jnp.max(jnp.abs((columns - exact)[:, -2:]))
     for first in range(0, columns.shape[1] - 2, 3):
         parts = [[x[:, first + i] for i in range(3)] for x in (columns, exact)]
-        (u, v, seen), (u0, v0, seen0) = (projected(view.sensor.camera, part) for part in parts)
-        both = (seen == Status.hit) & (seen0 == Status.hit)
+        (u, v, image_status), (u0, v0, exact_status) = (projected(view.sensor.camera, part) for part in parts)
+        both = (image_status == Status.hit) & (exact_status == Status.hit)
         off = jnp.where(both, jnp.abs(u - u0) + jnp.abs(v - v0), 0.0)
-        differ = (seen == Status.hit) & ~jnp.isfinite(u0) | (seen0 == Status.hit) & ~jnp.isfinite(u)
+        differ = (image_status == Status.hit) & ~jnp.isfinite(u0) | (exact_status == Status.hit) & ~jnp.isfinite(u)
         worst = jnp.maximum(worst, jnp.max(jnp.where(differ, jnp.inf, off)))
     return jnp.where(jnp.isnan(worst), jnp.inf, worst)
 

@@ -29,7 +29,7 @@ class AbstractComparison(abc.ABC):
     cell: float
 
     @abc.abstractmethod
-    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
+    def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
         """Resample both, with a margin of `block` cells. Raises `RegistrationFailed` if there is nothing to compare."""
 
     @abc.abstractmethod
@@ -44,7 +44,7 @@ class AbstractComparison(abc.ABC):
 
 def tied(chosen: Chosen, shifts: Shifts) -> np.ndarray:
     """Flags of blocks that become ties: chosen, with a visible centre."""
-    return np.asarray(chosen.is_chosen) & np.asarray(shifts.seen)
+    return np.asarray(chosen.is_chosen) & np.asarray(shifts.visible)
 
 
 def on_ground(covariance: np.ndarray, cells_per_metre: np.ndarray) -> np.ndarray:

@@ -118,9 +118,9 @@ class PoseConsensus(AbstractChoice):
         weighed = np.sum(errors.weighed[block, peak] * counts[..., None, None], axis=1)
         right = np.sum(errors.right[block, peak] * counts[..., None], axis=1)
         mean, cov = _posterior(weighed, right)
-        seen = _seen(errors, mean, cov)
-        gain = -0.5 * seen.squared - np.log(2.0 * seen.area) + errors.offer[None, :, None]
-        gain = np.where(seen.squared <= self.gate, gain, 0.0)
+        distances = _distances(errors, mean, cov)
+        gain = -0.5 * distances.squared - np.log(2.0 * distances.area) + errors.offer[None, :, None]
+        gain = np.where(distances.squared <= self.gate, gain, 0.0)
         return np.sum(np.max(gain, axis=2, initial=0.0), axis=1) - 0.5 * np.sum(mean**2, axis=1)
 
     def _settled(self, errors: _Errors, pair: Int[np.ndarray, "2 2"]) -> tuple[int, float, Any, Any]:
@@ -140,10 +140,10 @@ class PoseConsensus(AbstractChoice):
             mean, cov = _posterior(
                 np.sum(errors.weighed[is_member], axis=0)[None], np.sum(errors.right[is_member], axis=0)[None]
             )
-            seen = _seen(errors, mean, cov, is_member)
-            chosen, squared = nearest_within(seen.squared[0], self.gate)
+            distances = _distances(errors, mean, cov, is_member)
+            chosen, squared = nearest_within(distances.squared[0], self.gate)
             chosen = np.where((before < 0) & (round_ >= ROUNDS // 2), -1, chosen)
-            area = self.gate * seen.area[0][np.arange(n), np.maximum(chosen, 0)]
+            area = self.gate * distances.area[0][np.arange(n), np.maximum(chosen, 0)]
             if np.array_equal(before, chosen):
                 break
         cost = float(np.sum(squared) + np.sum(mean**2))
@@ -158,7 +158,7 @@ def _posterior(
     return np.einsum("kzy,ky->kz", cov, right), cov
 
 
-def _seen(
+def _distances(
     errors: _Errors, mean: Float[np.ndarray, "k z"], cov: Float[np.ndarray, "k z z"], is_member: Any = None
 ) -> _Seen:
     """All candidates as predicted by several hypotheses; members of the fit as predicted without them.

@@ -14,7 +14,7 @@ from jaxgeo.adjust.losses import AbstractLoss, Huber
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.observation import Exposure, accepts_exposure
 from jaxgeo.register._equations import Problem
-from jaxgeo.register._solution import Solution, solved
+from jaxgeo.register._solution import Solution, solve
 from jaxgeo.register.posterior import Update
 from jaxgeo.register.prior import Prior, checked_prior
 from jaxgeo.register.tie_errors import AbstractTiePropagation, FullJacobian, TieErrors, checked_tie_errors
@@ -76,22 +76,22 @@ def update_orientation(
     tie_errors = checked_tie_errors(tie_errors, ties)
     check_is(loss, AbstractLoss, "loss")
     check_is(propagation, AbstractTiePropagation, "propagation")
-    look = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
-    model = checked_model(errors, look)
+    inputs = ModelInputs(Exposure(sensor, shot, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
+    model = checked_model(errors, inputs)
     _check_sources(model)
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
     loss = as_float64(loss, "loss")
-    solution = solved(Problem(look, model, padded(ties), tie_errors, prior, loss, propagation))
+    solution = solve(Problem(inputs, model, padded(ties), tie_errors, prior, loss, propagation))
     _check_ground(solution, ties.count)
     _check_alone(solution, ties.count)
-    return _handed_over(solution, look, model, prior, ties.count, time is not None)
+    return _handed_over(solution, inputs, model, prior, ties.count, time is not None)
 
 
 def _handed_over(
-    solution: Solution, look: ModelInputs, model: ErrorModel, prior: Prior, count: int, has_time: bool
+    solution: Solution, inputs: ModelInputs, model: ErrorModel, prior: Prior, count: int, has_time: bool
 ) -> Update:
     exposure = solution.exposure
-    terrain = look.terrain
+    terrain = inputs.terrain
     if solution.terrain is not None:
         terrain = solution.terrain
     elif isinstance(terrain, Dem) and solution.field is not None:
@@ -146,10 +146,10 @@ def _check_ground(solution: Solution, count: int) -> None:
 
 
 def _check_alone(solution: Solution, count: int) -> None:
-    foretold, status = concrete(solution.foretold), concrete(solution.status)
-    if count > 1 or foretold is None or status is None or status != Status.hit or foretold <= ALONE:
+    predicted, status = concrete(solution.predicted), concrete(solution.status)
+    if count > 1 or predicted is None or status is None or status != Status.hit or predicted <= ALONE:
         return
     raise ValueError(
-        f"ties holds {count} tie point, whose pixel the prior foretells to {float(foretold):.3g} of its standard "
+        f"ties holds {count} tie point, whose pixel the prior predicts to {float(predicted):.3g} of its standard "
         f"deviations only: more than {ALONE:g}, so that nothing would tell a wrong match. Give two or more."
     )

@@ -56,7 +56,7 @@ class Pass(Record):
 
 
 def one_pass(
-    look: ModelInputs,
+    inputs: ModelInputs,
     model: ErrorModel,
     covariance: np.ndarray,
     images: Images,
@@ -67,7 +67,7 @@ def one_pass(
 ) -> tuple[Pass, TiePoints]:
     """(result of the pass, tie points of the agreeing blocks) for model inputs whose errors and map shift have
     `covariance` (axes + 2, axes + 2). Raises `RegistrationFailed` if no blocks could be matched."""
-    pair = plan.comparison(look, model, images, plan.place, plan.block)
+    pair = plan.comparison(inputs, model, images, plan.place, plan.block)
     centres = blocks_of(pair.known, plan.block)
     if not len(centres):
         raise RegistrationFailed(Outcome.too_small)
@@ -84,7 +84,7 @@ def one_pass(
     )
     _check_blocks(matches)
     shifts = pair.shifts(np.asarray(matches.centre), reach)
-    jacobian = np.where(np.asarray(shifts.seen)[:, None, None], np.asarray(shifts.by_error), 0.0)
+    jacobian = np.where(np.asarray(shifts.visible)[:, None, None], np.asarray(shifts.by_error), 0.0)
     chosen = search.choice.choose(matches, jacobian, covariance)
     rival = second_best(search.choice, matches, chosen, jacobian, covariance)
     outcomes = count_outcomes(matches.outcome)
@@ -109,11 +109,11 @@ def one_pass(
 def _covariances(shifts: Shifts, cov: np.ndarray, aside: float) -> np.ndarray:
     """Covariances of the block shifts; blocks with hidden centres get the largest of all."""
     covariance = np.asarray(shifts.covariance(cov)) + aside**2 * np.eye(2)
-    seen = np.asarray(shifts.seen) & np.isfinite(covariance).all(axis=(1, 2))
-    if not seen.any():
+    visible = np.asarray(shifts.visible) & np.isfinite(covariance).all(axis=(1, 2))
+    if not visible.any():
         raise RegistrationFailed(Outcome.unknown_ground)
-    largest = covariance[seen][np.argmax(np.trace(covariance[seen], axis1=1, axis2=2))]
-    covariance = np.where(seen[:, None, None], covariance, largest)
+    largest = covariance[visible][np.argmax(np.trace(covariance[visible], axis1=1, axis2=2))]
+    covariance = np.where(visible[:, None, None], covariance, largest)
     return 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
 
 

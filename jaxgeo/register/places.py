@@ -52,9 +52,9 @@ def places_of_blocks(
     if not registration.passes:
         raise ValueError(f"no block was matched: {registration.outcome.name}: {registration.outcome.message}")
     last, update = registration.passes[-1], registration.update
-    seen = np.asarray(last.shifts.seen)
-    uv = np.where(seen[:, None], np.asarray(last.shifts.uv), np.nan)
-    tied = np.asarray(last.chosen.is_chosen) & seen
+    visible = np.asarray(last.shifts.visible)
+    uv = np.where(visible[:, None], np.asarray(last.shifts.uv), np.nan)
+    tied = np.asarray(last.chosen.is_chosen) & visible
     tie = np.full(len(uv), -1)
     tie[tied] = np.arange(np.count_nonzero(tied))
     residual = np.full((len(uv), 2), np.nan)
@@ -62,7 +62,9 @@ def places_of_blocks(
         residual[tied] = np.asarray(update.residuals)
         time, atmosphere = update.time, update.atmosphere
     scene = _Scene(registration.sensor, registration.shot, registration.terrain, time, atmosphere)
-    lat, lon, height, on_ground = in_chunks(lambda rows: _seen(scene, rows), np.concatenate([uv, residual], axis=1))
+    lat, lon, height, on_ground = in_chunks(
+        lambda rows: _on_ground(scene, rows), np.concatenate([uv, residual], axis=1)
+    )
     return BlockPlaces(uv, Geodetic(lat=lat, lon=lon, height=height), tie, on_ground)
 
 
@@ -77,7 +79,7 @@ class _Scene(Record):
 
 
 @eqx.filter_jit
-def _seen(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
+def _on_ground(scene: _Scene, rows: Float[Array, "n 4"]) -> tuple[Array, Array, Array, Array]:
     """(lat, lon, height of the ground, residual there) for rows of a pixel and its residual."""
 
     def ground(pixel: Float[Array, "2"]) -> tuple[Array, Fix]:

@@ -361,7 +361,7 @@ def test_what_is_fixed_is_the_limit_of_a_prior(calibrated: Adjustment) -> None:
 
 def test_it_gets_there_from_far_off_and_tells_how(adjusted: Adjustment) -> None:
     told: list[Any] = []
-    found = adjust(disturbed(adjusted.block, 10.0, np.deg2rad(2.0)), told=told.append)
+    found = adjust(disturbed(adjusted.block, 10.0, np.deg2rad(2.0)), callback=told.append)
     np.testing.assert_allclose(found.images.centre, adjusted.images.centre, rtol=0.0, atol=1e-4)  # m
     np.testing.assert_allclose(found.points.place, adjusted.points.place, rtol=0.0, atol=1e-3)  # m
     assert found.converged

@@ -43,7 +43,7 @@ def test_factors_and_inverses_are_those_of_the_whole_matrix(slabs: int, m: int, 
     matrix, whole = tridiagonal(slabs, m, s)
     factor, inverse = factored(matrix), np.linalg.inv(whole)
     right = np.random.default_rng(1).normal(size=(slabs * m + s, 2))
-    found, shared = factor.solved(jnp.asarray(right[: slabs * m].reshape(slabs, m, 2)), jnp.asarray(right[slabs * m :]))
+    found, shared = factor.solve(jnp.asarray(right[: slabs * m].reshape(slabs, m, 2)), jnp.asarray(right[slabs * m :]))
     both = np.concatenate([np.asarray(found).reshape(-1, 2), shared])
     np.testing.assert_allclose(both, inverse @ right, rtol=0.0, atol=1e-12 * np.abs(inverse).max())
     chosen, there = dense_of(selected_inverse(factor)), dense_of(ones(matrix)) > 0.0

@@ -80,7 +80,7 @@ def test_a_blunder_is_named_first_and_its_size_told(good: Adjustment) -> None:
 def test_without_the_blunder_the_block_is_as_good_as_ever(good: Adjustment) -> None:
     row, told = often_seen(good.block), []
     block = with_blunder(good.block, row)
-    cleaned, out = without_blunders(block, alpha=1e-5, told=told.append)
+    cleaned, out = without_blunders(block, alpha=1e-5, callback=told.append)
     assert [(b.image, b.point, b.row) for b in out] == [
         (block.observations.image[row], block.observations.point[row], row)
     ]

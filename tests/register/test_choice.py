@@ -13,7 +13,7 @@ from jaxgeo.register.blocks import Matches
 from jaxgeo.register.chance import at_least, false_alarms, second_best
 from jaxgeo.register.choice import AbstractChoice
 from jaxgeo.register.clusters import Clusters, k_means
-from jaxgeo.register.consensus import PoseConsensus, _posterior, _seen
+from jaxgeo.register.consensus import PoseConsensus, _distances, _posterior
 
 CHOICES = [Clusters(), AffineCheck(), PoseConsensus()]
 names = pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: type(choice).__name__)
@@ -133,9 +133,9 @@ def test_members_are_held_against_the_others_alone() -> None:
         return _posterior(errors.weighed[chosen].sum(axis=0)[None], errors.right[chosen].sum(axis=0)[None])
 
     is_member = right[:, None] == np.arange(PEAKS)[None, :]
-    with_all = _seen(errors, *fit(rows), is_member)
+    with_all = _distances(errors, *fit(rows), is_member)
     for k in rows:
-        without = _seen(errors, *fit(np.delete(rows, k)))
+        without = _distances(errors, *fit(np.delete(rows, k)))
         for short, full in zip(with_all, without, strict=True):
             np.testing.assert_allclose(short[0, k, right[k]], full[0, k, right[k]], rtol=1e-8)
 

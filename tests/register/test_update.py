@@ -455,9 +455,9 @@ def one_tie() -> TiePoints:
     return jax.tree.map(lambda x: x[:1] if jnp.ndim(x) else x, ties)
 
 
-def test_one_tie_needs_a_prior_that_foretells_it():
+def test_one_tie_needs_a_prior_that_predicts_it():
     tie_errors = TieErrors(registration=3.0, terrain=5.0)
-    with pytest.raises(ValueError, match=r"1 tie point, whose pixel the prior foretells to \d"):
+    with pytest.raises(ValueError, match=r"1 tie point, whose pixel the prior predicts to \d"):
         update_orientation(SENSOR, SHOT, one_tie(), GROUND, navigation(200.0, 1.0), tie_errors)
     assert update_orientation(SENSOR, SHOT, one_tie(), GROUND, navigation(3.0, 0.002), tie_errors).ok
 

@@ -92,7 +92,7 @@ def by_size(
 def _ties(here: Mapped, size: int, cov: np.ndarray) -> _Matched:
     found = blocks(here, size, 0.999, cov, peaks=PEAKS)
     chosen = PoseConsensus().choose(found.matches, found.jacobian, unknowns(here.errors))
-    known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.seen)
+    known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.visible)
     right = known & ~found.is_off(np.asarray(found.matches.shift)[:, 0]) & found.matches.is_candidate.any(axis=1)
     ties = ties_of(here, found, chosen)
     if ties.count > MOST_TIES:

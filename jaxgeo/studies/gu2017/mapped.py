@@ -54,7 +54,7 @@ class Blocks(NamedTuple):
     @property
     def jacobian(self) -> np.ndarray:
         """Derivatives of the shifts by the errors and the map's shift; zero for blocks that are not visible."""
-        return np.where(np.asarray(self.shifts.seen)[:, None, None], np.asarray(self.shifts.by_error), 0.0)
+        return np.where(np.asarray(self.shifts.visible)[:, None, None], np.asarray(self.shifts.by_error), 0.0)
 
     def is_off(self, shift: np.ndarray, cells: float = 3.0) -> Bool[np.ndarray, " n"]:
         """Whether shifts (n, 2) differ by more than `cells` cells from the true ones."""
@@ -104,7 +104,7 @@ def blocks(
 def allowed(here: Mapped, size: int) -> Float[np.ndarray, "2 2"]:
     """The smallest multiple of the mean covariance of the blocks' shifts that is at least each block's, cells2."""
     found = here.shifts(blocks_of(here.ortho.known, size), size)
-    cov = found.covariance(unknowns(here.errors))[np.asarray(found.seen)] + ASIDE**2 * np.eye(2)
+    cov = found.covariance(unknowns(here.errors))[np.asarray(found.visible)] + ASIDE**2 * np.eye(2)
     mean = np.mean(0.5 * (cov + np.swapaxes(cov, 1, 2)), axis=0)
     root = np.linalg.inv(np.linalg.cholesky(mean))
     return float(np.max(np.linalg.eigvalsh(root @ cov @ root.T))) * mean
@@ -120,7 +120,7 @@ def unknowns(errors: ErrorModel) -> np.ndarray:
 
 def ties_of(here: Mapped, found: Blocks, chosen: Chosen) -> TiePoints:
     """Tie points of the chosen blocks: their centre pixels, and the matching map positions."""
-    kept = chosen.is_chosen & np.asarray(found.shifts.seen)
+    kept = chosen.is_chosen & np.asarray(found.shifts.visible)
     there = (np.asarray(found.matches.centre) + chosen.of(found.matches.shift))[kept]
     metres = np.linalg.inv(np.asarray(found.shifts.cells_per_metre)[kept])
     cov = metres @ chosen.of(found.matches.covariance)[kept] @ np.swapaxes(metres, 1, 2)

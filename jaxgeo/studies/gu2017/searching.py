@@ -108,7 +108,7 @@ def _searched(here: Mapped, sought: Sought, name: str, cov: np.ndarray) -> Searc
         here, sought.block, within(printed.SEARCHED), cov, sought.above_chance, largest_sigma=sought.largest_sigma
     )
     seconds = time.perf_counter() - began
-    known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.seen)
+    known = np.isfinite(found.true).all(axis=1) & np.asarray(found.shifts.visible)
     has_any = found.matches.is_candidate.any(axis=1) & known
     true = found.true[known]
     inside = np.einsum("ni,ni->n", true, np.linalg.solve(cov, true.T).T) <= printed.SEARCHED**2
