@@ -1,4 +1,8 @@
-"""Two-step boresight and lever arm calibration from adjusted orientations and navigation."""
+"""Two-step boresight and lever arm calibration from adjusted orientations and navigation.
+
+No `solver` argument: the orientations are eliminated in the banded matrix of the adjustment, which leaves 3 or 6
+unknowns; a general solver sees 6 more for each image (`benchmarks/solvers.py`).
+"""
 
 from __future__ import annotations
 

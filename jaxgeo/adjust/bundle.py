@@ -68,7 +68,8 @@ class BehindCamera(ValueError):
         super().__init__(
             f"point {observations.point[first]} has come to lie behind image {observations.image[first]}, or beyond "
             f"the field of its lens, though it was measured there in row {first} ({len(rows)} such "
-            f"measurements): its rays do not meet in front of the cameras. Leave these rows out (error.rows), or correct the orientations to start from."
+            f"measurements): its rays do not meet in front of the cameras. Leave these rows out (error.rows), or "
+            f"correct the orientations to start from."
         )
 
 

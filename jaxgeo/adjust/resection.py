@@ -9,12 +9,13 @@ from itertools import combinations
 from typing import Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy  # submodules load lazily
 from jaxtyping import Array
 
-from jaxgeo._numerics import matmul3
+from jaxgeo._numerics import matmul3, safe_norm
 from jaxgeo.adjust._least_squares import check_least_squares, minimize
 from jaxgeo.adjust.block import Images
 from jaxgeo.adjust.ground_points import GroundPoints
@@ -29,6 +30,7 @@ MOST_OFF = 0.02  # of the image area of the points: residuals above which no ori
 AGREED = 0.01  # of the same: residuals of points that agree with an orientation
 SUBSETS = 40  # subsets of four points tried
 SMALL = 8  # points, up to which all subsets are listed
+CLOSE_ENOUGH = 1e-6  # rad, and of the distance: longest Gauss-Newton step from the result of a solver
 ENOUGH = 0.75  # share of the points that suffices as agreement with a subset
 
 Refinement: TypeAlias = Callable[..., tuple[float, np.ndarray, np.ndarray]]
@@ -47,7 +49,7 @@ def resect_block(
     `camera_of` names the camera of each image. A direct linear solution, planar or spatial, then least squares. Points
     with an infinite sigma are ignored. If the points are inconsistent, the orientation with the most support is taken,
     and a `RuntimeWarning` names the others. Raises `ValueError` for an unknown camera, and for an image with fewer than
-    four control points, with collinear ones, or whose camera has no ray for one.
+    four control points, with collinear ones, or whose camera has no ray for one. `solver` as for `resect_image`.
     """
     known = np.all(np.isfinite(control.sigma), axis=1)
     where = dict(zip(control.name[known].tolist(), control.place[known], strict=True))
@@ -85,6 +87,11 @@ def resect_image(
     camera: FrameCamera, uv: np.ndarray, places: np.ndarray, *, solver: Any = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """(perspective centre, R_frame_from_camera) from pixels (k, 2) of positions (k, 3), k at least 4.
+
+    `solver` is an optimistix least-squares solver. The default, MINPACK's Levenberg-Marquardt in SciPy, compiles
+    nothing: with the import of SciPy the first image takes 0.3 s of processor time, by optimistix 2 to 5 s for every
+    new number of points; later images take 3.4 ms from one start, by optimistix 1.0 to 1.4 ms, with the same
+    orientations from as many poor starts (`benchmarks/solvers.py`). For many images of equally many points, pass one.
 
     Raises `ValueError` for collinear positions, and if no start converges.
     """
@@ -278,6 +285,8 @@ def _pose_by(solver: Any, ideal: Array, places: Array, centre: Array, R: Array) 
         return (p_camera[:, :2] / p_camera[:, 2:] - ideal).ravel()
 
     step, converged = minimize(residual, solver, jnp.zeros(6), None)
+    gauss_newton = jnp.linalg.lstsq(jax.jacfwd(residual)(step, None), residual(step, None))[0]
+    converged = converged & (safe_norm(gauss_newton) <= CLOSE_ENOUGH)  # else no minimum, whatever the solver reports
     to, turned = pose(step)
     ahead = jnp.all(((places - to[None]) @ turned)[:, 2] > 0.0)
     return jnp.where(converged & ahead, jnp.sum(residual(step, None) ** 2), jnp.inf), to, turned

@@ -1,4 +1,11 @@
-"""Iterative least squares of the orientation update, with the prior as observations."""
+"""Iterative least squares of the orientation update, with the prior as observations.
+
+A loop of its own, without a `solver` argument: each step composes rotations and is applied to the exposure, weights are
+those of the step, and ties keep their terrain cell after `HELD` steps, none of which a general solver of one vector of
+unknowns does. On the tests' 20 sets of ties on rough terrain all converge here, in 11 steps; of optimistix's solvers
+`GaussNewton` converges in 10, `LevenbergMarquardt` in all 20 in twice the steps, with a first call of the same time
+(15 s of processor time) and answers 0.002 standard deviations off (`benchmarks/solvers.py`).
+"""
 
 from __future__ import annotations
 
