@@ -29,7 +29,7 @@ import jaxgeo
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.uncertainty import Level, Method, method_selection
-from jaxgeo.uncertainty.linear import propagated
+from jaxgeo.uncertainty.linear import propagate_linear
 
 LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # agreement thresholds of the trade-off
 RIGHT, WRONG = 0.10, 0.25  # relative to the samples' circular error
@@ -52,7 +52,7 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selec
     """(diagnostics, circular error over level ground, whether there is a fix)."""
     look, model = look_from(pose, terrain), errors(scale)
     aim = look.nominal_fix(FIRST_HIT)
-    level = propagated(look, aim, model, Level()).circular_error(0.9)
+    level = propagate_linear(look, aim, model, Level()).circular_error(0.9)
     return method_selection.diagnose(look, aim, model).signs, level, counts_as_fix(aim.fix.status)
 
 

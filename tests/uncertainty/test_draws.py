@@ -83,7 +83,7 @@ def test_points_are_those_of_joe_and_kuo() -> None:
     size, count = 1024, 512
     directions = jnp.asarray(sobol.direction_numbers(size))
     number = np.arange(count, dtype=np.uint32)
-    point = jax.vmap(lambda n: sobol.mirrored(sobol.sobol_point(n, directions)))(number ^ number >> 1)
+    point = jax.vmap(lambda n: sobol.mirror(sobol.sobol_point(n, directions)))(number ^ number >> 1)
     expected = scipy.stats.qmc.Sobol(size, scramble=False, bits=32).random(count)
     np.testing.assert_array_equal(np.asarray(point) * 2.0**-32, expected)
 
@@ -103,9 +103,9 @@ def test_scrambling_is_nested() -> None:
     words = jax.random.bits(KEY, (4, 4000), jnp.uint32)
     other = words[0] ^ (jnp.uint32(1) << jnp.arange(4000, dtype=jnp.uint32) % 32) * (words[3] | 1)
     before = words[0] ^ other
-    after = sobol.scrambled(words[0], words[1], words[2]) ^ sobol.scrambled(other, words[1], words[2])
+    after = sobol.scramble(words[0], words[1], words[2]) ^ sobol.scramble(other, words[1], words[2])
     np.testing.assert_array_equal(before & -before, after & -after)
-    flipped = words[0] ^ sobol.scrambled(words[0], words[1], words[2])
+    flipped = words[0] ^ sobol.scramble(words[0], words[1], words[2])
     share = np.mean(np.asarray(flipped)[:, None] >> np.arange(32) & 1, axis=0)
     np.testing.assert_allclose(share, 0.5, atol=4.0 * 0.5 / np.sqrt(4000))
 
@@ -146,8 +146,8 @@ def test_scrambles_are_uncorrelated() -> None:
     """Over 1024 of them: the numbers of each of 16 points, and the mean of their squares."""
     normal = np.asarray(crowd(Sobol(scrambles=1024), KEY, jnp.arange(16 * 1024))).reshape(16, 1024, SIZE)
     square = np.sum(normal**2, axis=2).mean(axis=0)
-    for scrambled in (*normal.swapaxes(1, 2).reshape(-1, 1024), square):
-        assert abs(np.corrcoef(scrambled[1:], scrambled[:-1])[0, 1]) < 4.0 / np.sqrt(1024)
+    for scramble in (*normal.swapaxes(1, 2).reshape(-1, 1024), square):
+        assert abs(np.corrcoef(scramble[1:], scramble[:-1])[0, 1]) < 4.0 / np.sqrt(1024)
 
 
 def test_the_quantile_inverts_the_normal_distribution() -> None:

@@ -17,7 +17,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
 from jaxgeo.uncertainty import ErrorModel, Random, Sobol, compare, propagate, sample, sources
 from jaxgeo.uncertainty.batched_rays import with_beam
-from jaxgeo.uncertainty.chunks import planned
+from jaxgeo.uncertainty.chunks import make_plan
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
@@ -49,7 +49,7 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
     look = ModelInputs.of(*SCENE[:4])
-    plan = planned(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
+    plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
     assert plan.look is look
 
 
