@@ -99,7 +99,8 @@ class Accuracy(OldNames, Record):
 
     def level(self) -> float:
         """The probability common to all radii; host only. Raises `ValueError` if there are several."""
-        levels = np.unique(np.asarray(self.probability, np.float64))
+        given = np.asarray(self.probability, np.float64)
+        levels = np.unique(given[~np.isnan(given)])
         if levels.size != 1:
             raise ValueError(f"the radii must be of one probability; got {levels}.")
         return float(levels[0])
@@ -140,6 +141,16 @@ def summary(accuracy: Any, noun: str, meaning: Callable[[Status], str] = lambda 
     for status, number in count_statuses(statuses[~has_fix]).items():
         lines.append(f"  {number:8d}  {status.name}: {meaning(status)}")
     return "\n".join(lines)
+
+
+def reasons(accuracy: Accuracy) -> list[str | None]:
+    """The sentences `because` of many fixes (n,)."""
+    rows = np.stack([np.asarray(one) for one in accuracy.diagnostics], axis=-1).tolist()
+    codes = np.asarray(accuracy.method).tolist()
+    return [
+        None if code == NO_FIX else explain_method(Diagnostics(*row), Method(code))
+        for code, row in zip(codes, rows, strict=True)
+    ]
 
 
 def batch_of(

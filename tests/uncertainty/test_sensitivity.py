@@ -11,7 +11,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.uncertainty import ErrorModel, Random, Sobol, propagate
+from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, propagate
 from jaxgeo.uncertainty.budget import budget, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sensitivity import (
@@ -42,7 +42,13 @@ def some_errors(scale: float = 1.0) -> ErrorModel:
 
 def indices_at(outer: float, scale: float, **options):
     return sobol_indices(
-        a_sensor(), a_shot(outer), UV, GROUND, some_errors(scale), key=jax.random.key(3), count=ROWS, **options
+        a_sensor(),
+        a_shot(outer),
+        UV,
+        GROUND,
+        some_errors(scale),
+        sampling=Sampling(count=ROWS, key=jax.random.key(3)),
+        **options,
     )
 
 
@@ -176,18 +182,20 @@ def test_table_and_dict_name_every_group():
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"count": 1}, "at least 2"),
+        ({"count": 1}, "count must be a whole number of samples, 2 or more"),
         ({"count": 500}, "multiple of the 16"),
-        ({"chunk": 0}, "at least 1"),
+        ({"chunk": 0}, "1 or more"),
         ({"resamples": 1}, "at least 2"),
         ({"confidence": 95.0}, "0.95"),
         ({"draws": Sobol(scrambles=4)}, "16 scrambles or more"),
+        ({"half_width": 0.1}, "half_width and devices are options of sample"),
     ],
 )
 def test_mistakes_are_named(options, words):
-    given = {"count": ROWS, "key": jax.random.key(0), **options}
+    own = {name: options.pop(name) for name in ("resamples", "confidence") if name in options}
+    sampling = Sampling(**{"count": ROWS, **options})
     with pytest.raises(ValueError, match=words):
-        sobol_indices(a_sensor(), a_shot(), UV, GROUND, some_errors(), **given)
+        sobol_indices(a_sensor(), a_shot(), UV, GROUND, some_errors(), sampling=sampling, **own)
 
 
 def test_names_that_are_none_are_refused():
