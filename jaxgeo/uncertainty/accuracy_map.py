@@ -58,7 +58,7 @@ class AccuracyMap(OldNames, Record):
     and m, `uv` (..., 2) its pixel in px. Without a fix the `status` gives the reason: `outside_image`,
     `hidden_by_terrain`, `hits_void` or `leaves_terrain` for unknown ground, or what the line of sight meets first. From
     a pose, `readings` (..., axes) in rad put the optical axis on each cell; they are NaN, and the status
-    `invalid_input`, where `is_out_of_reach`. `AccuracyMap(found, found.fix.position, uv)` is the map of the accuracy of pixels.
+    `invalid_input`, where `is_out_of_reach`. `AccuracyMap(found, found.fix.position, uv)` is the map of pixels.
     """
 
     accuracy: Accuracy

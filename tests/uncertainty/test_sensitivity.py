@@ -41,15 +41,8 @@ def some_errors(scale: float = 1.0) -> ErrorModel:
 
 
 def indices_at(outer: float, scale: float, **options):
-    return sobol_indices(
-        a_sensor(),
-        a_shot(outer),
-        UV,
-        GROUND,
-        some_errors(scale),
-        sampling=Sampling(count=ROWS, key=jax.random.key(3)),
-        **options,
-    )
+    sampling = Sampling(count=ROWS, key=jax.random.key(3))
+    return sobol_indices(a_sensor(), a_shot(outer), UV, GROUND, some_errors(scale), sampling=sampling, **options)
 
 
 def ishigami(normals: np.ndarray) -> np.ndarray:
