@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from numbers import Integral
 from typing import Any
 
@@ -180,19 +181,19 @@ def accuracy_of_cells(
     index, some = select(cells, status == Status.hit)
     parts = blocks_of(some, block_size(len(some.uv), request.block), "intersecting rays", progress)
     located = [locate_cells(part, context, request.search) for part in parts]
-    joined: Any = concatenate(located, index.size)
-    nominals, status[index], has_fix = joined
+    fixes: Any = concatenate(located, index.size)
+    nominals, status[index], has_fix = fixes
     own = np.asarray(status[index] != Status.hidden_by_terrain)
     fix = scatter(jax.tree.map(lambda leaf: leaf[own], nominals.fix), index[own], count)
-    fix = type(fix)(**{**vars(fix), "status": status})
-    within, (seen, aims) = select((some, nominals), has_fix) if index.size else (index, (some, located[0][0]))
-    size = block_size(len(seen.uv), request.block)
-    blocks = blocks_of((seen, aims), size, "estimating accuracy", progress)
+    fix = dataclasses.replace(fix, status=status)
+    within, seen = select((some, nominals), has_fix) if index.size else (index, (some, located[0][0]))
+    size = block_size(len(seen[0].uv), request.block)
+    blocks = blocks_of(seen, size, "estimating accuracy", progress)
     assessed = [_assess(*part, context, model, request) for part in blocks]
     found, radii = concatenate(assessed, within.size)
 
     def observation_at(number: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
-        cell, nominal = take((seen, aims), number)
+        cell, nominal = take(seen, number)
         return context.inputs(cell), nominal, model
 
     probability, sampling = float(request.probability), request.sampling

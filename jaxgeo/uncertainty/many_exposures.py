@@ -58,8 +58,8 @@ def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Reques
         return _of_traced(*_assess_block(batch.lanes, *options), request.probability)
     size = next((size for size in (1, FEW) if number <= size < request.block), request.block)
     parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
-    joined: Any = concatenate([_assess_block(part, *options) for part in parts], number)
-    nominals, found, radii = joined
+    assessed: Any = concatenate([_assess_block(part, *options) for part in parts], number)
+    nominals, found, radii = assessed
 
     def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
         inputs, model = _inputs_of(batch.at(index))

@@ -144,17 +144,17 @@ def sample(
     options = {"key": key, "count": count, "draws": draws, "half_width": half_width, "confidence": confidence}
     options |= {"chunk": chunk, "devices": devices, "progress": progress or None}
     given = {name: value for name, value in options.items() if value is not None}
-    chosen = resolve_sampling(merge_sampling("sample", sampling, given), SAMPLES)
+    resolved = resolve_sampling(merge_sampling("sample", sampling, given), SAMPLES)
     unknown = [figure for figure in figures if figure not in FIGURES]
     if unknown:
         raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
-    if chosen.half_width is not None and not figures:
+    if resolved.half_width is not None and not figures:
         raise ValueError("half_width is that of the first of the figures; figures are empty.")
     inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
     model = checked_model(errors, inputs)
     nominal = inputs.nominal_fix(search)
     nominal.require_fix()
-    return draw_errors(inputs, nominal, model, search, chosen, figures, about_mean=about_mean, keep=keep)
+    return draw_errors(inputs, nominal, model, search, resolved, figures, about_mean=about_mean, keep=keep)
 
 
 def draw_errors(

@@ -299,8 +299,8 @@ def evaluate(
     for first in range(0, count, size):
         a, b = _draw(draws, key, jnp.asarray(first), size, axes)
         rows = slice(first, min(first + size, count))
-        for number, chosen in enumerate(from_other):
-            offset, fix = push(jnp.where(jnp.asarray(chosen)[None, :], b, a))
+        for number, from_b in enumerate(from_other):
+            offset, fix = push(jnp.where(jnp.asarray(from_b)[None, :], b, a))
             offsets[number, rows] = offset[: rows.stop - first]
             found[number, rows] = fix[: rows.stop - first]
     return offsets, found
