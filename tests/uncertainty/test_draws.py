@@ -12,7 +12,7 @@ import scipy.stats.qmc
 from jax.extend.random import threefry_2x32
 
 from jaxgeo.uncertainty import sobol
-from jaxgeo.uncertainty.draws import OWN, AbstractDraws, Random, Sobol, _centred, normal_quantile, threefry
+from jaxgeo.uncertainty.draws import OWN, AbstractDraws, Random, Sobol, _centre, normal_quantile, threefry
 
 KEY = jax.random.key(7)
 DRAWS = [Random(), Sobol()]
@@ -146,8 +146,8 @@ def test_scrambles_are_uncorrelated() -> None:
     """Over 1024 of them: the numbers of each of 16 points, and the mean of their squares."""
     normal = np.asarray(crowd(Sobol(scrambles=1024), KEY, jnp.arange(16 * 1024))).reshape(16, 1024, SIZE)
     square = np.sum(normal**2, axis=2).mean(axis=0)
-    for scramble in (*normal.swapaxes(1, 2).reshape(-1, 1024), square):
-        assert abs(np.corrcoef(scramble[1:], scramble[:-1])[0, 1]) < 4.0 / np.sqrt(1024)
+    for scrambled in (*normal.swapaxes(1, 2).reshape(-1, 1024), square):
+        assert abs(np.corrcoef(scrambled[1:], scrambled[:-1])[0, 1]) < 4.0 / np.sqrt(1024)
 
 
 def test_the_quantile_inverts_the_normal_distribution() -> None:
@@ -198,7 +198,7 @@ def test_ends_of_what_may_be_drawn_are_finite_and_true(centred: float, turn: flo
 def test_no_bits_give_an_end() -> None:
     """All zeros and all ones, compiled too: adding what keeps off the ends afterwards would be optimised away."""
     words = jnp.asarray([0, 2**32 - 1], jnp.uint32)
-    low, high = jax.jit(lambda words: normal_quantile(_centred(words, words)))(words)
+    low, high = jax.jit(lambda words: normal_quantile(_centre(words, words)))(words)
     assert -8.13 < low < -8.12
     assert low == -high
 
