@@ -26,7 +26,7 @@ from peers import numpy_sampling
 
 import jaxgeo
 from jaxgeo.uncertainty import ErrorModel, Footprint, Random, Sobol, presets, sources
-from jaxgeo.uncertainty.sampled import CHUNK
+from jaxgeo.uncertainty.sampling import CHUNK
 
 DEVICES = 2
 jax.config.update("jax_num_cpu_devices", DEVICES)  # before JAX initialises its devices
@@ -179,8 +179,8 @@ def doors(dem: jaxgeo.Dem, repeats: int) -> list[Table]:
         count = runs[name][0]
         rate = None if count is None else count / timing.median
         table.rows.append([name, 1e3 * timing.median, 100.0 * timing.spread, rate, first[name]])
-    trust = accuracy(*look, ERRORS).trust.name
-    table.notes.append(f"goal: 1e4 samples within 25 ms; accuracy trusts `{trust}` here; {DEVICES} devices")
+    method = accuracy(*look, ERRORS).words
+    table.notes.append(f"goal: 1e4 samples within 25 ms; accuracy selects {method} here; {DEVICES} devices")
     return [table]
 
 

@@ -29,7 +29,7 @@ import jaxgeo
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import ConstantField, Dem
 from jaxgeo.uncertainty import Level, Method, method_selection
-from jaxgeo.uncertainty.linear import propagated
+from jaxgeo.uncertainty.linear import propagate_linear
 
 LEVELS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20, 0.30, 0.50, 1.00)  # agreement thresholds of the trade-off
 RIGHT, WRONG = 0.10, 0.25  # relative to the samples' circular error
@@ -41,7 +41,7 @@ RIGHT, WRONG = 0.10, 0.25  # relative to the samples' circular error
 class Judged(NamedTuple):
     """Observations with a fix: their diagnostics, and CE90 over level ground and by samples, m."""
 
-    signs: method_selection.Diagnostics
+    diagnostics: method_selection.Diagnostics
     level: np.ndarray
     truth: np.ndarray
 
@@ -52,19 +52,19 @@ def predicted(pose: jaxgeo.Pose, scale: Any, terrain: Dem) -> tuple[method_selec
     """(diagnostics, circular error over level ground, whether there is a fix)."""
     look, model = look_from(pose, terrain), errors(scale)
     aim = look.nominal_fix(FIRST_HIT)
-    level = propagated(look, aim, model, Level()).circular_error(0.9)
-    return method_selection.diagnose(look, aim, model).signs, level, counts_as_fix(aim.fix.status)
+    level = propagate_linear(look, aim, model, Level()).circular_error(0.9)
+    return method_selection.diagnose(look, aim, model).diagnostics, level, counts_as_fix(aim.fix.status)
 
 
 def judged(dem: Dem, count: int, samples: int, seed: int) -> Judged:
     """Observations of a terrain, predicted and sampled."""
     drawn = cases(dem, count, seed)
-    signs, level, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
+    diagnostics, level, found = jax.tree.map(np.asarray, predicted(drawn.pose, jnp.asarray(drawn.scale), dem))
     truth = [
         sampled(item(drawn.pose, i), drawn.scale[i], dem, i, samples).circular_error(0.9).value
         for i in np.flatnonzero(found)
     ]
-    return Judged(item(signs, found), level[found], np.array(truth))
+    return Judged(item(diagnostics, found), level[found], np.array(truth))
 
 
 def joined(parts: list[Any]) -> Any:
@@ -101,18 +101,18 @@ CAUGHT = [
 
 
 def within_row(name: str, all_of: Judged) -> list[Any]:
-    figures = (all_of.signs.facet, all_of.signs.footprint, all_of.signs.profile, all_of.level)
+    figures = (all_of.diagnostics.facet, all_of.diagnostics.footprint, all_of.diagnostics.profile, all_of.level)
     return [name, all_of.truth.size, *(percent(off(np.asarray(x), all_of.truth) <= RIGHT) for x in figures)]
 
 
 def caught_row(name: str, all_of: Judged) -> list[Any]:
-    trust = np.asarray(method_selection.method_of(all_of.signs))
-    miss = off(np.asarray(all_of.signs.facet), all_of.truth)
-    wrong, right, flagged = miss > WRONG, miss <= RIGHT, trust != Method.facet
-    row = [name, trust.size, int(wrong.sum()), percent(flagged[wrong]), int(right.sum()), percent(flagged[right])]
-    row.append(percent(trust == Method.samples))
-    for method, figure in ((Method.facet, all_of.signs.facet), (Method.footprint, all_of.signs.footprint)):
-        missed = 100.0 * off(np.asarray(figure), all_of.truth)[trust == method]
+    method = np.asarray(method_selection.select_method(all_of.diagnostics))
+    miss = off(np.asarray(all_of.diagnostics.facet), all_of.truth)
+    wrong, right, flagged = miss > WRONG, miss <= RIGHT, method != Method.facet
+    row = [name, method.size, int(wrong.sum()), percent(flagged[wrong]), int(right.sum()), percent(flagged[right])]
+    row.append(percent(method == Method.samples))
+    for one, figure in ((Method.facet, all_of.diagnostics.facet), (Method.footprint, all_of.diagnostics.footprint)):
+        missed = 100.0 * off(np.asarray(figure), all_of.truth)[method == one]
         row += [float(np.quantile(missed, share)) if missed.size else None for share in (0.5, 0.95)]
     return row
 
@@ -120,17 +120,17 @@ def caught_row(name: str, all_of: Judged) -> list[Any]:
 def trade_off(all_of: Judged) -> list[tuple[float, float, float, float]]:
     """(agreement threshold, % caught, % flagged wrongly, % sent to samples); height thresholds in proportion."""
     miss, kept = (
-        off(np.asarray(all_of.signs.facet), all_of.truth),
+        off(np.asarray(all_of.diagnostics.facet), all_of.truth),
         (method_selection.AGREEMENT, method_selection.AGREEMENT_UP),
     )
     rows = []
     try:
         for level in LEVELS:
             method_selection.AGREEMENT, method_selection.AGREEMENT_UP = level, level * kept[1] / kept[0]
-            trust = np.asarray(method_selection.method_of(all_of.signs))
-            flagged, shares = trust != Method.facet, (miss > WRONG, miss <= RIGHT)
+            method = np.asarray(method_selection.select_method(all_of.diagnostics))
+            flagged, shares = method != Method.facet, (miss > WRONG, miss <= RIGHT)
             caught, wrongly = (percent(flagged[share]) or 0.0 for share in shares)
-            rows.append((level, caught, wrongly, percent(trust == Method.samples) or 0.0))
+            rows.append((level, caught, wrongly, percent(method == Method.samples) or 0.0))
     finally:
         method_selection.AGREEMENT, method_selection.AGREEMENT_UP = kept
     return rows
@@ -190,7 +190,7 @@ class Measured(NamedTuple):
     is_case: Any
     facet: Any
     footprint: Any
-    trust: Any
+    method: Any
     away: Any
 
 
@@ -202,11 +202,11 @@ def measured(pose: jaxgeo.Pose, pixel: Any, scale: Any, key: Any, terrain: Dem) 
     error = model.factor() @ jax.random.normal(key, (model.size,))
     moved = look_from(model.moved(true, error).pose, raised_by(terrain, error[-1]), pixel)
     aim, truth = moved.nominal_fix(FIRST_HIT), true.ground(FIRST_HIT)
-    signs = method_selection.diagnose(moved, aim, model).signs
+    diagnostics = method_selection.diagnose(moved, aim, model).diagnostics
     miss = aim.R_ecef_from_enu.T @ (truth.ecef - aim.p_ecef)
     is_case = counts_as_fix(aim.fix.status) & counts_as_fix(truth.status)
-    trust, away = method_selection.method_of(signs), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)
-    return Measured(moved.pose, error[-1], is_case, signs.facet, signs.footprint, trust, away)
+    method, away = method_selection.select_method(diagnostics), jnp.sqrt(miss[0] ** 2 + miss[1] ** 2)
+    return Measured(moved.pose, error[-1], is_case, diagnostics.facet, diagnostics.footprint, method, away)
 
 
 def raised_by(terrain: Dem, height: Any) -> Dem:
@@ -214,7 +214,7 @@ def raised_by(terrain: Dem, height: Any) -> Dem:
 
 
 def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
-    """(trust, whether the truth lies within the CE90 stated about the measured fix) of simulated measurements.
+    """(method, whether the truth lies within the CE90 stated about the measured fix) of simulated measurements.
 
     The pixel is random: pointing at a chosen ground point would depend on the ridges.
     """
@@ -223,12 +223,12 @@ def covered(terrain: Dem, count: int, samples: int, seed: int) -> np.ndarray:
     keys = jax.random.split(jax.random.key(seed), count)
     found = measured(drawn.pose, jnp.asarray(pixels), jnp.asarray(drawn.scale), keys, terrain)
     found = jax.tree.map(np.asarray, found)
-    radius = np.where(found.trust == Method.facet, found.facet, found.footprint)
-    for i in np.flatnonzero(found.is_case & (found.trust == Method.samples)):
+    radius = np.where(found.method == Method.facet, found.facet, found.footprint)
+    for i in np.flatnonzero(found.is_case & (found.method == Method.samples)):
         known = raised_by(terrain, found.raised[i])
         drawn_again = sampled(item(found.pose, i), drawn.scale[i], known, i, samples, pixels[i])
         radius[i] = drawn_again.circular_error(0.9).value
-    return np.stack([found.trust, found.away <= radius], axis=1)[found.is_case]
+    return np.stack([found.method, found.away <= radius], axis=1)[found.is_case]
 
 
 def coverage(targets: int, samples: int, fresh: int) -> Table:
@@ -241,10 +241,10 @@ def coverage(targets: int, samples: int, fresh: int) -> Table:
     for number, name in enumerate(("smooth", "hilly", "mountainous")):
         dems, seed = made_up_of(name, fresh), fresh + 1000 + 10 * number
         parts = [covered(dem, -(-targets // len(dems)), samples, seed + k) for k, dem in enumerate(dems)]
-        trust, inside = np.concatenate(parts).T
-        by_trust = [percent(inside[trust == method]) for method in Method]
+        method, inside = np.concatenate(parts).T
+        by_trust = [percent(inside[method == method]) for method in Method]
         low, high = (100.0 * x for x in binomial_interval(int(inside.sum()), inside.size))
-        sent = percent(trust == Method.samples)
+        sent = percent(method == Method.samples)
         table.rows.append([name, inside.size, percent(inside), low, high, *by_trust, sent])
         print(table.rows[-1], file=sys.stderr, flush=True)
     return table

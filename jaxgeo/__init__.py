@@ -53,6 +53,7 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import Bisection, ConstantHeight, Dem, FirstHit
 from jaxgeo.uncertainty import (
     ErrorModel,
+    Sampling,
     accuracy,
     circular_error,
     compare,
@@ -88,6 +89,7 @@ __all__ = [
     "PushbroomCamera",
     "Ray",
     "RollingShutterCamera",
+    "Sampling",
     "Sensor",
     "Shot",
     "Status",

@@ -18,11 +18,7 @@ def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
         new = names.get(name)
         if new is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        warnings.warn(
-            f"{package}.{name} is now {package}.{new}; the old name goes with version 0.3.",
-            DeprecationWarning,
-            stacklevel=2,
-        )
+        warn_renamed(f"{package}.{name}", f"{package}.{new}")
         return getattr(importlib.import_module(package), new)
 
     return __getattr__
@@ -35,11 +31,15 @@ def renamed_argument(old: str, new: str) -> Callable[[Callable[..., T]], Callabl
         @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> T:
             if old in kwargs:
-                words = f"{function.__name__}({old}=) is now {new}=; the old name goes with version 0.3."
-                warnings.warn(words, DeprecationWarning, stacklevel=2)
+                warn_renamed(f"{function.__name__}({old}=)", f"{new}=")
                 kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
         return call
 
     return decorate
+
+
+def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
+    """A `DeprecationWarning` of an old name, by default at the line that calls the caller."""
+    warnings.warn(f"{old} is now {new}; the old name goes with version 0.3.", DeprecationWarning, stacklevel=stacklevel)

@@ -38,6 +38,7 @@ DOORS = {
     "uncertainty/model.py": "ErrorModel",
     "uncertainty/linear.py": "propagate",
     "uncertainty/accuracy.py": "accuracy",
+    "uncertainty/sampling.py": "Sampling",
     "uncertainty/budget.py": "budget",
     "uncertainty/metrics/exact.py": "circular_error linear_error spherical_error",
     "coverage/pointing.py": "point_gimbal",

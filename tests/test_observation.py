@@ -35,12 +35,12 @@ OF_OBSERVATION = {
     "locate": (jaxgeo.locate, (GROUND,), {}),
     "at_range": (jaxgeo.at_range, (3000.0,), {}),
     "propagate": (jaxgeo.propagate, (GROUND, ERRORS), {}),
-    "assess": (uncertainty.assess, (GROUND, ERRORS), {}),
+    "accuracy without samples": (jaxgeo.accuracy, (GROUND, ERRORS), {"sampling": None}),
 }
 MORE = {
     "accuracy": (jaxgeo.accuracy, (GROUND, ERRORS), {}),
     "sample": (jaxgeo.sample, (GROUND, ERRORS), {"key": jax.random.key(0), "count": 200}),
-    "compare": (jaxgeo.compare, (GROUND, ERRORS), {"key": jax.random.key(0), "count": 200}),
+    "compare": (jaxgeo.compare, (GROUND, ERRORS), {"sampling": jaxgeo.Sampling(count=200)}),
     "second_order": (uncertainty.second_order, (GROUND, ERRORS), {}),
     "sigma_points": (uncertainty.sigma_points, (GROUND, ERRORS), {}),
     "gauss_helmert": (uncertainty.gauss_helmert, (GROUND, ERRORS), {}),

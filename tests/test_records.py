@@ -146,7 +146,7 @@ def test_no_array_of_jax_is_in_the_pickle_of_a_result() -> None:
     found = [
         jaxgeo.accuracy(*at),
         jaxgeo.sample(*at, key=key, count=2000),
-        jaxgeo.compare(*at, key=key, count=2000),
+        jaxgeo.compare(*at, sampling=jaxgeo.Sampling(count=2000, key=key)),
         jaxgeo.uncertainty.budget(jaxgeo.propagate(*at)),
         jaxgeo.uncertainty.sigma_points(*at),
     ]

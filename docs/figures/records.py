@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import scipy
 
@@ -45,25 +44,25 @@ def demo_errors() -> tuple[Any, ...]:
 
 
 @cache
-def of_fixes() -> un.AccuracyOfEach:
+def of_fixes() -> un.Accuracy:
     """How sure the fixes of the demonstration are."""
     sensor, shot, dem, errors = demo_errors()
     axes = (None, None, 0, None, None)
-    return un.accuracy_of_each(sensor, shot, demo().uv, dem, errors, in_axes=axes, count=4000)
+    return un.accuracy(sensor, shot, demo().uv, dem, errors, in_axes=axes, sampling=un.Sampling(count=4000))
 
 
 @cache
 def clouds() -> list[un.Comparison]:
     """Samples of three of the fixes, of which some jump."""
     sensor, shot, dem, errors = demo_errors()
-    look = {"key": jax.random.key(0), "count": 20_000, "chunk": 20_000}
-    return [un.compare(sensor, shot, demo().uv[k], dem, errors, **look) for k in CLOUDED]
+    sampling = un.Sampling(count=20_000, chunk=20_000)
+    return [un.compare(sensor, shot, demo().uv[k], dem, errors, sampling=sampling) for k in CLOUDED]
 
 
 @cache
 def accuracies() -> un.AccuracyMap:
     sensor, shot, dem, errors = demo_errors()
-    return un.accuracy_map(sensor, shot, dem, errors, step=5, count=512)
+    return un.accuracy_map(sensor, shot, dem, errors, step=5, sampling=un.Sampling(count=512))
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -17,11 +18,15 @@ from jaxgeo.cli._screen import bars_on_stderr, number_table, progress_bar, tell,
 CHUNKS = (1, 16, 1024)  # fixes computed at a time: few shapes, few compilations
 FEW = 20  # up to this many fixes, each gets the full number of samples
 SAMPLES_OF_MANY = 2000  # per fix if there are more; radii are then good to about 3 %
+ARRAYS = (
+    *("probability", "circular", "linear", "spherical", "method", "cov_enu", "bias_enu", "failed"),
+    "diagnostics",
+)  # of an `Accuracy`, except its fixes
 WIDE = 120  # terminal width, characters, from which all columns are shown
 
 
 class LocateResults(NamedTuple):
-    """Fixes (n) and their accuracy, an `AccuracyOfEach` or None; rows of unread files have status `file_not_read`."""
+    """Fixes (n) and their accuracy, an `Accuracy` or None; rows of unread files have status `file_not_read`."""
 
     fixes: Any
     accuracy: Any
@@ -72,17 +77,16 @@ def located(question: LocateInputs, probability: float) -> LocateResults:
 
 
 def _with(one: Any, fixes: Any, arrays: tuple[Any, ...]) -> Any:
-    """An `AccuracyOfEach` with replaced fixes and arrays."""
-    return type(one)(fixes, one.probability, *arrays, one.count)
+    """An `Accuracy` with replaced fixes and arrays."""
+    return dataclasses.replace(one, fix=fixes, **dict(zip(ARRAYS, arrays, strict=True)))
 
 
 def _arrays(one: Any) -> tuple[Any, ...]:
-    """The arrays of an `AccuracyOfEach` except its fixes, as NumPy arrays."""
+    """The arrays of an `Accuracy` except its fixes, as NumPy arrays."""
     import jax
     import numpy as np
 
-    found = (one.circular, one.linear, one.spherical, one.trust, one.cov_enu, one.bias_enu, one.signs)
-    return jax.tree.map(np.asarray, found)
+    return jax.tree.map(np.asarray, tuple(getattr(one, name) for name in ARRAYS))
 
 
 def _fixes_of_each(question: LocateInputs) -> Iterator[list[Any]]:
@@ -204,13 +208,13 @@ def _part(tree: Any, index: Any) -> Any:
 
 
 def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, is_long: bool) -> Any:
-    """Accuracy of the fixes, an `AccuracyOfEach`, NaN for pixels without a fix; None if no pixel has one."""
+    """Accuracy of the fixes, an `Accuracy`, NaN for pixels without a fix; None if no pixel has one."""
     import jax
     import numpy as np
 
     from jaxgeo.status import Status, counts_as_fix
-    from jaxgeo.uncertainty import accuracy_of_each
-    from jaxgeo.uncertainty.accuracy_of_each import SAMPLES
+    from jaxgeo.uncertainty import Sampling, accuracy
+    from jaxgeo.uncertainty.accuracy import SAMPLES
 
     counts = {int(one) for one in Status if counts_as_fix(one.code)}
     index = np.flatnonzero(np.isin(fixes.status, list(counts)))
@@ -220,7 +224,7 @@ def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, 
     errors = _part(batch.errors, index) if batch.axes[4] == 0 else batch.errors
     waiting = contextlib.nullcontext() if is_long else working("estimating accuracy")
     with waiting, bars_on_stderr() as is_shown:
-        found = accuracy_of_each(
+        found = accuracy(
             sensor,
             shots,
             uv,
@@ -228,8 +232,7 @@ def _how_sure(batch: Batch, fixes: Any, probability: float, atmosphere: Any, *, 
             errors,
             in_axes=batch.axes,
             probability=probability,
-            count=SAMPLES_OF_MANY if is_long else SAMPLES,
-            progress=is_long and is_shown,
+            sampling=Sampling(count=SAMPLES_OF_MANY if is_long else SAMPLES, progress=is_long and is_shown),
             atmosphere=atmosphere,
         )
     arrays = _arrays(found)

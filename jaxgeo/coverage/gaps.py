@@ -19,7 +19,7 @@ from jaxgeo._typing import Scalar
 from jaxgeo.coverage.exposure import end_places
 from jaxgeo.coverage.flight import SPECS, Compensation, FlightNoise, Strip, flown, normals_of, shots_of, specs_of
 from jaxgeo.status import Status
-from jaxgeo.uncertainty.assess import assess
+from jaxgeo.uncertainty.accuracy import accuracy
 from jaxgeo.uncertainty.draws import Random
 from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.model import ErrorModel
@@ -169,8 +169,8 @@ def linear_is_valid(
     errors = ErrorModel((position, gimbal) if np.all(compensation.attitude) else (attitude, position, gimbal))
 
     def trusted(shot: Any, uv: Any) -> Any:
-        found = assess(strip.sensor, shot, uv, strip.terrain, errors, atmosphere=strip.air).trust
-        return (found == Method.facet) | (found == Method.footprint)
+        found = accuracy(strip.sensor, shot, uv, strip.terrain, errors, sampling=None, atmosphere=strip.air)
+        return (found.method == Method.facet) | (found.method == Method.footprint)
 
     ends = jnp.clip(end_places(strip.sensor, strip.along), 0.0, None)
     over_ends = jax.vmap(trusted, (None, 0))

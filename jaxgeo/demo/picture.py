@@ -119,7 +119,7 @@ def _draw_errors(demo: Demo, part: Any) -> None:
 
     compared, trusted = demo.errors.comparison, demo.errors.accuracy
     plot.error_cloud(compared, part.subplots(), dem=demo.dem)
-    _head(f"Accuracy of fix {demo.errors.number}: CE90 {trusted.circular:.0f} m, by {trusted.trust.words}", part)
+    _head(f"Accuracy of fix {demo.errors.number}: CE90 {trusted.circular:.0f} m, by {trusted.words}", part)
 
 
 def _draw_budget(demo: Demo, part: Any) -> None:

@@ -25,6 +25,7 @@ from jaxgeo.uncertainty import (
     Comparison,
     ErrorModel,
     Footprint,
+    Sampling,
     accuracy,
     budget,
     compare,
@@ -210,9 +211,9 @@ def _part(fix: Fix, start: int, stop: int, shape: tuple[int, ...] = (-1,)) -> Fi
 
 def _errors(sensor: Sensor, shot: Shot, uv: np.ndarray, dem: Dem, model: ErrorModel) -> Errors:
     """Accuracy of the fix of a pixel, by every method."""
-    scene, key = (sensor, shot, uv, dem), jax.random.key(0)
-    compared = compare(*scene, model, key=key, count=SAMPLES, chunk=SAMPLES)
-    trusted = accuracy(*scene, model, key=key, count=SAMPLES)
+    scene = (sensor, shot, uv, dem)
+    compared = compare(*scene, model, sampling=Sampling(count=SAMPLES, chunk=SAMPLES))
+    trusted = accuracy(*scene, model, sampling=Sampling(count=SAMPLES))
     return Errors(DOUBTED, compared, trusted, budget(propagate(*scene, model, slope=Footprint())))
 
 

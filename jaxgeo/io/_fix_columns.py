@@ -14,7 +14,8 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.geoid import height_msl
 from jaxgeo.io.tables import FIX_COLUMNS, fix_rows
 from jaxgeo.status import Status
-from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, AccuracyOfEach, Method
+from jaxgeo.uncertainty import NO_FIX, Accuracy, AccuracyMap, Method
+from jaxgeo.uncertainty.accuracy_record import reasons
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.metrics.exact import check_probability, covariance
 
@@ -59,8 +60,8 @@ def figures_of(
     count = len(np.asarray(fixes.status))
     told = _unknown(count, USUAL if probability is None else probability)
     if isinstance(accuracy, AccuracyMap):
-        told = _of_map(name, fixes, accuracy, probability)
-    elif isinstance(accuracy, AccuracyOfEach):
+        accuracy = accuracy.accuracy
+    if isinstance(accuracy, Accuracy) and accuracy.shape:
         told = _of_batch(name, fixes, accuracy, probability)
     elif accuracy is not None:
         told = _of_each(name, fixes, accuracy, probability)
@@ -120,52 +121,29 @@ def _unknown(count: int, probability: float) -> Figures:
     return Figures(probability, circular, linear, spherical, cov, bias, axes, azimuth, None, None)
 
 
-def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | None) -> Figures:
-    """Radii only: an accuracy map keeps no covariances."""
-    count = len(np.asarray(fixes.status))
-    trust = np.asarray(accuracy.trust).reshape(-1)
-    if len(trust) != count:
-        raise ValueError(f"{name}: accuracy is of {len(trust)} places, fixes of {count}.")
-    _check_probability(name, accuracy.probability, probability)
-    here, there = (
-        np.stack([np.rad2deg(np.asarray(x, np.float64).reshape(-1)) for x in (place.lat, place.lon)], axis=-1)
-        for place in (fixes.position, accuracy.position)
-    )
-    metres = np.array([111e3, 111e3]) * np.stack([np.ones(count), np.cos(np.radians(here[:, 0]))], axis=-1)
-    off = (here - there + 180.0) % 360.0 - 180.0
-    _check_same(name, np.linalg.norm(off * metres, axis=-1))
-    radii = (np.asarray(x, np.float64).reshape(-1) for x in (accuracy.circular, accuracy.linear, accuracy.spherical))
-    circular, linear, spherical = radii
-    method = [None if code == NO_FIX else Method(int(code)).words for code in trust]
-    told = _unknown(count, accuracy.probability)
-    return told._replace(circular=circular, linear=linear, spherical=spherical, method=method)
-
-
-def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: float | None) -> Figures:
+def _of_batch(name: str, fixes: Fix, accuracy: Accuracy, probability: float | None) -> Figures:
     """Figures of a batch; covariances where a propagation is valid."""
     count = len(np.asarray(fixes.status))
-    trust = np.asarray(accuracy.trust)
-    if trust.shape != (count,):
-        raise ValueError(f"{name}: accuracy is of a batch of the shape {trust.shape}, fixes of {count}.")
-    _check_probability(name, accuracy.probability, probability)
-    _check_same(name, np.linalg.norm(np.asarray(accuracy.fix.ecef) - np.asarray(fixes.ecef), axis=-1))
-    told = _unknown(count, accuracy.probability)
-    has_fix = trust != NO_FIX
-    figures = (accuracy.circular, accuracy.linear, accuracy.spherical, accuracy.cov_enu, accuracy.bias_enu)
+    if math.prod(accuracy.shape) != count:
+        raise ValueError(f"{name}: accuracy is of a batch of the shape {accuracy.shape}, fixes of {count}.")
+    flat = jax.tree.map(lambda leaf: np.reshape(leaf, (count, *np.shape(leaf)[len(accuracy.shape) :])), accuracy)
+    _check_probability(name, level := accuracy.level(), probability)
+    _check_same(name, np.linalg.norm(np.asarray(flat.fix.ecef) - np.asarray(fixes.ecef), axis=-1))
+    figures = (flat.circular, flat.linear, flat.spherical, flat.cov_enu, flat.bias_enu)
     circular, linear, spherical, cov, bias = (np.array(x, np.float64) for x in figures)
-    return told._replace(
+    return _unknown(count, level)._replace(
         circular=circular,
         linear=linear,
         spherical=spherical,
         cov_enu=cov,
         bias_enu=bias,
-        method=[Method(int(code)).words if known else None for code, known in zip(trust, has_fix, strict=True)],
-        because=[accuracy.because(i) for i in range(count)],
+        method=[None if code == NO_FIX else Method(code).words for code in flat.method.tolist()],
+        because=reasons(flat),
     )
 
 
 def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) -> Figures:
-    """Figures of each fix, or None; covariances are those of the propagation, if that is the valid method."""
+    """Figures of each fix, or None."""
     count = len(np.asarray(fixes.status))
     each: Sequence[Any] = [accuracy] if isinstance(accuracy, Accuracy) else accuracy
     if not isinstance(each, list | tuple) or len(each) != count:
@@ -179,13 +157,11 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
         if one is None:
             continue
         check_is(one, Accuracy, f"accuracy[{i}]")
-        asked = _check_probability(name, one.probability, asked)
+        asked = _check_probability(name, one.level(), asked)
         far[i] = np.linalg.norm(np.asarray(one.fix.ecef) - np.asarray(fixes.ecef)[i])
         told.circular[i], told.linear[i], told.spherical[i] = one.circular, one.linear, one.spherical
-        method[i], because[i] = one.trust.words, one.because
-        if one.trust is not Method.samples:
-            told.cov_enu[i] = np.asarray(one.propagation.cov_enu)
-            told.bias_enu[i] = np.asarray(one.propagation.bias_enu)
+        told.cov_enu[i], told.bias_enu[i] = np.asarray(one.cov_enu), np.asarray(one.bias_enu)
+        method[i], because[i] = one.words, one.because
     _check_same(name, far)
     return told._replace(probability=USUAL if asked is None else asked, method=method, because=because)
 

@@ -23,10 +23,12 @@ from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
 from jaxgeo.uncertainty import NO_FIX, AccuracyMap, ErrorModel, Method, accuracy_map
 from jaxgeo.uncertainty.accuracy_map import checked_map
+from jaxgeo.uncertainty.sampling import accepts_sampling_options
 
 COG = {"compress": "deflate", "predictor": "yes", "overview_resampling": "nearest"}
 
 
+@accepts_sampling_options
 def write_accuracy_map(
     path: str | os.PathLike[str],
     sensor: Sensor,
@@ -42,8 +44,8 @@ def write_accuracy_map(
 ) -> AccuracyMap:
     """Compute the `accuracy_map` of a raster's cell centres and write it to a GeoTIFF.
 
-    Arguments and errors as for `accuracy_map`; its other options (`probability`, `count`, `time`, `progress`, ...) are
-    passed on.
+    Arguments and errors as for `accuracy_map`; its other options (`probability`, `sampling`, `time`, ...) are passed
+    on.
 
     - `crs`: anything pyproj takes, such as "EPSG:25832"; by default the UTM zone, or UPS, at the centre of the area.
       Its horizontal part is used.
@@ -82,7 +84,7 @@ def _cells(name: str, raster: MapRaster) -> Geodetic:
 
 
 def _write(target: pathlib.Path, found: AccuracyMap, raster: MapRaster, cog: bool) -> None:
-    bands = np.stack([np.asarray(x, np.float32) for x in (found.circular, found.linear, found.trust, found.status)])
+    bands = np.stack([np.asarray(x, np.float32) for x in (found.circular, found.linear, found.method, found.status)])
     rows, cols = raster.shape
     profile = {"driver": "GTiff", "dtype": "float32", "count": 4, "height": rows, "width": cols, "nodata": np.nan}
     profile |= {"crs": raster.crs.to_wkt(), "transform": raster.transform, "compress": "deflate"}

@@ -41,7 +41,7 @@ def accuracy_map_dataset(found: AccuracyMap, raster: MapRaster | None = None) ->
         "linear_error": (np.asarray(found.linear), _told(f"height that holds the truth {percent}", "m")),
         "spherical_error": (np.asarray(found.spherical), _told(f"radius that holds the truth {percent}", "m")),
         "failed": (np.asarray(found.failed), _told("share of the samples without a fix", "1")),
-        "trust": (np.asarray(found.trust, np.int8), _flags("method that the figures are from", codes)),
+        "trust": (np.asarray(found.method, np.int8), _flags("method that the figures are from", codes)),
         "status": (np.asarray(found.status, np.int8), _statuses()),
         "u": (u, _told("column of the pixel that sees the place", "pixel")),
         "v": (v, _told("row of the pixel that sees the place", "pixel")),

@@ -24,7 +24,7 @@ from jaxgeo.register.rectify import BILINEAR, TILE, Rectifier, Tile, tiles_of
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty.map_cells import with_bar
+from jaxgeo.uncertainty.host_arrays import with_bar
 
 
 class RectifiedFile(NamedTuple):

@@ -48,7 +48,9 @@ def drape(image: Orthoimage, about: Propagation, reach: float, ax: Axes) -> None
     edges = np.linspace(-reach, reach, DRAPED + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
     east, north = np.meshgrid(middles, middles)
-    rowcol = np.asarray(_rowcol_about(image.grid, about.aim.R_ecef_from_enu, jnp.asarray(about.fix.ecef), east, north))
+    rowcol = np.asarray(
+        _rowcol_about(image.grid, about.nominal.R_ecef_from_enu, jnp.asarray(about.fix.ecef), east, north)
+    )
     row, col = np.rint(rowcol[..., 0]).astype(int), np.rint(rowcol[..., 1]).astype(int)
     rows, cols = image.shape
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)

@@ -57,13 +57,13 @@ def method_map(found: AccuracyMap, ax: Axes | None = None, *, hidden: str = "hid
     Raises `TypeError` for another record, `ValueError` where there is no fix.
     """
     check_is(found, AccuracyMap, "found", "Make one with jaxgeo.uncertainty.accuracy_map.")
-    trust = np.asarray(found.trust)
-    count = np.count_nonzero(trust >= 0)
+    method = np.asarray(found.method)
+    count = np.count_nonzero(method >= 0)
     if not count:
         raise ValueError("no place of this map has a fix: there is nothing to draw.")
     with house_axes(ax, tall=0.8) as ax:
         for one, colour in zip(Method, METHODS, strict=True):
-            here = trust == one
+            here = method == one
             _one_colour(found, ax, here, colour, f"{one.words}, {100.0 * np.count_nonzero(here) / count:.0f} %")
         _hidden(found, ax, hidden)
     return ax

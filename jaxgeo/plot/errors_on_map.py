@@ -17,7 +17,7 @@ from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.plot.legends import keyed
 from jaxgeo.plot.maps import degrees, lonlat_deg
 from jaxgeo.plot.style import FIX, JUMPED, SAMPLE, halo, house_axes, round_length
-from jaxgeo.uncertainty import Accuracy, AccuracyOfEach, Comparison, Method, Propagation, Sampled
+from jaxgeo.uncertainty import Accuracy, Comparison, Propagation, Sampled
 
 SEEN = 0.05  # of the map's width: target for the median major axis of enlarged ellipses
 ENOUGH = 0.01  # of the map's width: larger major axes need no enlargement
@@ -26,7 +26,7 @@ RING = np.stack([np.cos(turn := np.linspace(0.0, 2.0 * np.pi, 121)), np.sin(turn
 
 
 def ellipses_on_map(
-    found: Propagation | Accuracy | AccuracyOfEach | Sequence[Propagation | Accuracy],
+    found: Propagation | Accuracy | Sequence[Propagation | Accuracy],
     ax: Axes | None = None,
     *,
     probability: float | None = None,
@@ -122,10 +122,6 @@ class _Normal(NamedTuple):
 def _normal(one: Any) -> _Normal:
     """Convert a record to `_Normal`."""
     if isinstance(one, Accuracy):
-        linear, by_samples = one.propagation, one.trust is Method.samples
-        position, mean, cov = linear.fix.position, linear.bias_enu, np.asarray(linear.cov_enu)
-        cov, radius = (np.full_like(cov, np.nan), one.circular) if by_samples else (cov, np.nan)
-    elif isinstance(one, AccuracyOfEach):
         position, mean, cov, radius = one.fix.position, one.bias_enu, one.cov_enu, one.circular
     else:
         check_is(one, Propagation, "found", "Make it with jaxgeo.uncertainty.propagate or accuracy.")
@@ -133,10 +129,12 @@ def _normal(one: Any) -> _Normal:
     flat = jax.tree.map(lambda leaf: np.ravel(np.asarray(leaf)), position)
     count = len(flat.lat)
     mean, cov = np.asarray(mean).reshape(count, 3)[:, :2], np.asarray(cov).reshape(count, 3, 3)[:, :2, :2]
-    return _Normal(flat, mean, cov, np.broadcast_to(radius, (count,)), getattr(one, "probability", None))
+    return _Normal(
+        flat, mean, cov, np.broadcast_to(np.ravel(radius), (count,)), one.level() if isinstance(one, Accuracy) else None
+    )
 
 
-_RECORDS = (Propagation, Accuracy, AccuracyOfEach)
+_RECORDS = (Propagation, Accuracy)
 
 
 def _share(parts: Sequence[_Normal], probability: float | None) -> float:

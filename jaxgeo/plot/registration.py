@@ -135,7 +135,7 @@ def circles_on_map(
         check_is(one, Propagation, name, "Make it with jaxgeo.uncertainty.propagate, or Registration.fix.")
         if not np.isfinite(np.asarray(one.cov_enu)).all():
             raise ValueError(f"the fix {name} is none: there is nothing to draw.")
-    frame = np.asarray(direct.aim.R_ecef_from_enu)
+    frame = np.asarray(direct.nominal.R_ecef_from_enu)
     origin = np.asarray(direct.fix.ecef)
     middles = [(frame.T @ (np.asarray(one.fix.ecef) - origin))[:2] for _, one, _ in fixes]
     radii = [float(one.circular_error(probability)) for _, one, _ in fixes]

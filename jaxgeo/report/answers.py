@@ -60,13 +60,13 @@ def _sure(subject: ReportData, detail: Detail, row: Row) -> dict[str, Any]:
         ("SE", one.spherical, "3-D"),
     )
     figures = [(f"{kind}{percent}", words.length(float(np.asarray(x)[index])), what) for kind, x, what in radii]
-    trust = Method(int(np.asarray(one.trust)[index]))
-    agreed = "" if detail.comparison is None else _agreed(detail.comparison, trust, subject.probability)
-    said = {"figures": figures, "method": trust.words, "verdict": VERDICTS[trust], "because": row["accuracy_text"]}
+    method = Method(int(np.asarray(one.method)[index]))
+    agreed = "" if detail.comparison is None else _agreed(detail.comparison, method, subject.probability)
+    said = {"figures": figures, "method": method.words, "verdict": VERDICTS[method], "because": row["accuracy_text"]}
     return said | {"agreed": agreed}
 
 
-def _agreed(comparison: Comparison, trust: Method, probability: float) -> str:
+def _agreed(comparison: Comparison, method: Method, probability: float) -> str:
     """Comparison of linear propagation with samples, one or two sentences."""
     name = f"CE{words.percent_name(probability)}"
     one = comparison.sampled.circular_error(probability)
@@ -74,11 +74,11 @@ def _agreed(comparison: Comparison, trust: Method, probability: float) -> str:
     count = words.count(comparison.sampled.count)
     said = f"{count} samples give {name} {words.length(one.value)} ({words.length(one.low)} to {words.length(one.high)}"
     said += ", 95 % interval)"
-    if trust is Method.samples:
+    if method is Method.samples:
         said += f"; linear propagation gives {words.length(linear[FACET])} with the facet slope and "
         said += f"{words.length(linear[FOOTPRINT])} with the footprint slope."
     else:
-        radius = linear[FACET if trust is Method.facet else FOOTPRINT]
+        radius = linear[FACET if method is Method.facet else FOOTPRINT]
         inside = one.low <= radius <= one.high
         off = f"{100.0 * abs(radius / one.value - 1.0):.1f} % {'more' if radius > one.value else 'less'}"
         said += f": linear propagation, {words.length(radius)}, is {'inside' if inside else off}."
@@ -145,8 +145,8 @@ def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:
             )
             between = f"median; {words.length(low)} to {words.length(high)}"
             figures.append((f"{kind}{percent}", words.length(middle), between))
-        trust = np.asarray(subject.accuracy.trust)
-        methods = [f"{words.count(int((trust == t).sum()))} by {t.words}" for t in Method if (trust == t).any()]
+        method = np.asarray(subject.accuracy.method)
+        methods = [f"{words.count(int((method == m).sum()))} by {m.words}" for m in Method if (method == m).any()]
     else:
         methods = []
     return {
@@ -156,7 +156,7 @@ def summary_of(subject: ReportData, rows: Sequence[Row]) -> dict[str, Any]:
         "statuses": statuses,
         "figures": figures,
         "methods": methods,
-        "unsure": subject.accuracy is None or not (np.asarray(subject.accuracy.trust) != NO_FIX).any(),
+        "unsure": subject.accuracy is None or not (np.asarray(subject.accuracy.method) != NO_FIX).any(),
     }
 
 

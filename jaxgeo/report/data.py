@@ -16,7 +16,7 @@ from jaxgeo.locate import locate
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractTerrain
-from jaxgeo.uncertainty import AccuracyOfEach, accuracy_of_each
+from jaxgeo.uncertainty import Accuracy, accuracy
 
 Axes = tuple[int | None, ...]
 ONE_SCENE: Axes = (None, None, 0, None, None)
@@ -38,7 +38,7 @@ class ReportData:
     terrain: AbstractTerrain
     errors: Any
     fixes: Fix
-    accuracy: AccuracyOfEach | None
+    accuracy: Accuracy | None
     axes: Axes = ONE_SCENE
     atmosphere: Atmosphere | None = None
     probability: float = 0.9
@@ -61,22 +61,22 @@ class ReportData:
     ) -> ReportData:
         """Locate pixels and compute their accuracy: by default pixels (n, 2), or one, of one shot.
 
-        `in_axes` as for `accuracy_of_each`. Raises as `locate` and `accuracy_of_each`, and `ValueError` if the
+        `in_axes` as for `accuracy`. Raises as `locate` and `accuracy`, and `ValueError` if the
         number of labels differs.
         """
         uv = np.atleast_2d(np.asarray(uv, np.float64))
         if labels and len(labels) != len(uv):
             raise ValueError(f"labels must be one for each of {len(uv)} pixels; got {len(labels)}.")
-        accuracy = None
+        found = None
         if errors is None:
             see = lambda *given: locate(*given, atmosphere=atmosphere)  # noqa: E731
             fixes = jax.jit(jax.vmap(see, in_axes=in_axes[:4]))(sensor, shots, jnp.asarray(uv), terrain)
         else:
             options: dict[str, Any] = {"probability": probability, "atmosphere": atmosphere}
-            accuracy = accuracy_of_each(sensor, shots, uv, terrain, errors, in_axes=in_axes, **options)
-            fixes = accuracy.fix
+            found = accuracy(sensor, shots, uv, terrain, errors, in_axes=in_axes, **options)
+            fixes = found.fix
         fixes = jax.tree.map(np.asarray, fixes)
-        return cls(sensor, shots, uv, terrain, errors, fixes, accuracy, in_axes, atmosphere, probability, labels)
+        return cls(sensor, shots, uv, terrain, errors, fixes, found, in_axes, atmosphere, probability, labels)
 
     def __len__(self) -> int:
         return len(np.asarray(self.fixes.status))

@@ -18,7 +18,7 @@ from jaxgeo.plot.sightline import Section, section_under
 from jaxgeo.report.data import ReportData
 from jaxgeo.status import Status
 from jaxgeo.terrain import ConstantHeight, Dem
-from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, budget, compare
+from jaxgeo.uncertainty import Budget, Comparison, ErrorModel, Method, Sampling, budget, compare
 from jaxgeo.uncertainty.compare import FIGURES
 
 SAMPLES = 20_000  # same number and key as in `accuracy`, hence the same samples
@@ -105,9 +105,9 @@ def _detail(subject: ReportData, index: int, why: str, outlines: dict[bytes, np.
     if errors is None or subject.accuracy is None:
         return detail._replace(unsure="No error sources are given.")
     model = errors if isinstance(errors, ErrorModel) else ErrorModel(tuple(errors))
-    options: dict[str, Any] = {"key": jax.random.key(0), "count": SAMPLES, "atmosphere": subject.atmosphere}
+    options: dict[str, Any] = {"sampling": Sampling(count=SAMPLES), "atmosphere": subject.atmosphere}
     told = compare(sensor, shot, uv, terrain, model, **options)
-    is_facet = int(np.asarray(subject.accuracy.trust)[index]) == Method.facet
+    is_facet = int(np.asarray(subject.accuracy.method)[index]) == Method.facet
     linear = told.propagations[FACET if is_facet else FOOTPRINT]
     if not np.isfinite(np.asarray(linear.cov_enu)).all():
         return detail._replace(

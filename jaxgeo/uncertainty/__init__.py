@@ -2,10 +2,12 @@
 
 from jaxgeo._renamed import renamed
 from jaxgeo.uncertainty import metrics, presets, sources
-from jaxgeo.uncertainty.accuracy import Accuracy, accuracy
-from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map, accuracy_of_pixels
-from jaxgeo.uncertainty.accuracy_of_each import AccuracyOfEach, accuracy_of_each
-from jaxgeo.uncertainty.assess import NO_FIX, Assessment, assess
+from jaxgeo.uncertainty._deprecated import accuracy_of_each as accuracy_of_each
+from jaxgeo.uncertainty._deprecated import accuracy_of_pixels as accuracy_of_pixels
+from jaxgeo.uncertainty._deprecated import assess as assess
+from jaxgeo.uncertainty.accuracy import accuracy
+from jaxgeo.uncertainty.accuracy_map import AccuracyMap, accuracy_map
+from jaxgeo.uncertainty.accuracy_record import Accuracy
 from jaxgeo.uncertainty.budget import Budget, budget
 from jaxgeo.uncertainty.compare import Comparison, compare
 from jaxgeo.uncertainty.design import Design, InverseCost, Outcome, certified_design, design
@@ -13,10 +15,11 @@ from jaxgeo.uncertainty.draws import AbstractDraws, Random, Sobol
 from jaxgeo.uncertainty.gauss_helmert import gauss_helmert
 from jaxgeo.uncertainty.joint import JointFixes, joint_covariance
 from jaxgeo.uncertainty.linear import Propagation, propagate
-from jaxgeo.uncertainty.method_selection import Diagnostics, Method
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method
 from jaxgeo.uncertainty.metrics import circular_error, error_ellipse, linear_error, spherical_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Quantile, Sampled, sample
+from jaxgeo.uncertainty.sampling import Sampling
 from jaxgeo.uncertainty.second_order import Moments, second_order, sigma_points
 from jaxgeo.uncertainty.sensitivity import SobolIndices, sobol_indices
 from jaxgeo.uncertainty.sharing import PerFlight, PerImage, PerMeasurement, Systematic, TimeCorrelated
@@ -27,8 +30,6 @@ __all__ = [
     "AbstractDraws",
     "Accuracy",
     "AccuracyMap",
-    "AccuracyOfEach",
-    "Assessment",
     "Budget",
     "Comparison",
     "Design",
@@ -49,15 +50,13 @@ __all__ = [
     "Quantile",
     "Random",
     "Sampled",
+    "Sampling",
     "Sobol",
     "SobolIndices",
     "Systematic",
     "TimeCorrelated",
     "accuracy",
     "accuracy_map",
-    "accuracy_of_each",
-    "accuracy_of_pixels",
-    "assess",
     "budget",
     "certified_design",
     "circular_error",
@@ -79,6 +78,8 @@ __all__ = [
 ]
 
 DEPRECATED = {
+    "AccuracyOfEach": "Accuracy",
+    "Assessment": "Accuracy",
     "EachFlight": "PerFlight",
     "EachMeasurement": "PerMeasurement",
     "EachShot": "PerImage",

@@ -41,7 +41,7 @@ class Problem(Record):
         error, slopes = error_and_slopes(self.linear, sigma, self.probability)
         return math.log(max(self.ratio * float(error), 1e-300)), np.asarray(slopes * sigma / error)
 
-    def priced(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
+    def price(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
         """Cost and its gradient."""
         sigma = self.sigma(logs)
         cost, slopes = _cost_and_slopes(self.cost, sigma, self.today)
@@ -83,7 +83,7 @@ def closest(problem: Problem) -> np.ndarray:
 
 def cheapest(problem: Problem, start: np.ndarray, goal: float) -> np.ndarray:
     """Log factors of minimum cost that meet the goal, from a feasible start; cost is relative to that of the start."""
-    scale = problem.priced(start)[0] or 1.0
+    scale = problem.price(start)[0] or 1.0
 
     @functools.lru_cache(maxsize=1)  # value and gradient are evaluated in succession
     def log_error(logs: bytes) -> tuple[float, np.ndarray]:
@@ -95,7 +95,7 @@ def cheapest(problem: Problem, start: np.ndarray, goal: float) -> np.ndarray:
         "jac": lambda logs: -log_error(logs.tobytes())[1],
     }
     found = scipy.optimize.minimize(
-        lambda logs: tuple(part / scale for part in problem.priced(logs)),
+        lambda logs: tuple(part / scale for part in problem.price(logs)),
         start, jac=True, bounds=problem.box, constraints=[met],
         method="SLSQP", options={"ftol": 1e-15, "maxiter": MOST_STEPS},
     )  # fmt: skip

@@ -1,84 +1,76 @@
-"""Accuracy of a fix (CE, LE, SE) by the cheapest propagation method that is valid there."""
+"""Accuracy of fixes (CE, LE, SE) by the cheapest propagation method that is valid there."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._record import Record
+from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._typing import Scalar
 from jaxgeo.earth.atmosphere import Atmosphere
-from jaxgeo.fix import Fix
 from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
-from jaxgeo.sensor import Sensor, Shot, Trajectory
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.draws import AbstractDraws, Random
-from jaxgeo.uncertainty.linear import Propagation
-from jaxgeo.uncertainty.method_selection import FEW, GRAZING, SAME_GROUND, Diagnostics, Method, diagnose, method_of
+from jaxgeo.uncertainty.accuracy_map import SAMPLES as SAMPLES_OF_EACH
+from jaxgeo.uncertainty.accuracy_map import accuracy_of_cells, check_context
+from jaxgeo.uncertainty.accuracy_record import Accuracy
+from jaxgeo.uncertainty.linear_accuracy import assess_fix, linear_radii
+from jaxgeo.uncertainty.many_exposures import accuracy_of_exposures
+from jaxgeo.uncertainty.map_cells import BLOCK, Request, cells_of_pixels, check_block, check_level
+from jaxgeo.uncertainty.method_selection import Method, diagnose, select_method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
-from jaxgeo.uncertainty.sampled import CHUNK, Sampled, Sampling, sampled_at
+from jaxgeo.uncertainty.sampled import FIGURES, draw_errors
+from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
 SAMPLES = 20_000
-RANDOM = Random()
+SAMPLING = Sampling()
+OF_PIXELS = (None, None, 0, None, None)
+_select_method = jax.jit(select_method)
 
 
-class Accuracy(Record):
-    """Accuracy of a fix: radii in m that contain the true point with `probability`, and the method used.
-
-    `circular` is horizontal, `linear` vertical, `spherical` in space; infinite if too many samples have no fix.
-    `trust` is the method, `because` the reason for it in words, `signs` the diagnostics that selected it.
-    """
-
-    fix: Fix
-    probability: float
-    circular: float
-    linear: float
-    spherical: float
-    trust: Method
-    because: str
-    signs: Diagnostics
-    propagation: Propagation
-    sampled: Sampled | None = None
-
-    def __str__(self) -> str:
-        percent = f"{100.0 * self.probability:g}"
-        return (
-            f"CE{percent} {self.circular:.4g} m, LE{percent} {self.linear:.4g} m, SE{percent} {self.spherical:.4g} m, "
-            f"by {self.trust.words}. {self.because}"
-        )
-
-
+@accepts_sampling_options
 @accepts_observation
 def accuracy(
     sensor: Sensor,
     shot: Shot | Trajectory,
-    uv: ArrayLike | Sequence[ArrayLike],
+    uv: ArrayLike | Sequence[Any],
     terrain: AbstractTerrain,
     errors: ErrorModel | Any,
     *,
-    probability: float = 0.9,
+    in_axes: Sequence[int | None] | None = None,
+    probability: ArrayLike = 0.9,
+    sampling: Sampling | None = SAMPLING,
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
-    key: Any = None,
-    count: int = SAMPLES,
-    draws: AbstractDraws = RANDOM,
-    chunk: int = CHUNK,
+    block: int = BLOCK,
 ) -> Accuracy:
-    """Accuracy of the fix that `locate` returns for the same arguments.
+    """Accuracy of the fix that `locate` returns for the same arguments, or of many fixes at once.
 
     The terrain around the fix is examined first, without samples: the slopes of facet and footprint, the terrain
     profile along the line of sight with its ridges and unseen gaps, and edges and voids within the errors' range. If
     linear propagation over the facet agrees with footprint and profile, it is used; otherwise that over the footprint,
-    if it agrees with the profile. If neither is valid, or the ground cannot be probed, `count` samples are drawn (with
-    `key`, default `jax.random.key(0)`; `draws` and `chunk` as for `sample`). Raises as `propagate`, and `ValueError`
-    for a probability outside (0, 1) and if there is no fix. For many fixes see `accuracy_map`, `accuracy_of_pixels` and
-    `assess`.
+    if it agrees with the profile. If neither is valid, or the ground cannot be probed, samples are drawn as `sampling`
+    says (default: 20 000; of many pixels 2000 each).
+
+    - Many pixels of one exposure: `uv` (..., 2); the result has the shape of the pixels.
+    - Many exposures: `in_axes`, as for `jax.vmap`, is 0 for each of (sensor, shot, uv, terrain, errors), or of
+      (observation, terrain, errors), that is a batch, and None for one shared by all. Times and atmospheres may be
+      batches too.
+    - `sampling=None` draws nothing and works under `jit`, `vmap` and derivatives: figures that need samples are NaN.
+
+    Of many fixes `block` are evaluated at a time, which bounds the memory, and all are sampled with the same key. A
+    missing fix raises `ValueError` if there is one observation and `sampling`; otherwise it has a status, and NaN.
+    Raises as `propagate`; `ValueError` for a probability outside (0, 1) and unequal batches; `TypeError` if samples
+    would have to be drawn under `jit` or `vmap`.
 
     >>> from jaxgeo.uncertainty import sources
     >>> camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
@@ -93,65 +85,76 @@ def accuracy(
     >>> scene = sensor, shot, (1999.5, 1499.5), jaxgeo.ConstantHeight(600.0), errors
     ...
     >>> found = jaxgeo.accuracy(*scene)
-    >>> print(f"CE90 {found.circular:.2f} m, LE90 {found.linear:.2f} m, by {found.trust.words}")
+    >>> print(f"CE90 {found.circular:.2f} m, LE90 {found.linear:.2f} m, by {found.words}")
     CE90 11.52 m, LE90 3.29 m, by linear propagation
     """
-    if not 0.0 < probability < 1.0:
-        raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, look)
-    sampling = Sampling(jax.random.key(0) if key is None else key, count, draws, chunk=chunk)
-    sampling.check()
-    aim = look.nominal_fix(search)
-    aim.require_fix()
-    signs, facet, footprint, _ = diagnose(look, aim, model)
-    trust = Method(int(method_of(signs)))
-    because = reason(signs, trust)
-    if trust is Method.samples:
-        drawn = sampled_at(look, model, search, sampling, aim)
-        figures = (drawn.circular_error, drawn.linear_error, drawn.spherical_error)
-        circular, linear, spherical = (figure(probability).value for figure in figures)
-        return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, footprint, drawn)
-    chosen = facet if trust is Method.facet else footprint
-    figures = (chosen.circular_error, chosen.linear_error, chosen.spherical_error)
-    circular, linear, spherical = (float(figure(probability)) for figure in figures)
-    return Accuracy(aim.fix, probability, circular, linear, spherical, trust, because, signs, chosen)
+    level = check_level(probability)
+    options: dict[str, Any] = {"time": time, "search": search, "atmosphere": atmosphere}
+    is_traced = not is_known((sensor, shot, uv, terrain, errors, level, time, atmosphere))
+    if is_traced and sampling is not None:
+        raise TypeError(
+            "accuracy draws samples where linear propagation is not valid, which jit, vmap and derivatives do not "
+            "allow. Pass sampling=None: figures that need samples are then NaN. For samples of many fixes give all "
+            "pixels as uv (..., 2), or all exposures with in_axes, outside of jit."
+        )
+    if in_axes is None and np.ndim(uv := as_array(uv, "uv")) < 2:
+        inputs = ModelInputs.of(sensor, shot, uv, terrain, **options)
+        model = checked_model(errors, inputs)
+        if sampling is None:
+            return _without_samples(inputs, model, level, search)
+        return _of_one(inputs, model, level, search, resolve_sampling(sampling, SAMPLES))
+    usual = SAMPLES_OF_EACH if in_axes is None else SAMPLES
+    request = Request(level, resolve_sampling(sampling, usual, least=0), search, check_block(block))
+    if in_axes is not None:
+        given = (sensor, shot, uv, terrain, errors, time, atmosphere)
+        return accuracy_of_exposures(given, tuple(in_axes), request)
+    return _of_pixels(sensor, shot, uv, terrain, errors, time, atmosphere, request, is_traced)
 
 
-def reason(signs: Diagnostics, trust: Method) -> str:
-    """Why this method was selected and no cheaper one, with the deciding figures."""
-    facet, footprint, profile = (float(x) for x in (signs.facet, signs.footprint, signs.profile))
-    jumps, fails = 100.0 * float(signs.jumps), 100.0 * float(signs.fails)
-    figures = (
-        f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
+def _of_one(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch, sampling: Any) -> Accuracy:
+    """Accuracy of one fix, by samples if needed; raises `ValueError` without a fix."""
+    nominal = inputs.nominal_fix(search)
+    nominal.require_fix()
+    diagnostics, facet, footprint, _ = diagnose(inputs, nominal, model)
+    method, probability = Method(int(_select_method(diagnostics))), float(level)
+    linear = facet if method is Method.facet else footprint
+    cov, bias, failed, sampled = linear.cov_enu, linear.bias_enu, np.nan, None
+    if method is Method.samples:
+        sampled = draw_errors(inputs, nominal, model, search, sampling)
+        radii = [sampled.quantile(figure, probability).value for figure in FIGURES]
+        cov, bias, failed = np.full((3, 3), np.nan), np.full(3, np.nan), sampled.failed
+    else:
+        figures = (linear.circular_error, linear.linear_error, linear.spherical_error)
+        radii = [figure(probability) for figure in figures]
+    circular, vertical, spherical, code = *map(jnp.asarray, radii), jnp.asarray(int(method))
+    more = (code, jnp.asarray(cov), jnp.asarray(bias), jnp.asarray(failed), diagnostics, sampling.count)
+    return Accuracy(nominal.fix, level, circular, vertical, spherical, *more, linear, sampled)
+
+
+@eqx.filter_jit
+def _without_samples(inputs: ModelInputs, model: ErrorModel, level: Scalar, search: AbstractSearch) -> Accuracy:
+    """Accuracy of one fix by linear propagation, NaN where it is not valid."""
+    nominal = inputs.nominal_fix(search)
+    one = assess_fix(inputs, nominal, model)
+    is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
+    cov, bias = (jnp.where(is_linear, x, jnp.nan) for x in (one.cov_enu, one.bias_enu))
+    return Accuracy(
+        nominal.fix, level, *linear_radii(one, level), one.method, cov, bias, jnp.asarray(jnp.nan), one.diagnostics
     )
-    if trust is Method.facet:
-        return f"The ground is nearly planar within the error region: {figures}."
-    if trust is Method.footprint:
-        return f"The slope at the fix differs from the mean slope of the error region: {figures}."
-    obstacle = _obstacle(signs, fails, jumps)
-    if obstacle is not None:
-        return f"{obstacle}: {figures}."
-    return (
-        f"The ground is not planar within the error region: {figures}; LE90 {float(signs.facet_up):.3g}, "
-        f"{float(signs.footprint_up):.3g} and {float(signs.profile_up):.3g} m."
-    )
 
 
-def _obstacle(signs: Diagnostics, fails: float, jumps: float) -> str | None:
-    """Condition that rules out linear propagation even if the figures agree, or None; `fails` and `jumps` in %."""
-    off, known, grazing = float(signs.off), float(signs.known), float(signs.grazing)
-    if not off <= SAME_GROUND:
-        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere near the fix"
-        return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
-    if fails + jumps > 100.0 * FEW and fails >= jumps:
-        return f"{fails:.2g} % of the perturbed lines of sight meet no known ground"
-    if fails + jumps > 100.0 * FEW:
-        clearance = float(signs.clearance)
-        other = f"hit a nearer or farther slope (first at {clearance:.2g} sigma)"
-        return f"{jumps:.2g} % of the perturbed lines of sight {other}"
-    if known != 1.0:
-        return f"{100.0 * (1.0 - known):.2g} % of the ground in the footprint is unknown"
-    if not grazing > GRAZING:
-        return f"The line of sight grazes the surface, at {1e3 * grazing:.2g} mrad"
-    return None
+def _of_pixels(
+    sensor: Sensor, shot: Any, uv: Any, terrain: Any, errors: Any, time: Any, air: Any, request: Request, traced: bool
+) -> Accuracy:
+    """Accuracy of the fixes of pixels (..., 2) of one exposure."""
+    if isinstance(shot, Pose):
+        raise TypeError("shot must be a Shot, or a Trajectory: from a Pose alone a pixel sees nothing yet.")
+    pixels = jnp.asarray(as_float64(uv, "uv"))
+    if pixels.shape[-1:] != (2,) or not pixels.size:
+        raise ValueError(f"uv must be pixels (column, row) of shape (..., 2); got shape {pixels.shape}.")
+    shape, pixels = pixels.shape[:-1], pixels.reshape(-1, 2)
+    if traced:
+        found = accuracy_of_exposures((sensor, shot, pixels, terrain, errors, time, air), OF_PIXELS, request)
+        return jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), found)
+    context, model = check_context(sensor, shot, terrain, errors, time, request.search, air)
+    return accuracy_of_cells(cells_of_pixels(pixels, context.sensor), shape, request, context, model)

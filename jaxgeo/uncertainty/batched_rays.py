@@ -31,20 +31,20 @@ FixOffsets: TypeAlias = tuple[Float[Array, "samples 3"], Int8[Array, " samples"]
 
 
 def fix_offsets(
-    model: ErrorModel, look: ModelInputs, aim: NominalFix, search: AbstractSearch, stages: Stages, each: Array
+    model: ErrorModel, inputs: ModelInputs, nominal: NominalFix, search: AbstractSearch, stages: Stages, each: Array
 ) -> FixOffsets:
     """Fix offsets in m, and statuses, for a batch of errors that `stages` compute in order from `each` (leading axis).
 
     The whole batch passes through each stage, then all lines of sight are formed, then all are intersected. Otherwise
     the compiler would recompute an error at each use, and with it the chain of rotations.
     """
-    lines, own, common = _lines(model, look, stages, each)
+    lines, own, common = _lines(model, inputs, stages, each)
 
-    def miss(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
+    def offset(line: Sightline, own: Any) -> tuple[Vector3, StatusCode]:
         terrain, air = eqx.combine(own, common)
-        return aim.offset_of(line, terrain, air, search)
+        return nominal.offset_of(line, terrain, air, search)
 
-    return jax.vmap(miss)(lines, own)
+    return jax.vmap(offset)(lines, own)
 
 
 def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -> tuple[Any, Any]:
@@ -56,38 +56,38 @@ def in_parts(function: Callable[[Array, Flags], tuple[Any, Any]], each: Array) -
     parts, count = _blocks(each, PART)
     is_own = jnp.arange(parts.shape[0] * parts.shape[1]).reshape(parts.shape[:2]) < count
     of_each, of_part = jax.lax.map(lambda part: function(*part), (parts, is_own))
-    return _joined(of_each, count), of_part
+    return _concatenate(of_each, count), of_part
 
 
-def with_beam(search: AbstractSearch, model: ErrorModel, look: ModelInputs, aim: NominalFix) -> AbstractSearch:
+def with_beam(search: AbstractSearch, model: ErrorModel, inputs: ModelInputs, nominal: NominalFix) -> AbstractSearch:
     """The search, given the range from which the lines of sight of this model can be near the ground.
 
     Their spread is estimated from `TRIALS` draws; a line outside that spread is searched without this information.
     """
-    if not isinstance(search, FirstHit) or not isinstance(look.terrain, Dem) or look.air is not None:
+    if not isinstance(search, FirstHit) or not isinstance(inputs.terrain, Dem) or inputs.air is not None:
         return search
     roots, key = model.roots(), jax.random.key(0)
 
     def error_of(number: Int[Array, ""]) -> Error:
-        return model.drawn(roots, Random().standard_normal(key, number, model.size))
+        return model.draw(roots, Random().standard_normal(key, number, model.size))
 
-    lines, own, common = _lines(model, look, (error_of,), jnp.arange(TRIALS))
-    ray, _ = look.sightline()
+    lines, own, common = _lines(model, inputs, (error_of,), jnp.arange(TRIALS))
+    ray, _ = inputs.sightline()
     farthest = lambda all_, middle: jnp.max(jnp.linalg.norm(all_ - middle[None, :], axis=1))  # noqa: E731
     rises = jax.vmap(lambda _, own: _rise(eqx.combine(own, common)[0]))(lines.status, own)
     spread = Spread(farthest(lines.ray.origin, ray.origin), farthest(lines.ray.direction, ray.direction), rises.max())
     spread = Spread(*(WIDER * jnp.maximum(part, 0.0) + least for part, least in zip(spread, LEAST, strict=True)))
-    return FirstHit(Beam.about(ray, aim.distance, look.terrain, spread))
+    return FirstHit(Beam.about(ray, nominal.distance, inputs.terrain, spread))
 
 
-def _lines(model: ErrorModel, look: ModelInputs, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
+def _lines(model: ErrorModel, inputs: ModelInputs, stages: Stages, each: Array) -> tuple[Sightline, Any, Any]:
     """(lines of sight, perturbed parts of terrain and atmosphere per line, parts common to all)."""
-    given = {id(leaf) for leaf in jax.tree.leaves(_ground(look))}
-    example = _ground(model.moved(look, jnp.zeros(model.size)))
+    given = {id(leaf) for leaf in jax.tree.leaves(_ground(inputs))}
+    example = _ground(model.moved(inputs, jnp.zeros(model.size)))
     is_moved = jax.tree.map(lambda leaf: id(leaf) not in given, example)
 
     def line(error: Error) -> tuple[Sightline, Any]:
-        moved = model.moved(look, error)
+        moved = model.moved(inputs, error)
         return moved.sightline(), eqx.filter(_ground(moved), is_moved)
 
     lines, own = _in_turn((*stages, line), each)
@@ -99,9 +99,9 @@ def _rise(terrain: Dem) -> Scalar:
     return jnp.asarray(0.0 if terrain.rise is None else terrain.rise)
 
 
-def _ground(look: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
+def _ground(inputs: ModelInputs) -> tuple[AbstractTerrain, Atmosphere | None]:
     """Terrain and atmosphere of an observation."""
-    return look.terrain, look.air
+    return inputs.terrain, inputs.air
 
 
 def _in_turn(stages: Stages, each: Array) -> Any:
@@ -112,7 +112,7 @@ def _in_turn(stages: Stages, each: Array) -> Any:
     for stage in others:
         blocks = jax.lax.map(jax.vmap(stage, in_axes=axis, out_axes=-1), blocks)
         axis = -1
-    return _joined(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), count)
+    return _concatenate(jax.lax.map(jax.vmap(last, in_axes=axis), blocks), count)
 
 
 def _blocks(each: Array, largest: int) -> tuple[Array, int]:
@@ -125,6 +125,6 @@ def _blocks(each: Array, largest: int) -> tuple[Array, int]:
     return filled.reshape(blocks, size, *shape), count
 
 
-def _joined(blocks: Any, count: int) -> Any:
+def _concatenate(blocks: Any, count: int) -> Any:
     """The first `count` items of blocks, concatenated."""
     return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])[:count], blocks)

@@ -148,13 +148,13 @@ class Linear(Record):
             raise TypeError(f"{what} is plain numbers and cannot be traced; call it outside jit and vmap.")
         if jnp.ndim(propagation.fix.status) != 0:
             raise ValueError(
-                f"{what} is of one look; this propagation holds looks of shape {jnp.shape(propagation.fix.status)}. "
+                f"{what} is of one observation; this propagation has the shape {jnp.shape(propagation.fix.status)}. "
                 "Take one: jax.tree.map(lambda x: x[0], propagation)."
             )
         if not bool(jnp.all(jnp.isfinite(propagation.cov_enu))):
             status = Status(int(propagation.fix.status))
             raise ValueError(f"{what} needs a fix, and there is none: {status.name}: {status.message}")
-        surface, direction = propagation.surface, propagation.aim.direction_enu
+        surface, direction = propagation.surface, propagation.nominal.direction_enu
         along = direction / along_plane(surface.normal, direction)
         rough = jnp.outer(along, along) * surface.roughness**2
         return cls(propagation.jacobian, rough, propagation.bias_enu, propagation.model)

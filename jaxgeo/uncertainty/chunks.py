@@ -28,8 +28,8 @@ _PLACES = np.array([[_PAIRS.index((min(i, j), max(i, j))) for j in range(4)] for
 class Plan(NamedTuple):
     """Inputs of a sampling, common to all chunks."""
 
-    look: ModelInputs
-    aim: NominalFix
+    inputs: ModelInputs
+    nominal: NominalFix
     model: ErrorModel
     roots: tuple[Root, ...]
     turn: Float[Array, "axes axes"] | None
@@ -38,34 +38,34 @@ class Plan(NamedTuple):
     key: Any
 
 
-def planned(
-    look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any
+def make_plan(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch, key: Any
 ) -> Plan:
     """Sampling plan of an observation; its terrain bypasses the compiled function, which would return a copy."""
-    model, roots, turn, search = _prepared(look, aim, model, draws, search)
-    return Plan(look, aim, model, roots, turn, draws, search, key)
+    model, roots, turn, search = _prepare(inputs, nominal, model, draws, search)
+    return Plan(inputs, nominal, model, roots, turn, draws, search, key)
 
 
 @eqx.filter_jit
-def _prepared(
-    look: ModelInputs, aim: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
+def _prepare(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, draws: AbstractDraws, search: AbstractSearch
 ) -> tuple[ErrorModel, tuple[Root, ...], Float[Array, "axes axes"] | None, AbstractSearch]:
     """(model at the observation, its roots, rotation for Sobol points, search with a beam)."""
-    model = model.at(look, aim)
+    model = model.at(inputs, nominal)
     turn = None
     if isinstance(draws, Sobol):
-        turn = _leading_first(model.sweep(look, aim).facet @ model.factor())
-    return model, model.roots(), turn, with_beam(search, model, look, aim)
+        turn = _rotation_leading_first(model.sweep(inputs, nominal).facet @ model.factor())
+    return model, model.roots(), turn, with_beam(search, model, inputs, nominal)
 
 
-def _leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
+def _rotation_leading_first(swept: Float[Array, "3 axes"]) -> Float[Array, "axes axes"]:
     """Rotation of standard normal vectors after which the leading components displace the fix most."""
     sound = jnp.all(jnp.isfinite(swept))
     _, _, directions = jnp.linalg.svd(jnp.where(sound, swept, 0.0), full_matrices=True)
     return jnp.where(sound, directions.T, jnp.eye(swept.shape[1]))
 
 
-def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
+def _offsets(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
     """Fix offsets in m and statuses of the samples with these numbers."""
 
     *others, last = plan.draws.stages(plan.key, plan.model.size)
@@ -74,9 +74,9 @@ def _misses(plan: Plan, numbers: Int[Array, " samples"]) -> FixOffsets:
         normal = last(numbers)
         if plan.turn is not None:
             normal = jnp.sum(plan.turn * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
-        return plan.model.drawn(plan.roots, normal)
+        return plan.model.draw(plan.roots, normal)
 
-    return fix_offsets(plan.model, plan.look, plan.aim, plan.search, (*others, error_of), numbers)
+    return fix_offsets(plan.model, plan.inputs, plan.nominal, plan.search, (*others, error_of), numbers)
 
 
 class Drawn(NamedTuple):
@@ -91,7 +91,7 @@ class Drawn(NamedTuple):
 
 
 @eqx.filter_jit
-def drawn_chunk(
+def draw_chunk(
     plan: Plan,
     part: tuple[Int[Array, ""], Int[Array, ""]],
     centre: Vector3,
@@ -100,7 +100,7 @@ def drawn_chunk(
     keep: bool,
 ) -> Drawn:
     """The chunk `part` = (first sample, number of samples), split over the devices and padded to `size` samples."""
-    drawn = partial(_drawn, keep)
+    drawn = partial(_draw, keep)
     if len(devices) == 1:
         return drawn(plan, part, centre, jnp.arange(size))
     everywhere, in_turn = PartitionSpec(), PartitionSpec("samples")
@@ -114,7 +114,7 @@ def drawn_chunk(
     return spread(plan, part, centre, jnp.arange(size))
 
 
-def _drawn(
+def _draw(
     keep: bool,
     plan: Plan,
     part: tuple[Int[Array, ""], Int[Array, ""]],
@@ -125,9 +125,9 @@ def _drawn(
     first, count = part
 
     def some(places: Int[Array, " part"], is_own: Flags) -> tuple[Any, Any]:
-        miss, status = _misses(plan, first + places)
+        offset, status = _offsets(plan, first + places)
         found = counts_as_fix(status)
-        error = miss - centre[None, :]
+        error = offset - centre[None, :]
         across, up = error[:, 0] ** 2 + error[:, 1] ** 2, error[:, 2]
         radii = (jnp.sqrt(across), jnp.abs(up), jnp.sqrt(across + up**2))
         radii = tuple(jnp.where(found, radius, jnp.inf) for radius in radii)
@@ -163,7 +163,7 @@ def one_ahead(
     waiting = None
     for first, size, padded in parts:
         part = jnp.asarray(first), jnp.asarray(size)
-        drawn = drawn_chunk(plan, part, centre, padded, devices, keep)
+        drawn = draw_chunk(plan, part, centre, padded, devices, keep)
         if waiting is not None:
             yield waiting
         waiting = first, size, drawn

@@ -18,17 +18,18 @@ from jaxgeo.locate import FIRST_HIT
 from jaxgeo.observation import accepts_observation
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
-from jaxgeo.uncertainty.draws import AbstractDraws, Random
-from jaxgeo.uncertainty.linear import Propagation, propagated
+from jaxgeo.uncertainty.linear import Propagation, propagate_linear
 from jaxgeo.uncertainty.method_selection import diagnose
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs
-from jaxgeo.uncertainty.sampled import CHUNK, Quantile, Sampled, Sampling, sampled_at
+from jaxgeo.uncertainty.sampled import Quantile, Sampled, draw_errors
+from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 from jaxgeo.uncertainty.second_order import second_moments, sigma_moments
 from jaxgeo.uncertainty.slopes import Level
 
 FIGURES = (("CE50", 0.5), ("CE90", 0.9), ("LE90", 0.9), ("SE90", 0.9))
-RANDOM = Random()
+SAMPLES = 100_000
+SAMPLING = Sampling()
 
 
 class Row(NamedTuple):
@@ -98,6 +99,7 @@ class Comparison(Record):
         )
 
 
+@accepts_sampling_options
 @accepts_observation
 def compare(
     sensor: Sensor,
@@ -106,36 +108,32 @@ def compare(
     terrain: AbstractTerrain,
     errors: ErrorModel | Any,
     *,
-    key: Any,
-    count: int = 100_000,
-    draws: AbstractDraws = RANDOM,
+    sampling: Sampling = SAMPLING,
     digits: int = 2,
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
-    chunk: int = CHUNK,
-    devices: Sequence[Any] | None = None,
-    progress: bool = False,
 ) -> Comparison:
     """Compare linear propagation (facet, footprint, level ground), second order, sigma points and samples at one fix.
 
-    Arguments and exceptions as for `sample`; `digits` is the number of significant digits to compare, 1 to 6.
+    100 000 samples are drawn, or as `sampling` says, and kept. Other arguments and exceptions as for `sample`; `digits`
+    is the number of significant digits to compare, 1 to 6.
     """
     if not 1 <= digits <= 6:
         raise ValueError(f"digits must be from 1 to 6; got {digits!r}.")
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, look)
-    sampling = Sampling(key, count, draws, keep=True, chunk=chunk, devices=devices, progress=progress)
-    sampling.check()
-    aim = look.nominal_fix(search)
-    drawn = sampled_at(look, model, search, sampling, aim)
-    _, facet, footprint, profile = diagnose(look, aim, model)
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, inputs)
+    sampling = resolve_sampling(sampling, SAMPLES)
+    nominal = inputs.nominal_fix(search)
+    nominal.require_fix()
+    drawn = draw_errors(inputs, nominal, model, search, sampling, keep=True)
+    _, facet, footprint, profile = diagnose(inputs, nominal, model)
     methods = {
         "linear, facet": facet,
         "linear, footprint": footprint,
-        "linear, level ground": propagated(look, aim, model, Level()),
-        "second order": second_moments(look, aim, model),
-        "sigma points": sigma_moments(look, aim, model, search),
+        "linear, level ground": propagate_linear(inputs, nominal, model, Level()),
+        "second order": second_moments(inputs, nominal, model),
+        "sigma points": sigma_moments(inputs, nominal, model, search),
     }
     quantiles = _figures(drawn)
     rows = []
@@ -145,17 +143,17 @@ def compare(
         rows.append(Row(name, values, validity))
     beyond = np.zeros(drawn.count, bool)
     if drawn.errors_enu is not None:
-        ahead = np.asarray(aim.direction_enu)[:2]
+        ahead = np.asarray(nominal.direction_enu)[:2]
         along = drawn.errors_enu[:, :2] @ (ahead / max(float(np.hypot(*ahead)), 1e-9))
         beyond = np.asarray(profile.jumped(jnp.asarray(np.nan_to_num(along))))
-    failed = 1.0 - drawn.found / drawn.count
     linear = {name: result for name, result in methods.items() if isinstance(result, Propagation)}
-    return Comparison(aim.fix, tuple(rows), quantiles, digits, float(beyond.mean()), failed, drawn, linear, beyond)
+    jumped = float(beyond.mean())
+    return Comparison(nominal.fix, tuple(rows), quantiles, digits, jumped, drawn.failed, drawn, linear, beyond)
 
 
 def _figures(result: Any) -> tuple[Any, ...]:
-    doors = {"CE": result.circular_error, "LE": result.linear_error, "SE": result.spherical_error}
-    return tuple(doors[name[:2]](probability) for name, probability in FIGURES)
+    figures = {"CE": result.circular_error, "LE": result.linear_error, "SE": result.spherical_error}
+    return tuple(figures[name[:2]](probability) for name, probability in FIGURES)
 
 
 def _validity(value: float, sampled: Quantile, digits: int) -> str:

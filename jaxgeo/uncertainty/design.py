@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -21,7 +21,10 @@ from jaxgeo.uncertainty.linear import Propagation
 from jaxgeo.uncertainty.metrics.exact import check_probability
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.sampled import Quantile, sample
+from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
+SAMPLES = 100_000  # of a certificate
+SAMPLING = Sampling()
 CLOSE = 1e-8  # of the target: tolerance for meeting it
 AT_BOUND = 1e-7  # of log sigma: distance within which a sigma counts as at its bound
 KEPT = 1e-6  # of the cost: tolerance for the Karush-Kuhn-Tucker conditions
@@ -92,6 +95,7 @@ class Design(Record):
             "at_highest": list(self.at_highest),
         }
 
+    @accepts_sampling_options
     def certify(
         self,
         sensor: Sensor,
@@ -99,15 +103,15 @@ class Design(Record):
         uv: Any,
         terrain: AbstractTerrain,
         *,
-        key: Any,
-        count: int = 100_000,
+        sampling: Sampling = SAMPLING,
         **options: Any,
     ) -> Certificate:
-        """Monte Carlo certificate of the design at its observation, by `sample`, which takes the same arguments.
+        """Monte Carlo certificate of the design at its observation, by `sample`, from 100 000 samples by default.
 
         The design uses linear propagation, the certificate the full model; samples without a fix are infinitely far.
         """
-        sampled = sample(sensor, shot, uv, terrain, self.model, key=key, count=count, figures=("CE",), **options)
+        options |= {"figures": ("CE",), "sampling": resolve_sampling(sampling, SAMPLES)}
+        sampled = sample(sensor, shot, uv, terrain, self.model, **options)
         return Certificate(sampled.circular_error(self.probability), self.target, self.circular_error)
 
 
@@ -174,6 +178,7 @@ def design(
     return _design(problem, cheapest(problem, start, goal), Outcome.optimal, goal, equal)
 
 
+@accepts_sampling_options
 def certified_design(
     propagation: Propagation,
     sensor: Sensor,
@@ -181,22 +186,20 @@ def certified_design(
     uv: Any,
     terrain: AbstractTerrain,
     *,
-    key: Any,
-    count: int = 100_000,
+    sampling: Sampling = SAMPLING,
     probability: float = 0.9,
     rounds: int = 4,
-    sampling: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> tuple[Design, Certificate]:
     """(design as by `design` with the same options, its certificate), adjusted until samples confirm it.
 
     If the sampled error exceeds the linear one, as on rough ground, the design is repeated with a reduced target, at
-    most `rounds` times. `sampling` holds further arguments of `sample`. Raises as `design` and `sample`.
+    most `rounds` times. Samples are drawn as `sampling` says (100 000). Raises as `design` and `sample`.
     """
     ratio = 1.0
     for _ in range(max(rounds, 1)):
         result = design(propagation, probability=probability, ratio=ratio, **options)
-        certificate = result.certify(sensor, shot, uv, terrain, key=key, count=count, **(sampling or {}))
+        certificate = result.certify(sensor, shot, uv, terrain, sampling=sampling)
         if certificate.holds or result.outcome is Outcome.infeasible or not math.isfinite(certificate.ratio):
             break
         ratio *= certificate.ratio
@@ -206,7 +209,7 @@ def certified_design(
 def _design(problem: Problem, logs: np.ndarray, outcome: Outcome, goal: float, equal: float) -> Design:
     """The record of a design; verifies optimality if `outcome` claims it."""
     log_error, error_slopes = problem.log_error(logs)
-    cost, cost_slopes = problem.priced(logs)
+    cost, cost_slopes = problem.price(logs)
     free = problem.low < problem.high
     lowest, highest = free & (logs - problem.low < AT_BOUND), free & (problem.high - logs < AT_BOUND)
     multiplier, residual = math.nan, math.nan
@@ -221,7 +224,7 @@ def _design(problem: Problem, logs: np.ndarray, outcome: Outcome, goal: float, e
         outcome, names, sigma_units(problem.linear.model), np.asarray(problem.today), np.asarray(sigma),
         with_sigmas(problem.linear.model, sigma), math.exp(log_error), math.exp(goal), float(problem.probability),
         problem.ratio, cost,
-        math.nan if math.isnan(equal) else problem.priced(problem.equal(equal))[0], math.exp(equal),
+        math.nan if math.isnan(equal) else problem.price(problem.equal(equal))[0], math.exp(equal),
         multiplier / math.exp(goal), residual,
         *(tuple(name for name, is_at in zip(names, at, strict=True) if is_at) for at in (lowest, highest)),
     )  # fmt: skip
@@ -260,6 +263,6 @@ def _check_cost(problem: Problem) -> None:
         if np.any(weights < 0.0):
             raise ValueError(f"weights must not be negative, in units of cost; got {np.min(weights):g}.")
     for logs, which in ((problem.low, "lowest"), (problem.high, "highest")):
-        value = problem.priced(logs)[0]
+        value = problem.price(logs)[0]
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f"cost must be a number of at least 0; it is {value:g} with every sigma at its {which}.")

@@ -59,7 +59,7 @@ class Random(AbstractDraws):
             own = jax.random.key_data(jax.random.fold_in(key, OWN))
             pair = jnp.arange(0, size, 2, dtype=jnp.uint32)
             sample = jnp.full(pair.shape, jnp.asarray(index).astype(jnp.uint32))
-            return _centred(*threefry(own, sample, pair)), _centred(*threefry(own, sample, pair + 1))
+            return _centre(*threefry(own, sample, pair)), _centre(*threefry(own, sample, pair + 1))
 
         def polar(uniform: Pairs) -> Pairs:
             centred, turn = uniform
@@ -94,8 +94,8 @@ class Sobol(AbstractDraws):
             index = jnp.asarray(index)
             point = sobol.sobol_point((index // self.scrambles).astype(jnp.uint32), directions)
             shift, factor, filling = self._seeds(key, size)[index % self.scrambles]
-            digits = sobol.scrambled(point, shift, factor)
-            return _centred(sobol.mirrored(digits), sobol.mixed(digits ^ filling))
+            digits = sobol.scramble(point, shift, factor)
+            return _centre(sobol.mirror(digits), sobol.mix(digits ^ filling))
 
         return uniform, normal_quantile
 
@@ -127,7 +127,7 @@ def threefry(
     return first, second
 
 
-def _centred(high: UInt32[Array, " size"], low: UInt32[Array, " size"]) -> Vector:
+def _centre(high: UInt32[Array, " size"], low: UInt32[Array, " size"]) -> Vector:
     """Numbers in (-1/2, 1/2) from 51 random bits: odd multiples of 2^-52, so never 0 nor an end point, and exact.
 
     The bits form the fraction of a float in [1, 2), which is much cheaper than a conversion of 64-bit integers. The odd

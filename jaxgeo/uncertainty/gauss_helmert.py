@@ -41,23 +41,23 @@ def gauss_helmert(
     equations need errors, so the model must include a terrain height source; otherwise the inner matrix is singular and
     the result NaN or infinite. Raises as `propagate`.
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return _gauss_helmert(look, look.nominal_fix(search), checked_model(errors, look))
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return _gauss_helmert(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
 
 
 @eqx.filter_jit
-def _gauss_helmert(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Matrix3:
-    model = model.at(look, aim)
+def _gauss_helmert(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Matrix3:
+    model = model.at(inputs, nominal)
 
     def conditions(offset_enu: Vector3, error: Float[Array, " axes"]) -> Vector3:
-        moved = model.moved(look, error)
-        p_ecef = aim.p_ecef + aim.R_ecef_from_enu @ offset_enu
+        moved = model.moved(inputs, error)
+        p_ecef = nominal.p_ecef + nominal.R_ecef_from_enu @ offset_enu
         uv, _, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p_ecef, moved.air)
-        return jnp.append(uv - moved.uv, moved.terrain.clearance(p_ecef, aim.cell))
+        return jnp.append(uv - moved.uv, moved.terrain.clearance(p_ecef, nominal.cell))
 
     B, A = jax.jacfwd(conditions, (0, 1))(jnp.zeros(3), jnp.zeros(model.size))
     inner = A @ model.covariance() @ A.T
     weight = jnp.diag(1.0 / jnp.sqrt(jnp.diagonal(inner)))  # scale pixel and metre rows alike
     B, inner = weight @ B, weight @ inner @ weight
     cov_enu = jnp.linalg.inv(B.T @ jnp.linalg.solve(inner, B))
-    return jnp.where(aim.fix.found, cov_enu, jnp.nan)
+    return jnp.where(nominal.fix.found, cov_enu, jnp.nan)

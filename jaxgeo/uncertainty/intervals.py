@@ -46,7 +46,7 @@ def quantile_interval(errors: Any, probability: float, confidence: float = 0.95)
     # Guards ceil against a product that is an integer except for its last bit.
     rank = max(1, math.ceil(probability * errors.size * (1.0 - 2.0**-50)))
     inside = sorted({max(low, 1), rank, min(high, errors.size)})
-    ordered = dict(zip(inside, _ordered(errors, [k - 1 for k in inside]), strict=True))
+    ordered = dict(zip(inside, _order(errors, [k - 1 for k in inside]), strict=True))
     return Interval(
         ordered[rank],
         ordered[low] if low >= 1 else 0.0,
@@ -66,7 +66,7 @@ def scramble_quantile(errors: Any, probability: float) -> float:
     rank = min(max(probability * errors.size + 0.5, 1.0), float(errors.size))
     below = math.floor(rank)
     above = min(below + 1, errors.size)
-    lower, upper = _ordered(errors, [below - 1, above - 1])
+    lower, upper = _order(errors, [below - 1, above - 1])
     weight = rank - below
     if weight < 1e-9:  # ignore an infinite neighbour of zero weight
         return lower
@@ -108,7 +108,7 @@ def relative_half_width(interval: Interval) -> float:
     return half / interval.estimate if interval.estimate > 0.0 else math.inf
 
 
-def _ordered(errors: np.ndarray, ranks: list[int]) -> list[float]:
+def _order(errors: np.ndarray, ranks: list[int]) -> list[float]:
     """The errors of these ranks, counted from 0, in ascending order.
 
     For large samples only the errors near the ranks are sorted, located by a subsample (Floyd and Rivest 1975,
@@ -129,11 +129,11 @@ def _ordered(errors: np.ndarray, ranks: list[int]) -> list[float]:
             between.append(some[(some >= least) & (some <= most)])
         near = np.concatenate(between)
         if below <= ranks[0] and ranks[-1] - below < near.size:
-            return _ordered_of_all(near, [rank - below for rank in ranks])
-    return _ordered_of_all(errors, ranks)
+            return _order_all(near, [rank - below for rank in ranks])
+    return _order_all(errors, ranks)
 
 
-def _ordered_of_all(errors: np.ndarray, ranks: list[int]) -> list[float]:
+def _order_all(errors: np.ndarray, ranks: list[int]) -> list[float]:
     ordered = np.partition(errors, sorted(set(ranks)))
     return [float(ordered[rank]) for rank in ranks]
 

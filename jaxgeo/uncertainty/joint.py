@@ -72,15 +72,15 @@ def joint_covariance(
     """
     count = len(propagations)
     if count < 1:
-        raise ValueError("jointly needs at least one propagation; got none.")
+        raise ValueError("joint_covariance needs at least one propagation; got none.")
     given = {"shots": shots, "times": times, "flights": flights}
     for name, values in given.items():
         if values is not None and len(values) != count:
-            raise ValueError(f"{name} must have an entry for each of the {count} looks; got {len(values)}.")
+            raise ValueError(f"{name} must have an entry for each of the {count} observations; got {len(values)}.")
     first = propagations[0].model
     for number, one in enumerate(propagations):
         if one.model.axes != first.axes:
-            raise ValueError(f"look {number} has other error sources than look 0; propagate all with one model.")
+            raise ValueError(f"observation {number} has other error sources than observation 0; use one model for all.")
     occasions = [
         Occasion(
             number,
@@ -105,4 +105,4 @@ def _cross(here: Propagation, there: Propagation, when: tuple[Occasion, Occasion
     for (source, place), (other, _) in zip(here.model.parts(), there.model.parts(), strict=True):
         cov: Any = source.cross_covariance(other, when)
         total = total + here.jacobian[:, place] @ cov @ there.jacobian[:, place].T
-    return here.aim.R_ecef_from_enu @ total @ there.aim.R_ecef_from_enu.T
+    return here.nominal.R_ecef_from_enu @ total @ there.nominal.R_ecef_from_enu.T

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxgeo._record import Record
+from jaxgeo._renamed import warn_renamed
 from jaxgeo._typing import Matrix3, Scalar, Vector3
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -46,13 +47,19 @@ class Propagation(Record):
     cov_enu: Matrix3
     bias_enu: Vector3
     surface: Surface
-    aim: NominalFix
+    nominal: NominalFix
     model: ErrorModel
+
+    @property
+    def aim(self) -> NominalFix:
+        """Deprecated: `nominal`."""
+        warn_renamed("Propagation.aim", "Propagation.nominal")
+        return self.nominal
 
     @property
     def cov_ecef(self) -> Matrix3:
         """Covariance of the fix in ECEF, m2."""
-        R = self.aim.R_ecef_from_enu
+        R = self.nominal.R_ecef_from_enu
         return R @ self.cov_enu @ R.T
 
     def circular_error(self, probability: ArrayLike) -> Scalar:
@@ -105,19 +112,19 @@ def propagate(
     >>> print(f"CE90 {found.circular_error(0.9):.2f} m, LE90 {found.linear_error(0.9):.2f} m")
     CE90 11.52 m, LE90 3.29 m
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return propagated(look, look.nominal_fix(search), checked_model(errors, look), slope)
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return propagate_linear(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), slope)
 
 
 @eqx.filter_jit
-def propagated(look: ModelInputs, aim: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
+def propagate_linear(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, slope: AbstractSlope) -> Propagation:
     """`propagate` of checked input, about a nominal fix."""
-    model = model.at(look, aim)
-    return swept_over(look, aim, model, model.sweep(look, aim), slope)
+    model = model.at(inputs, nominal)
+    return propagate_sweep(inputs, nominal, model, model.sweep(inputs, nominal), slope)
 
 
-def swept_over(
-    look: ModelInputs, aim: NominalFix, model: ErrorModel, sweep: Sweep, slope: AbstractSlope
+def propagate_sweep(
+    inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, sweep: Sweep, slope: AbstractSlope
 ) -> Propagation:
     """Propagation from given derivatives; `model` is already evaluated `at` the observation."""
     cov_error, jacobian = model.covariance(), sweep.facet
@@ -125,16 +132,16 @@ def swept_over(
     bias, extra = jnp.zeros(3), jnp.zeros((3, 3))
     if not isinstance(slope, Facet):
         spread = Spread(sweep.line, sweep.ground, cov_error)
-        surface = slope.surface(look.terrain, aim, facet_normal(look, aim), spread)
-        jacobian = spread.on(surface, aim.direction_enu)
-        along = aim.direction_enu / along_plane(surface.normal, aim.direction_enu)
+        surface = slope.surface(inputs.terrain, nominal, facet_normal(inputs, nominal), spread)
+        jacobian = spread.on(surface, nominal.direction_enu)
+        along = nominal.direction_enu / along_plane(surface.normal, nominal.direction_enu)
         bias, extra = along * surface.above, jnp.outer(along, along) * surface.roughness**2
-    known = lambda x: jnp.where(aim.fix.found & (surface.known >= LEAST_KNOWN), x, jnp.nan)  # noqa: E731
+    known = lambda x: jnp.where(nominal.fix.found & (surface.known >= LEAST_KNOWN), x, jnp.nan)  # noqa: E731
     cov_enu = jacobian @ cov_error @ jacobian.T + extra
-    return Propagation(aim.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, aim, model)
+    return Propagation(nominal.fix, known(jacobian), cov_error, known(cov_enu), known(bias), surface, nominal, model)
 
 
-def facet_normal(look: ModelInputs, aim: NominalFix) -> Vector3:
+def facet_normal(inputs: ModelInputs, nominal: NominalFix) -> Vector3:
     """Surface normal under the fix in east, north, up, scaled so that its last component is 1."""
-    gradient = aim.R_ecef_from_enu.T @ jax.grad(look.terrain.clearance)(aim.p_ecef, aim.cell)
+    gradient = nominal.R_ecef_from_enu.T @ jax.grad(inputs.terrain.clearance)(nominal.p_ecef, nominal.cell)
     return gradient / gradient[2]

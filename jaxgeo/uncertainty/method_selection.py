@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,7 +12,7 @@ from jaxtyping import Array, Int
 
 from jaxgeo._record import portable
 from jaxgeo._typing import Flag, Scalar
-from jaxgeo.uncertainty.linear import FACET, Propagation, swept_over
+from jaxgeo.uncertainty.linear import FACET, Propagation, propagate_sweep
 from jaxgeo.uncertainty.metrics import circular_error, linear_error
 from jaxgeo.uncertainty.model import ErrorModel
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
@@ -25,6 +26,7 @@ AGREEMENT_UP = 0.15  # the same for linear errors
 NOTHING = 1e-3  # of the circular error: smaller linear errors, as on level ground of known height, are negligible
 FEW = 0.01  # probability: a larger share of lines of sight that jump or fail affects a 90 % figure
 SAME_GROUND = 0.1  # m: largest offset of the probed ground from the fix for the two to agree
+NO_FIX = -1  # in place of a `Method`, without a fix
 GRAZING = 0.01  # sine of the angle between ray and surface
 
 
@@ -57,25 +59,25 @@ class Diagnostics(NamedTuple):
 class Diagnosed(NamedTuple):
     """Diagnostics of a fix with their sources: linear propagation over facet and footprint, and the terrain profile."""
 
-    signs: Diagnostics
+    diagnostics: Diagnostics
     facet: Propagation
     footprint: Propagation
     profile: Profile
 
 
 @eqx.filter_jit
-def diagnose(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Diagnosed:
+def diagnose(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Diagnosed:
     """Diagnostics of a fix, without samples."""
-    model = model.at(look, aim)
-    sweep = model.sweep(look, aim)
-    facet, footprint = (swept_over(look, aim, model, sweep, slope) for slope in (FACET, FOOTPRINT))
-    grazing = jnp.abs(jnp.cos(jnp.asarray(aim.fix.incidence_surface)))
+    model = model.at(inputs, nominal)
+    sweep = model.sweep(inputs, nominal)
+    facet, footprint = (propagate_sweep(inputs, nominal, model, sweep, slope) for slope in (FACET, FOOTPRINT))
+    grazing = jnp.abs(jnp.cos(jnp.asarray(nominal.fix.incidence_surface)))
     cov = jnp.stack([facet.cov_enu, footprint.cov_enu])  # stacked: the inverse of the integral is compiled once
     bias = jnp.stack([facet.bias_enu, footprint.bias_enu])
     facet_ce, footprint_ce = circular_error(cov[:, :2, :2], 0.9, bias[:, :2])
     facet_le, footprint_le = linear_error(cov[:, 2, 2], 0.9, bias[:, 2])
-    profile = profile_of(look.terrain, aim, sweep, facet.cov_error, footprint.surface.normal)
-    signs = Diagnostics(
+    profile = profile_of(inputs.terrain, nominal, sweep, facet.cov_error, footprint.surface.normal)
+    diagnostics = Diagnostics(
         facet_ce,
         footprint_ce,
         profile.circular_error(0.9),
@@ -89,7 +91,7 @@ def diagnose(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Diagnosed
         footprint.surface.known,
         profile.off,
     )
-    return Diagnosed(signs, facet, footprint, profile)
+    return Diagnosed(diagnostics, facet, footprint, profile)
 
 
 class Method(enum.IntEnum):
@@ -105,15 +107,16 @@ class Method(enum.IntEnum):
         return ("linear propagation", "linear propagation over the footprint", "samples")[self]
 
 
-def method_of(signs: Diagnostics) -> Int[Array, ""]:
+def select_method(diagnostics: Diagnostics) -> Int[Array, ""]:
     """The valid method according to the diagnostics, as a `Method` code; use `vmap` for many fixes."""
-    calm = (signs.jumps + signs.fails <= FEW) & (signs.known == 1.0) & (signs.grazing > GRAZING)
-    calm &= signs.off <= SAME_GROUND
-    least = NOTHING * signs.profile
-    facet = _agree(signs.facet, signs.profile, AGREEMENT) & _agree(signs.facet, signs.footprint, AGREEMENT)
-    facet &= _agree(signs.facet_up + least, signs.profile_up + least, AGREEMENT_UP)
-    footprint = _agree(signs.footprint, signs.profile, AGREEMENT)
-    footprint &= _agree(signs.footprint_up + least, signs.profile_up + least, AGREEMENT_UP)
+    calm = (diagnostics.jumps + diagnostics.fails <= FEW) & (diagnostics.known == 1.0) & (diagnostics.grazing > GRAZING)
+    calm &= diagnostics.off <= SAME_GROUND
+    least = NOTHING * diagnostics.profile
+    facet = _agree(diagnostics.facet, diagnostics.profile, AGREEMENT)
+    facet &= _agree(diagnostics.facet, diagnostics.footprint, AGREEMENT)
+    facet &= _agree(diagnostics.facet_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
+    footprint = _agree(diagnostics.footprint, diagnostics.profile, AGREEMENT)
+    footprint &= _agree(diagnostics.footprint_up + least, diagnostics.profile_up + least, AGREEMENT_UP)
     code = jnp.where(calm & footprint, Method.footprint.value, Method.samples.value)
     return jnp.where(calm & facet, Method.facet.value, code)
 
@@ -121,3 +124,42 @@ def method_of(signs: Diagnostics) -> Int[Array, ""]:
 def _agree(one: Scalar, other: Scalar, tolerance: float) -> Flag:
     """Whether two figures differ by less than a log ratio; infinite, zero or NaN figures do not agree."""
     return jnp.abs(jnp.log(one / other)) <= tolerance
+
+
+def explain_method(diagnostics: Diagnostics, method: Method) -> str:
+    """Why this method was selected and no cheaper one, with the deciding figures."""
+    facet, footprint, profile = (float(x) for x in (diagnostics.facet, diagnostics.footprint, diagnostics.profile))
+    jumps, fails = 100.0 * float(diagnostics.jumps), 100.0 * float(diagnostics.fails)
+    figures = (
+        f"CE90 {facet:.3g} m over the facet, {footprint:.3g} m over the footprint, {profile:.3g} m over the profile"
+    )
+    if method is Method.facet:
+        return f"The ground is nearly planar within the error region: {figures}."
+    if method is Method.footprint:
+        return f"The slope at the fix differs from the mean slope of the error region: {figures}."
+    obstacle = _obstacle(diagnostics, fails, jumps)
+    if obstacle is not None:
+        return f"{obstacle}: {figures}."
+    return (
+        f"The ground is not planar within the error region: {figures}; LE90 {float(diagnostics.facet_up):.3g}, "
+        f"{float(diagnostics.footprint_up):.3g} and {float(diagnostics.profile_up):.3g} m."
+    )
+
+
+def _obstacle(diagnostics: Diagnostics, fails: float, jumps: float) -> str | None:
+    """Condition that rules out linear propagation even if the figures agree, or None; `fails` and `jumps` in %."""
+    off, known, grazing = float(diagnostics.off), float(diagnostics.known), float(diagnostics.grazing)
+    if not off <= SAME_GROUND:
+        where = f"{off:.3g} m from the fix" if math.isfinite(off) else "nowhere near the fix"
+        return f"The terrain surface sampled from above lies {where}, so the ground at the fix is unknown"
+    if fails + jumps > 100.0 * FEW and fails >= jumps:
+        return f"{fails:.2g} % of the perturbed lines of sight meet no known ground"
+    if fails + jumps > 100.0 * FEW:
+        clearance = float(diagnostics.clearance)
+        other = f"hit a nearer or farther slope (first at {clearance:.2g} sigma)"
+        return f"{jumps:.2g} % of the perturbed lines of sight {other}"
+    if known != 1.0:
+        return f"{100.0 * (1.0 - known):.2g} % of the ground in the footprint is unknown"
+    if not grazing > GRAZING:
+        return f"The line of sight grazes the surface, at {1e3 * grazing:.2g} mrad"
+    return None

@@ -53,9 +53,9 @@ class ErrorModel(Record):
             yield source, slice(first, first + len(source.axes))
             first += len(source.axes)
 
-    def at(self, look: ModelInputs, aim: NominalFix) -> ErrorModel:
+    def at(self, inputs: ModelInputs, nominal: NominalFix) -> ErrorModel:
         """The model evaluated at an observation."""
-        return ErrorModel(tuple(source.at(look, aim) for source in self.sources))
+        return ErrorModel(tuple(source.at(inputs, nominal) for source in self.sources))
 
     def covariance(self) -> Covariance:
         """Covariance of the error vector, block diagonal by source; call on a model evaluated `at` an observation."""
@@ -75,7 +75,7 @@ class ErrorModel(Record):
             total = total.at[place, place].set(jnp.diag(root) if root.ndim == 1 else root)
         return total
 
-    def drawn(self, roots: tuple[Root, ...], normal: Error) -> Error:
+    def draw(self, roots: tuple[Root, ...], normal: Error) -> Error:
         """Error vector L z for a standard normal vector z, as with `factor`, without multiplying its zeros."""
         if all(root.ndim == 1 for root in roots):
             return jnp.concatenate(roots) * normal  # one product; many short loops are slow
@@ -83,34 +83,34 @@ class ErrorModel(Record):
             [_times_root(root, normal[place]) for root, (_, place) in zip(roots, self.parts(), strict=True)]
         )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         """The forward-model inputs perturbed by an error vector."""
         for source, place in self.parts():
-            look = source.moved(look, error[place])
-        return look
+            inputs = source.moved(inputs, error[place])
+        return inputs
 
     def fix_offset(
-        self, look: ModelInputs, aim: NominalFix, error: Error, search: AbstractSearch
+        self, inputs: ModelInputs, nominal: NominalFix, error: Error, search: AbstractSearch
     ) -> tuple[Vector3, StatusCode]:
-        """(offset in m of the perturbed fix from `aim`, in east, north, up at `aim`; status)."""
-        return self.moved(look, error).fix_offset(aim, search)
+        """(offset in m of the perturbed fix from `nominal`, in east, north, up at `nominal`; status)."""
+        return self.moved(inputs, error).fix_offset(nominal, search)
 
-    def linear_offset(self, look: ModelInputs, aim: NominalFix, error: Error) -> Vector3:
+    def linear_offset(self, inputs: ModelInputs, nominal: NominalFix, error: Error) -> Vector3:
         """`fix_offset` for errors that leave the fix in its terrain cell; has the same derivatives at zero error."""
-        return self.moved(look, error).linear_offset(aim)
+        return self.moved(inputs, error).linear_offset(nominal)
 
-    def sweep(self, look: ModelInputs, aim: NominalFix) -> Sweep:
+    def sweep(self, inputs: ModelInputs, nominal: NominalFix) -> Sweep:
         """Derivatives of `ModelInputs.sweep` with respect to the error vector, at zero error."""
-        return jax.jacfwd(lambda error: self.moved(look, error).sweep(aim))(jnp.zeros(self.size))
+        return jax.jacfwd(lambda error: self.moved(inputs, error).sweep(nominal))(jnp.zeros(self.size))
 
-    def check(self, look: ModelInputs) -> None:
+    def check(self, inputs: ModelInputs) -> None:
         """Raise as the sources do for invalid values, and for a source that does not apply to the observation."""
         for source in self.sources:
             source.check_numbers()
-            source.check(look)
+            source.check(inputs)
 
 
-def checked_model(errors: object, look: ModelInputs) -> ErrorModel:
+def checked_model(errors: object, inputs: ModelInputs) -> ErrorModel:
     """The model in float64, checked against an observation.
 
     Raises `TypeError` for anything but a model, a source or a tuple or list of sources; `ValueError` if there is none;
@@ -133,7 +133,7 @@ def checked_model(errors: object, look: ModelInputs) -> ErrorModel:
     if not sources:
         raise ValueError("errors has no source: without any, a fix is as exact as its input.")
     model = as_float64(ErrorModel(tuple(sources)), "errors")
-    model.check(look)
+    model.check(inputs)
     return model
 
 

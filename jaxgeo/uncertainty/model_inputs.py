@@ -126,11 +126,17 @@ class ModelInputs(Record):
         Of a trajectory, only the knots around the exposure are kept.
         """
         check_terrain(terrain, search)
-        given: Any = checked_observation(sensor, shot, time, uv)
-        sensor, motion, moment, pixel = given
+        sensor, motion, moment, pixel = checked_observation(sensor, shot, time, uv)
+        return cls.of_checked(sensor, motion, moment, pixel, of_arrays(terrain), checked_air(atmosphere))
+
+    @classmethod
+    def of_checked(
+        cls, sensor: Sensor, motion: Shot | Trajectory, time: Any, uv: Any, terrain: Any, air: Atmosphere | None
+    ) -> ModelInputs:
+        """As `of`, from arguments that are already checked and in float64."""
         if isinstance(motion, Trajectory):
-            motion = motion.about(moment, sensor.camera.time_of(pixel), KNOTS)
-        return cls(Exposure(sensor, motion, moment, checked_air(atmosphere)), pixel, of_arrays(terrain))
+            motion = motion.about(time, sensor.camera.time_of(uv), KNOTS)
+        return cls(Exposure(sensor, motion, time, air), uv, terrain)
 
     @property
     def sensor(self) -> Sensor:
@@ -158,26 +164,26 @@ class ModelInputs(Record):
 
     def nominal_fix(self, search: AbstractSearch) -> NominalFix:
         """Nominal fix of the observation, without derivatives."""
-        return _aim(self, search)
+        return _nominal_fix(self, search)
 
-    def linear_offset(self, aim: NominalFix) -> Vector3:
-        """Offset in m from `aim` of the intersection of this line of sight with the surface of the same cell.
+    def linear_offset(self, nominal: NominalFix) -> Vector3:
+        """Offset in m from `nominal` of the intersection of this line of sight with the surface of the same cell.
 
         At zero error its derivatives of every order are those of `fix_offset`: the search only selects the cell.
         """
-        return self.sweep(aim).facet
+        return self.sweep(nominal).facet
 
-    def sweep(self, aim: NominalFix) -> Sweep:
-        """Offsets of this line of sight from the fix of `aim`."""
+    def sweep(self, nominal: NominalFix) -> Sweep:
+        """Offsets of this line of sight from the fix of `nominal`."""
         ray = self._ray()
-        distance = implicit_root(_clearance, aim.distance, (ray, self.terrain, aim.cell))
-        offset = lambda distance: aim.R_ecef_from_enu.T @ (ray.at(distance) - aim.p_ecef)  # noqa: E731
-        ground = -self.terrain.clearance(aim.p_ecef, aim.cell)
-        return Sweep(offset(distance), offset(aim.distance), offset(aim.distance + FARTHER), ground)
+        distance = implicit_root(_clearance, nominal.distance, (ray, self.terrain, nominal.cell))
+        offset = lambda distance: nominal.R_ecef_from_enu.T @ (ray.at(distance) - nominal.p_ecef)  # noqa: E731
+        ground = -self.terrain.clearance(nominal.p_ecef, nominal.cell)
+        return Sweep(offset(distance), offset(nominal.distance), offset(nominal.distance + FARTHER), ground)
 
-    def fix_offset(self, aim: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
-        """(offset in m of this fix from `aim`, in east, north, up at `aim`; status)."""
-        return aim.offset_of(self.sightline(), self.terrain, self.air, search)
+    def fix_offset(self, nominal: NominalFix, search: AbstractSearch) -> tuple[Vector3, StatusCode]:
+        """(offset in m of this fix from `nominal`, in east, north, up at `nominal`; status)."""
+        return nominal.offset_of(self.sightline(), self.terrain, self.air, search)
 
     def sightline(self) -> Sightline:
         """The straight line of sight; the pixel may lie outside the image.
@@ -198,7 +204,8 @@ class ModelInputs(Record):
 
     def with_pose(self, pose: Pose) -> ModelInputs:
         """The inputs with another pose, or other poses at the knots."""
-        where = (lambda look: look.motion.pose) if isinstance(self.motion, Shot) else (lambda look: look.motion.poses)
+        name = "pose" if isinstance(self.motion, Shot) else "poses"
+        where = lambda inputs: getattr(inputs.motion, name)  # noqa: E731
         return eqx.tree_at(where, self, pose)
 
     def _located(self, search: AbstractSearch) -> tuple[Fix, Any]:
@@ -219,14 +226,14 @@ def of_arrays(terrain: AbstractTerrain) -> AbstractTerrain:
 
 
 @eqx.filter_jit
-def _aim(look: ModelInputs, search: AbstractSearch) -> NominalFix:
-    look = jax.lax.stop_gradient(look)
-    terrain, _ = look.terrain.made_safe()
-    fix, bracket = look._located(search)
+def _nominal_fix(inputs: ModelInputs, search: AbstractSearch) -> NominalFix:
+    inputs = jax.lax.stop_gradient(inputs)
+    terrain, _ = inputs.terrain.made_safe()
+    fix, bracket = inputs._located(search)
     seen = fix.found
-    ray = tree_where(seen, look._ray(), terrain.safe_ray().through(look.air))
+    ray = tree_where(seen, inputs._ray(), terrain.safe_ray().through(inputs.air))
     bracket = tree_where(seen, bracket, jax.tree.map(jnp.zeros_like, bracket))
-    distance = polish(ray, terrain, bracket) if look.air is not None else jnp.where(seen, fix.slant_range, 1000.0)
+    distance = polish(ray, terrain, bracket) if inputs.air is not None else jnp.where(seen, fix.slant_range, 1000.0)
     p_ecef = ray.at(distance)
     R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
     arriving = ray.heading_at(distance)

@@ -99,19 +99,19 @@ class Profile(NamedTuple):
 
 
 def profile_of(
-    terrain: AbstractTerrain, aim: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
+    terrain: AbstractTerrain, nominal: NominalFix, sweep: Sweep, cov_error: Float[Array, "axes axes"], normal: Vector3
 ) -> Profile:
     """Terrain profile of an observation, from its derivatives by the errors (`sweep`); itself without derivatives.
 
     An error of the line of sight or of the terrain height lifts one relative to the other by the same number of sigmas
     along the whole profile. Across the line of sight the ground is a plane with a `normal` whose last component is 1.
     """
-    terrain, aim, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, aim, sweep, cov_error, normal))
-    level = jnp.sqrt(aim.direction_enu[0] ** 2 + aim.direction_enu[1] ** 2)
+    terrain, nominal, sweep, cov_error, normal = jax.lax.stop_gradient((terrain, nominal, sweep, cov_error, normal))
+    level = jnp.sqrt(nominal.direction_enu[0] ** 2 + nominal.direction_enu[1] ** 2)
     plumb = level < FLAT
-    along = jnp.where(plumb, jnp.array([1.0, 0.0]), aim.direction_enu[:2] / jnp.where(plumb, 1.0, level))
+    along = jnp.where(plumb, jnp.array([1.0, 0.0]), nominal.direction_enu[:2] / jnp.where(plumb, 1.0, level))
     level = jnp.maximum(level, FLAT)
-    fall = -aim.direction_enu[2] / level
+    fall = -nominal.direction_enu[2] / level
     to_lift = lambda swept: swept[2] + fall * (along @ swept[:2])  # noqa: E731
     turn = (to_lift(sweep.farther) - to_lift(sweep.line)) / FARTHER
     to_side = jnp.stack([-along[1], along[0]])
@@ -122,10 +122,10 @@ def profile_of(
     if spacing is None:
         facet, level_ground = (_sigma(x, cov_error) for x in (along @ sweep.facet[:2], lift_at_fix))
         nearest = jnp.minimum(facet, level_ground / jnp.maximum(fall, FLATTEST))
-        places, gap = _by_errors(nearest, aim.distance)
+        places, gap = _by_errors(nearest, nominal.distance)
     else:
         places, gap = _by_spacing(spacing), GAP * spacing
-    ground, off = _ground(terrain, aim, level, places)
+    ground, off = _ground(terrain, nominal, level, places)
     lift = lift_at_fix[None, :] + (ground.ahead / level)[:, None] * turn[None, :]
     sigma = jnp.maximum(jnp.sqrt(jnp.maximum(jnp.sum((lift @ cov_error) * lift, axis=1), 0.0)), LEAST)
 
@@ -151,13 +151,13 @@ def profile_of(
     )
 
 
-def _ground(terrain: AbstractTerrain, aim: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
+def _ground(terrain: AbstractTerrain, nominal: NominalFix, level: Scalar, places: Places) -> tuple[Ground, Scalar]:
     """Ground along a line of sight at distances ahead of its fix, and its distance from the fix there, m."""
-    direction = aim.R_ecef_from_enu @ aim.direction_enu
-    at = lambda ahead: aim.p_ecef + direction * (ahead / level)  # noqa: E731
+    direction = nominal.R_ecef_from_enu @ nominal.direction_enu
+    at = lambda ahead: nominal.p_ecef + direction * (ahead / level)  # noqa: E731
     above, known = jax.vmap(lambda ahead: terrain.ground_above(at(ahead)))(places)
     off = jnp.where(known[NODES], jnp.abs(above[NODES]), jnp.inf)
-    return Ground(places, above.at[NODES].set(0.0), known & (places > -aim.distance * level)), off
+    return Ground(places, above.at[NODES].set(0.0), known & (places > -nominal.distance * level)), off
 
 
 def _by_spacing(spacing: Scalar) -> Places:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.fix import Fix
@@ -20,8 +20,9 @@ from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.batched_rays import PART
-from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, one_ahead, planned
-from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Random, Sobol
+from jaxgeo.uncertainty.chunks import Drawn, Plan, chunks, make_plan, one_ahead
+from jaxgeo.uncertainty.draws import AbstractDraws
+from jaxgeo.uncertainty.host_arrays import with_bar
 from jaxgeo.uncertainty.intervals import (
     Interval,
     quantile_interval,
@@ -29,12 +30,13 @@ from jaxgeo.uncertainty.intervals import (
     scramble_quantile,
     scrambled_interval,
 )
+from jaxgeo.uncertainty.method_selection import Method
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.sampling import Sampling, merge_sampling, resolve_sampling
 
-CHUNK = 62 * PART  # four chunks make about a million samples; no padding on one, two or four devices
-BETWEEN_LOOKS = 12 * PART  # samples, at most, between checks of `half_width`
-RANDOM = Random()
+SAMPLES = 10_000
+BETWEEN_CHECKS = 12 * PART  # samples, at most, between checks of `half_width`
 FIGURES = ("CE", "LE", "SE")
 
 
@@ -75,22 +77,31 @@ class Sampled(Record):
 
     def circular_error(self, probability: float) -> Quantile:
         """Radius of the horizontal circle about the centre that contains this share of the samples."""
-        return self._quantile("CE", probability)
+        return self._checked_quantile("CE", probability)
 
     def linear_error(self, probability: float) -> Quantile:
         """Half-height of the vertical interval about the centre that contains this share of the samples."""
-        return self._quantile("LE", probability)
+        return self._checked_quantile("LE", probability)
 
     def spherical_error(self, probability: float) -> Quantile:
         """Radius of the sphere about the centre that contains this share of the samples."""
-        return self._quantile("SE", probability)
+        return self._checked_quantile("SE", probability)
 
-    def _quantile(self, figure: str, probability: float) -> Quantile:
+    @property
+    def failed(self) -> float:
+        """Share of the samples without a fix."""
+        return 1.0 - self.found / self.count
+
+    def _checked_quantile(self, figure: str, probability: float) -> Quantile:
         if not 0.0 < probability < 1.0:
             raise ValueError(f"probability must lie between 0 and 1; got {probability!r}.")
         if figure not in self.radii:
             kept = ", ".join(self.radii) or "none"
             raise ValueError(f"{figure} was not asked for; figures: {kept}. Sample again with it.")
+        return self.quantile(figure, probability)
+
+    def quantile(self, figure: str, probability: float) -> Quantile:
+        """One of the figures "CE", "LE" and "SE", for arguments that are known to be valid."""
         radii = self.radii[figure]
         value, low, high = _interval(radii, probability, self.confidence, self.scrambles)
         known = radii if self.found == self.count else radii[np.isfinite(radii)]
@@ -106,109 +117,104 @@ def sample(
     terrain: AbstractTerrain,
     errors: ErrorModel | Any,
     *,
-    key: Any,
-    count: int = 10_000,
-    draws: AbstractDraws = RANDOM,
+    sampling: Sampling | None = None,
+    key: Any = None,
+    count: int | None = None,
+    draws: AbstractDraws | None = None,
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
     about_mean: bool = False,
     figures: Sequence[str] = FIGURES,
     half_width: float | None = None,
-    confidence: float = 0.95,
+    confidence: float | None = None,
     keep: bool = False,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     devices: Sequence[Any] | None = None,
     progress: bool = False,
 ) -> Sampled:
-    """Monte Carlo errors of the fix that `locate` returns for the same arguments, from `count` samples.
+    """Monte Carlo errors of the fix that `locate` returns for the same arguments, from `count` samples (10 000).
 
-    `key` is a `jax.random.key`; up to rounding (about 1e-8 m) a sample depends on the key and its index only, not on
-    `chunk` (samples at a time, which bounds the memory) or `devices` (default: all JAX devices). `draws` is `Random()`
-    or `Sobol()`, whose points are rotated so that the directions that displace the fix most come first. Each of the
-    `figures` "CE", "LE" and "SE" takes 8 bytes per sample. With a `half_width`, sampling stops when the confidence
-    interval of the first figure at 90 % is within that fraction of it on either side (JCGM 101:2008, 7.9), or at
-    `count` samples. `about_mean` measures errors about their mean and draws all samples twice; `keep` returns the
+    `key` is a `jax.random.key`. `key`, `count`, `draws`, `half_width`, `confidence`, `chunk`, `devices` and `progress`
+    are the options of `Sampling`; give them here, or as `sampling`. Each of the `figures` "CE", "LE" and "SE" takes
+    8 bytes per sample. `about_mean` measures errors about their mean and draws all samples twice; `keep` returns the
     samples. Raises as `propagate`, and `ValueError` for a count that is not positive, if there is no fix, or if `count`
-    is not a multiple of the Sobol scrambles.
+    is not a multiple of the Sobol scrambles; `TypeError` for options given twice.
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    given = (key, count, draws, about_mean, figures, half_width, confidence, keep, chunk, devices, progress)
-    return sampled_at(look, checked_model(errors, look), search, Sampling(*given))
+    options = {"key": key, "count": count, "draws": draws, "half_width": half_width, "confidence": confidence}
+    options |= {"chunk": chunk, "devices": devices, "progress": progress or None}
+    given = {name: value for name, value in options.items() if value is not None}
+    resolved = resolve_sampling(merge_sampling("sample", sampling, given), SAMPLES)
+    unknown = [figure for figure in figures if figure not in FIGURES]
+    if unknown:
+        raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
+    if resolved.half_width is not None and not figures:
+        raise ValueError("half_width is that of the first of the figures; figures are empty.")
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, inputs)
+    nominal = inputs.nominal_fix(search)
+    nominal.require_fix()
+    return draw_errors(inputs, nominal, model, search, resolved, figures, about_mean=about_mean, keep=keep)
 
 
-class Sampling(NamedTuple):
-    """Sampling options: see `sample`."""
-
-    key: Any
-    count: int
-    draws: AbstractDraws = RANDOM
-    about_mean: bool = False
-    figures: Sequence[str] = FIGURES
-    half_width: float | None = None
-    confidence: float = 0.95
-    keep: bool = False
-    chunk: int = CHUNK
-    devices: Sequence[Any] | None = None
-    progress: bool = False
-
-    @property
-    def scrambles(self) -> int:
-        """Number of Sobol scrambles; 0 for independent draws."""
-        return self.draws.scrambles if isinstance(self.draws, Sobol) else 0
-
-    def check(self) -> None:
-        """Raise `ValueError` or `TypeError` for invalid options."""
-        for value, name in ((self.count, "count"), (self.chunk, "chunk")):
-            if not isinstance(value, int | np.integer) or value < 1:
-                raise ValueError(f"{name} must be a whole number of samples, 1 or more; got {value!r}.")
-        check_countable(int(self.count), f"{self.count} samples", MORE)
-        if not isinstance(self.key, jax.Array):
-            raise TypeError(f"key must be one of jax.random.key(seed); got {self.key!r}.")
-        devices = self.devices
-        if devices is not None and not (len(devices) and all(isinstance(one, jax.Device) for one in devices)):
-            raise ValueError(f"devices must be some of jax.devices(), or None for all of them; got {devices!r}.")
-        if not isinstance(self.draws, AbstractDraws):
-            raise TypeError(f"draws must be Random() or Sobol(); got {type(self.draws).__name__}.")
-        if self.scrambles and self.count % self.scrambles:
-            raise ValueError(f"count must be a multiple of the {self.scrambles} scrambles of Sobol; got {self.count}.")
-        unknown = [figure for figure in self.figures if figure not in FIGURES]
-        if unknown:
-            raise ValueError(f"figures are {', '.join(FIGURES)}; got {', '.join(map(str, unknown))}.")
-        if not 0.0 < self.confidence < 1.0:
-            raise ValueError(f"confidence must lie between 0 and 1; got {self.confidence!r}.")
-        width = self.half_width
-        if width is not None and (not width > 0.0 or not self.figures):
-            raise ValueError(f"half_width must be a positive share of the first of the figures; got {width!r}.")
-
-
-def sampled_at(
-    look: ModelInputs, model: ErrorModel, search: AbstractSearch, sampling: Sampling, aim: NominalFix | None = None
+def draw_errors(
+    inputs: ModelInputs,
+    nominal: NominalFix,
+    model: ErrorModel,
+    search: AbstractSearch,
+    sampling: Sampling,
+    figures: Sequence[str] = FIGURES,
+    *,
+    about_mean: bool = False,
+    keep: bool = False,
 ) -> Sampled:
-    """`sample` of checked inputs and model; `aim` is the nominal fix, if already computed."""
-    sampling.check()
-    aim = look.nominal_fix(search) if aim is None else aim
-    aim.require_fix()
-    plan = planned(look, aim, model, sampling.draws, search, sampling.key)
+    """`sample` of checked inputs, model and options, about a nominal fix."""
+    draws: Any = sampling.draws
+    plan = make_plan(inputs, nominal, model, draws, search, sampling.random_key)
     centre = np.zeros(3)
-    if sampling.about_mean:
-        centre = _gather(plan, sampling._replace(figures=(), half_width=None, keep=False), centre).mean_enu
-    return _gather(plan, sampling, centre)
+    if about_mean:
+        centre = _gather(plan, dataclasses.replace(sampling, half_width=None), (), False, centre).mean_enu
+    return _gather(plan, sampling, tuple(figures), keep, centre)
 
 
-def _gather(plan: Plan, sampling: Sampling, centre: np.ndarray) -> Sampled:
+def sample_where_needed(
+    method: np.ndarray,
+    radii: Sequence[np.ndarray],
+    observation_at: Callable[[int], tuple[ModelInputs, NominalFix, ErrorModel]],
+    search: AbstractSearch,
+    sampling: Sampling,
+    probability: float,
+) -> tuple[np.ndarray, ...]:
+    """(circular, linear, spherical error, share of failed samples) of many fixes, by samples where `method` says so.
+
+    `radii` are the first three from linear propagation; `observation_at` gives the observation of an index.
+    """
+    columns = (*map(np.array, radii), np.full(method.shape, np.nan))
+    index = np.flatnonzero(method == Method.samples)
+    if not sampling.count or not index.size:
+        return columns
+    quiet = dataclasses.replace(sampling, progress=False)
+    for number in with_bar(index.tolist(), index.size, "sampling", sampling.progress):
+        inputs, nominal, model = observation_at(number)
+        found = draw_errors(inputs, nominal, model, search, quiet)
+        values = (*(found.quantile(figure, probability).value for figure in FIGURES), found.failed)
+        for column, value in zip(columns, values, strict=True):
+            column[number] = value
+    return columns
+
+
+def _gather(plan: Plan, sampling: Any, figures: tuple[str, ...], keep: bool, centre: np.ndarray) -> Sampled:
     """Draw all chunks and collect the requested results."""
     devices = tuple(jax.devices() if sampling.devices is None else sampling.devices)
-    tally = _Tally(sampling.count, tuple(sampling.figures), sampling.keep)
-    unit = max(sampling.scrambles, 1)
-    chunk = sampling.chunk if sampling.half_width is None else min(sampling.chunk, BETWEEN_LOOKS)
+    tally = _Tally(sampling.count, figures, keep)
+    unit, width = max(sampling.scrambles, 1), sampling.half_width
+    chunk = sampling.chunk if width is None else min(sampling.chunk, BETWEEN_CHECKS)
     parts = chunks(sampling.count, chunk, len(devices), unit, sampling.progress)
-    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices, sampling.keep):
+    for first, size, drawn in one_ahead(plan, parts, jnp.asarray(centre), devices, keep):
         tally.add(first, size, drawn)
-        width = sampling.half_width
         if width is not None and tally.is_sharp(width, sampling.confidence, sampling.scrambles):
             break
-    return tally.result(plan.aim.fix, centre, sampling.scrambles, sampling.confidence)
+    return tally.result(plan.nominal.fix, centre, sampling.scrambles, sampling.confidence)
 
 
 class _Tally:

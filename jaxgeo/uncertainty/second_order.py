@@ -66,26 +66,26 @@ def sigma_points(
     1 - n/3: correct to third order in the errors, without information between its points. If a point has no fix, its
     contribution is unknown: the moments are NaN, and `failed` counts such points. Raises as `propagate`.
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return sigma_moments(look, look.nominal_fix(search), checked_model(errors, look), search)
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return sigma_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs), search)
 
 
 @eqx.filter_jit
-def sigma_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
+def sigma_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel, search: AbstractSearch) -> Moments:
     """`sigma_points` of validated input, about the nominal fix."""
-    model = model.at(look, aim)
+    model = model.at(inputs, nominal)
     factor = SPREAD * model.factor().T
     points = jnp.concatenate([jnp.zeros((1, model.size)), factor, -factor])
-    misses, statuses = jax.vmap(lambda error: model.fix_offset(look, aim, error, search))(points)
+    offsets, statuses = jax.vmap(lambda error: model.fix_offset(inputs, nominal, error, search))(points)
     found = counts_as_fix(statuses)
-    middle, ahead, behind = misses[0], misses[1 : model.size + 1], misses[model.size + 1 :]
+    middle, ahead, behind = offsets[0], offsets[1 : model.size + 1], offsets[model.size + 1 :]
     bend = (ahead + behind - 2.0 * middle[None, :]) / SPREAD**2  # second derivatives along the axes
     slope = (ahead - behind) / (2.0 * SPREAD)
     mean = middle + 0.5 * jnp.sum(bend, axis=0)
     cov = slope.T @ slope + 0.5 * bend.T @ bend
-    sound = aim.fix.found & jnp.all(found)
+    sound = nominal.fix.found & jnp.all(found)
     failed = jnp.sum(~found)
-    return Moments(jnp.where(sound, mean, jnp.nan), jnp.where(sound, cov, jnp.nan), aim.fix.status, failed)
+    return Moments(jnp.where(sound, mean, jnp.nan), jnp.where(sound, cov, jnp.nan), nominal.fix.status, failed)
 
 
 @accepts_observation
@@ -104,19 +104,19 @@ def second_order(
 
     mean_i = tr(H_i Sigma) / 2, cov_ij = (J Sigma J')_ij + tr(H_i Sigma H_j Sigma) / 2. Raises as `propagate`.
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    return second_moments(look, look.nominal_fix(search), checked_model(errors, look))
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    return second_moments(inputs, inputs.nominal_fix(search), checked_model(errors, inputs))
 
 
 @eqx.filter_jit
-def second_moments(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Moments:
+def second_moments(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Moments:
     """`second_order` of validated input, about the nominal fix."""
-    model = model.at(look, aim)
+    model = model.at(inputs, nominal)
     factor, zero = model.factor(), jnp.zeros(model.size)
-    miss = lambda z: model.linear_offset(look, aim, factor @ z)  # noqa: E731
-    with_itself = lambda z: (jax.jacfwd(miss)(z),) * 2  # noqa: E731
+    offset = lambda z: model.linear_offset(inputs, nominal, factor @ z)  # noqa: E731
+    with_itself = lambda z: (jax.jacfwd(offset)(z),) * 2  # noqa: E731
     hessian, jacobian = jax.jacfwd(with_itself, has_aux=True)(zero)
     mean = 0.5 * jnp.trace(hessian, axis1=1, axis2=2)
     cov = jacobian @ jacobian.T + 0.5 * jnp.einsum("iab,jba->ij", hessian, hessian)
-    known = lambda x: jnp.where(aim.fix.found, x, jnp.nan)  # noqa: E731
-    return Moments(known(mean), known(cov), aim.fix.status, jnp.asarray(0))
+    known = lambda x: jnp.where(nominal.fix.found, x, jnp.nan)  # noqa: E731
+    return Moments(known(mean), known(cov), nominal.fix.status, jnp.asarray(0))

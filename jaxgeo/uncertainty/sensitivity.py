@@ -14,7 +14,6 @@ import scipy  # submodules load lazily
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxgeo._checks import check_countable
 from jaxgeo._record import Record
 from jaxgeo.earth.atmosphere import Atmosphere
 from jaxgeo.locate import FIRST_HIT
@@ -24,19 +23,22 @@ from jaxgeo.status import counts_as_fix
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain
 from jaxgeo.uncertainty.batched_rays import fix_offsets, in_parts
 from jaxgeo.uncertainty.budget import source_names
-from jaxgeo.uncertainty.draws import MORE, AbstractDraws, Sobol
+from jaxgeo.uncertainty.draws import AbstractDraws, Sobol
 from jaxgeo.uncertainty.intervals import LEAST_SCRAMBLES
 from jaxgeo.uncertainty.model import ErrorModel, checked_model
 from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+from jaxgeo.uncertainty.sampling import Sampling, accepts_sampling_options, resolve_sampling
 
 CHUNK = 16_384  # rows at a time
 FEW = 0.1  # share of excluded rows above which the indices no longer describe the observation's error
 COMPONENTS = ("east", "north", "up", "horizontal")
 SUMS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0]])
+SAMPLES = 4096
 SOBOL = Sobol()
+SAMPLING = Sampling()
 
 Normals = Float[Array, "rows axes"]
-Misses = Float[Array, "rows 3"]
+Offsets = Float[Array, "rows 3"]
 
 
 class Estimate(NamedTuple):
@@ -122,12 +124,13 @@ class SobolIndices(Record):
 class Plan(NamedTuple):
     """Inputs of the map from standard normal numbers to fix offsets."""
 
-    look: ModelInputs
-    aim: NominalFix
+    inputs: ModelInputs
+    nominal: NominalFix
     model: ErrorModel
     factor: Float[Array, "axes axes"]
 
 
+@accepts_sampling_options
 @accepts_observation
 def sobol_indices(
     sensor: Sensor,
@@ -136,37 +139,36 @@ def sobol_indices(
     terrain: AbstractTerrain,
     errors: ErrorModel | Any,
     *,
-    key: Any,
-    count: int = 4096,
+    sampling: Sampling = SAMPLING,
     by_axis: bool = False,
-    draws: AbstractDraws = SOBOL,
     time: ArrayLike | None = None,
     search: AbstractSearch = FIRST_HIT,
     atmosphere: Atmosphere | None = None,
     confidence: float = 0.95,
     resamples: int = 500,
-    chunk: int = CHUNK,
 ) -> SobolIndices:
     """Share of the variance of a fix due to each source, alone (first order) and with interactions (total).
 
-    Every source is a group; with `by_axis` so is every axis of sources with independent axes. Uses `count` rows of two
-    independent error vectors, A and B, and of A with one group from B: (groups + 2) evaluations per row, `chunk` rows
-    at a time. First order by Saltelli et al. (2010), total by Jansen (1999); for the horizontal plane the sums over
-    east and north (Lamboni et al. 2011; Gamboa et al. 2014). Intervals by bootstrap with `resamples` resamples of rows,
-    or of the scrambles of Sobol points, at least 16. A row with an evaluation without a fix is excluded and counted.
-    Raises as `sample`.
+    Every source is a group; with `by_axis` so is every axis of sources with independent axes. Uses 4096 rows, or as
+    many as `sampling` says, of two independent error vectors, A and B (Sobol points by default), and of A with one
+    group from B: (groups + 2) evaluations per row, `chunk` rows at a time. First order by Saltelli et al. (2010), total
+    by Jansen (1999); for the horizontal plane the sums over east and north (Lamboni et al. 2011; Gamboa et al. 2014).
+    Intervals by bootstrap with `resamples` resamples of rows, or of the scrambles of Sobol points, at least 16. A row
+    with an evaluation without a fix is excluded and counted. Raises as `sample`.
     """
-    look = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
-    model = checked_model(errors, look)
-    _check_request(count, draws, confidence, resamples, chunk)
-    plan = planned(look, look.nominal_fix(search), model)
-    plan.aim.require_fix()
+    inputs = ModelInputs.of(sensor, shot, uv, terrain, time=time, search=search, atmosphere=atmosphere)
+    model = checked_model(errors, inputs)
+    options: Any = resolve_sampling(sampling, SAMPLES, least=2, draws=SOBOL, chunk=CHUNK)
+    count, draws, key = options.count, options.draws, options.random_key
+    _check_request(options, confidence, resamples)
+    plan = make_plan(inputs, inputs.nominal_fix(search), model)
+    plan.nominal.require_fix()
     names, members = groups_of(model, by_axis)
-    push = lambda normals: misses_of(plan, normals, search)  # noqa: E731
-    misses, found = evaluated(push, draws, key, members, count, min(chunk, count))
+    push = lambda normals: offsets_of(plan, normals, search)  # noqa: E731
+    offsets, found = evaluate(push, draws, key, members, count, min(options.chunk, count))
     kept = np.all(found, axis=0)
     estimate = sobol_estimate(
-        *(misses[0, kept], misses[1, kept], misses[2:, kept]),
+        *(offsets[0, kept], offsets[1, kept], offsets[2:, kept]),
         sums=SUMS, units=_units(count, draws)[kept], confidence=confidence, resamples=resamples,
         seed=np.asarray(jax.random.key_data(key)).tolist(),
     )  # fmt: skip
@@ -220,13 +222,13 @@ def sobol_estimate(
         return shares[: len(shares) // 2], shares[len(shares) // 2 :], variance
 
     first, total, variance = indices(table.mean(axis=0))
-    again = [indices(means)[:2] for means in _resampled(table, units, resamples, seed)]
+    again = [indices(means)[:2] for means in _resample(table, units, resamples, seed)]
     independent = rows if units is None else len(np.unique(units))
     first_half, total_half = _half_width(confidence, independent) * np.std(again, axis=0)
     return Estimate(first, total, first_half, total_half, variance)
 
 
-def _resampled(table: np.ndarray, units: np.ndarray | None, resamples: int, seed: Any) -> Iterator[np.ndarray]:
+def _resample(table: np.ndarray, units: np.ndarray | None, resamples: int, seed: Any) -> Iterator[np.ndarray]:
     """Column means of a table over units resampled with replacement."""
     rng = np.random.default_rng(seed)
     sums, rows = table, np.ones(len(table))
@@ -252,14 +254,14 @@ def _units(count: int, draws: AbstractDraws) -> np.ndarray:
 
 
 @eqx.filter_jit
-def planned(look: ModelInputs, aim: NominalFix, model: ErrorModel) -> Plan:
+def make_plan(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> Plan:
     """The model at an observation, with a factor that keeps sources and independent axes separate."""
-    model = model.at(look, aim)
-    return Plan(look, aim, model, model.factor())
+    model = model.at(inputs, nominal)
+    return Plan(inputs, nominal, model, model.factor())
 
 
 @eqx.filter_jit
-def misses_of(
+def offsets_of(
     plan: Plan, normals: Normals, search: AbstractSearch
 ) -> tuple[Float[Array, "rows 3"], Bool[Array, " rows"]]:
     """(fix offsets in m for standard normal errors, whether there is a fix)."""
@@ -267,19 +269,19 @@ def misses_of(
     def error_of(normal: Float[Array, " axes"]) -> Float[Array, " axes"]:
         return jnp.sum(plan.factor * normal[None, :], axis=1)  # rounding of a matrix product depends on the batch
 
-    some = lambda normals, _: (fix_offsets(plan.model, plan.look, plan.aim, search, (error_of,), normals), ())  # noqa: E731
-    (miss, status), _ = in_parts(some, normals)
-    return miss, counts_as_fix(status)
+    some = lambda normals, _: (fix_offsets(plan.model, plan.inputs, plan.nominal, search, (error_of,), normals), ())  # noqa: E731
+    (offset, status), _ = in_parts(some, normals)
+    return offset, counts_as_fix(status)
 
 
 @eqx.filter_jit
-def _drawn(draws: AbstractDraws, key: Any, first: Array, rows: int, axes: int) -> tuple[Normals, Normals]:
+def _draw(draws: AbstractDraws, key: Any, first: Array, rows: int, axes: int) -> tuple[Normals, Normals]:
     """A and B for `rows` rows from `first` on."""
     both = jax.vmap(lambda number: draws.standard_normal(key, number, 2 * axes))(first + jnp.arange(rows))
     return both[:, :axes], both[:, axes:]
 
 
-def evaluated(
+def evaluate(
     push: Callable[[Normals], tuple[Array, Array]],
     draws: AbstractDraws,
     key: Any,
@@ -293,28 +295,24 @@ def evaluated(
     """
     axes = members.shape[1]
     from_other = np.concatenate([np.zeros((1, axes), bool), np.ones((1, axes), bool), members])
-    misses, found = np.empty((len(from_other), count, 3)), np.empty((len(from_other), count), bool)
+    offsets, found = np.empty((len(from_other), count, 3)), np.empty((len(from_other), count), bool)
     for first in range(0, count, size):
-        a, b = _drawn(draws, key, jnp.asarray(first), size, axes)
+        a, b = _draw(draws, key, jnp.asarray(first), size, axes)
         rows = slice(first, min(first + size, count))
-        for number, chosen in enumerate(from_other):
-            miss, fix = push(jnp.where(jnp.asarray(chosen)[None, :], b, a))
-            misses[number, rows] = miss[: rows.stop - first]
+        for number, from_b in enumerate(from_other):
+            offset, fix = push(jnp.where(jnp.asarray(from_b)[None, :], b, a))
+            offsets[number, rows] = offset[: rows.stop - first]
             found[number, rows] = fix[: rows.stop - first]
-    return misses, found
+    return offsets, found
 
 
-def _check_request(count: Any, draws: Any, confidence: Any, resamples: Any, chunk: Any) -> None:
-    least = {"count": (count, 2), "chunk": (chunk, 1), "resamples": (resamples, 2)}
-    for name, (value, low) in least.items():
-        if not isinstance(value, int | np.integer) or value < low:
-            raise ValueError(f"{name} must be a whole number of at least {low}; got {value!r}.")
-    check_countable(int(count), f"{count} samples", MORE)
-    if not isinstance(draws, AbstractDraws):
-        raise TypeError(f"draws must be Random() or Sobol(); got {type(draws).__name__}.")
-    if isinstance(draws, Sobol) and count % draws.scrambles:
-        raise ValueError(f"count must be a multiple of the {draws.scrambles} scrambles of Sobol; got {count}.")
-    if isinstance(draws, Sobol) and draws.scrambles < LEAST_SCRAMBLES:
-        raise ValueError(f"Sobol needs {LEAST_SCRAMBLES} scrambles or more for intervals; got {draws.scrambles}.")
+def _check_request(sampling: Sampling, confidence: Any, resamples: Any) -> None:
+    """Raise `ValueError` for options that do not apply to indices; those of the sampling are checked by themselves."""
+    if not isinstance(resamples, int | np.integer) or resamples < 2:
+        raise ValueError(f"resamples must be a whole number of at least 2; got {resamples!r}.")
+    if 0 < sampling.scrambles < LEAST_SCRAMBLES:
+        raise ValueError(f"Sobol needs {LEAST_SCRAMBLES} scrambles or more for intervals; got {sampling.scrambles}.")
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"confidence must lie between 0 and 1, such as 0.95; got {confidence!r}.")
+    if sampling.half_width is not None or sampling.devices is not None:
+        raise ValueError("half_width and devices are options of sample; indices take count, key, draws and chunk.")

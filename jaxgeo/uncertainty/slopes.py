@@ -56,23 +56,23 @@ class AbstractSlope(Record):
     """Choice of the terrain plane for linear propagation."""
 
     @abstractmethod
-    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, nominal: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         """The plane, given the normal of the facet under the fix."""
 
 
 class Facet(AbstractSlope):
     """Tangent plane of the terrain at the fix: valid for errors smaller than a terrain cell."""
 
-    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
-        del terrain, aim, spread
+    def surface(self, terrain: AbstractTerrain, nominal: NominalFix, facet: Vector3, spread: Spread) -> Surface:
+        del terrain, nominal, spread
         return _plane(facet)
 
 
 class Level(AbstractSlope):
     """Horizontal plane at the height of the fix, as in studies with a constant height."""
 
-    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
-        del terrain, aim, facet, spread
+    def surface(self, terrain: AbstractTerrain, nominal: NominalFix, facet: Vector3, spread: Spread) -> Surface:
+        del terrain, nominal, facet, spread
         return _plane(jnp.array([0.0, 0.0, 1.0]))
 
 
@@ -83,12 +83,12 @@ class Footprint(AbstractSlope):
     fix is a bias; the residuals of the ground add a height error (statistical linearisation).
     """
 
-    def surface(self, terrain: AbstractTerrain, aim: NominalFix, facet: Vector3, spread: Spread) -> Surface:
+    def surface(self, terrain: AbstractTerrain, nominal: NominalFix, facet: Vector3, spread: Spread) -> Surface:
         del facet
         surface = _plane(jnp.array([0.0, 0.0, 1.0]))
         for _ in range(ROUNDS):
-            swept = spread.on(surface, aim.direction_enu)
-            surface = fitted_plane(terrain, aim, (swept @ spread.cov_error @ swept.T)[:2, :2])
+            swept = spread.on(surface, nominal.direction_enu)
+            surface = fit_plane(terrain, nominal, (swept @ spread.cov_error @ swept.T)[:2, :2])
         return surface
 
 
@@ -97,12 +97,12 @@ def along_plane(normal: Vector3, direction_enu: Vector3) -> Scalar:
     return jnp.minimum(normal @ direction_enu, -STEEPEST * jnp.sqrt(normal @ normal))
 
 
-def fitted_plane(terrain: AbstractTerrain, aim: NominalFix, cov: Float[Array, "2 2"]) -> Surface:
+def fit_plane(terrain: AbstractTerrain, nominal: NominalFix, cov: Float[Array, "2 2"]) -> Surface:
     """Plane fitted to a terrain over an error ellipse (m2, east and north) about a fix; no derivatives."""
-    terrain, aim, cov = jax.lax.stop_gradient((terrain, aim, cov))
+    terrain, nominal, cov = jax.lax.stop_gradient((terrain, nominal, cov))
     root = _wide_root(cov)
     places = _even_places()
-    level = lambda place: aim.p_ecef + aim.R_ecef_from_enu[:, :2] @ (root @ place)  # noqa: E731
+    level = lambda place: nominal.p_ecef + nominal.R_ecef_from_enu[:, :2] @ (root @ place)  # noqa: E731
     heights, known = jax.vmap(lambda place: terrain.ground_above(level(place)))(places)
     weight = known.astype(jnp.float64)
     design = jnp.concatenate([jnp.ones((len(places), 1)), places], axis=1)

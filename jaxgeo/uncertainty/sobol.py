@@ -66,7 +66,7 @@ def sobol_point(index: UInt32[Array, ""], directions: UInt32[Array, "size 32"]) 
     return point
 
 
-def scrambled(point: Words, shift: Words, factor: Words) -> Words:
+def scramble(point: Words, shift: Words, factor: Words) -> Words:
     """A bit-reversed point with each digit flipped by a hash of the preceding digits: nested uniform scrambling.
 
     Each dimension has its own random 32 bits in `shift` and in `factor`. Hash of this kind: Laine and Karras 2011,
@@ -79,14 +79,14 @@ def scrambled(point: Words, shift: Words, factor: Words) -> Words:
     return point ^ point * jnp.uint32(0x53A22864)
 
 
-def mirrored(words: Words) -> Words:
+def mirror(words: Words) -> Words:
     """The 32 bits of each word in reverse order."""
     for step, mask in [(1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)]:
         words = (words >> step) & jnp.uint32(mask) | (words & jnp.uint32(mask)) << step
     return words >> 16 | words << 16
 
 
-def mixed(words: Words) -> Words:
+def mix(words: Words) -> Words:
     """Hash of each word in which every bit depends on every other: the finaliser of MurmurHash3, Appleby 2011."""
     words = (words ^ words >> 16) * jnp.uint32(0x85EBCA6B)
     words = (words ^ words >> 13) * jnp.uint32(0xC2B2AE35)

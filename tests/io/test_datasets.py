@@ -15,7 +15,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, Geodetic, Pose, Shot, Status
 from jaxgeo.io.datasets import accuracy_map_dataset, samples_dataset
 from jaxgeo.io.map_raster import MapRaster
-from jaxgeo.uncertainty import AccuracyMap, ErrorModel, Method, accuracy_of_pixels, sample, sources
+from jaxgeo.uncertainty import AccuracyMap, ErrorModel, Method, accuracy, sample, sources
 
 xarray = pytest.importorskip("xarray")
 
@@ -34,7 +34,9 @@ DEGREES = MapRaster(pyproj.CRS("EPSG:4326"), Affine(0.1, 0.0, 11.0, 0.0, -0.2, 4
 def found() -> AccuracyMap:
     """Of two rows of three pixels, the last of which lies beside the image."""
     u, v = np.meshgrid([100.0, 300.0, 700.0], [200.0, 400.0])
-    return accuracy_of_pixels(SENSOR, SHOT, np.stack([u, v], axis=-1), GROUND, MODEL, probability=0.8)
+    uv = np.stack([u, v], axis=-1)
+    each = accuracy(SENSOR, SHOT, uv, GROUND, MODEL, probability=0.8)
+    return AccuracyMap(each, each.fix.position, uv)
 
 
 @pytest.mark.slow
@@ -45,7 +47,7 @@ def test_a_dataset_holds_what_the_map_holds(found: AccuracyMap) -> None:
         np.testing.assert_array_equal(told[field], getattr(found, name))
         assert told[field].attrs["units"] == "m"
     np.testing.assert_array_equal(told["status"], found.status)
-    np.testing.assert_array_equal(told["trust"], found.trust)
+    np.testing.assert_array_equal(told["trust"], found.method)
     np.testing.assert_array_equal(np.stack([told["u"], told["v"]], axis=-1), found.uv)
     np.testing.assert_allclose(np.deg2rad(told["latitude"]), found.position.lat, rtol=0.0, atol=1e-15)
     assert told["circular_error"].isnull().to_numpy().tolist() == [[False, False, True]] * 2

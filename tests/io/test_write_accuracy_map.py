@@ -49,7 +49,7 @@ def test_bands_are_the_map(written) -> None:
     assert descriptions == ("CE50, m", "LE50, m", "verdict", "status")
     assert units[:2] == ("m", "m")
     assert np.isnan(profile["nodata"])
-    expected = (found.circular, found.linear, found.trust, found.status)
+    expected = (found.circular, found.linear, found.method, found.status)
     for band, values in zip(bands, expected, strict=True):
         np.testing.assert_array_equal(band, np.asarray(values, np.float32))
     assert np.isfinite(bands[2:]).all()
@@ -119,7 +119,7 @@ def test_from_a_pose_all_of_the_terrain_at_its_spacing_in_degrees(tmp_path) -> N
     dem = small_dem(rough(seed=5, relief=8.0))
     limits = np.deg2rad([[-10.0, 62.0], [-60.0, 60.0]])
     sensor = jaxgeo.Sensor(CAMERA, jaxgeo.Gimbal.two_axis(limits=limits), jaxgeo.Mount.nadir())
-    found = write_accuracy_map(tmp_path / "a.tif", sensor, POSE, dem, MODEL, crs="EPSG:4979", count=0, block=64)
+    found = write_accuracy_map(tmp_path / "a.tif", sensor, POSE, dem, MODEL, crs="EPSG:4979", sampling=None, block=64)
     with rasterio.open(tmp_path / "a.tif") as data:
         verdict, status = data.read(3), data.read(4)
         assert data.crs.to_epsg() == 4326

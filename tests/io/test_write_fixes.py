@@ -20,7 +20,7 @@ import jaxgeo
 from jaxgeo import ConstantHeight, Fix, Pose, Shot, Status
 from jaxgeo.io import VerticalDatumError, _fix_columns, _map_crs
 from jaxgeo.io.fix_files import write_fixes
-from jaxgeo.uncertainty import ErrorModel, accuracy, accuracy_of_pixels, sources
+from jaxgeo.uncertainty import ErrorModel, accuracy, sources
 from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
 from tests.support.made_fixes import ALPS, DATE_LINE, LEVEL, made
 
@@ -385,20 +385,20 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
     write_fixes(path, located, accuracy=[told, None], crs="EPSG:32632")
     rows, points, (ellipse,) = read(path)
     assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
-    assert rows[0]["accuracy_method"] == told.trust.words
+    assert rows[0]["accuracy_method"] == told.words
     assert rows[0]["accuracy_text"] == told.because
     assert unknown(rows[1]["accuracy_text"])
     assert points[1] is None
     assert layer(path, "ellipses")[2][0]["kind"] == "ellipse"
-    area = -2.0 * np.log(0.2) * np.pi * np.sqrt(np.linalg.det(told.propagation.cov_enu[:2, :2]))
+    area = -2.0 * np.log(0.2) * np.pi * np.sqrt(np.linalg.det(told.cov_enu[:2, :2]))
     assert ellipse.area == pytest.approx(area, rel=3e-3)
-    everywhere = accuracy_of_pixels(SENSOR, SHOT, UV, GROUND, MODEL, probability=0.8)
+    everywhere = accuracy(SENSOR, SHOT, UV, GROUND, MODEL, probability=0.8)
     write_fixes(path, located, accuracy=everywhere, crs="EPSG:32632")
-    rows, _, (circle,) = read(path)
+    rows, _, (another,) = read(path)
     assert [row["ce80_m"] for row in rows] == pytest.approx([told.circular, np.nan], abs=1e-4, nan_ok=True)
-    assert layer(path, "ellipses")[2][0]["kind"] == "circle"
-    assert circle.area == pytest.approx(np.pi * told.circular**2, rel=3e-3)
-    with pytest.raises(ValueError, match="accuracy is of 2 places, fixes of 1"):
+    assert layer(path, "ellipses")[2][0]["kind"] == "ellipse"
+    assert another.area == pytest.approx(area, rel=3e-3)
+    with pytest.raises(ValueError, match=r"accuracy is of a batch of the shape \(2,\), fixes of 1"):
         write_fixes(path, jax.tree.map(lambda x: x[1:], located), accuracy=everywhere)
     places = np.column_stack([np.asarray(x) for x in located.position.to_degrees()])
     off = made(np.add(places, [[1e-5, 0.0, 0.0]]))
@@ -415,8 +415,9 @@ def test_what_accuracy_tells_is_written(tmp_path: pathlib.Path, located: Fix) ->
 )
 def test_an_infinite_radius_is_no_number_where_there_is_none(tmp_path, located: Fix, suffix: str, written: Any) -> None:
     """Too many samples have failed: the radius is not left looking unknown where a format can say infinite."""
-    told = accuracy_of_pixels(SENSOR, SHOT, UV, GROUND, MODEL)
+    told = accuracy(SENSOR, SHOT, UV, GROUND, MODEL)
     object.__setattr__(told, "circular", np.array([np.inf, np.nan]))
+    object.__setattr__(told, "cov_enu", np.full((2, 3, 3), np.nan))
     write_fixes(tmp_path / f"fixes{suffix}", located, accuracy=told)
     rows, _, outlines = read(tmp_path / f"fixes{suffix}")
     assert rows[0]["ce90_m"] == written

@@ -100,7 +100,7 @@ def check_right(found: Registration, here: Scene | None = None) -> None:
     middle = 0.5 * here.known.shape[1], 0.5 * here.known.shape[0]
     centre = found.fix(middle)
     true = locate(here.sensor, here.shot, middle, here.terrain)
-    R = np.asarray(centre.aim.R_ecef_from_enu)
+    R = np.asarray(centre.nominal.R_ecef_from_enu)
     away = (R.T @ (np.asarray(centre.fix.ecef) - np.asarray(true.ecef)))[:2]
     assert away @ np.linalg.solve(np.asarray(centre.cov_enu)[:2, :2], away) < 3.0**2
 

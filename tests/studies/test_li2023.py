@@ -125,7 +125,7 @@ def test_sliding_to_a_tilted_plane() -> None:
     found = propagate(printed.sensor(), printed.shot_of(row), printed.UV, ground, model)
     expected = np.sqrt(np.diag(found.cov_enu))
     np.testing.assert_allclose(rms_on_slope(found, np.zeros(2)), expected, rtol=0, atol=1e-9)
-    direction = np.asarray(found.aim.direction_enu)[:2]
+    direction = np.asarray(found.nominal.direction_enu)[:2]
     ahead = 0.1 * direction / np.linalg.norm(direction)
     assert np.linalg.norm(rms_on_slope(found, ahead)) < np.linalg.norm(expected)
     assert np.linalg.norm(rms_on_slope(found, -ahead)) > np.linalg.norm(expected)

@@ -23,7 +23,7 @@ from jaxgeo.register.places import BlockPlaces
 from jaxgeo.register.prediction import Shifts
 from jaxgeo.status import Status
 from jaxgeo.terrain import Dem, GeographicGrid, TangentGrid
-from jaxgeo.uncertainty import AccuracyMap, Budget, Comparison, Propagation, Sampled, sources
+from jaxgeo.uncertainty import Accuracy, AccuracyMap, Budget, Comparison, Propagation, Sampled, sources
 from jaxgeo.uncertainty.budget import SigmaShare, SourceShare, Variance
 from jaxgeo.uncertainty.compare import Row
 from jaxgeo.uncertainty.method_selection import Diagnostics
@@ -176,16 +176,20 @@ def judged(wrong: tuple[int, ...] = ()) -> Reliability:
 
 UV = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1)
 ERROR = np.array([[1.0, 2.0, 4.0, 8.0], [1.0, 2.0, np.nan, 8.0], [1.0, 2.0, 4.0, np.inf]])
-TRUST = np.array([[0, 0, 1, 2], [0, 0, -1, 2], [0, 0, 1, 2]], np.int8)
+METHOD = np.array([[0, 0, 1, 2], [0, 0, -1, 2], [0, 0, 1, 2]], np.int8)
 
 
 def accuracies(error: np.ndarray = ERROR) -> AccuracyMap:
     """An accuracy map of positions 0.01 degrees apart, one of them hidden."""
     lon, lat = np.deg2rad(5.0 + 0.01 * UV[..., 0]), np.deg2rad(44.0 + 0.01 * UV[..., 1])
-    status = np.where(TRUST < 0, np.int8(Status.hidden_by_terrain), np.int8(Status.hit))
+    status = np.where(METHOD < 0, np.int8(Status.hidden_by_terrain), np.int8(Status.hit))
     position = Geodetic(lat=lat, lon=lon, height=np.zeros_like(lat))
-    signs = Diagnostics(*[jnp.asarray(1.0)] * len(Diagnostics._fields))  # not drawn
-    return AccuracyMap(position, UV, status, TRUST, error, 2.0 * error, error, error, signs, 0.9, 100)
+    diagnostics = Diagnostics(*[jnp.asarray(1.0)] * len(Diagnostics._fields))  # not drawn
+    unknown = np.full(error.shape, np.nan)
+    fix = Fix(position, np.zeros((*error.shape, 3)), *[unknown] * 4, status)
+    cov, bias = np.full((*error.shape, 3, 3), np.nan), np.full((*error.shape, 3), np.nan)
+    figures = (np.full(error.shape, 0.9), error, 2.0 * error, error, METHOD, cov, bias, error)
+    return AccuracyMap(Accuracy(fix, *figures, diagnostics, count=100), position, UV)
 
 
 # Footprints.

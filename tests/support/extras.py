@@ -100,14 +100,15 @@ def telemetry(folder: pathlib.Path) -> None:
 
 def dataset(folder: pathlib.Path) -> None:
     """A map of accuracy."""
-    from jaxgeo.uncertainty import AccuracyMap
+    from jaxgeo.uncertainty import Accuracy, AccuracyMap
     from jaxgeo.uncertainty.method_selection import Diagnostics
 
     fix = a_fix()
     number = np.ones(1)
-    trust, signs = np.zeros(1, np.int8), Diagnostics(*[1.0] * len(Diagnostics._fields))
-    uv = np.zeros((1, 2))
-    found = AccuracyMap(fix.position, uv, fix.status, trust, number, number, number, number, signs, 0.9, 0)
+    method, diagnostics = np.zeros(1, np.int8), Diagnostics(*[1.0] * len(Diagnostics._fields))
+    cov, bias = np.zeros((1, 3, 3)), np.zeros((1, 3))
+    each = Accuracy(fix, *[number] * 4, method, cov, bias, number, diagnostics)
+    found = AccuracyMap(each, fix.position, np.zeros((1, 2)))
     told = jaxgeo.io.accuracy_map_dataset(found)
     assert told["circular_error"].attrs["units"] == "m"
 

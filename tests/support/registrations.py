@@ -79,7 +79,7 @@ def _off(flight: Flight, truth: Shot, found: Registration, uv: np.ndarray) -> np
     """(offset to the east and north in m, its standard deviations)."""
     fix = found.fix(uv, terrain_sigma=HEIGHT)
     there = _ground(flight, truth, uv, flight.terrain)
-    offset = np.asarray(fix.aim.R_ecef_from_enu).T @ (np.asarray(fix.fix.ecef) - there)
+    offset = np.asarray(fix.nominal.R_ecef_from_enu).T @ (np.asarray(fix.fix.ecef) - there)
     return np.stack([offset[:2], np.sqrt(np.diagonal(np.asarray(fix.cov_enu)))[:2]])
 
 

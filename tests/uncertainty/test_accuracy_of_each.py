@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgeo import ConstantHeight, Shot
-from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, accuracy, accuracy_of_each, sources
+from jaxgeo.uncertainty import NO_FIX, ErrorModel, Method, Sampling, accuracy, sources
 from tests.support.looks import UV, pose, sensor
 from tests.support.scenes import rough, small_dem
 
@@ -19,6 +19,8 @@ MODEL = ErrorModel(
         sources.TerrainHeight.from_metres(2.0),
     )
 )
+DRAWN = Sampling(count=400)
+OF_SHOTS = (None, 0, 0, None, None)
 READINGS = jnp.deg2rad(jnp.array([[40.0, 2.0], [41.0, 1.0], [120.0, 0.0]]))  # the last looks at the sky
 
 
@@ -36,17 +38,18 @@ def dem():
 @pytest.mark.parametrize("block", [128, 2], ids=["at once", "in blocks"])
 def test_each_is_as_sure_as_alone(dem, block: int) -> None:
     shots, uv = batch()
-    found = accuracy_of_each(sensor(), shots, uv, dem, MODEL, count=400, block=block)
+    found = accuracy(sensor(), shots, uv, dem, MODEL, in_axes=OF_SHOTS, sampling=DRAWN, block=block)
     for i in range(2):
-        alone = accuracy(sensor(), jax.tree.map(lambda leaf, i=i: leaf[i], shots), UV, dem, MODEL, count=400)
-        assert Method(int(found.trust[i])) is alone.trust
-        assert found.because(i) == alone.because
+        alone = accuracy(sensor(), jax.tree.map(lambda leaf, i=i: leaf[i], shots), UV, dem, MODEL, sampling=DRAWN)
+        assert int(found.method[i]) == int(alone.method)
+        assert found[i].because == alone.because
         for name in ("circular", "linear", "spherical"):
             np.testing.assert_allclose(getattr(found, name)[i], getattr(alone, name), rtol=1e-6)
-        if alone.trust is not Method.samples:
-            np.testing.assert_allclose(found.cov_enu[i], alone.propagation.cov_enu, rtol=1e-6, atol=1e-9)
-    assert int(found.trust[2]) == NO_FIX
-    assert found.because(2) is None
+        np.testing.assert_allclose(found.cov_enu[i], alone.cov_enu, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(found.failed[i], alone.failed, atol=1e-12)
+    assert int(found.method[2]) == NO_FIX
+    assert found[2].because is None
+    assert str(found[2]).startswith("No fix: rises_away")
     assert np.isnan(found.circular[2])
     assert np.isnan(found.cov_enu[2]).all()
 
@@ -58,18 +61,18 @@ def test_what_is_of_each_is_of_each() -> None:
     errors = ErrorModel((jax.vmap(lambda one: sources.Attitude(jnp.full(3, one)))(sigma),))
     ground = ConstantHeight(np.array([0.0, 0.0, 600.0]))
     sensors = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *jnp.shape(leaf))), sensor())
-    found = accuracy_of_each(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0))
+    found = accuracy(sensors, shots, uv, ground, errors, in_axes=(0, 0, 0, 0, 0))
     first, twice, higher = np.asarray(found.circular)
     assert twice == pytest.approx(2.0 * first, rel=1e-6)
     assert 0.4 * first < higher < 0.6 * first
-    assert (np.asarray(found.trust) == Method.facet).all()
+    assert (np.asarray(found.method) == Method.facet).all()
 
 
 def test_samples_that_are_not_drawn_leave_no_figures(dem) -> None:
     shots, uv = batch()
     wide = ErrorModel((sources.Attitude.from_degrees(heading=3.0, pitch=3.0, roll=3.0),))
-    found = accuracy_of_each(sensor(), shots, uv, dem, wide, count=0)
-    sampled = np.asarray(found.trust) == Method.samples
+    found = accuracy(sensor(), shots, uv, dem, wide, in_axes=OF_SHOTS, sampling=None)
+    sampled = np.asarray(found.method) == Method.samples
     assert sampled.any()
     assert np.isnan(np.asarray(found.circular)[sampled]).all()
     assert np.isnan(np.asarray(found.cov_enu)[sampled]).all()
@@ -79,12 +82,12 @@ def test_mistakes() -> None:
     shots, uv = batch()
     ground = ConstantHeight(0.0)
     with pytest.raises(ValueError, match=r"one length, 1 or more; got shot 3, uv 2"):
-        accuracy_of_each(sensor(), shots, uv[:2], ground, MODEL)
+        accuracy(sensor(), shots, uv[:2], ground, MODEL, in_axes=OF_SHOTS)
     with pytest.raises(ValueError, match="in_axes must be 0 or None for each of sensor, shot, uv, terrain, errors"):
-        accuracy_of_each(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0, 0))
+        accuracy(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0))
     with pytest.raises(ValueError, match="terrain is a batch by in_axes, but holds a single number"):
-        accuracy_of_each(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0, 0, 0, None))
+        accuracy(sensor(), shots, uv, ground, MODEL, in_axes=(None, 0, 0, 0, None))
     with pytest.raises(ValueError, match="errors has no source"):
-        accuracy_of_each(sensor(), shots, uv, ground, ErrorModel(()))
+        accuracy(sensor(), shots, uv, ground, ErrorModel(()), in_axes=OF_SHOTS)
     with pytest.raises(ValueError, match="between 0 and 1"):
-        accuracy_of_each(sensor(), shots, uv, ground, MODEL, probability=1.0)
+        accuracy(sensor(), shots, uv, ground, MODEL, probability=1.0, in_axes=OF_SHOTS)

@@ -15,18 +15,15 @@ from jaxgeo.terrain.plumb import height_by_plumb_line
 from jaxgeo.uncertainty import (
     Footprint,
     Method,
+    Sampling,
     accuracy,
     accuracy_map,
-    accuracy_of_each,
-    accuracy_of_pixels,
-    assess,
     compare,
     propagate,
     sample,
     sources,
 )
-from jaxgeo.uncertainty.accuracy import reason
-from jaxgeo.uncertainty.method_selection import Diagnostics, method_of
+from jaxgeo.uncertainty.method_selection import Diagnostics, explain_method, select_method
 from tests.support.terrains import Bridge, Tin, Unknown, tin_along
 from tests.uncertainty.test_verdict import CASES, CENTRE, KEY, MODEL, SENSOR, SIZE, SPACING, UV, ground, shot_at
 
@@ -40,23 +37,23 @@ def tin(kind: str, like: type[Tin] = Tin) -> Tin:
 
 @jax.jit
 def told(shot, terrain):
-    return assess(SENSOR, shot, UV, terrain, MODEL)
+    return accuracy(SENSOR, shot, UV, terrain, MODEL, sampling=None)
 
 
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
 def test_the_method_fits_the_triangles(kind: str, rows_ahead: float, expected: Method) -> None:
     one = told(shot_at(rows_ahead), tin(kind))
-    assert Method(int(one.trust)) is expected, one.signs
-    assert float(one.signs.known) == 1.0
-    assert float(one.signs.off) < 1e-6  # m
+    assert Method(int(one.method)) is expected, one.diagnostics
+    assert float(one.diagnostics.known) == 1.0
+    assert float(one.diagnostics.off) < 1e-6  # m
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind, rows_ahead, expected", CASES)
 def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: float, expected: Method) -> None:
     scene = (SENSOR, shot_at(rows_ahead), UV, tin(kind), MODEL)
-    result = accuracy(*scene, key=KEY, count=4096)
-    assert result.trust is expected, str(result)
+    result = accuracy(*scene, sampling=Sampling(count=4096, key=KEY))
+    assert Method(int(result.method)) is expected, str(result)
     drawn = sample(*scene, key=jax.random.key(9), count=4096)
     for door, figure in (("circular_error", result.circular), ("linear_error", result.linear)):
         truth = getattr(drawn, door)(0.9)
@@ -71,18 +68,19 @@ def test_figures_over_triangles_are_those_of_samples(kind: str, rows_ahead: floa
 def test_every_door_tells_the_crest_of_triangles() -> None:
     kind, rows_ahead, expected = CASES[-1]
     terrain, shot = tin(kind), shot_at(rows_ahead)
-    alone = accuracy(SENSOR, shot, UV, terrain, MODEL, key=KEY, count=2048)
+    alone = accuracy(SENSOR, shot, UV, terrain, MODEL, sampling=Sampling(count=2048, key=KEY))
     shots = jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * 2), shot)
-    options = {"key": KEY, "count": 2048}
-    each = accuracy_of_each(SENSOR, shots, np.array([UV, UV]), terrain, MODEL, **options)
-    pixels = accuracy_of_pixels(SENSOR, shot, np.array([UV]), terrain, MODEL, **options)
+    options = {"sampling": Sampling(count=2048, key=KEY)}
+    axes = (None, 0, 0, None, None)
+    each = accuracy(SENSOR, shots, np.array([UV, UV]), terrain, MODEL, in_axes=axes, **options)
+    pixels = accuracy(SENSOR, shot, np.array([UV]), terrain, MODEL, **options)
     place = jax.tree.map(lambda x: jnp.asarray(x)[None], alone.fix.position)
     on_map = accuracy_map(SENSOR, shot, terrain, MODEL, place, **options)
     for found in (each, pixels, on_map):
-        assert set(np.asarray(found.trust).tolist()) == {expected.value}
+        assert set(np.asarray(found.method).tolist()) == {expected.value}
         np.testing.assert_allclose(found.circular, alone.circular, rtol=1e-6)
     np.testing.assert_allclose(on_map.position.height, alone.fix.position.height, rtol=0, atol=1e-6)
-    assert compare(SENSOR, shot, UV, terrain, MODEL, key=KEY, count=2048).jumped > 0.02
+    assert compare(SENSOR, shot, UV, terrain, MODEL, sampling=Sampling(count=2048, key=KEY)).jumped > 0.02
 
 
 @pytest.mark.slow
@@ -92,8 +90,8 @@ def test_every_door_tells_the_crest_of_triangles() -> None:
 )
 def test_ground_that_cannot_be_probed_is_sampled_and_the_reason_said(like: type[Tin], because: str) -> None:
     scene = (SENSOR, shot_at(0.0), UV, tin("plain", like), MODEL)
-    result = accuracy(*scene, key=KEY, count=1024)
-    assert result.trust is Method.samples
+    result = accuracy(*scene, sampling=Sampling(count=1024, key=KEY))
+    assert Method(int(result.method)) is Method.samples
     assert result.circular == pytest.approx(62.0, rel=0.1)
     assert because in result.because
     footprint = float(propagate(*scene, slope=Footprint()).circular_error(0.9))
@@ -133,10 +131,10 @@ REASONS = [
 def test_a_sign_that_is_not_good_or_not_known_asks_for_samples_and_says_so(
     change, expected: Method, words: str
 ) -> None:
-    signs = SURE._replace(**change)
-    trust = Method(int(method_of(jax.tree.map(jnp.asarray, signs))))
-    assert trust is expected
-    assert words in reason(signs, trust)
+    diagnostics = SURE._replace(**change)
+    method = Method(int(select_method(jax.tree.map(jnp.asarray, diagnostics))))
+    assert method is expected
+    assert words in explain_method(diagnostics, method)
 
 
 def test_a_plumb_line_finds_the_heights_of_any_terrain() -> None:
@@ -160,10 +158,10 @@ def test_an_earth_that_curves_away_is_no_plane() -> None:
     shot = Shot(Pose(camera, 0.0, math.radians(-2.1), 0.0))
     errors = (sources.Attitude.from_degrees(heading=0.02, pitch=0.3, roll=0.02),)
     scene = (SENSOR, shot, UV, ConstantHeight(0.0), errors)
-    result = accuracy(*scene, key=KEY, count=4096)
+    result = accuracy(*scene, sampling=Sampling(count=4096, key=KEY))
     drawn = sample(*scene, key=jax.random.key(9), count=4096)
     assert drawn.found < 0.9 * drawn.count
-    assert float(result.signs.grazing) > 0.015
-    assert result.trust is Method.samples, str(result)
+    assert float(result.diagnostics.grazing) > 0.015
+    assert Method(int(result.method)) is Method.samples, str(result)
     assert math.isinf(result.circular)
     assert "meet no known ground" in result.because

@@ -43,7 +43,7 @@ def rough(look):
     )
     jacobian = jnp.asarray(np.random.default_rng(0).normal(size=(3, model.size)))
     surface = Surface(jnp.array([0.1, -0.2, 1.0]), jnp.asarray(0.5), jnp.asarray(2.0), jnp.asarray(1.0))
-    direction = look.aim.direction_enu
+    direction = look.nominal.direction_enu
     along = direction / (surface.normal @ direction)
     cov_enu = jacobian @ model.covariance() @ jacobian.T + 4.0 * jnp.outer(along, along)
     after = (jacobian, model.covariance(), cov_enu, 0.5 * along, surface, model)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgeo.uncertainty import ErrorModel, propagate
+from jaxgeo.uncertainty import ErrorModel, Sampling, propagate
 from jaxgeo.uncertainty.budget import sigmas_of, with_sigmas
 from jaxgeo.uncertainty.design import InverseCost, Outcome, certified_design, design
 from tests.support import looks
@@ -144,7 +144,7 @@ def test_what_is_exact_today_stays_so_and_costs_nothing():
 @pytest.mark.slow
 def test_samples_certify_a_design(look, today):
     result = design(look, target=0.5 * today, cost=InverseCost(WEIGHTS))
-    certificate = result.certify(a_sensor(), a_shot(), UV, GROUND, key=jax.random.key(0), count=4096)
+    certificate = result.certify(a_sensor(), a_shot(), UV, GROUND, sampling=Sampling(count=4096, key=jax.random.key(0)))
     assert certificate.holds
     assert certificate.sampled.share == 1.0
     assert certificate.target == pytest.approx(0.5 * today)
@@ -158,8 +158,8 @@ def test_what_samples_show_is_designed_again(look, today):
     optimistic = eqx.tree_at(lambda p: p.jacobian, look, 0.75 * look.jacobian)
     options = {"target": 0.5 * today, "cost": InverseCost(WEIGHTS)}
     place, key = (a_sensor(), a_shot(), UV, GROUND), jax.random.key(0)
-    assert not design(optimistic, **options).certify(*place, key=key, count=4096).holds
-    result, certificate = certified_design(optimistic, *place, key=key, count=4096, **options)
+    assert not design(optimistic, **options).certify(*place, sampling=Sampling(count=4096, key=key)).holds
+    result, certificate = certified_design(optimistic, *place, sampling=Sampling(count=4096, key=key), **options)
     assert certificate.holds
     assert result.circular_error == pytest.approx(0.5 * today)
     assert result.ratio == pytest.approx(1.0 / 0.75, rel=0.05)

@@ -12,7 +12,7 @@ import scipy.stats.qmc
 from jax.extend.random import threefry_2x32
 
 from jaxgeo.uncertainty import sobol
-from jaxgeo.uncertainty.draws import OWN, AbstractDraws, Random, Sobol, _centred, normal_quantile, threefry
+from jaxgeo.uncertainty.draws import OWN, AbstractDraws, Random, Sobol, _centre, normal_quantile, threefry
 
 KEY = jax.random.key(7)
 DRAWS = [Random(), Sobol()]
@@ -83,7 +83,7 @@ def test_points_are_those_of_joe_and_kuo() -> None:
     size, count = 1024, 512
     directions = jnp.asarray(sobol.direction_numbers(size))
     number = np.arange(count, dtype=np.uint32)
-    point = jax.vmap(lambda n: sobol.mirrored(sobol.sobol_point(n, directions)))(number ^ number >> 1)
+    point = jax.vmap(lambda n: sobol.mirror(sobol.sobol_point(n, directions)))(number ^ number >> 1)
     expected = scipy.stats.qmc.Sobol(size, scramble=False, bits=32).random(count)
     np.testing.assert_array_equal(np.asarray(point) * 2.0**-32, expected)
 
@@ -103,9 +103,9 @@ def test_scrambling_is_nested() -> None:
     words = jax.random.bits(KEY, (4, 4000), jnp.uint32)
     other = words[0] ^ (jnp.uint32(1) << jnp.arange(4000, dtype=jnp.uint32) % 32) * (words[3] | 1)
     before = words[0] ^ other
-    after = sobol.scrambled(words[0], words[1], words[2]) ^ sobol.scrambled(other, words[1], words[2])
+    after = sobol.scramble(words[0], words[1], words[2]) ^ sobol.scramble(other, words[1], words[2])
     np.testing.assert_array_equal(before & -before, after & -after)
-    flipped = words[0] ^ sobol.scrambled(words[0], words[1], words[2])
+    flipped = words[0] ^ sobol.scramble(words[0], words[1], words[2])
     share = np.mean(np.asarray(flipped)[:, None] >> np.arange(32) & 1, axis=0)
     np.testing.assert_allclose(share, 0.5, atol=4.0 * 0.5 / np.sqrt(4000))
 
@@ -198,7 +198,7 @@ def test_ends_of_what_may_be_drawn_are_finite_and_true(centred: float, turn: flo
 def test_no_bits_give_an_end() -> None:
     """All zeros and all ones, compiled too: adding what keeps off the ends afterwards would be optimised away."""
     words = jnp.asarray([0, 2**32 - 1], jnp.uint32)
-    low, high = jax.jit(lambda words: normal_quantile(_centred(words, words)))(words)
+    low, high = jax.jit(lambda words: normal_quantile(_centre(words, words)))(words)
     assert -8.13 < low < -8.12
     assert low == -high
 

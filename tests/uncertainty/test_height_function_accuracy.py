@@ -13,6 +13,7 @@ from jaxgeo.uncertainty import (
     ErrorModel,
     Footprint,
     Method,
+    Sampling,
     accuracy,
     accuracy_map,
     compare,
@@ -58,8 +59,8 @@ def test_the_verdict_agrees_with_samples(scene: str) -> None:
     (seed, longest, slope), depression, sigma, expected = SCENES[scene]
     ground = terrain(hills(seed=seed, longest=longest, slope=slope))
     given = (SENSOR, shot(depression), UV, ground, model(sigma))
-    result = accuracy(*given, count=4096)
-    assert result.trust is expected, str(result)
+    result = accuracy(*given, sampling=Sampling(count=4096))
+    assert Method(int(result.method)) is expected, str(result)
     drawn = sample(*given, key=jax.random.key(9), count=4096)
     for door, figure in (("circular_error", result.circular), ("linear_error", result.linear)):
         truth = getattr(drawn, door)(0.9)
@@ -75,11 +76,11 @@ def test_a_plane_is_told_as_one_and_every_method_holds() -> None:
     ground = HeightFunction(inclined, -2000.0, 3000.0, lipschitz=0.11)
     given = (SENSOR, shot(30.0), UV, ground, model(0.05))
     result = accuracy(*given)
-    assert result.trust is Method.facet
+    assert Method(int(result.method)) is Method.facet
     assert "nearly planar" in result.because
     footprint = float(propagate(*given, slope=Footprint()).circular_error(0.9))
     assert footprint == pytest.approx(result.circular, rel=1e-3)
-    compared = compare(*given, key=jax.random.key(0), count=4096, digits=1)
+    compared = compare(*given, sampling=Sampling(count=4096, key=jax.random.key(0)), digits=1)
     assert {"linear, facet", "linear, footprint", "sigma points"} <= set(compared.valid), str(compared)
     assert compared.jumped == compared.failed == 0.0
 
@@ -90,7 +91,7 @@ def test_sure_level_ground_needs_no_samples() -> None:
     result = accuracy(
         SENSOR, shot(20.0), UV, ground, (sources.Attitude.from_degrees(heading=0.1, pitch=0.1, roll=0.1),)
     )
-    assert result.trust is Method.facet, str(result)
+    assert Method(int(result.method)) is Method.facet, str(result)
     assert result.linear < 0.01
 
 
@@ -99,7 +100,7 @@ def test_a_map_has_the_heights_of_the_function() -> None:
     lat, lon = LAT + np.array([4e-4, 5e-4, np.nan]), LON + np.array([1e-4, 2e-4, 0.0])
     places = Geodetic(lat=jnp.asarray(lat), lon=jnp.asarray(lon), height=jnp.zeros(3))
     wide = Pose.from_degrees(lat=47.001, lon=11.0, height=2300.0)
-    found = accuracy_map(TURNING, wide, ground, model(0.02), places, count=0)
+    found = accuracy_map(TURNING, wide, ground, model(0.02), places, sampling=None)
     heights = jax.vmap(ground.height_at)(jax.tree.map(lambda x: x[:2], places))
     np.testing.assert_allclose(found.position.height[:2], heights, rtol=0, atol=1e-9)
     assert np.asarray(found.has_fix).tolist() == [True, True, False]

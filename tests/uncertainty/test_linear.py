@@ -45,7 +45,7 @@ def test_jacobian_is_that_of_the_miss_itself(scene, whole, motion: str) -> None:
     look = ModelInputs.of(sensor, where, uv, dem, time=time, atmosphere=looks.AIR)
     step = looks.steps(model)
     errors = jnp.concatenate([jnp.diag(step), -jnp.diag(step)])
-    misses, statuses = _misses(look, result.aim, result.model, errors)
+    misses, statuses = _misses(look, result.nominal, result.model, errors)
     assert np.all(np.asarray(statuses) == 0)
     differences = np.asarray(misses[: model.size] - misses[model.size :]).T / (2.0 * np.asarray(step))
     moved_per_sigma = np.sqrt(np.diagonal(np.asarray(result.cov_error)))
@@ -76,7 +76,7 @@ def test_gauss_helmert_on_a_facet(scene) -> None:
 
 @pytest.mark.slow
 def test_covariance_is_the_same_in_ecef(whole) -> None:
-    R = np.asarray(whole.aim.R_ecef_from_enu)
+    R = np.asarray(whole.nominal.R_ecef_from_enu)
     np.testing.assert_allclose(np.trace(whole.cov_ecef), np.trace(whole.cov_enu), rtol=1e-12)
     np.testing.assert_allclose(R.T @ whole.cov_ecef @ R, whole.cov_enu, atol=1e-9)
 

@@ -15,9 +15,9 @@ import pytest
 
 import jaxgeo
 from jaxgeo import ConstantHeight, FirstHit, Pose, Shot, Status
-from jaxgeo.uncertainty import ErrorModel, Random, Sobol, compare, propagate, sample, sources
+from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, compare, propagate, sample, sources
 from jaxgeo.uncertainty.batched_rays import with_beam
-from jaxgeo.uncertainty.chunks import planned
+from jaxgeo.uncertainty.chunks import make_plan
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from tests.support import looks
 
@@ -49,7 +49,7 @@ def test_the_same_key_gives_the_same_samples_whatever_the_chunk(drawn, chunk: in
 
 def test_a_plan_holds_the_terrain_itself_not_a_copy() -> None:
     look = ModelInputs.of(*SCENE[:4])
-    plan = planned(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
+    plan = make_plan(look, look.nominal_fix(FirstHit()), MODEL, Random(), FirstHit(), KEY)
     assert plan.look is look
 
 
@@ -180,6 +180,7 @@ def test_sobol_points_in_any_chunks() -> None:
         ({"figures": ("CEP",)}, "figures are CE, LE, SE"),
         ({"confidence": 1.0}, "confidence"),
         ({"half_width": -0.1}, "half_width"),
+        ({"half_width": 0.1, "figures": ()}, "half_width is that of the first"),
         ({"devices": []}, "devices must be some of"),
         ({"devices": "cpu"}, "devices must be some of"),
         ({"key": 3}, "key must be one of"),
@@ -241,7 +242,7 @@ def test_another_search_gives_the_same_where_the_crossing_is_one() -> None:
 def test_a_comparison_with_another_search_says_the_same_where_the_crossing_is_one() -> None:
     scene = (looks.sensor(), looks.shot(), looks.UV, looks.dem(), looks.few_sources())
     first, other = (
-        compare(*scene, key=KEY, count=2000, chunk=2000, search=search)
+        compare(*scene, sampling=Sampling(count=2000, key=KEY, chunk=2000), search=search)
         for search in (jaxgeo.FirstHit(), jaxgeo.Bisection())
     )
     for name, linear in first.propagations.items():

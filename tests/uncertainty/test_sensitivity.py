@@ -11,15 +11,15 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from jaxgeo.locate import FIRST_HIT
-from jaxgeo.uncertainty import ErrorModel, Random, Sobol, propagate
+from jaxgeo.uncertainty import ErrorModel, Random, Sampling, Sobol, propagate
 from jaxgeo.uncertainty.budget import budget, sigmas_of, with_sigmas
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.sensitivity import (
     COMPONENTS,
-    evaluated,
+    evaluate,
     groups_of,
-    misses_of,
-    planned,
+    make_plan,
+    offsets_of,
     sobol_estimate,
     sobol_indices,
 )
@@ -41,9 +41,8 @@ def some_errors(scale: float = 1.0) -> ErrorModel:
 
 
 def indices_at(outer: float, scale: float, **options):
-    return sobol_indices(
-        a_sensor(), a_shot(outer), UV, GROUND, some_errors(scale), key=jax.random.key(3), count=ROWS, **options
-    )
+    sampling = Sampling(count=ROWS, key=jax.random.key(3))
+    return sobol_indices(a_sensor(), a_shot(outer), UV, GROUND, some_errors(scale), sampling=sampling, **options)
 
 
 def ishigami(normals: np.ndarray) -> np.ndarray:
@@ -121,7 +120,7 @@ def test_a_look_gives_the_indices_of_another_program():
     draw = pytest.importorskip("SALib.sample.sobol").sample
     indices = indices_at(76.0, 4.0)  # so far off, and with such errors, that sources act together
     look = ModelInputs.of(a_sensor(), a_shot(76.0), UV, GROUND)
-    plan = planned(look, look.nominal_fix(FIRST_HIT), some_errors(4.0))
+    plan = make_plan(look, look.nominal_fix(FIRST_HIT), some_errors(4.0))
     names, members = groups_of(plan.model, False)
     groups = [names[int(np.argmax(members[:, axis]))] for axis in range(plan.model.size)]
     problem = {
@@ -131,7 +130,7 @@ def test_a_look_gives_the_indices_of_another_program():
         "bounds": [[0.0, 1.0]] * plan.model.size,
     }
     normals = ndtri(np.clip(draw(problem, ROWS, calc_second_order=False, seed=5), 1e-12, 1.0 - 1e-12))
-    parts = [misses_of(plan, jnp.asarray(part), FIRST_HIT) for part in normals.reshape(-1, ROWS, plan.model.size)]
+    parts = [offsets_of(plan, jnp.asarray(part), FIRST_HIT) for part in normals.reshape(-1, ROWS, plan.model.size)]
     assert all(np.all(found) for _, found in parts)
     misses = np.concatenate([np.asarray(miss) for miss, _ in parts])
     for component, values in zip(COMPONENTS, misses.T, strict=False):
@@ -157,7 +156,7 @@ def test_rows_do_not_hang_on_the_size_of_chunks():
         return z[:, :3] + z[:, 3:], z[:, 0] < 1.0
 
     members = np.eye(6, dtype=bool)[:2]
-    whole, parts = (evaluated(push, Random(), jax.random.key(0), members, 50, size) for size in (50, 20))
+    whole, parts = (evaluate(push, Random(), jax.random.key(0), members, 50, size) for size in (50, 20))
     for one, other in zip(whole, parts, strict=True):
         np.testing.assert_array_equal(one, other)
     misses, _ = whole
@@ -176,18 +175,20 @@ def test_table_and_dict_name_every_group():
 @pytest.mark.parametrize(
     "options, words",
     [
-        ({"count": 1}, "at least 2"),
+        ({"count": 1}, "count must be a whole number of samples, 2 or more"),
         ({"count": 500}, "multiple of the 16"),
-        ({"chunk": 0}, "at least 1"),
+        ({"chunk": 0}, "1 or more"),
         ({"resamples": 1}, "at least 2"),
         ({"confidence": 95.0}, "0.95"),
         ({"draws": Sobol(scrambles=4)}, "16 scrambles or more"),
+        ({"half_width": 0.1}, "half_width and devices are options of sample"),
     ],
 )
 def test_mistakes_are_named(options, words):
-    given = {"count": ROWS, "key": jax.random.key(0), **options}
+    own = {name: options.pop(name) for name in ("resamples", "confidence") if name in options}
+    sampling = Sampling(**{"count": ROWS, **options})
     with pytest.raises(ValueError, match=words):
-        sobol_indices(a_sensor(), a_shot(), UV, GROUND, some_errors(), **given)
+        sobol_indices(a_sensor(), a_shot(), UV, GROUND, some_errors(), sampling=sampling, **own)
 
 
 def test_names_that_are_none_are_refused():

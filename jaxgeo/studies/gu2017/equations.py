@@ -223,7 +223,7 @@ def eq3(of: Inputs) -> Claim:
     height = sources.TerrainHeight.from_metres(TERRAIN)
     model = ErrorModel((*of.errors.sources, height))
     found = propagate(of.sensor, of.shot, tuple(of.uv[k]), ConstantHeight(GROUND), model)
-    R = np.asarray(found.aim.R_ecef_from_enu)
+    R = np.asarray(found.nominal.R_ecef_from_enu)
     ours = R @ np.asarray(found.cov_enu) @ R.T
     upper = np.triu_indices(3)
     return Claim(

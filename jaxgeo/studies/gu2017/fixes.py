@@ -140,7 +140,7 @@ def _fixed(
 
     def one(pixel: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         found = propagate(sensor, shot, pixel, terrain, model)
-        return jnp.asarray(found.fix.ecef), found.cov_enu[:2, :2], found.aim.R_ecef_from_enu
+        return jnp.asarray(found.fix.ecef), found.cov_enu[:2, :2], found.nominal.R_ecef_from_enu
 
     return jax.vmap(one)(uv)
 

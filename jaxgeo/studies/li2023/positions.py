@@ -22,7 +22,7 @@ from jaxgeo.studies.li2023 import printed
 from jaxgeo.studies.li2023.targets import metres_per_radian
 from jaxgeo.studies.scenes import fractal_posts, tangent_dem
 from jaxgeo.terrain import AbstractTerrain, Dem
-from jaxgeo.uncertainty import Facet, Footprint, accuracy, presets, propagate, sample
+from jaxgeo.uncertainty import Facet, Footprint, Sampling, accuracy, presets, propagate, sample
 from jaxgeo.uncertainty.metrics import circular_error, circular_probability
 from jaxgeo.uncertainty.model_inputs import ModelInputs
 from jaxgeo.uncertainty.slopes import AbstractSlope
@@ -146,8 +146,9 @@ def _at(
     rows.append(_linear(what, "linear, footprint", shot, dem, Footprint(), place))
     rows.append(_drawn(what, shot, dem, samples, key, place))
     model = presets.li_2023(terrain_height=printed.DEM_SIGMA)
-    found = accuracy(printed.sensor(), shot, printed.UV, dem, model, key=jax.random.fold_in(key, 1), count=samples)
-    judged.append(Judged(*what, place, found.trust.words, found.circular, rows[-1].ce90))
+    sampling = Sampling(count=samples, key=jax.random.fold_in(key, 1))
+    found = accuracy(printed.sensor(), shot, printed.UV, dem, model, sampling=sampling)
+    judged.append(Judged(*what, place, str(found.words), float(found.circular), rows[-1].ce90))
 
 
 def terrain_seed(seed: int, place: int) -> int:

@@ -53,7 +53,7 @@ def rms_on_slope(level: Propagation, slope_en: np.ndarray) -> np.ndarray:
     Each error moves the point along the line of sight from the level plane to the tilted one; the last axis of the
     error vector, the ground height, also raises the plane.
     """
-    jacobian, direction = np.asarray(level.jacobian), np.asarray(level.aim.direction_enu)
+    jacobian, direction = np.asarray(level.jacobian), np.asarray(level.nominal.direction_enu)
     normal = np.append(-slope_en, 1.0)
     raised = np.zeros(jacobian.shape[1])
     raised[-1] = 1.0
@@ -62,7 +62,7 @@ def rms_on_slope(level: Propagation, slope_en: np.ndarray) -> np.ndarray:
 
 
 def _tilt(name: str, level: Propagation, wanted: np.ndarray) -> Tilt:
-    ahead = np.asarray(level.aim.direction_enu)[:2]
+    ahead = np.asarray(level.nominal.direction_enu)[:2]
     ahead = ahead / np.linalg.norm(ahead)
     axes = np.stack([ahead, [-ahead[1], ahead[0]]])
     slopes = _best(lambda slopes: float(np.sum(np.log(rms_on_slope(level, slopes @ axes) / wanted) ** 2)))

@@ -67,7 +67,7 @@ def _unit_radius(frame: Frame, cov: Numbers, mean: Numbers, probability: Scalar)
         _, _, _, step, count = state
         return (jnp.abs(step) > CLOSE) & (count < MOST_STEPS)
 
-    def narrowed(state: tuple[Scalar, Scalar, Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
+    def narrow(state: tuple[Scalar, Scalar, Scalar, Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
         low, high, x, _, count = state
         value, slope = value_and_slope(excess, x)
         low, high = jnp.where(value < 0.0, x, low), jnp.where(value < 0.0, high, x)
@@ -79,7 +79,7 @@ def _unit_radius(frame: Frame, cov: Numbers, mean: Numbers, probability: Scalar)
     low, high = jnp.log(low), jnp.log(high)
     start = jnp.clip(jnp.log(_guess(cov, mean, probability)), low, high)
     state = (low, high, start, jnp.ones_like(low), jnp.zeros_like(low))
-    return jnp.exp(jax.lax.while_loop(is_open, narrowed, state)[2])
+    return jnp.exp(jax.lax.while_loop(is_open, narrow, state)[2])
 
 
 @_unit_radius.defjvp

@@ -14,10 +14,10 @@ from jaxgeo._typing import Numbers
 from jaxgeo.uncertainty.metrics._radius import HIGHEST, ROUNDING, chance_within, radius_of
 
 
-def _for_crowds(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callable[..., Numbers]:
+def _over_batches(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callable[..., Numbers]:
     """Broadcasting version of a function of a covariance, a number and a bias; compiled once per shape."""
 
-    def crowd(cov: Numbers, number: Numbers, bias: Numbers) -> Numbers:
+    def batch_of(cov: Numbers, number: Numbers, bias: Numbers) -> Numbers:
         d = bias.shape[-1]
         batch = jnp.broadcast_shapes(cov.shape[:-2], number.shape, bias.shape[:-1])
         flat = (
@@ -27,11 +27,11 @@ def _for_crowds(item: Callable[[Numbers, Numbers, Numbers], Numbers]) -> Callabl
         )
         return jax.vmap(item)(*flat).reshape(batch)
 
-    return jax.jit(crowd)
+    return jax.jit(batch_of)
 
 
-_radii = _for_crowds(radius_of)
-_chances = _for_crowds(chance_within)
+_radii = _over_batches(radius_of)
+_chances = _over_batches(chance_within)
 
 
 def circular_error(cov: Any, probability: Any, bias: Any = None) -> Numbers:

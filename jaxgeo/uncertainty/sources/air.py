@@ -26,14 +26,14 @@ class Refraction(AbstractSource):
         """From standard deviations in K and Pa."""
         return cls(sigmas(temperature, pressure), **options)
 
-    def check(self, look: ModelInputs) -> None:
-        if look.air is None:
+    def check(self, inputs: ModelInputs) -> None:
+        if inputs.air is None:
             raise ValueError(
                 "A Refraction source needs the air whose temperature and pressure err: pass atmosphere=Atmosphere()."
             )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        air = look.air
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        air = inputs.air
         assert air is not None
         after = (air.temperature_offset + error[0], air.sea_level_pressure + error[1])
-        return eqx.tree_at(lambda look: (look.air.temperature_offset, look.air.sea_level_pressure), look, after)
+        return eqx.tree_at(lambda inputs: (inputs.air.temperature_offset, inputs.air.sea_level_pressure), inputs, after)

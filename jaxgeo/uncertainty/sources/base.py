@@ -58,9 +58,9 @@ class AbstractSource(Record):
         """Names of the entries of `sigma`."""
         return self.axes
 
-    def at(self: SourceT, look: ModelInputs, aim: NominalFix) -> SourceT:
+    def at(self: SourceT, inputs: ModelInputs, nominal: NominalFix) -> SourceT:
         """The source evaluated at an observation; only sources that vary over the ground change."""
-        del look, aim
+        del inputs, nominal
         return self
 
     def covariance(self) -> Covariance:
@@ -75,12 +75,12 @@ class AbstractSource(Record):
         return self.sharing.correlation(*when) * self.covariance()
 
     @abstractmethod
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         """The observation perturbed by an error."""
 
-    def check(self, look: ModelInputs) -> None:
+    def check(self, inputs: ModelInputs) -> None:
         """Raise `ValueError` if the source cannot act on an observation, `TypeError` if it does not apply to it."""
-        del look
+        del inputs
 
     def check_numbers(self) -> None:
         """Raise `ValueError` for a sigma that is negative or not finite, or an invalid correlation."""

@@ -43,13 +43,13 @@ class Correlated(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return tuple(f"{part.label}: {axis}" for part in self.parts for axis in part.axes)
 
-    def check(self, look: ModelInputs) -> None:
+    def check(self, inputs: ModelInputs) -> None:
         for part in self.parts:
-            part.check(look)
+            part.check(inputs)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         first = 0
         for part in self.parts:
-            look = part.moved(look, error[first : first + len(part.axes)])
+            inputs = part.moved(inputs, error[first : first + len(part.axes)])
             first += len(part.axes)
-        return look
+        return inputs

@@ -42,8 +42,8 @@ class _OfGimbalAxes(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.gimbal_axes
 
-    def check(self, look: ModelInputs) -> None:
-        names = look.sensor.gimbal.names
+    def check(self, inputs: ModelInputs) -> None:
+        names = inputs.sensor.gimbal.names
         if tuple(self.gimbal_axes) != tuple(names):
             raise ValueError(
                 f"{type(self).__name__} is for the axes {', '.join(self.gimbal_axes) or 'none'}, but this gimbal has "
@@ -59,10 +59,10 @@ class GimbalAngles(_OfGimbalAxes):
     sharing: AbstractSharing = PerImage()
     gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        readings = jnp.asarray(look.motion.gimbal_readings)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        readings = jnp.asarray(inputs.motion.gimbal_readings)
         readings = readings + (error if readings.ndim == 1 else error[None, :])
-        return eqx.tree_at(lambda look: look.motion.gimbal_readings, look, readings)
+        return eqx.tree_at(lambda inputs: inputs.motion.gimbal_readings, inputs, readings)
 
 
 class GimbalMounting(_OfGimbalAxes):
@@ -73,7 +73,7 @@ class GimbalMounting(_OfGimbalAxes):
     sharing: AbstractSharing = PerFlight()
     gimbal_axes: tuple[str, ...] = eqx.field(static=True, default=("outer", "inner"))
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        gimbal = look.sensor.gimbal
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        gimbal = inputs.sensor.gimbal
         offset = jnp.asarray(gimbal.offset) - error / (jnp.asarray(gimbal.sign) * jnp.asarray(gimbal.gain))
-        return eqx.tree_at(lambda look: look.sensor.gimbal.offset, look, offset)
+        return eqx.tree_at(lambda inputs: inputs.sensor.gimbal.offset, inputs, offset)

@@ -34,8 +34,8 @@ class TerrainHeight(AbstractSource):
         """From a standard deviation in m."""
         return cls(sigmas(height), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        return _raised(look, error[0])
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        return _raised(inputs, error[0])
 
 
 class Geoid(AbstractSource):
@@ -56,12 +56,12 @@ class Geoid(AbstractSource):
         """From a standard deviation in m."""
         return cls(sigmas(undulation), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        look = _raised(look, error[0])
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        inputs = _raised(inputs, error[0])
         if not self.platform:
-            return look
-        height = look.pose.position.height + error[0]
-        return look.with_pose(eqx.tree_at(lambda pose: pose.position.height, look.pose, height))
+            return inputs
+        height = inputs.pose.position.height + error[0]
+        return inputs.with_pose(eqx.tree_at(lambda pose: pose.position.height, inputs.pose, height))
 
 
 class TerrainField(AbstractSource):
@@ -126,17 +126,17 @@ class TerrainField(AbstractSource):
         gaussian = len(self.gaussian_lengths)
         return tuple(f"{'gaussian' if k < gaussian else 'spherical'} {k}" for k in range(len(self.sigma)))
 
-    def at(self, look: ModelInputs, aim: NominalFix) -> TerrainField:
-        east, north = aim.direction_enu[0], aim.direction_enu[1]
+    def at(self, inputs: ModelInputs, nominal: NominalFix) -> TerrainField:
+        east, north = nominal.direction_enu[0], nominal.direction_enu[1]
         level = jnp.sqrt(east**2 + north**2)
         plumb = level < 1e-9
         ahead = jnp.stack([jnp.where(plumb, 1.0, east), jnp.where(plumb, 0.0, north), jnp.zeros_like(east)])
         spacing = jnp.min(jnp.concatenate([self.gaussian_lengths, self.spherical_lengths])) / NODES_A_RANGE
-        way = spacing * (aim.R_ecef_from_enu @ (ahead / jnp.where(plumb, 1.0, level)))
+        way = spacing * (nominal.R_ecef_from_enu @ (ahead / jnp.where(plumb, 1.0, level)))
         numbers = (jnp.arange(self.nodes) - self.nodes // 2).astype(jnp.float64)
-        place = aim.p_ecef[None, :] + numbers[:, None] * way[None, :]
-        assert isinstance(look.terrain, Dem)
-        middle, following = look.terrain.over(aim.p_ecef)[0], look.terrain.over(aim.p_ecef + way)[0]
+        place = nominal.p_ecef[None, :] + numbers[:, None] * way[None, :]
+        assert isinstance(inputs.terrain, Dem)
+        middle, following = inputs.terrain.over(nominal.p_ecef)[0], inputs.terrain.over(nominal.p_ecef + way)[0]
         step = following - middle
         after = (place, middle + numbers[0] * step, step)
         return eqx.tree_at(lambda source: (source.place, source.rowcol, source.step), self, after)
@@ -147,17 +147,17 @@ class TerrainField(AbstractSource):
     def cross_covariance(self, there: Any, when: tuple[Occasion, Occasion]) -> Covariance:
         return self.sharing.correlation(*when) * self.variance_at(_distances(self.place, there.place))
 
-    def check(self, look: ModelInputs) -> None:
-        if not isinstance(look.terrain, Dem):
+    def check(self, inputs: ModelInputs) -> None:
+        if not isinstance(inputs.terrain, Dem):
             raise ValueError(
-                f"A TerrainField is one of the posts of a Dem; this terrain is a {type(look.terrain).__name__}. Use "
+                f"A TerrainField is one of the posts of a Dem; this terrain is a {type(inputs.terrain).__name__}. Use "
                 "TerrainHeight for a height that errs everywhere alike."
             )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        assert isinstance(look.terrain, Dem)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        assert isinstance(inputs.terrain, Dem)
         field = LineField(error, self.rowcol, self.step)
-        return eqx.tree_at(lambda look: look.terrain, look, look.terrain.with_field(field))
+        return eqx.tree_at(lambda inputs: inputs.terrain, inputs, inputs.terrain.with_field(field))
 
     def variance_at(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
         """Covariance in m2 of the height errors at two points `distance` m apart."""
@@ -171,9 +171,9 @@ class TerrainField(AbstractSource):
         return total
 
 
-def _raised(look: ModelInputs, height: Scalar) -> ModelInputs:
-    terrain: Any = look.terrain
-    return eqx.tree_at(lambda look: look.terrain, look, terrain.with_field(ConstantField(height)))
+def _raised(inputs: ModelInputs, height: Scalar) -> ModelInputs:
+    terrain: Any = inputs.terrain
+    return eqx.tree_at(lambda inputs: inputs.terrain, inputs, terrain.with_field(ConstantField(height)))
 
 
 def _distances(here: Float[Array, "n 3"], there: Float[Array, "m 3"]) -> Float[Array, "n m"]:

@@ -28,10 +28,10 @@ class PixelMeasurement(AbstractSource):
         """From standard deviations in px."""
         return cls(sigmas(column, row), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        if look.uv is None:  # of an exposure as a whole no pixel is measured
-            return look
-        return eqx.tree_at(lambda look: look.uv, look, look.uv + error)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        if inputs.uv is None:  # of an exposure as a whole no pixel is measured
+            return inputs
+        return eqx.tree_at(lambda inputs: inputs.uv, inputs, inputs.uv + error)
 
 
 class InteriorOrientation(AbstractSource):
@@ -50,19 +50,19 @@ class InteriorOrientation(AbstractSource):
         """From standard deviations in px."""
         return cls(sigmas(focal, principal_column, principal_row), **options)
 
-    def check(self, look: ModelInputs) -> None:
-        optics_of(look.sensor.camera)
+    def check(self, inputs: ModelInputs) -> None:
+        optics_of(inputs.sensor.camera)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        optics = optics_of(look.sensor.camera)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        optics = optics_of(inputs.sensor.camera)
         focal = jnp.asarray(optics.focal_px)
         after = (focal * (1.0 + error[0] / focal[0]), jnp.asarray(optics.principal_px) + error[1:])
 
-        def where(look: ModelInputs) -> tuple[Any, Any]:
-            optics = optics_of(look.sensor.camera)
+        def where(inputs: ModelInputs) -> tuple[Any, Any]:
+            optics = optics_of(inputs.sensor.camera)
             return optics.focal_px, optics.principal_px
 
-        return eqx.tree_at(where, look, after)
+        return eqx.tree_at(where, inputs, after)
 
 
 class Distortion(AbstractSource):
@@ -84,8 +84,8 @@ class Distortion(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.coefficients
 
-    def check(self, look: ModelInputs) -> None:
-        distortion = optics_of(look.sensor.camera).distortion
+    def check(self, inputs: ModelInputs) -> None:
+        distortion = optics_of(inputs.sensor.camera).distortion
         missing = [name for name in self.coefficients if name not in distortion.names]
         if missing:
             raise ValueError(
@@ -93,12 +93,12 @@ class Distortion(AbstractSource):
                 "BrownConrady lens, of zeros if need be."
             )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        lens = optics_of(look.sensor.camera).distortion
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        lens = optics_of(inputs.sensor.camera).distortion
         by_name = dict(zip(self.coefficients, error, strict=True))
         change = jnp.stack([by_name.get(name, jnp.zeros(())) for name in lens.names])
         changed = lens.with_coefficients(lens.coefficients() + change)
-        return eqx.tree_at(lambda look: optics_of(look.sensor.camera).distortion, look, changed)
+        return eqx.tree_at(lambda inputs: optics_of(inputs.sensor.camera).distortion, inputs, changed)
 
 
 def optics_of(camera: AbstractCamera) -> FrameCamera:

@@ -34,11 +34,11 @@ class Attitude(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(heading, pitch, roll, degrees=True), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        pose = look.pose
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        pose = inputs.pose
         heading, pitch, roll = error
         heading, pitch, roll = pose.heading + heading, pose.pitch + pitch, pose.roll + roll
-        return look.with_pose(Pose(pose.position, heading, pitch, roll, pose.deflection))
+        return inputs.with_pose(Pose(pose.position, heading, pitch, roll, pose.deflection))
 
 
 class Position(AbstractSource):
@@ -60,14 +60,14 @@ class Position(AbstractSource):
     def axes(self) -> tuple[str, ...]:
         return self.names if self.frame == "ned" else ("x", "y", "z")
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         def shifted(position: Geodetic) -> Geodetic:
             shift = matvec(R_ecef_from_ned(position), error) if self.frame == "ned" else error
             return WGS84.to_geodetic(WGS84.to_ecef(position) + shift)
 
-        pose = look.pose
-        move = shifted if isinstance(look.motion, Shot) else jax.vmap(shifted)
-        return look.with_pose(Pose(move(pose.position), pose.heading, pose.pitch, pose.roll, pose.deflection))
+        pose = inputs.pose
+        move = shifted if isinstance(inputs.motion, Shot) else jax.vmap(shifted)
+        return inputs.with_pose(Pose(move(pose.position), pose.heading, pose.pitch, pose.roll, pose.deflection))
 
 
 class Velocity(AbstractSource):
@@ -85,8 +85,8 @@ class Velocity(AbstractSource):
         """From standard deviations in m/s."""
         return cls(sigmas(north, east, down), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        return Position(self.sigma).moved(look, error * self.latency)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        return Position(self.sigma).moved(inputs, error * self.latency)
 
 
 class TimeTag(AbstractSource):
@@ -120,18 +120,18 @@ class TimeTag(AbstractSource):
         velocity, turning, moving = (None if rate is None else jnp.asarray(rate, float) for rate in rates)
         return cls(sigmas(time), velocity_ned=velocity, body_rates=turning, gimbal_rates=moving, **options)
 
-    def check(self, look: ModelInputs) -> None:
-        if isinstance(look.motion, Shot) and self.velocity_ned is None:
+    def check(self, inputs: ModelInputs) -> None:
+        if isinstance(inputs.motion, Shot) and self.velocity_ned is None:
             raise ValueError(
                 "A TimeTag needs to know how a single shot moves: give it velocity_ned in m/s (and body_rates, "
                 "gimbal_rates in rad/s), or a Trajectory in place of the shot."
             )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         later = error[0]
-        if not isinstance(look.motion, Shot):
-            return eqx.tree_at(lambda look: look.time, look, look.time + later)
-        shot, pose = look.motion, look.motion.pose
+        if not isinstance(inputs.motion, Shot):
+            return eqx.tree_at(lambda inputs: inputs.time, inputs, inputs.time + later)
+        shot, pose = inputs.motion, inputs.motion.pose
         velocity: Vector3 = jnp.zeros(3) if self.velocity_ned is None else jnp.asarray(self.velocity_ned)
         way = matvec(R_ecef_from_ned(pose.position), later * velocity)
         position = WGS84.to_geodetic(WGS84.to_ecef(pose.position) + way)
@@ -143,7 +143,7 @@ class TimeTag(AbstractSource):
         readings = jnp.asarray(shot.gimbal_readings)
         if self.gimbal_rates is not None:
             readings = readings + later * jnp.asarray(self.gimbal_rates)
-        return eqx.tree_at(lambda look: look.motion, look, Shot(pose, readings, shot.time))
+        return eqx.tree_at(lambda inputs: inputs.motion, inputs, Shot(pose, readings, shot.time))
 
 
 class Boresight(AbstractSource):
@@ -162,17 +162,17 @@ class Boresight(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(heading, pitch, roll, degrees=True), **options)
 
-    def check(self, look: ModelInputs) -> None:
-        if look.sensor.gimbal.reference == "level":
+    def check(self, inputs: ModelInputs) -> None:
+        if inputs.sensor.gimbal.reference == "level":
             raise ValueError(
                 "A gimbal that reports in local level has no boresight against the body: its angles are against the "
                 "horizon. Use CameraMounting for the camera in the head, or GimbalMounting for the axes."
             )
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
         turn = R_from_heading_pitch_roll(*error)
-        R = matmul3(turn, jnp.asarray(look.sensor.mount.R_body_from_base))
-        return eqx.tree_at(lambda look: look.sensor.mount.R_body_from_base, look, R)
+        R = matmul3(turn, jnp.asarray(inputs.sensor.mount.R_body_from_base))
+        return eqx.tree_at(lambda inputs: inputs.sensor.mount.R_body_from_base, inputs, R)
 
 
 class CameraMounting(AbstractSource):
@@ -189,9 +189,9 @@ class CameraMounting(AbstractSource):
         """From standard deviations in deg."""
         return cls(sigmas(forward, right, down, degrees=True), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        R = matmul3(R_from_rotation_vector(error), jnp.asarray(look.sensor.mount.R_head_from_camera))
-        return eqx.tree_at(lambda look: look.sensor.mount.R_head_from_camera, look, R)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        R = matmul3(R_from_rotation_vector(error), jnp.asarray(inputs.sensor.mount.R_head_from_camera))
+        return eqx.tree_at(lambda inputs: inputs.sensor.mount.R_head_from_camera, inputs, R)
 
 
 class LeverArm(AbstractSource):
@@ -208,6 +208,6 @@ class LeverArm(AbstractSource):
         """From standard deviations in m."""
         return cls(sigmas(forward, right, down), **options)
 
-    def moved(self, look: ModelInputs, error: Error) -> ModelInputs:
-        lever = jnp.asarray(look.sensor.mount.lever_body) + error
-        return eqx.tree_at(lambda look: look.sensor.mount.lever_body, look, lever)
+    def moved(self, inputs: ModelInputs, error: Error) -> ModelInputs:
+        lever = jnp.asarray(inputs.sensor.mount.lever_body) + error
+        return eqx.tree_at(lambda inputs: inputs.sensor.mount.lever_body, inputs, lever)

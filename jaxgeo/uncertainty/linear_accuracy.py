@@ -1,0 +1,46 @@
+"""Accuracy of fixes by the selected linear propagation, without samples; unchecked functions for `jit` and `vmap`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxgeo._typing import IndexField, Matrix3Field, Numbers, Scalar, Vector3Field
+from jaxgeo.status import counts_as_fix
+from jaxgeo.uncertainty.method_selection import NO_FIX, Diagnostics, Method, diagnose, select_method
+from jaxgeo.uncertainty.metrics import circular_error, linear_error, spherical_error
+from jaxgeo.uncertainty.model import ErrorModel
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix
+
+
+class LinearAccuracy(NamedTuple):
+    """Selected method at a fix, with the covariance in m2 and bias in m (east, north, up) of linear propagation."""
+
+    method: IndexField
+    cov_enu: Matrix3Field
+    bias_enu: Vector3Field
+    diagnostics: Diagnostics
+
+
+def assess_fix(inputs: ModelInputs, nominal: NominalFix, model: ErrorModel) -> LinearAccuracy:
+    """Method selected by the diagnostics of an observation."""
+    diagnostics, facet, footprint, _ = diagnose(inputs, nominal, model)
+    method = select_method(diagnostics)
+    either = lambda a, b: jnp.where(method == Method.footprint, b, a)  # noqa: E731
+    cov, bias = either(facet.cov_enu, footprint.cov_enu), either(facet.bias_enu, footprint.bias_enu)
+    method = jnp.where(counts_as_fix(jnp.asarray(nominal.fix.status)), method, NO_FIX)
+    return LinearAccuracy(method, cov, bias, diagnostics)
+
+
+def linear_radii(one: LinearAccuracy, probability: Scalar) -> tuple[Numbers, Numbers, Numbers]:
+    """Circular, linear and spherical error of one or many fixes; NaN where linear propagation is not valid."""
+    is_linear = (one.method == Method.facet) | (one.method == Method.footprint)
+    cov, bias = one.cov_enu, one.bias_enu
+    radii = (
+        circular_error(cov[..., :2, :2], probability, bias[..., :2]),
+        linear_error(cov[..., 2, 2], probability, bias[..., 2]),
+        spherical_error(cov, probability, bias),
+    )
+    circular, linear, spherical = (jnp.where(is_linear, radius, jnp.nan) for radius in radii)
+    return circular, linear, spherical

@@ -1,0 +1,153 @@
+"""Accuracy of the fixes of many exposures, in blocks of bounded memory."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgeo._checks import as_array, as_float64, is_known
+from jaxgeo._typing import Numbers, Scalar
+from jaxgeo.terrain import AbstractSearch
+from jaxgeo.uncertainty.accuracy_record import Accuracy, batch_of
+from jaxgeo.uncertainty.host_arrays import blocks_of, concatenate, take
+from jaxgeo.uncertainty.linear_accuracy import LinearAccuracy, assess_fix, linear_radii
+from jaxgeo.uncertainty.map_cells import Request
+from jaxgeo.uncertainty.method_selection import Method
+from jaxgeo.uncertainty.model import ErrorModel, checked_model
+from jaxgeo.uncertainty.model_inputs import ModelInputs, NominalFix, of_arrays
+from jaxgeo.uncertainty.sampled import sample_where_needed
+
+FEW = 16  # block size for few fixes; only the sizes 1, 16 and `block` are compiled, once each
+NAMES = ("sensor", "shot", "uv", "terrain", "errors", "time", "atmosphere")
+OWN_AXES = 5  # of which in_axes tells; times and atmospheres are batches by their shape
+
+Axes = tuple[int | None, ...]
+Assessed = tuple[NominalFix, LinearAccuracy, tuple[Numbers, Numbers, Numbers]]
+
+
+class Batch(NamedTuple):
+    """Arguments for n exposures, checked and in float64, in the order of `NAMES`; those with axis 0 are batches."""
+
+    given: tuple[Any, ...]
+    axes: Axes
+
+    @property
+    def lanes(self) -> tuple[Any, ...]:
+        """The batched arguments, None in place of shared ones."""
+        return tuple(one if axis == 0 else None for one, axis in zip(self.given, self.axes, strict=True))
+
+    @property
+    def shared(self) -> tuple[Any, ...]:
+        """The shared arguments, None in place of batches."""
+        return tuple(None if axis == 0 else one for one, axis in zip(self.given, self.axes, strict=True))
+
+    def at(self, index: int) -> tuple[Any, ...]:
+        """The arguments of one exposure."""
+        return _merge(take(self.lanes, index), self.shared, self.axes)
+
+
+def accuracy_of_exposures(given: tuple[Any, ...], in_axes: Axes, request: Request) -> Accuracy:
+    """`accuracy` of n exposures, of arguments in the order of `NAMES`; traced ones are evaluated all at once."""
+    batch, number = _check_batch(given, in_axes, request.search)
+    options = (batch.shared, batch.axes, request.search, request.probability)
+    if not is_known(batch.given):
+        return _of_traced(*_assess_block(batch.lanes, *options), request.probability)
+    size = next((size for size in (1, FEW) if number <= size < request.block), request.block)
+    parts = blocks_of(batch.lanes, size, "estimating accuracy", request.sampling.progress)
+    assessed: Any = concatenate([_assess_block(part, *options) for part in parts], number)
+    nominals, found, radii = assessed
+
+    def observation_at(index: int) -> tuple[ModelInputs, NominalFix, ErrorModel]:
+        inputs, model = _inputs_of(batch.at(index))
+        return inputs, take(nominals, index), model
+
+    probability, sampling = float(request.probability), request.sampling
+    columns = sample_where_needed(found.method, radii, observation_at, request.search, sampling, probability)
+    linear = (found.method, found.cov_enu, found.bias_enu, found.diagnostics)
+    return batch_of(nominals.fix, probability, columns, *linear, int(sampling.count or 0), (number,))
+
+
+def _check_batch(given: tuple[Any, ...], in_axes: Axes, search: AbstractSearch) -> tuple[Batch, int]:
+    """(the arguments in float64 with their axes, number of exposures); the first exposure is checked as alone."""
+    sensor, shot, uv, terrain, errors, time, air = given
+    model = errors if isinstance(errors, ErrorModel) else ErrorModel(_as_tuple(errors))
+    pixels = jnp.asarray(as_float64(as_array(uv, "uv"), "uv"))
+    axes = in_axes if len(in_axes) != 3 else (*in_axes[:1] * 3, *in_axes[1:])
+    if len(axes) != OWN_AXES or not all(axis in (0, None) for axis in axes):
+        raise ValueError(
+            f"in_axes must be 0 or None for each of {', '.join(NAMES[:OWN_AXES])}, or of observation, terrain, errors; "
+            f"got {in_axes!r}."
+        )
+    axes = (*axes, *(0 if _has_axis(one) else None for one in (time, air)))
+    batch = Batch((sensor, shot, pixels, terrain, model, time, air), axes)
+    number = _length(batch)
+    *scene, first_model, first_time, first_air = batch.at(0)
+    given_first: Any = scene
+    checked_model(first_model, ModelInputs.of(*given_first, time=first_time, search=search, atmosphere=first_air))
+    sensor, shot, model = as_float64(sensor, "sensor"), as_float64(shot, "shot"), as_float64(model, "errors")
+    time = jnp.asarray(as_float64(0.0 if time is None else time, "time"))
+    air = as_float64(air, "atmosphere")
+    return Batch((sensor, shot, pixels, of_arrays(terrain), model, time, air), axes), number
+
+
+def _as_tuple(errors: Any) -> tuple[Any, ...]:
+    return tuple(errors) if isinstance(errors, tuple | list) else (errors,)
+
+
+def _has_axis(tree: Any) -> bool:
+    return any(np.ndim(leaf) for leaf in jax.tree.leaves(tree))
+
+
+def _length(batch: Batch) -> int:
+    """Number of exposures; raises `ValueError` for unequal batches."""
+    lengths: dict[int, str] = {}
+    for name, lanes in zip(NAMES, batch.lanes, strict=True):
+        for leaf in jax.tree.leaves(lanes):
+            if np.ndim(leaf) < 1:
+                raise ValueError(f"{name} is a batch by in_axes, but holds a single number; stack n into one record.")
+            lengths.setdefault(np.shape(leaf)[0], name)
+    if len(lengths) != 1 or 0 in lengths:
+        found = ", ".join(f"{name} {length}" for length, name in lengths.items()) or "no batch at all"
+        raise ValueError(f"batches must have one length, 1 or more; got {found} (in_axes {batch.axes[:OWN_AXES]!r}).")
+    return next(iter(lengths))
+
+
+def _merge(own: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes) -> tuple[Any, ...]:
+    return tuple(a if axis == 0 else b for a, b, axis in zip(own, shared, axes, strict=True))
+
+
+def _inputs_of(given: tuple[Any, ...]) -> tuple[ModelInputs, ErrorModel]:
+    """Forward-model inputs and error model of one exposure."""
+    sensor, shot, uv, terrain, model, time, air = given
+    return ModelInputs.of_checked(sensor, shot, time, uv, terrain, air), model
+
+
+@eqx.filter_jit
+def _assess_block(
+    lanes: tuple[Any, ...], shared: tuple[Any, ...], axes: Axes, search: AbstractSearch, probability: Scalar
+) -> Assessed:
+    def one(own: tuple[Any, ...]) -> tuple[NominalFix, LinearAccuracy]:
+        inputs, model = _inputs_of(_merge(own, shared, axes))
+        nominal = inputs.nominal_fix(search)
+        return nominal, assess_fix(inputs, nominal, model)
+
+    if jax.tree.leaves(lanes)[0].shape[0] == 1:  # without vmap: traced in half the time
+        nominals, found = jax.tree.map(lambda leaf: leaf[None], one(jax.tree.map(lambda leaf: leaf[0], lanes)))
+    else:
+        nominals, found = jax.vmap(one)(lanes)
+    return nominals, found, linear_radii(found, probability)
+
+
+def _of_traced(nominals: NominalFix, found: LinearAccuracy, radii: tuple[Any, ...], probability: Scalar) -> Accuracy:
+    """The record of traced fixes, without samples."""
+    is_linear = (found.method == Method.facet) | (found.method == Method.footprint)
+    cov = jnp.where(is_linear[:, None, None], found.cov_enu, jnp.nan)
+    bias = jnp.where(is_linear[:, None], found.bias_enu, jnp.nan)
+    level, unknown = jnp.broadcast_to(probability, is_linear.shape), jnp.full(is_linear.shape, jnp.nan)
+    circular, linear, spherical = radii
+    figures = (circular, linear, spherical, found.method, cov, bias, unknown)
+    return Accuracy(nominals.fix, level, *figures, found.diagnostics)
