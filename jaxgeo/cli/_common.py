@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from jaxgeo._destination import DEVICE_FAILURES
-from jaxgeo.cli._refusals import is_refusal
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._screen import tell
 
 DONE, NO_ANSWER, MISTAKE, FAULT, INTERRUPTED = 0, 1, 2, 70, 130  # exit codes; 70 as in sysexits.h, 130 as shells do

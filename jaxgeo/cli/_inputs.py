@@ -14,71 +14,54 @@ from jaxgeo.cli._option_names import dem_words_as_typed
 from jaxgeo.cli._screen import working
 
 
-class DemReading(NamedTuple):
-    """Reading options for the files of --dem."""
-
-    nodata: list[float] | None = None
-    height_unit: str | None = None
-    band: int | None = None
-    bounds: str | None = None
-    assume_wgs84: bool | None = None
-    allow_remote: bool | None = None
-    allow_outside: bool | None = None
-
-    @property
-    def reach(self) -> Any:
-        """Places that raster reading may access."""
-        from jaxgeo.io.reach import Reach
-
-        return Reach(bool(self.allow_remote), bool(self.allow_outside))
-
-    def check_goes_with_dem(self) -> None:
-        """Raises `UserError` if an option is given; call it if there is no --dem."""
-        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84", "--allow-remote",
-                   "--allow-outside")  # fmt: skip
-        given = [name for name, value in zip(options, self, strict=True) if value is not None]
-        if given:
-            raise UserError(f"{given[0]} needs --dem FILE.")
+def check_goes_with_dem(options: DemOptions) -> None:
+    """Raises `UserError` if an option for the files of --dem is given; call it if there is no --dem."""
+    for name in options.of_files:
+        raise UserError(f"--{name.replace('_', '-')} needs --dem FILE.")
 
 
-def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> Any:
+def read_terrain(dem: list[str], options: DemOptions) -> Dem:
     """Elevation model from one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    edges: Any = None
-    if reading.bounds is not None:
-        edges = tuple(numbers_in("--dem-bounds", reading.bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"))
+    edges = None
+    if options.dem_bounds is not None:
+        west, south, east, north = numbers_in(
+            "--dem-bounds", options.dem_bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"
+        )
+        edges = west, south, east, north
     with working("reading the elevation model"), dem_words_as_typed():
         return read_dem(
-            list(paths),
-            vertical_datum=datum(vertical_datum),
-            nodata=reading.nodata,
-            height_unit=reading.height_unit,
-            band=1 if reading.band is None else reading.band,
+            list(dem),
+            vertical_datum=datum(options.vertical_datum),
+            nodata=options.nodata,
+            height_unit=options.height_unit,
+            band=1 if options.dem_band is None else options.dem_band,
             bounds=edges,
-            assume_wgs84=bool(reading.assume_wgs84),
-            allow_remote=bool(reading.allow_remote),
-            allow_outside=bool(reading.allow_outside),
+            assume_wgs84=bool(options.assume_wgs84),
+            allow_remote=bool(options.allow_remote),
+            allow_outside=bool(options.allow_outside),
         )
 
 
-def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> list[str]:
+def terrain_files(dem: list[str], options: DemOptions) -> list[str]:
     """All files of the elevation model: tiles, sources of a VRT, a geoid grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
-    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile, reading.reach)]
-    return tiles if vertical_datum is None else [*tiles, vertical_datum]
+    tiles = [file for tile in expanded(list(dem)) for file in files_behind(tile, options.reach)]
+    return tiles if options.vertical_datum is None else [*tiles, options.vertical_datum]
 
 
 def keep_inputs(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],
-    ground: tuple[list[str], str | None, DemReading] = ([], None, DemReading()),
+    dem: list[str] | None = None,
+    options: DemOptions = DemOptions(),
 ) -> None:
-    """Raises `ValueError` if an output would overwrite an input; `ground` is (DEM files, datum, reading options)."""
+    """Raises `ValueError` if an output would overwrite an input."""
     if output is not None:
-        tiles = terrain_files(*ground) if ground[0] else []
+        tiles = terrain_files(dem, options) if dem else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
 
 

@@ -14,7 +14,7 @@ from jaxgeo.cli._exposures import ExposureSet, Seen, in_air, joined_positions, r
 from jaxgeo.cli._file_views import tell_unread, views_of_files
 from jaxgeo.cli._inputs import read_terrain, said_datum, terrain_files
 from jaxgeo.cli._locate_options import LocateOptions, check_asked
-from jaxgeo.cli._refusals import is_refusal
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._screen import tell
 
 REPORTED = "reported"

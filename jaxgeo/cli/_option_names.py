@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._refusals import is_refusal
+from jaxgeo._refusals import is_refusal
 
 # Options of `read_acquisition` whose command-line name differs by more than dashes.
 OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities"}

@@ -33,7 +33,7 @@ from jaxgeo.cli._exposure_rows import middles_of, rows_of, tags_of
 from jaxgeo.cli._file_views import read_files, tell_unread
 from jaxgeo.cli._inputs import keep_inputs
 from jaxgeo.cli._option_names import as_typed, reason_not_read
-from jaxgeo.cli._refusals import is_refusal
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._results import AsJson, asked, print_json
 from jaxgeo.cli._screen import number_table
 
