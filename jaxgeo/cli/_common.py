@@ -14,7 +14,7 @@ import typer
 
 from jaxgeo._destination import DEVICE_FAILURES
 from jaxgeo._refusals import is_refusal
-from jaxgeo.cli._screen import tell
+from jaxgeo.cli._screen import print_message
 
 DONE, NO_ANSWER, MISTAKE, FAULT, INTERRUPTED = 0, 1, 2, 70, 130  # exit codes; 70 as in sysexits.h, 130 as shells do
 
@@ -78,7 +78,7 @@ def _words_of_gdal_dropped() -> Iterator[None]:
 def _end(message: str, code: int, debug: bool) -> NoReturn:
     if debug:
         traceback.print_exc()
-    tell(message)
+    print_message(message)
     raise typer.Exit(code) from None
 
 

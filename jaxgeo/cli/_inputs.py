@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._option_names import dem_words_as_typed
+from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import working
+from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
+from jaxgeo.terrain import Dem
+
+if TYPE_CHECKING:
+    import jaxgeo.io.scene
+
+T = TypeVar("T")
 
 
 def check_goes_with_dem(options: DemOptions) -> None:
@@ -65,19 +74,6 @@ def keep_inputs(
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
 
 
-def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str | float) -> None:
-    """Raises `UserError` if a table of shots and its scene disagree on the gimbal reference or the vertical datum."""
-    from jaxgeo.io.tables import GIMBAL_REFERENCE
-
-    meant = {GIMBAL_REFERENCE: ("gimbal angles", gimbal.reference), "height_datum": ("heights", height_datum)}
-    for name, (what, ours) in meant.items():
-        for stated in {str(row.get(name) or "") for row in table.rows} - {"", str(ours)}:
-            raise UserError(
-                f"{path}: its {what} are relative to {stated!r} (column {name}), in the scene to {str(ours)!r}; use a "
-                f"matching scene, or run jaxgeo locate FILE on the original file."
-            )
-
-
 def datum(text: str | None) -> str | float | None:
     """A DEM datum from the command line: a small number is an undulation in m, a larger whole one an EPSG code."""
     if text is None:
@@ -88,13 +84,13 @@ def datum(text: str | None) -> str | float | None:
     return whole if whole is not None and text.isdigit() else number
 
 
-def said_datum(text: str) -> str | float:
+def as_datum(text: str) -> str | float:
     """A datum from the command line, as in scene files: a number is an undulation in m."""
     number = number_in(text)
     return text if number is None else number
 
 
-def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
+def shot_of(scene: jaxgeo.io.scene.Scene, path: pathlib.Path, needed_by: str) -> Shot:
     """The shot of a scene; raises `SceneError` if it has none."""
     from jaxgeo.io.scene import SceneError
 
@@ -103,26 +99,16 @@ def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
     return scene.shot
 
 
-def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None = None) -> str | float:
-    """Vertical datum of a table's heights: the option or the scene's; raises `SceneError` if neither states it."""
-    from jaxgeo.io.scene import SceneError
-
-    stated = scene.height_datum if asked is None else said_datum(asked)
-    if stated is None:
-        raise SceneError(
-            f"{path}: the vertical datum of the heights in {table} is unknown. State it in the scene file: "
-            f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
-        )
-    return stated
-
-
-def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
+def shots_of(
+    scene: jaxgeo.io.scene.Scene, path: pathlib.Path, table: pathlib.Path, given: str | None
+) -> tuple[Shot, list[dict[str, Any]]]:
     """(batch of shots, rows as text) of a table without pixels."""
     from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
+    from jaxgeo.io.observations import check_stated, height_datum_of
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
-    stated = height_datum_of(scene, path, table, asked)
+    stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     names = scene.sensor.gimbal.names
     found = read_shots(table, names, pixels=False)
     check_stated(found, table, scene.sensor.gimbal, stated)
@@ -132,13 +118,16 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
         raise SceneError(f"{path}, with the heights of {table}: {error}") from error
 
 
-def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> Any:
+def trajectory_of(
+    scene: jaxgeo.io.scene.Scene, path: pathlib.Path, table: pathlib.Path, given: str | None
+) -> Trajectory:
     """Trajectory from a file of navigation records; without gimbal columns the scene's readings are held.
 
     Raises `UserError` if the scene has none either.
     """
     from jaxgeo.io import read_navigation
     from jaxgeo.io._csv import gimbal_columns, read_csv
+    from jaxgeo.io.observations import height_datum_of
 
     names = scene.sensor.gimbal.names
     columns = list(gimbal_columns(names))
@@ -150,11 +139,11 @@ def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: st
                 f"{table}: no column {', '.join(columns)}, and {path} has no [pose] with readings in [gimbal] to hold."
             )
         held = scene.shot.gimbal_readings
-    stated = height_datum_of(scene, path, table, asked)
+    stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
 
 
-def single(batch: Any) -> Iterator[Any]:
+def single(batch: T) -> Iterator[T]:
     """The items of a batch of records, one by one, as JAX arrays."""
     import jax
     import jax.numpy as jnp
@@ -172,8 +161,9 @@ def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> li
     return found
 
 
-def check_on_image(text: str, uv: Any, camera: Any) -> None:
+def check_on_image(text: str, uv: Sequence[float], camera: AbstractCamera) -> None:
     """Raises `UserError` for a pixel (`text` as typed) outside the image of a camera."""
+    assert isinstance(camera, FrameCamera)
     column, row = uv
     if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
         raise UserError(

@@ -8,20 +8,22 @@ import shlex
 from collections.abc import Iterator
 from typing import Any
 
-from jaxgeo.cli._common import UserError
 from jaxgeo._refusals import is_refusal
+from jaxgeo.cli._common import UserError
 
-# Options of `read_acquisition` whose command-line name differs by more than dashes.
-OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities"}
+# Options of `read_observations` whose command-line name differs by more than dashes.
+OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
+               "pixels": "pixel"}  # fmt: skip
 # Reader options available on the command line; the others are Python only.
 READING = (
     "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
     "gimbal_deg", "positions", "errors", "interior",
 )  # fmt: skip
+OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a Python string, or a tuple
-_OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
+_OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *OBSERVED, *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
 def typed(name: str) -> str:
@@ -47,20 +49,20 @@ def as_typed(text: str) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """Reason why a file cannot be read, in one line, with command-line options."""
+    """Reason why a file cannot be read, with command-line options."""
     from jaxgeo.io.acquisitions.detect import WrongOption
 
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
         takes = f"it takes {', '.join(options)}" if options else "it takes no reading options"
         return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
-    return as_typed(" ".join(str(error).split())) or type(error).__name__
+    return as_typed("\n".join(" ".join(line.split()) for line in str(error).splitlines())) or type(error).__name__
 
 
 def reason_not_read(unread: Any) -> str:
     """Reason why one of many files could not be read, including internal errors."""
     if is_refusal(unread.error):
-        return reason_of(unread.error)
+        return " ".join(reason_of(unread.error).split())
     name, reason = type(unread.error).__name__, " ".join(str(unread.error).split())
     return (
         f"{unread.path}: internal error: unexpected {name}{f' ({reason})' if reason else ''}; run jaxgeo inspect "

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
 import typer
 
+import jaxgeo
+
 if TYPE_CHECKING:
-    from jaxgeo.io.reach import Reach
+    import jaxgeo.io.reach
 
 SEEN, SURE = "Inputs", "Accuracy"  # help panels of commands with many options
 READING, WRITING = "Reading the FILE", "Output"
 OF_DEM = "Reading the elevation model"
 
 
+@dataclasses.dataclass(frozen=True)
 class OptionGroup:
     """Base class of dataclasses of options: each field is annotated with a `typer.Option` that has a name.
 
@@ -159,7 +162,7 @@ class DemOptions(OptionGroup):
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     @property
-    def reach(self) -> Reach:
+    def reach(self) -> jaxgeo.io.reach.Reach:
         """Places that raster reading may access."""
         from jaxgeo.io.reach import Reach
 

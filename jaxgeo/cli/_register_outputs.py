@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._register_inputs import Errors, fixes_of, picture_of, seen_part
 from jaxgeo.cli._results import print_json
-from jaxgeo.cli._screen import bars_on_stderr, number_table, tell
+from jaxgeo.cli._screen import bars_on_stderr, number_table, print_message
 
 UNKNOWNS = {
     "name": ("parameter", ""),
@@ -110,7 +110,7 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
     try:
         figure = picture_of(found, work.reference, look, (grey, work.known), errors, fix)
     except ImportError as error:
-        tell(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         return False
     if figure is None:
         return False

@@ -24,8 +24,8 @@ from jaxgeo.io.gcp import GroundControl, read_gcp_list
 from jaxgeo.io.geoid import height_msl, undulation
 from jaxgeo.io.image_points import read_image_points, write_image_points
 from jaxgeo.io.images import read_image
-from jaxgeo.io.located import accuracy_of_observations, locate_observations
 from jaxgeo.io.locate_on_disk import intersect_files, locate_files
+from jaxgeo.io.located import accuracy_of_observations, locate_observations
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
 from jaxgeo.io.observations import ObservationBatch, Observations, observations_of, read_observations

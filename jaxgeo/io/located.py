@@ -14,6 +14,7 @@ from jaxgeo.fix import Fix
 from jaxgeo.io.observations import ObservationBatch, Observations, axes_of
 from jaxgeo.locate import locate
 from jaxgeo.observation import Observation
+from jaxgeo.sensor import Shot
 from jaxgeo.status import Status, counts_as_fix
 from jaxgeo.terrain import AbstractTerrain, ConstantHeight
 from jaxgeo.uncertainty import AccuracyOfEach, accuracy_of_each
@@ -58,8 +59,8 @@ def accuracy_of_observations(
     """Accuracy of the `fixes` of `locate_observations`, NaN for rows without a fix; None if no row has one.
 
     The error sources are those of the observations. Where samples are needed, `count` are drawn for each fix: by
-    default 20 000 for at most 20 rows and 2000 for more, which gives radii to about 3 %. `progress` shows progress bars.
-    Raises as `accuracy_of_each`.
+    default 20 000 for at most 20 rows and 2000 for more, which gives radii to about 3 %. `progress` shows
+    progress bars. Raises as `accuracy_of_each`.
     """
     count = (SAMPLES_OF_MANY if len(observed) > FEW else SAMPLES) if count is None else count
     has_fix = np.isin(fixes.status, [int(one) for one in Status if counts_as_fix(one.code)])
@@ -70,13 +71,14 @@ def accuracy_of_observations(
             continue
         observation, sources = batch.at(index)
         exposure, own = observation.exposure, None if batch.is_one_camera else 0
+        assert isinstance(exposure.motion, Shot)
         each = accuracy_of_each(
             exposure.sensor,
             exposure.motion,
             observation.uv,
-            _at(ground, index),
+            terrain_at(ground, index),
             sources,
-            in_axes=(own, 0, 0, _axis(ground), own),
+            in_axes=(own, 0, 0, axis_of(ground), own),
             probability=probability,
             count=count,
             progress=progress,
@@ -98,11 +100,11 @@ def fixes_in_parts(batch: ObservationBatch, terrain: AbstractTerrain) -> Iterato
         return
     size = next((size for size in CHUNKS if size >= total), CHUNKS[-1])
     if size == 1:
-        yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], _located(batch.at(0)[0], _at(terrain, 0)))
+        yield jax.tree.map(lambda leaf: np.asarray(leaf)[None], _located(batch.at(0)[0], terrain_at(terrain, 0)))
         return
     for start in range(0, total, size):
         index = np.minimum(np.arange(start, start + size), total - 1)
-        fixes = _located_many(batch.at(index)[0], _at(terrain, index), batch.is_one_camera, _axis(terrain))
+        fixes = _located_many(batch.at(index)[0], terrain_at(terrain, index), batch.is_one_camera, axis_of(terrain))
         yield jax.tree.map(lambda leaf, last=total - start: np.asarray(leaf)[:last], fixes)
 
 
@@ -121,14 +123,14 @@ def _pairs(observed: Observations, terrain: Terrain) -> Iterator[tuple[Observati
     yield from zip(observed.batches, each, strict=True)
 
 
-def _axis(terrain: AbstractTerrain) -> int | None:
+def axis_of(terrain: AbstractTerrain) -> int | None:
     """Axis of a terrain for `jax.vmap`: 0 for level ground with a height per pixel, else None."""
     return 0 if isinstance(terrain, ConstantHeight) and np.ndim(terrain.height) == 1 else None
 
 
-def _at(terrain: AbstractTerrain, index: int | np.ndarray) -> AbstractTerrain:
+def terrain_at(terrain: AbstractTerrain, index: int | np.ndarray) -> AbstractTerrain:
     """The terrain of one or several pixels."""
-    return terrain if _axis(terrain) is None else jax.tree.map(lambda leaf: np.asarray(leaf)[index], terrain)
+    return terrain if axis_of(terrain) is None else jax.tree.map(lambda leaf: np.asarray(leaf)[index], terrain)
 
 
 def _are_all_outside(batch: ObservationBatch) -> bool:
@@ -166,7 +168,11 @@ def _arrays(accuracy: AccuracyOfEach) -> tuple[Any, ...]:
 
 def _with(accuracy: AccuracyOfEach, fixes: Fix, arrays: tuple[Any, ...]) -> AccuracyOfEach:
     """An accuracy with other fixes and arrays."""
-    return type(accuracy)(fixes, accuracy.probability, *arrays, accuracy.count)
+    circular, linear, spherical, trust, cov_enu, bias_enu, signs = arrays
+    count = accuracy.count
+    return AccuracyOfEach(
+        fixes, accuracy.probability, circular, linear, spherical, trust, cov_enu, bias_enu, signs, count
+    )
 
 
 def take_rows(fixes: Fix, accuracy: AccuracyOfEach | None, rows: np.ndarray) -> tuple[Fix, AccuracyOfEach | None]:

@@ -7,7 +7,7 @@ import math
 import os
 import pathlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -51,7 +51,7 @@ class ObservationBatch:
     - `observation`: its shots and pixels have a leading axis of n, and so has its sensor unless `is_one_camera`.
     - `sources`: error sources, with a leading axis if the sensor has one.
     - `rows` (n,): the row of each pixel in `Observations`.
-    - `centre_heights` (n,): ground heights at the image centres as reported by the file, m above the ellipsoid, or None.
+    - `centre_heights` (n,): ground heights at the image centres as reported by the file, m, ellipsoidal, or None.
     """
 
     observation: Observation
@@ -69,6 +69,11 @@ class ObservationBatch:
         return self.observation.exposure.sensor
 
     @property
+    def camera(self) -> FrameCamera:
+        """The camera, with a leading axis unless `is_one_camera`."""
+        return frame_camera_of(self.sensor)
+
+    @property
     def shots(self) -> Shot:
         """The shots, a batch of n."""
         motion = self.observation.exposure.motion
@@ -83,7 +88,7 @@ class ObservationBatch:
     @property
     def is_on_image(self) -> np.ndarray:
         """Mask (n,) of pixels on the image, including the outer edges of its pixels."""
-        camera, uv = self.sensor.camera, np.asarray(self.observation.uv, np.float64)
+        camera, uv = self.camera, np.asarray(self.observation.uv, np.float64)
         return np.all((uv >= -0.5) & (uv <= np.array([camera.width, camera.height]) - 0.5), axis=1)
 
     def at(self, index: int | np.ndarray) -> tuple[Observation, tuple[AbstractSource, ...]]:
@@ -93,6 +98,12 @@ class ObservationBatch:
         sensor, sources = own if self.is_one_camera else _items(own, index)
         shots, uv = _items((self.shots, self.observation.uv), index)
         return Observation(Exposure(sensor, shots, None, exposure.atmosphere), uv), sources
+
+
+def frame_camera_of(sensor: Sensor | None) -> FrameCamera:
+    """The camera of a sensor that was read from a file: always a frame camera."""
+    assert sensor is not None
+    return cast(FrameCamera, sensor.camera)
 
 
 def axes_of(observation: Observation, is_one_camera: bool) -> Any:
@@ -169,13 +180,17 @@ class Observations:
 
         return jax.tree.map(spread, *positions)
 
-    def at(self, row: int) -> tuple[Observation, tuple[AbstractSource, ...]]:
-        """(observation, error sources) of one row. Raises `KeyError` if its file could not be read."""
-        for batch in self.batches:
-            (index,) = np.nonzero(batch.rows == row)
-            if len(index):
-                return batch.at(int(index[0]))
+    def place(self, row: int) -> tuple[int, int]:
+        """(batch, index in it) of a row. Raises `KeyError` if its file could not be read."""
+        for number, batch in enumerate(self.batches):
+            for index in np.flatnonzero(batch.rows == row):
+                return number, int(index)
         raise KeyError(f"row {row}: {self.unread[row].reason if row in self.unread else 'no such row'}")
+
+    def at(self, row: int) -> tuple[Observation, tuple[AbstractSource, ...]]:
+        """(observation, error sources) of a row; raises as `place`."""
+        number, index = self.place(row)
+        return self.batches[number].at(index)
 
     def with_atmosphere(self, atmosphere: Atmosphere | None) -> Observations:
         """The same observations in another atmosphere."""
@@ -288,9 +303,7 @@ def read_files(
     first, *others = sorted(found.unread, key=lambda one: is_refusal(one.error))  # internal errors first
     if not others or not is_refusal(first.error):
         raise first.error
-    raise TableError(
-        f"none of {len(found.unread)} files can be read. First error: {first.reason}"
-    ) from first.error
+    raise TableError(f"none of {len(found.unread)} files can be read. First error: {first.reason}") from first.error
 
 
 def is_scene_file(path: Path) -> bool:
@@ -326,7 +339,7 @@ def _of_scene(path: pathlib.Path, pixels: ArrayLike | None, shots: Path | None) 
     if shots is None:
         if scene.shot is None:
             raise SceneError(f"{path}: [pose] is missing; pixels= needs it.")
-        uv = _pixels(pixels, scene.sensor.camera)
+        uv = _pixels(pixels, frame_camera_of(scene.sensor))
         motion = for_each(scene.shot, len(uv))
         columns = [{"u": float(u), "v": float(v)} for u, v in uv]
     else:
@@ -371,7 +384,7 @@ def _observed(
         assumed = tuple(one for one in assumed if not one.startswith(WITHOUT_ERROR))
     where = {int(place): (k, i) for k, part in enumerate(found.places) for i, place in enumerate(part)}
     unread = {one.place: one for one in found.unread}
-    uv = [_pixels(pixels, part.exposure(0)[0].camera) for part in found.parts]  # pyright: ignore[reportOptionalMemberAccess]
+    uv = [_pixels(pixels, frame_camera_of(part.sensor)) for part in found.parts]
     has_times = any(np.any(np.asarray(part.shots.time) != 0.0) for part in found.parts)
     lanes: list[list[tuple[int, int]]] = [[] for _ in found.parts]  # (row, exposure) of each part
     columns: list[Row] = []
@@ -429,8 +442,8 @@ def _chosen(found: AcquisitionSet, names: Sequence[str], places: list[int]) -> l
     if not names:
         return places
     known: dict[str, int] = {}
-    for part, places in zip(found.parts, found.places, strict=True):
-        known |= {str(name): int(place) for name, place in zip(part.names, places, strict=True)}
+    for part, indices in zip(found.parts, found.places, strict=True):
+        known |= {str(name): int(place) for name, place in zip(part.names, indices, strict=True)}
     some = ", ".join(list(known)[:5]) + (" and others" if len(known) > 5 else "")
     known |= {called: one.place for one in found.unread for called in (one.path, one.name) if called not in known}
     chosen = []
@@ -493,7 +506,7 @@ def _completed(
             part, beside = _with_sensor(part, scene, scene_file, held), _applicable(part, stated)
         elif by_scene:
             assert scene is not None
-            part = _with_lens_errors(part, stated, scene.sensor.camera)
+            part = _with_lens_errors(part, stated, frame_camera_of(scene.sensor))
             held.append(f"Only the camera, its lens errors and the atmosphere of {scene_file} are used.")
         part, added = _with_errors(part, beside)
         kinds.update({sentence: kind for kind, sentence in added})
@@ -529,8 +542,7 @@ def _without_bare(found: AcquisitionSet, files: Sequence[pathlib.Path]) -> Acqui
 
 def _with_lens_errors(part: Acquisition, stated: tuple[AbstractSource, ...], camera: FrameCamera) -> Acquisition:
     """Exposures with the lens errors a scene states for its `camera`, scaled to pixels of their own images."""
-    assert part.sensor is not None
-    own = part.sensor.camera
+    own = frame_camera_of(part.sensor)
     across, down = own.width / camera.width, own.height / camera.height
     lens = tuple(
         dataclasses.replace(one, sigma=np.asarray(one.sigma) * np.array([across, across, down]))
