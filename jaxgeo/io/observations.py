@@ -412,8 +412,7 @@ def _batch(
 ) -> ObservationBatch:
     """Pixels of a part, given (row, exposure) of each."""
     rows, index = np.array(lanes).T
-    sensor, shots, sources = part.exposure(index)
-    assert sensor is not None
+    sensor, shots, sources = _items((part.sensor, part.shots, part.sources), index)
     uv = np.tile(pixels, (len(lanes) // len(pixels), 1))
     heights = None if part.reported is None else np.asarray(part.reported.centre.height)[index]
     observation = Observation(Exposure(sensor, shots, None, atmosphere), uv)
