@@ -60,6 +60,8 @@ class ObservationOptions(OptionGroup):
 class GroundOptions(DemOptions):
     """An elevation model, or level ground."""
 
+    first: ClassVar[tuple[str, ...]] = ("dem",)
+
     vertical_datum: Annotated[
         str | None,
         typer.Option(

@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
 import typer
+from typer.models import OptionInfo
 
 import jaxgeo
 
@@ -26,10 +27,11 @@ OF_DEM = "Reading the elevation model"
 class OptionGroup:
     """Base class of dataclasses of options: each field is annotated with a `typer.Option` that has a name.
 
-    `panel` is the help panel of fields that name none.
+    `panel` is the help panel of options that name none; fields named in `first` precede inherited ones.
     """
 
     panel: ClassVar[str | None] = None
+    first: ClassVar[tuple[str, ...]] = ()
 
 
 def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
@@ -61,13 +63,14 @@ def expand_groups(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _parameters_of(group: str, kind: type[Any]) -> Iterator[inspect.Parameter]:
+def _parameters_of(group: str, kind: type[OptionGroup]) -> Iterator[inspect.Parameter]:
     """A parameter per field of a group, with its help panel."""
     hints = get_type_hints(kind, include_extras=True)
-    for field in dataclasses.fields(kind):
+    for field in sorted(dataclasses.fields(kind), key=lambda field: field.name not in kind.first):
         (option,) = hints[field.name].__metadata__
         option = copy.copy(option)
-        option.rich_help_panel = option.rich_help_panel or kind.panel
+        if isinstance(option, OptionInfo):  # not an argument
+            option.rich_help_panel = option.rich_help_panel or kind.panel
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
         yield inspect.Parameter(
             f"{group}_{field.name}",

@@ -211,6 +211,16 @@ class Observations:
             self, batches=tuple(dataclasses.replace(batch, sources=tuple(own)) for batch, own in pairs)
         )
 
+    def add_sources(self, *sources: AbstractSource) -> Observations:
+        """The same observations with more error sources, common to all exposures; they replace those of their class."""
+        kinds = {type(one) for one in sources}
+
+        def added(batch: ObservationBatch) -> tuple[AbstractSource, ...]:
+            kept = tuple(one for one in batch.sources if type(one) not in kinds)
+            return *kept, *(sources if batch.is_one_camera else for_each(sources, len(batch)))
+
+        return self.with_sources([added(batch) for batch in self.batches])
+
     def table(
         self, fixes: Fix, accuracy: AccuracyOfEach | None = None, *, reasons: Sequence[str | None] | None = None
     ) -> list[Row]:
