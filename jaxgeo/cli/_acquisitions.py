@@ -13,7 +13,7 @@ import typer
 import jaxgeo
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import as_datum, numbers_in
-from jaxgeo.cli._option_names import reason_not_read, words_as_typed
+from jaxgeo.cli._option_names import reason_not_read, translate_reader_errors
 from jaxgeo.cli._options import READING, OptionGroup
 from jaxgeo.cli._screen import print_message, progress_bar, working
 
@@ -132,10 +132,10 @@ def reading_files(files: Sequence[pathlib.Path]) -> Iterator[Callable[[int, int]
     Yields a function to call with the number of files read and the total.
     """
     if len(files) == 1 and not files[0].is_dir():
-        with working(f"reading {files[0].name}"), words_as_typed():
+        with working(f"reading {files[0].name}"), translate_reader_errors():
             yield lambda count, total: None
         return
-    with progress_bar() as bar, words_as_typed():
+    with progress_bar() as bar, translate_reader_errors():
         task = bar.add_task("reading", total=None)
         yield lambda count, total: bar.update(task, completed=count, total=total)
 

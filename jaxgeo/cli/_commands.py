@@ -49,7 +49,7 @@ class Commands(TyperGroup):
             return super().main(**given, **extra)
         try:
             code = super().main(**given, **extra)
-            _flush_stdout(is_told=code == MISTAKE)
+            _flush_stdout(is_reported=code == MISTAKE)
         except MistakeOfUse as error:
             if type(error).__name__ != "NoArgsIsHelpError":  # help is already printed
                 print_message(in_a_line(error))
@@ -71,12 +71,12 @@ class Commands(TyperGroup):
         sys.exit(code if isinstance(code, int) else DONE)
 
 
-def _flush_stdout(is_told: bool) -> None:
-    """Flush stdout; raises `OSError` if that fails, unless an error `is_told` (reported) already."""
+def _flush_stdout(is_reported: bool) -> None:
+    """Flush stdout; raises `OSError` if that fails, unless an error `is_reported` (reported) already."""
     try:
         print(end="", flush=True)  # no effect if stdout is closed
     except OSError:
-        if not is_told:
+        if not is_reported:
             raise
         _close_stdout()
 

@@ -33,7 +33,7 @@ def report_errors(debug: bool) -> Iterator[None]:
     With `debug`, the traceback precedes the message.
     """
     try:
-        with _words_of_gdal_dropped():
+        with _suppress_gdal_messages():
             yield
     except (typer.Exit, typer.Abort, BrokenPipeError):
         raise
@@ -60,7 +60,7 @@ def reason_of_system(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _words_of_gdal_dropped() -> Iterator[None]:
+def _suppress_gdal_messages() -> Iterator[None]:
     """Suppress GDAL messages on damaged files that rasterio cannot decode: Python would print a traceback."""
     before = sys.unraisablehook
 

@@ -70,7 +70,7 @@ def _rows_of_part(found: jaxgeo.io.Acquisition) -> list[dict[str, Any]]:
     return as_rows(columns)
 
 
-def middles_of(found: jaxgeo.io.AcquisitionSet) -> list[dict[str, Any]]:
+def centre_pixels(found: jaxgeo.io.AcquisitionSet) -> list[dict[str, Any]]:
     """Centre pixel of each image and the reference of its gimbal angles, in file order."""
     from jaxgeo.io.observations import frame_camera_of
     from jaxgeo.io.tables import GIMBAL_REFERENCE

@@ -11,7 +11,7 @@ from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._option_names import dem_words_as_typed
+from jaxgeo.cli._option_names import translate_dem_errors
 from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import working
 from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
@@ -39,7 +39,7 @@ def read_terrain(dem: list[str], options: DemOptions) -> Dem:
             "--dem-bounds", options.dem_bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"
         )
         edges = west, south, east, north
-    with working("reading the elevation model"), dem_words_as_typed():
+    with working("reading the elevation model"), translate_dem_errors():
         return read_dem(
             list(dem),
             vertical_datum=datum(options.vertical_datum),
@@ -61,7 +61,7 @@ def terrain_files(dem: list[str], options: DemOptions) -> list[str]:
     return tiles if options.vertical_datum is None else [*tiles, options.vertical_datum]
 
 
-def keep_inputs(
+def check_no_overwrite(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],

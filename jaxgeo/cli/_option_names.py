@@ -106,7 +106,7 @@ def dem_as_typed(text: str) -> str:
 
 
 @contextlib.contextmanager
-def dem_words_as_typed() -> Iterator[None]:
+def translate_dem_errors() -> Iterator[None]:
     """Raise `read_dem` errors as `UserError` with command-line options."""
     try:
         yield
@@ -115,7 +115,7 @@ def dem_words_as_typed() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def reach_as_typed() -> Iterator[None]:
+def translate_reach_errors() -> Iterator[None]:
     """Raise remote- or outside-access errors of images as `UserError` with command-line options."""
     try:
         yield
@@ -129,7 +129,7 @@ def reach_as_typed() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def words_as_typed() -> Iterator[None]:
+def translate_reader_errors() -> Iterator[None]:
     """Raise reader errors as `UserError` with command-line options."""
     try:
         yield

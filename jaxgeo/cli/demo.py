@@ -11,7 +11,7 @@ from jaxgeo._destination import destination, is_device
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import fix_table, print_counts, print_message, working
 
@@ -41,7 +41,7 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
     from jaxgeo import demo
 
     _check_one_is_not_the_other(output, write_scene)
-    keep_inputs("--write-scene", write_scene, [demo.scene_file()])
+    check_no_overwrite("--write-scene", write_scene, [demo.scene_file()])
     with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
         if write_scene is not None:

@@ -14,7 +14,7 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shot_of, shots_of, single
 from jaxgeo.cli._options import DemFiles, DemOptions, HeightDatum, SceneFile, ShotsFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
@@ -65,7 +65,7 @@ def footprint_command(
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         if height_datum is not None and shots is None:
             raise UserError(f"--height-datum {height_datum} applies to the heights of --shots FILE; leave it out.")
-        keep_inputs("--output", output, [scene, shots], dem, reading)
+        check_no_overwrite("--output", output, [scene, shots], dem, reading)
         rows, outlines = _footprint(scene, dem, reading, shots, height_datum, output, (crs, tolerance, edges))
         _show(rows, outlines, inputs if as_json else None)
 
@@ -105,7 +105,7 @@ def _footprint(
     terrain = read_terrain(dem, reading)
     outlines, rows = [], []
     for index, shot in enumerate(track(shots, "computing footprints")):
-        outline, row = _outlined(scene, shot, terrain, tolerance)
+        outline, row = _footprint_of(scene, shot, terrain, tolerance)
         outlines.append(outline)
         rows.append({"shot": index, **row})
     if output is not None:
@@ -140,7 +140,7 @@ def _places(outline: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
+def _footprint_of(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
     """(footprint of a shot, its table row)."""
     from jaxgeo.coverage import footprint, ground_sample_distance
     from jaxgeo.status import Status

@@ -17,8 +17,8 @@ from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._exposure_tables import middles_of, rows_of, tags_of
-from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._exposure_tables import centre_pixels, rows_of, tags_of
+from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._option_names import as_typed, reason_not_read
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import number_table
@@ -55,7 +55,9 @@ def inspect_command(
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
             check_place("--output", output)
-            keep_inputs("--output", output, [*_files_in(files), reading.errors, reading.interior, reading.positions])
+            check_no_overwrite(
+                "--output", output, [*_files_in(files), reading.errors, reading.interior, reading.positions]
+            )
         if tags and not as_json:
             raise UserError("--tags needs --json.")
         enable_x64()
@@ -99,7 +101,7 @@ def _write(output: pathlib.Path, found: jaxgeo.io.AcquisitionSet, rows: list[dic
     from jaxgeo.io.tables import write_csv
 
     more = {"height_datum": "ellipsoid"}
-    rows = [row | more | middle for row, middle in zip(rows, middles_of(found), strict=True)]
+    rows = [row | more | middle for row, middle in zip(rows, centre_pixels(found), strict=True)]
     with destination("--output", output) as stream:
         write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
 
@@ -165,12 +167,12 @@ def _sensor(found: jaxgeo.io.Acquisition) -> dict[str, Any] | None:
 def _errors(found: jaxgeo.io.Acquisition) -> dict[str, float]:
     """Standard deviations of the first exposure by axis, angles in deg."""
     _, _, sources = found.exposure(0)
-    told = {}
+    sigmas = {}
     for source in sources:
         unit, scale = ("deg", 180.0 / math.pi) if source.unit == "rad" else (source.unit, 1.0)
         for axis, sigma in zip(source.sigma_axes, np.asarray(source.sigma), strict=True):
-            told[f"{source.label}: {axis}, {unit}"] = float(sigma) * scale
-    return told
+            sigmas[f"{source.label}: {axis}, {unit}"] = float(sigma) * scale
+    return sigmas
 
 
 def _show(
@@ -223,15 +225,15 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
 
 
 def _sensor_line(found: jaxgeo.io.Acquisition) -> str:
-    told = _sensor(found)
-    if told is None:
+    sensor = _sensor(found)
+    if sensor is None:
         return "  sensor: none in this file"
-    (fu, fv), (across, down) = told["focal_px"], told["field_of_view_deg"]
-    gimbal = ", ".join(told["gimbal"])
-    held = f"gimbal {gimbal} relative to the {told['gimbal_reference']}" if gimbal else "fixed, no gimbal"
+    (fu, fv), (across, down) = sensor["focal_px"], sensor["field_of_view_deg"]
+    gimbal = ", ".join(sensor["gimbal"])
+    held = f"gimbal {gimbal} relative to the {sensor['gimbal_reference']}" if gimbal else "fixed, no gimbal"
     return (
-        f"  sensor: {told['width']} x {told['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, field of view "
-        f"{across:.2f} x {down:.2f} deg, {held}"
+        f"  sensor: {sensor['width']} x {sensor['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, "
+        f"field of view {across:.2f} x {down:.2f} deg, {held}"
     )
 
 

@@ -23,6 +23,7 @@ from jaxgeo.cli._errors import Sigmas
 from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
 from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
 from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixes_table, locate_inputs
+from jaxgeo.cli._option_names import reason_not_read
 from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
@@ -203,7 +204,6 @@ def _start(options: LocateOptions) -> None:
 
 def _check_file(writing: OutputOptions, probability: float, observed: jaxgeo.io.Observations, has_errors: bool) -> None:
     """Raises if the output file cannot be written as requested, before the ground is read."""
-    from jaxgeo.cli._option_names import reason_not_read
     from jaxgeo.io.fix_files import check_fix_file
 
     assert writing.output is not None

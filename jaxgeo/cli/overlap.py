@@ -15,7 +15,7 @@ from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shots_of, single, trajectory_of
 from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, NavigationFile, SceneFile, ShotsFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
@@ -72,7 +72,7 @@ def overlap_command(
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
-        keep_inputs("--output", output, [scene, navigation, shots], dem, reading)
+        check_no_overwrite("--output", output, [scene, navigation, shots], dem, reading)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.io.scene import read_scene
@@ -91,8 +91,8 @@ def overlap_command(
             if output is not None or not as_json:
                 _write(rows, chosen, stream)
         if as_json:
-            told = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
-            print_json("overlap", {"inputs": inputs, "pairs": told})
+            pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
+            print_json("overlap", {"inputs": inputs, "pairs": pairs})
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:

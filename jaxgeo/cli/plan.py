@@ -13,7 +13,7 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._exposure_tables import as_rows, pose_columns
-from jaxgeo.cli._inputs import keep_inputs, read_terrain, trajectory_of
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of
 from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, SceneFile
 from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import print_counts, stderr, working
@@ -66,8 +66,8 @@ def plan_command(
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
         check_place("--output", output)
-        keep_inputs("--output", output, [scene, navigation], dem, reading)
-        period = _checked_wishes(timing, overlap, place)
+        check_no_overwrite("--output", output, [scene, navigation], dem, reading)
+        period = _check_timing(timing, overlap, place)
         exposures = _plan(
             (scene, navigation),
             dem,
@@ -81,7 +81,7 @@ def plan_command(
             print_json("plan", {"inputs": inputs, "exposures": exposures})
 
 
-def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> float | None:
+def _check_timing(timing: str, overlap: float | None, place: Place | None) -> float | None:
     """Check the options; the period in s of a fixed timing, or None."""
     way, _, number = timing.partition(":")
     if way not in ("ground", "velocity-height", "fixed") or bool(number) != (way == "fixed"):

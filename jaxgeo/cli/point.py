@@ -57,7 +57,7 @@ def point_command(
             if reading.vertical_datum is not None:
                 raise UserError(f"--vertical-datum {reading.vertical_datum} applies to --dem; leave it out.")
         names, found, aim = _point(scene, dem or [], reading, (target, line_of_sight, pixel), height_datum)
-        code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
+        code = _print_readings(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
             print_json(
@@ -160,7 +160,7 @@ def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:
     return content
 
 
-def _shown(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
+def _print_readings(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
     """Print readings as in a scene file, unless `as_json`, and the status on stderr; returns the exit code.
 
     `unhidden` replaces the sentence of a hit if no terrain was given.

@@ -14,7 +14,7 @@ from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
-from jaxgeo.cli._option_names import reach_as_typed
+from jaxgeo.cli._option_names import translate_reach_errors
 from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand, SceneFile
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
@@ -110,7 +110,7 @@ def _rectify(
     rasters = [image] if wishes["like"] is None else [image, wishes["like"]]
     read = [scene_path, *terrain_files(dem, reading), *(file for one in rasters for file in files_behind(one, reach))]
     check_no_input("--output", [output, status_file(output)] if wishes["status"] else [output], read)
-    with reach_as_typed():
+    with translate_reach_errors():
         pixels = pixels_of(image, reach)
     if pixels < QUICK_PIXELS:
         compile_quickly()
@@ -119,7 +119,7 @@ def _rectify(
     shot = shot_of(scene, scene_path, "rectifying")
     terrain = read_terrain(dem, reading)
     began = time.perf_counter()
-    with bars_on_stderr() as is_shown, reach_as_typed():
+    with bars_on_stderr() as is_shown, translate_reach_errors():
         done = rectify_file(
             output,
             image,

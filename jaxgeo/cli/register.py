@@ -12,10 +12,10 @@ import typer
 from jaxgeo.cli._common import NO_ANSWER, Debug, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._inputs import read_terrain, shot_of, terrain_files
-from jaxgeo.cli._option_names import reach_as_typed
+from jaxgeo.cli._option_names import translate_reach_errors
 from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand, SceneFile
 from jaxgeo.cli._register_inputs import Errors, Sigmas, check_folder, check_search, errors_of, new_results, pixels_in
-from jaxgeo.cli._register_outputs import Work, reported, written
+from jaxgeo.cli._register_outputs import Work, print_report, write_results
 from jaxgeo.cli._results import AsJson, given_options
 from jaxgeo.cli._screen import print_message, working
 
@@ -65,16 +65,16 @@ def register_command(
         for one in errors.assumed:
             print_message(f"assumed: {one}")
         with working("compiling and registering"):
-            found = _registered(work, errors, block, probability)
+            found = _register(work, errors, block, probability)
         found_by = time.perf_counter() - began
         given = dataclasses.asdict(sigmas)
         inputs = {name: value for name, value in typed.items() if name == "dem_correlation" or name not in given}
         inputs |= {"sigmas": given}
         with new_results(output):
-            content = written(work, errors, pixels, found, output) | {"inputs": inputs}
+            content = write_results(work, errors, pixels, found, output) | {"inputs": inputs}
             content["seconds"] = {"registration": found_by, "all": time.perf_counter() - began}
             write_registration_report(output / "report.json", content)
-        reported(content, output, found, as_json)
+        print_report(content, output, found, as_json)
     if not found.accepted:
         raise typer.Exit(NO_ANSWER)
 
@@ -104,11 +104,11 @@ def _read(
     uv = pixels_in(pixels, scene.sensor.camera)
     reach = reading.reach
     how: dict[str, Any] = {"allow_remote": reach.remote, "allow_outside": reach.outside}
-    with reach_as_typed():
+    with translate_reach_errors():
         raster_of_file(reference_path, reach)
         values, known = read_image(image, bands[0], **how)
     check_size(str(image), values.shape, scene.sensor.camera)
-    with reach_as_typed():
+    with translate_reach_errors():
         reference, report = read_orthoimage_and_report(reference_path, bands[1], **how)
     terrain = read_terrain(dem, reading)
     errors = errors_of(sigmas, scene, scene_path, reference.ground_sampling)
@@ -116,7 +116,7 @@ def _read(
     return work, errors, uv
 
 
-def _registered(work: Work, errors: Errors, block: int, probability: float) -> Any:
+def _register(work: Work, errors: Errors, block: int, probability: float) -> Any:
     from jaxgeo.register import register_image
     from jaxgeo.uncertainty import ErrorModel
 

@@ -14,8 +14,8 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, repo
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._examples import examples_of
-from jaxgeo.cli._inputs import check_goes_with_dem, keep_inputs, read_terrain
-from jaxgeo.cli._option_names import reach_as_typed
+from jaxgeo.cli._inputs import check_goes_with_dem, check_no_overwrite, read_terrain
+from jaxgeo.cli._option_names import translate_reach_errors
 from jaxgeo.cli._options import DemOptions, expand_groups
 from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import print_message, working
@@ -154,14 +154,14 @@ def gu2017_command(
         sigmas = _sigmas(position_sigma, attitude_sigma, is_given=image is not None)
         if not dem:
             check_goes_with_dem(reading)
-        keep_inputs("--output", output, [image, reference, scene], dem, reading)
+        check_no_overwrite("--output", output, [image, reference, scene], dem, reading)
         _begin(output, runs_long=True)
         from jaxgeo.studies import gu2017
 
         given = None
         if image is not None and reference is not None and scene is not None:
             terrain = read_terrain(dem or [], reading)
-            with reach_as_typed():
+            with translate_reach_errors():
                 given = gu2017.read(image, reference, scene, terrain, sigmas, reading.reach)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 

@@ -207,7 +207,8 @@ def test_an_acquisition_in_memory_gives_the_same(folder) -> None:
     here, there = observations_of(found, PIXELS), read_observations("flight.klv", PIXELS, **HOW)
     assert here.columns == there.columns
     assert here.assumed == there.assumed
-    for one, other in zip(jax.tree.leaves(here.batches[0].observation), jax.tree.leaves(there.batches[0].observation)):
+    pairs = (jax.tree.leaves(each.batches[0].observation) for each in (here, there))
+    for one, other in zip(*pairs, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -253,7 +254,7 @@ def test_a_scene_without_a_pose_has_no_pixels(folder) -> None:
     (folder / "bare.toml").write_text(text[:pose].replace("outer_deg", "#").replace("inner_deg", "#") + text[errors:])
     with pytest.raises(SceneError, match=r"\[pose\] is missing"):
         read_observations("bare.toml")
-    with pytest.raises(SceneError, match="the vertical datum of the heights in shots.csv is unknown"):
+    with pytest.raises(SceneError, match=r"the vertical datum of the heights in shots\.csv is unknown"):
         read_observations("bare.toml", shots="shots.csv")
 
 
