@@ -222,7 +222,7 @@ def test_a_wrong_place_is_told_before_the_work(tmp_path, monkeypatch, command: s
         raise AssertionError("the work has begun")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("jaxgeo.cli.locate._locate", work)
+    monkeypatch.setattr("jaxgeo.cli.locate.read_inputs", work)
     monkeypatch.setattr("jaxgeo.demo.make_demo", work)
     (tmp_path / "folder").mkdir()
     arguments = ["--scene", scene_file(), "--dem", DEM, "--pixel", "1,2"] if command == "locate" else []

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from jaxgeo.cli import app
 from jaxgeo.cli._common import report_errors
 from jaxgeo.cli._errors import Sigmas
-from jaxgeo.cli._locate_options import LocateOptions
+from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions
 from jaxgeo.cli._results import plain
 from jaxgeo.cli._screen import bars_on_stderr, stderr, track, working
 from jaxgeo.status import Status
@@ -220,10 +220,10 @@ def test_long_lines(folder, line: str) -> None:
 def test_a_field_of_heights_is_noticed_before_anything_is_compiled(tmp_path, table: str, is_field: bool) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(f"[errors]\nterrain_m = 5\n{table}", encoding="utf-8")
-    asked = LocateOptions([], scene, None, [], [], ["dem.tif"], None, None, False, {}, Sigmas())
-    assert asked.samples_of_field is is_field
-    assert asked._replace(files=[scene], scene=None).samples_of_field is is_field
-    assert asked._replace(sigmas=Sigmas(dem_correlation=400.0)).samples_of_field
+    ground = GroundOptions(dem=["dem.tif"])
+    for given in (ObservationOptions(scene=scene), ObservationOptions(files=[scene])):
+        assert LocateOptions(given, ground).has_terrain_field is is_field
+        assert LocateOptions(given, ground, sigmas=Sigmas(dem_correlation=400.0)).has_terrain_field
 
 
 @pytest.mark.slow
@@ -335,7 +335,7 @@ def test_a_mistake_is_one_line(folder, line: str, pattern: str) -> None:
 def test_a_map_that_the_output_cannot_have_is_told_before_the_work(folder, monkeypatch, output: str, crs: str) -> None:
     line = f"locate DJI_0042.JPG --height-datum ellipsoid --ground 300 -o {output} --crs {crs}"
     folder(line)
-    monkeypatch.setattr("jaxgeo.cli.locate.located", failing(AssertionError("it was computed")))
+    monkeypatch.setattr("jaxgeo.cli.locate.locate_inputs", failing(AssertionError("it was computed")))
     result = run(line)
     assert result.exit_code == 2, result.output
     assert result.stderr.splitlines()[-1].startswith(f"jaxgeo: {output}: ")

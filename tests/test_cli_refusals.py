@@ -15,8 +15,8 @@ import typer
 from support import command_files
 from typer.testing import CliRunner
 
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli import app
-from jaxgeo.cli._refusals import is_refusal
 from jaxgeo.io.tables import read_shots
 
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*[a-z0-9]")

@@ -75,7 +75,7 @@ def test_following_the_advice_leads_to_a_file_that_is_read(tmp_path: pathlib.Pat
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(text, encoding="utf-8")
     (tmp_path / "SCENE.toml").write_text(SCENE, encoding="utf-8")
-    monkeypatch.setattr("jaxgeo.cli.locate._locate", lambda asked, *rest: _question_only(asked))
+    monkeypatch.setattr("jaxgeo.cli.locate._locate_rows", lambda options, *rest: _inputs_only(options))
     given: list[str] = []
     for number, ways in enumerate(steps):
         result = run("locate", name, "--ground", "300", *given)
@@ -94,33 +94,29 @@ def test_following_the_advice_leads_to_a_file_that_is_read(tmp_path: pathlib.Pat
         given += shlex.split(ways[0])
 
 
-def _question_only(asked) -> None:
+def _inputs_only(options) -> None:
     """All that `locate` reads and checks, without a program of JAX."""
     from jaxgeo._checks import enable_x64
-    from jaxgeo.cli._locate_inputs import read_question
+    from jaxgeo.cli._locate_inputs import inputs_of
 
     enable_x64()
-    read_question(asked, with_errors=False)
+    inputs_of(options, False)
 
 
 @pytest.mark.parametrize("name", ["pix4d.txt", "realitycapture.csv", "DJI_0001.SRT"])
 def test_of_a_scene_the_camera_alone_belongs_to_angles_of_the_camera(tmp_path: pathlib.Path, name: str) -> None:
     """A gimbal's readings on top of angles that hold them already would be tens of degrees off, without a word."""
-    from jaxgeo.cli._errors import Sigmas
-    from jaxgeo.cli._locate_inputs import read_question
-    from jaxgeo.cli._locate_options import LocateOptions
+    from jaxgeo.io import read_observations
 
     (tmp_path / name).write_text(FILES[name][0], encoding="utf-8")
     scene = tmp_path / "SCENE.toml"
     scene.write_text(SCENE, encoding="utf-8")
-    how = {"height_datum": "ellipsoid"} | ({} if name.endswith("SRT") else {"crs": "EPSG:32616"})
-    sigmas = Sigmas(*[None] * 6)
-    asked = LocateOptions([tmp_path / name], scene, None, [], [], [], "300", None, False, how, sigmas)
-    question = read_question(asked, with_errors=False)
-    assert question.readings == ()
-    sensor = question.batches[0].sensor
+    how = {} if name.endswith("SRT") else {"crs": "EPSG:32616"}
+    observed = read_observations(tmp_path / name, scene=scene, height_datum="ellipsoid", **how)
+    assert observed.gimbal_names == ()
+    sensor = observed.batches[0].sensor
     assert sensor.gimbal.names == ()
-    assert any("without gimbal and mount" in one for one in question.assumed)
+    assert any("without gimbal and mount" in one for one in observed.assumed)
     camera = read_scene(scene).sensor.camera
     np.testing.assert_array_equal(np.asarray(sensor.camera.focal_px)[0], camera.focal_px)
 

@@ -12,7 +12,7 @@ from support.numpy_in_jit import numpy_in_jitted_code
 LAYERS = [
     (
         "_typing _checks _elementary _numerics _record status least_squares _destination _partial _interruption "
-        "_text_numbers _command _renamed batches"
+        "_text_numbers _command _renamed _refusals batches"
     ).split(),
     ["earth", "rotations"],
     ["sensor", "terrain"],

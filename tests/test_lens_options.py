@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from support.drone_image_files import packet, write_image
 
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas, errors_given, interior_errors
-from jaxgeo.cli._file_views import views_of_files
-from jaxgeo.cli._locate_options import LocateOptions
+from jaxgeo.cli._locate_inputs import inputs_of
+from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions
 from jaxgeo.sensor import Gimbal
 from jaxgeo.uncertainty.sources import InteriorOrientation, Position
 from tests.test_cli_locate import DJI
@@ -41,9 +42,8 @@ def test_what_is_not_zero_needs_its_unit(text: str) -> None:
 
 
 def assumed(path: pathlib.Path, sigmas: Sigmas) -> list[str]:
-    how = {"height_datum": "ellipsoid"}
-    views = views_of_files(LocateOptions([path], None, None, [], [], [], "300", None, False, how, sigmas))
-    return [*views.assumed, *views.assumed_of_errors]
+    given, reading = ObservationOptions(files=[path]), ReadingOptions(height_datum="ellipsoid")
+    return inputs_of(LocateOptions(given, GroundOptions(level="300"), reading, sigmas), True).assumed
 
 
 @pytest.mark.parametrize("focal", ["0", "5px"])

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
@@ -20,6 +21,7 @@ from jaxgeo._destination import UNWRITABLE
 from jaxgeo._interruption import run
 from jaxgeo.cli._commands import Commands
 from jaxgeo.cli._examples import examples_of
+from jaxgeo.cli._options import expand_groups
 from jaxgeo.cli._results import version
 from jaxgeo.cli.demo import demo_command
 from jaxgeo.cli.footprint import footprint_command
@@ -72,8 +74,8 @@ def of_all(
     """Geolocation of aerial images on real terrain: ground coordinates of pixels and their accuracy."""
 
 
-def _add(name: str, command: Any) -> None:
-    app.command(name, epilog=examples_of(name))(command)
+def _add(name: str, command: Callable[..., None]) -> None:
+    app.command(name, epilog=examples_of(name))(expand_groups(command))
 
 
 _add("inspect", inspect_command)

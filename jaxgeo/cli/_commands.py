@@ -15,10 +15,10 @@ from typer.core import TyperGroup
 
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo.cli._common import DONE, INTERRUPTED, MISTAKE, NO_ANSWER, reason_of_system
-from jaxgeo.cli._screen import tell
+from jaxgeo.cli._screen import print_message
 
 MistakeOfUse: Any = typer.BadParameter.__mro__[1]  # UsageError, from typer's own or the installed click
-WORDS = {"nodata": ("nan",)}  # accepted as numbers, by option
+WORDS = {"--nodata": ("nan",)}  # accepted as numbers, by option
 KINDS = {"integer": "a whole number", "float": "a number", "number": "a number"}  # typer's word: ours
 
 
@@ -49,10 +49,10 @@ class Commands(TyperGroup):
             return super().main(**given, **extra)
         try:
             code = super().main(**given, **extra)
-            _flush_stdout(is_told=code == MISTAKE)
+            _flush_stdout(is_reported=code == MISTAKE)
         except MistakeOfUse as error:
             if type(error).__name__ != "NoArgsIsHelpError":  # help is already printed
-                tell(in_a_line(error))
+                print_message(in_a_line(error))
             code = MISTAKE
         except (KeyboardInterrupt, typer.Abort):
             code = INTERRUPTED
@@ -64,19 +64,19 @@ class Commands(TyperGroup):
             if not reason:
                 raise
             _close_stdout()
-            tell(reason)
+            print_message(reason)
             code = MISTAKE
         if code == INTERRUPTED:
-            tell("interrupted")
+            print_message("interrupted")
         sys.exit(code if isinstance(code, int) else DONE)
 
 
-def _flush_stdout(is_told: bool) -> None:
-    """Flush stdout; raises `OSError` if that fails, unless an error `is_told` (reported) already."""
+def _flush_stdout(is_reported: bool) -> None:
+    """Flush stdout; raises `OSError` if that fails, unless an error `is_reported` (reported) already."""
     try:
         print(end="", flush=True)  # no effect if stdout is closed
     except OSError:
-        if not is_told:
+        if not is_reported:
             raise
         _close_stdout()
 
@@ -101,7 +101,7 @@ def _strict(param: Any, convert: Callable[[Any, Any], Any], ctx: Any, value: Any
 
 
 def _is_written_so(param: Any, text: str, number: float | int) -> bool:
-    if text.strip().lower() in WORDS.get(param.name, ()):
+    if text.strip().lower() in WORDS.get(_name(param), ()):
         return True
     return (number_in(text) if isinstance(number, float) else whole_in(text)) == number
 

@@ -13,8 +13,8 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from jaxgeo._destination import DEVICE_FAILURES
-from jaxgeo.cli._refusals import is_refusal
-from jaxgeo.cli._screen import tell
+from jaxgeo._refusals import is_refusal
+from jaxgeo.cli._screen import print_message
 
 DONE, NO_ANSWER, MISTAKE, FAULT, INTERRUPTED = 0, 1, 2, 70, 130  # exit codes; 70 as in sysexits.h, 130 as shells do
 
@@ -33,7 +33,7 @@ def report_errors(debug: bool) -> Iterator[None]:
     With `debug`, the traceback precedes the message.
     """
     try:
-        with _words_of_gdal_dropped():
+        with _suppress_gdal_messages():
             yield
     except (typer.Exit, typer.Abort, BrokenPipeError):
         raise
@@ -60,7 +60,7 @@ def reason_of_system(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _words_of_gdal_dropped() -> Iterator[None]:
+def _suppress_gdal_messages() -> Iterator[None]:
     """Suppress GDAL messages on damaged files that rasterio cannot decode: Python would print a traceback."""
     before = sys.unraisablehook
 
@@ -78,7 +78,7 @@ def _words_of_gdal_dropped() -> Iterator[None]:
 def _end(message: str, code: int, debug: bool) -> NoReturn:
     if debug:
         traceback.print_exc()
-    tell(message)
+    print_message(message)
     raise typer.Exit(code) from None
 
 

@@ -55,11 +55,11 @@ def cache_folder() -> pathlib.Path | None:
 
 def _processor() -> str:
     """Short hash of the processor features: several machines may share a home directory."""
-    told = platform.machine() + platform.processor()
+    features = platform.machine() + platform.processor()
     with contextlib.suppress(OSError):
         lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        told += next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return hashlib.sha256(told.encode()).hexdigest()[:12]
+        features += next((line for line in lines if line.startswith(("flags", "Features"))), "")
+    return hashlib.sha256(features.encode()).hexdigest()[:12]
 
 
 def _knows(flags: str, folder: pathlib.Path | None) -> bool:
@@ -95,11 +95,11 @@ def _keep_programs(folder: pathlib.Path) -> None:
 def _forget_oldest(folder: pathlib.Path) -> None:
     """Remove the least recently used programs until the cache is at half its limit."""
     files = [(one.stat(), one) for one in folder.iterdir() if one.is_file()]
-    total = sum(told.st_size for told, _ in files)
+    total = sum(stat.st_size for stat, _ in files)
     if total <= LARGEST:
         return
-    for told, one in sorted(files, key=lambda pair: max(pair[0].st_mtime, pair[0].st_atime)):
+    for stat, one in sorted(files, key=lambda pair: max(pair[0].st_mtime, pair[0].st_atime)):
         one.unlink(missing_ok=True)
-        total -= told.st_size
+        total -= stat.st_size
         if total <= LARGEST // 2:
             return

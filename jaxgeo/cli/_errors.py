@@ -2,95 +2,83 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import pathlib
 import tomllib
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import typer
 
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._inputs import numbers_in
-from jaxgeo.cli._options import SURE
+from jaxgeo.cli._options import SURE, OptionGroup
 
 DEM_SIGMA = 5.0  # m, default for elevation models
 GROUND_SIGMA = 10.0  # m, default for level ground
 
-PositionSigma = Annotated[
-    str | None,
-    typer.Option(
-        "--position-sigma",
-        metavar="SIGMA",
-        help="Position standard deviation, m: one number, or NORTH,EAST,DOWN.",
-        rich_help_panel=SURE,
-    ),
-]
-AttitudeSigma = Annotated[
-    str | None,
-    typer.Option(
-        "--attitude-sigma",
-        metavar="SIGMA",
-        help="Attitude standard deviation, deg: one number, or HEADING,PITCH,ROLL.",
-        rich_help_panel=SURE,
-    ),
-]
-GimbalSigma = Annotated[
-    str | None,
-    typer.Option(
-        "--gimbal-sigma",
-        metavar="SIGMA",
-        help="Standard deviation of gimbal readings, deg: one number, or one per axis.",
-        rich_help_panel=SURE,
-    ),
-]
-FocalSigma = Annotated[
-    str | None,
-    typer.Option(
-        "--focal-sigma",
-        metavar="SIGMA",
-        help="Standard deviation of the focal length alone: 5px or 0.05mm; 0 for exact.",
-        rich_help_panel=SURE,
-    ),
-]
-PrincipalSigma = Annotated[
-    str | None,
-    typer.Option(
-        "--principal-sigma",
-        metavar="SIGMA",
-        help="Standard deviation of the principal point: 5px or 0.05mm; or COLUMN,ROWpx; 0 for exact.",
-        rich_help_panel=SURE,
-    ),
-]
-DemSigma = Annotated[
-    float | None,
-    typer.Option("--dem-sigma", metavar="SIGMA", help="DEM height standard deviation, m.", rich_help_panel=SURE),
-]
-DemCorrelation = Annotated[
-    float | None,
-    typer.Option(
-        "--dem-correlation",
-        metavar="DISTANCE",
-        help="Correlation length of DEM errors, m (default: fully correlated).",
-        rich_help_panel=SURE,
-    ),
-]
 
-
-class Sigmas(NamedTuple):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sigmas(OptionGroup):
     """Standard deviations as typed; None if not given."""
 
-    position: str | None = None
-    attitude: str | None = None
-    gimbal: str | None = None
-    focal: str | None = None
-    dem: float | None = None
-    dem_correlation: float | None = None
-    principal: str | None = None
+    panel: ClassVar[str | None] = SURE
+
+    position: Annotated[
+        str | None,
+        typer.Option(
+            "--position-sigma", metavar="SIGMA", help="Position standard deviation, m: one number, or NORTH,EAST,DOWN."
+        ),
+    ] = None
+    attitude: Annotated[
+        str | None,
+        typer.Option(
+            "--attitude-sigma",
+            metavar="SIGMA",
+            help="Attitude standard deviation, deg: one number, or HEADING,PITCH,ROLL.",
+        ),
+    ] = None
+    gimbal: Annotated[
+        str | None,
+        typer.Option(
+            "--gimbal-sigma",
+            metavar="SIGMA",
+            help="Standard deviation of gimbal readings, deg: one number, or one per axis.",
+        ),
+    ] = None
+    focal: Annotated[
+        str | None,
+        typer.Option(
+            "--focal-sigma",
+            metavar="SIGMA",
+            help="Standard deviation of the focal length alone: 5px or 0.05mm; 0 for exact.",
+        ),
+    ] = None
+    principal: Annotated[
+        str | None,
+        typer.Option(
+            "--principal-sigma",
+            metavar="SIGMA",
+            help="Standard deviation of the principal point: 5px or 0.05mm; or COLUMN,ROWpx; 0 for exact.",
+        ),
+    ] = None
+    dem: Annotated[
+        float | None, typer.Option("--dem-sigma", metavar="SIGMA", help="DEM height standard deviation, m.")
+    ] = None
+    dem_correlation: Annotated[
+        float | None,
+        typer.Option(
+            "--dem-correlation",
+            metavar="DISTANCE",
+            help="Correlation length of DEM errors, m (default: fully correlated).",
+        ),
+    ] = None
 
     @property
-    def are_given(self) -> bool:
-        """Whether any was given."""
-        return any(one is not None for one in self)
+    def given(self) -> dict[str, str | float]:
+        """The given ones by name, the principal point last."""
+        names = sorted((field.name for field in dataclasses.fields(self)), key=lambda name: name == "principal")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 def errors_given(

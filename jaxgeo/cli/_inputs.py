@@ -3,96 +3,75 @@
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import jaxgeo
 from jaxgeo._destination import check_no_input
 from jaxgeo._text_numbers import number_in, whole_in
 from jaxgeo._text_numbers import numbers_in as number_list
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._option_names import dem_words_as_typed
+from jaxgeo.cli._option_names import translate_dem_errors
+from jaxgeo.cli._options import DemOptions
 from jaxgeo.cli._screen import working
+from jaxgeo.sensor import AbstractCamera, FrameCamera, Shot, Trajectory
+from jaxgeo.terrain import Dem
+
+if TYPE_CHECKING:
+    import jaxgeo.io.scene
+
+T = TypeVar("T")
 
 
-class DemReading(NamedTuple):
-    """Reading options for the files of --dem."""
-
-    nodata: list[float] | None = None
-    height_unit: str | None = None
-    band: int | None = None
-    bounds: str | None = None
-    assume_wgs84: bool | None = None
-    allow_remote: bool | None = None
-    allow_outside: bool | None = None
-
-    @property
-    def reach(self) -> Any:
-        """Places that raster reading may access."""
-        from jaxgeo.io.reach import Reach
-
-        return Reach(bool(self.allow_remote), bool(self.allow_outside))
-
-    def check_goes_with_dem(self) -> None:
-        """Raises `UserError` if an option is given; call it if there is no --dem."""
-        options = ("--nodata", "--height-unit", "--dem-band", "--dem-bounds", "--assume-wgs84", "--allow-remote",
-                   "--allow-outside")  # fmt: skip
-        given = [name for name, value in zip(options, self, strict=True) if value is not None]
-        if given:
-            raise UserError(f"{given[0]} needs --dem FILE.")
+def check_goes_with_dem(options: DemOptions) -> None:
+    """Raises `UserError` if an option for the files of --dem is given; call it if there is no --dem."""
+    for name in options.of_files:
+        raise UserError(f"--{name.replace('_', '-')} needs --dem FILE.")
 
 
-def read_terrain(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> Any:
+def read_terrain(dem: list[str], options: DemOptions) -> Dem:
     """Elevation model from one file or several tiles."""
     from jaxgeo.io import read_dem
 
-    edges: Any = None
-    if reading.bounds is not None:
-        edges = tuple(numbers_in("--dem-bounds", reading.bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"))
-    with working("reading the elevation model"), dem_words_as_typed():
+    edges = None
+    if options.dem_bounds is not None:
+        west, south, east, north = numbers_in(
+            "--dem-bounds", options.dem_bounds, (4,), "WEST,SOUTH,EAST,NORTH, four numbers in deg"
+        )
+        edges = west, south, east, north
+    with working("reading the elevation model"), translate_dem_errors():
         return read_dem(
-            list(paths),
-            vertical_datum=datum(vertical_datum),
-            nodata=reading.nodata,
-            height_unit=reading.height_unit,
-            band=1 if reading.band is None else reading.band,
+            list(dem),
+            vertical_datum=datum(options.vertical_datum),
+            nodata=options.nodata,
+            height_unit=options.height_unit,
+            band=1 if options.dem_band is None else options.dem_band,
             bounds=edges,
-            assume_wgs84=bool(reading.assume_wgs84),
-            allow_remote=bool(reading.allow_remote),
-            allow_outside=bool(reading.allow_outside),
+            assume_wgs84=bool(options.assume_wgs84),
+            allow_remote=bool(options.allow_remote),
+            allow_outside=bool(options.allow_outside),
         )
 
 
-def terrain_files(paths: list[str], vertical_datum: str | None, reading: DemReading = DemReading()) -> list[str]:
+def terrain_files(dem: list[str], options: DemOptions) -> list[str]:
     """All files of the elevation model: tiles, sources of a VRT, a geoid grid."""
     from jaxgeo.io.paths import expanded, files_behind
 
-    tiles = [file for tile in expanded(list(paths)) for file in files_behind(tile, reading.reach)]
-    return tiles if vertical_datum is None else [*tiles, vertical_datum]
+    tiles = [file for tile in expanded(list(dem)) for file in files_behind(tile, options.reach)]
+    return tiles if options.vertical_datum is None else [*tiles, options.vertical_datum]
 
 
-def keep_inputs(
+def check_no_overwrite(
     option: str,
     output: pathlib.Path | None,
     read: Iterable[pathlib.Path | None],
-    ground: tuple[list[str], str | None, DemReading] = ([], None, DemReading()),
+    dem: list[str] | None = None,
+    options: DemOptions = DemOptions(),
 ) -> None:
-    """Raises `ValueError` if an output would overwrite an input; `ground` is (DEM files, datum, reading options)."""
+    """Raises `ValueError` if an output would overwrite an input."""
     if output is not None:
-        tiles = terrain_files(*ground) if ground[0] else []
+        tiles = terrain_files(dem, options) if dem else []
         check_no_input(option, [output], [*(path for path in read if path is not None), *tiles])
-
-
-def check_stated(table: Any, path: pathlib.Path, gimbal: Any, height_datum: str | float) -> None:
-    """Raises `UserError` if a table of shots and its scene disagree on the gimbal reference or the vertical datum."""
-    from jaxgeo.io.tables import GIMBAL_REFERENCE
-
-    meant = {GIMBAL_REFERENCE: ("gimbal angles", gimbal.reference), "height_datum": ("heights", height_datum)}
-    for name, (what, ours) in meant.items():
-        for stated in {str(row.get(name) or "") for row in table.rows} - {"", str(ours)}:
-            raise UserError(
-                f"{path}: its {what} are relative to {stated!r} (column {name}), in the scene to {str(ours)!r}; use a "
-                f"matching scene, or run jaxgeo locate FILE on the original file."
-            )
 
 
 def datum(text: str | None) -> str | float | None:
@@ -105,13 +84,13 @@ def datum(text: str | None) -> str | float | None:
     return whole if whole is not None and text.isdigit() else number
 
 
-def said_datum(text: str) -> str | float:
+def as_datum(text: str) -> str | float:
     """A datum from the command line, as in scene files: a number is an undulation in m."""
     number = number_in(text)
     return text if number is None else number
 
 
-def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
+def shot_of(scene: jaxgeo.io.scene.Scene, path: pathlib.Path, needed_by: str) -> Shot:
     """The shot of a scene; raises `SceneError` if it has none."""
     from jaxgeo.io.scene import SceneError
 
@@ -120,26 +99,16 @@ def shot_of(scene: Any, path: pathlib.Path, needed_by: str) -> Any:
     return scene.shot
 
 
-def height_datum_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None = None) -> str | float:
-    """Vertical datum of a table's heights: the option or the scene's; raises `SceneError` if neither states it."""
-    from jaxgeo.io.scene import SceneError
-
-    stated = scene.height_datum if asked is None else said_datum(asked)
-    if stated is None:
-        raise SceneError(
-            f"{path}: the vertical datum of the heights in {table} is unknown. State it in the scene file: "
-            f'[shots] height_datum = "ellipsoid", "EPSG:5773" (EGM96 mean sea level), or an undulation in m.'
-        )
-    return stated
-
-
-def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> tuple[Any, list[Any]]:
+def shots_of(
+    scene: jaxgeo.io.scene.Scene, path: pathlib.Path, table: pathlib.Path, given: str | None
+) -> tuple[Shot, list[dict[str, Any]]]:
     """(batch of shots, rows as text) of a table without pixels."""
     from jaxgeo.io.errors import OutsideDatum, VerticalDatumError
+    from jaxgeo.io.observations import check_stated, height_datum_of
     from jaxgeo.io.scene import SceneError
     from jaxgeo.io.tables import read_shots
 
-    stated = height_datum_of(scene, path, table, asked)
+    stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     names = scene.sensor.gimbal.names
     found = read_shots(table, names, pixels=False)
     check_stated(found, table, scene.sensor.gimbal, stated)
@@ -149,13 +118,16 @@ def shots_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | N
         raise SceneError(f"{path}, with the heights of {table}: {error}") from error
 
 
-def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: str | None) -> Any:
+def trajectory_of(
+    scene: jaxgeo.io.scene.Scene, path: pathlib.Path, table: pathlib.Path, given: str | None
+) -> Trajectory:
     """Trajectory from a file of navigation records; without gimbal columns the scene's readings are held.
 
     Raises `UserError` if the scene has none either.
     """
     from jaxgeo.io import read_navigation
     from jaxgeo.io._csv import gimbal_columns, read_csv
+    from jaxgeo.io.observations import height_datum_of
 
     names = scene.sensor.gimbal.names
     columns = list(gimbal_columns(names))
@@ -167,11 +139,11 @@ def trajectory_of(scene: Any, path: pathlib.Path, table: pathlib.Path, asked: st
                 f"{table}: no column {', '.join(columns)}, and {path} has no [pose] with readings in [gimbal] to hold."
             )
         held = scene.shot.gimbal_readings
-    stated = height_datum_of(scene, path, table, asked)
+    stated = height_datum_of(scene, path, table) if given is None else as_datum(given)
     return read_navigation(table, names, height_datum=stated, gimbal_readings=held)
 
 
-def single(batch: Any) -> Iterator[Any]:
+def single(batch: T) -> Iterator[T]:
     """The items of a batch of records, one by one, as JAX arrays."""
     import jax
     import jax.numpy as jnp
@@ -189,8 +161,9 @@ def numbers_in(option: str, text: str, counts: tuple[int, ...], form: str) -> li
     return found
 
 
-def check_on_image(text: str, uv: Any, camera: Any) -> None:
+def check_on_image(text: str, uv: Sequence[float], camera: AbstractCamera) -> None:
     """Raises `UserError` for a pixel (`text` as typed) outside the image of a camera."""
+    assert isinstance(camera, FrameCamera)
     column, row = uv
     if not (-0.5 <= column <= camera.width - 0.5 and -0.5 <= row <= camera.height - 0.5):
         raise UserError(

@@ -1,156 +1,187 @@
-"""Options of `jaxgeo locate` and `jaxgeo report`, and their values."""
+"""Options of `jaxgeo locate` and `jaxgeo report`: what is located, the ground, and how they are read."""
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import typer
 
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import UserError
 from jaxgeo.cli._errors import Sigmas
-from jaxgeo.cli._inputs import DemReading
-from jaxgeo.cli._options import SEEN
+from jaxgeo.cli._inputs import check_goes_with_dem, terrain_files
+from jaxgeo.cli._options import SEEN, DemOptions, OptionGroup
 
-Source = Annotated[
-    list[pathlib.Path] | None,
-    typer.Argument(
-        metavar="FILE",
-        help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
-        show_default=False,
-    ),
-]
-SceneOption = Annotated[
-    pathlib.Path | None,
-    typer.Option(
-        "--scene",
-        metavar="FILE",
-        help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
-        rich_help_panel=SEEN,
-    ),
-]
-GroundDem = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--dem",
-        metavar="FILE",
-        help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles.",
-        rich_help_panel=SEEN,
-    ),
-]
-GroundDatum = Annotated[
-    str | None,
-    typer.Option(
-        "--vertical-datum",
-        metavar="DATUM",
-        help='Vertical datum of the ground: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
-        rich_help_panel=SEEN,
-    ),
-]
-Ground = Annotated[
-    str | None,
-    typer.Option(
-        "--ground",
-        metavar="HEIGHT",
-        help="Level ground instead of --dem: height in m above the ellipsoid or --vertical-datum; or 'reported': the "
-        "frame centre height in the telemetry.",
-        rich_help_panel=SEEN,
-    ),
-]
-Pixels = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--pixel",
-        metavar="PIXEL",
-        help="COLUMN,ROW of a pixel (repeatable; default: image centre).",
-        rich_help_panel=SEEN,
-    ),
-]
-Exposures = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--exposure",
-        metavar="NAME",
-        help="Exposure name (repeatable; default: all).",
-        rich_help_panel=SEEN,
-    ),
-]
-TableOfShots = Annotated[
-    pathlib.Path | None,
-    typer.Option(
-        "--shots",
-        metavar="FILE",
-        help="With --scene: CSV with a shot and a pixel per row.",
-        rich_help_panel=SEEN,
-    ),
-]
 Refraction = Annotated[
     bool,
     typer.Option("--refraction", help="Apply refraction (US Standard Atmosphere 1976).", rich_help_panel=SEEN),
 ]
 
 
-class LocateOptions(NamedTuple):
-    """Option values as typed."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ObservationOptions(OptionGroup):
+    """Files, and pixels of their exposures."""
 
-    files: list[pathlib.Path]
-    scene: pathlib.Path | None
-    shots: pathlib.Path | None
-    pixels: list[str]
-    exposures: list[str]
-    dem: list[str]
-    ground: str | None
-    vertical_datum: str | None
-    refraction: bool
-    how: dict[str, Any]
-    sigmas: Sigmas
-    reading: DemReading = DemReading()
+    panel: ClassVar[str | None] = SEEN
+
+    files: Annotated[
+        list[pathlib.Path] | None,
+        typer.Argument(
+            metavar="FILE",
+            help="Drone images or folders, KLV, SBET, table, reconstruction; or a scene.",
+            show_default=False,
+        ),
+    ] = None
+    scene: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--scene",
+            metavar="FILE",
+            help="Scene file (TOML): camera, gimbal, mount and pose; also for FILEs without a camera.",
+        ),
+    ] = None
+    shots: Annotated[
+        pathlib.Path | None,
+        typer.Option("--shots", metavar="FILE", help="With --scene: CSV with a shot and a pixel per row."),
+    ] = None
+    pixels: Annotated[
+        list[str] | None,
+        typer.Option("--pixel", metavar="PIXEL", help="COLUMN,ROW of a pixel (repeatable; default: image centre)."),
+    ] = None
+    exposures: Annotated[
+        list[str] | None,
+        typer.Option("--exposure", metavar="NAME", help="Exposure name (repeatable; default: all)."),
+    ] = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GroundOptions(DemOptions):
+    """An elevation model, or level ground."""
+
+    first: ClassVar[tuple[str, ...]] = ("dem",)
+
+    vertical_datum: Annotated[
+        str | None,
+        typer.Option(
+            "--vertical-datum",
+            metavar="DATUM",
+            help='Vertical datum of the ground: "EPSG:5773", "ellipsoid", an undulation in m, a geoid grid.',
+            rich_help_panel=SEEN,
+        ),
+    ] = None
+    dem: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--dem",
+            metavar="FILE",
+            help="Elevation model: a file, or a URL with --allow-remote; repeatable for tiles.",
+            rich_help_panel=SEEN,
+        ),
+    ] = None
+    level: Annotated[
+        str | None,
+        typer.Option(
+            "--ground",
+            metavar="HEIGHT",
+            help="Level ground instead of --dem: height in m above the ellipsoid or --vertical-datum; or 'reported': "
+            "the frame centre height in the telemetry.",
+            rich_help_panel=SEEN,
+        ),
+    ] = None
+
+
+@dataclasses.dataclass(frozen=True)
+class LocateOptions:
+    """Options of one run of `jaxgeo locate` or `jaxgeo report`; checked."""
+
+    of_images: ObservationOptions
+    ground: GroundOptions
+    reading: ReadingOptions = ReadingOptions()
+    sigmas: Sigmas = Sigmas()
+    refraction: bool = False
+
+    @property
+    def files(self) -> list[pathlib.Path]:
+        """The FILEs."""
+        return self.of_images.files or []
+
+    @property
+    def pixels(self) -> list[str]:
+        """The values of --pixel."""
+        return self.of_images.pixels or []
 
     @property
     def is_scene(self) -> bool:
         """Whether the exposures come from a scene file: by --scene, or as the only FILE."""
-        return not self.files or (len(self.files) == 1 and is_scene_file(self.files[0]))
+        return not self.files or (len(self.files) == 1 and _is_scene_file(self.files[0]))
 
     @property
     def scene_file(self) -> pathlib.Path | None:
         """The scene file, from --scene or as FILE."""
-        return self.files[0] if self.files and self.is_scene else self.scene
+        return self.files[0] if self.files and self.is_scene else self.of_images.scene
 
     @property
-    def named(self) -> str:
-        """The FILEs as named in messages."""
-        more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
-        return f"{self.files[0]}{more}" if self.files else f"{self.scene}"
-
-    @property
-    def samples_of_field(self) -> bool:
+    def has_terrain_field(self) -> bool:
         """Whether ground height errors are spatially correlated, by an option or by the scene's [errors] table."""
-        scenes = [path for path in (self.scene, self.scene_file) if path is not None and is_scene_file(path)]
-        told = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
-        return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in told)
+        scenes = {path for path in (self.of_images.scene, self.scene_file) if path is not None and _is_scene_file(path)}
+        texts = [path.read_text(encoding="utf-8", errors="replace") for path in scenes if path.is_file()]
+        return self.sigmas.dem_correlation is not None or any("terrain_correlation_m" in text for text in texts)
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """The options as typed, by name."""
+        given, ground = self.of_images, self.ground
+        paths = {"file": self.files[0] if len(self.files) == 1 else None, "scene": given.scene, "shots": given.shots}
+        found: dict[str, Any] = {name: str(path) for name, path in paths.items() if path is not None}
+        if len(self.files) > 1:
+            found["files"] = [str(path) for path in self.files]
+        found |= {"dem": list(ground.dem)} if ground.dem else {"ground": ground.level}
+        found |= {f"dem_{name.removeprefix('dem_')}": value for name, value in ground.of_files.items()}
+        if ground.vertical_datum is not None:
+            found["vertical_datum"] = ground.vertical_datum
+        how = self.reading.arguments
+        found |= {name: str(value) if isinstance(value, pathlib.Path) else value for name, value in how.items()}
+        sigmas = self.sigmas.given
+        return found | ({"sigmas": sigmas} if sigmas else {}) | ({"refraction": True} if self.refraction else {})
+
+    @property
+    def input_files(self) -> list[str | pathlib.Path]:
+        """All files that are read, those in folders too."""
+        given, reading = self.of_images, self.reading
+        named = [*self.files, given.scene, given.shots, reading.errors, reading.interior, reading.positions]
+        files: list[str | pathlib.Path] = [one for one in named if one is not None]
+        files += [reading.camera] if reading.camera is not None and reading.camera.lower().endswith(".toml") else []
+        for folder in [pathlib.Path(one) for one in files if pathlib.Path(one).is_dir()]:
+            files += sorted(folder.iterdir())
+        return [*files, *(terrain_files(self.ground.dem, self.ground) if self.ground.dem else [])]
+
+    def check(self) -> None:
+        """Raises `UserError` for options that contradict each other."""
+        given, ground = self.of_images, self.ground
+        if not self.files and given.scene is None:
+            raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
+        if len(self.files) > 1:
+            for path in filter(_is_scene_file, self.files):
+                raise UserError(
+                    f"{path} is a scene file: give it alone, or as --scene {path} for files without a camera."
+                )
+        if given.shots is not None:
+            if self.files:
+                more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
+                raise UserError(f"--shots {given.shots}: use it with --scene, not with {self.files[0]}{more}.")
+            if self.pixels:
+                raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
+        if bool(ground.dem) == (ground.level is not None):
+            raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
+        if not ground.dem:
+            check_goes_with_dem(ground)
+        if given.exposures and self.is_scene:
+            raise UserError("--exposure needs a FILE of exposures; a scene has only one.")
+        if self.sigmas.dem_correlation is not None and ground.level is not None:
+            raise UserError("--dem-correlation: level ground has one common height error; use it with --dem.")
 
 
-def is_scene_file(path: pathlib.Path) -> bool:
-    """Whether a file name is that of a scene (.toml)."""
+def _is_scene_file(path: pathlib.Path) -> bool:
     return path.suffix.lower() == ".toml"
-
-
-def check_asked(asked: LocateOptions) -> None:
-    if not asked.files and asked.scene is None:
-        raise UserError("give a FILE that jaxgeo inspect reads, or --scene SCENE.toml.")
-    if len(asked.files) > 1:
-        for path in filter(is_scene_file, asked.files):
-            raise UserError(f"{path} is a scene file: give it alone, or as --scene {path} for files without a camera.")
-    if asked.shots is not None:
-        if asked.files:
-            raise UserError(f"--shots {asked.shots}: use it with --scene, not with {asked.named}.")
-        if asked.pixels:
-            raise UserError("give either --pixel COLUMN,ROW (repeatable) or --shots FILE.")
-    if bool(asked.dem) == (asked.ground is not None):
-        raise UserError("give the ground: either --dem FILE, or --ground HEIGHT for level ground.")
-    if not asked.dem:
-        asked.reading.check_goes_with_dem()
-    if asked.exposures and asked.is_scene:
-        raise UserError("--exposure needs a FILE of exposures; a scene has only one.")
-    if asked.sigmas.dem_correlation is not None and asked.ground is not None:
-        raise UserError("--dem-correlation: level ground has one common height error; use it with --dem.")

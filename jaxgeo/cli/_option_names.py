@@ -8,20 +8,22 @@ import shlex
 from collections.abc import Iterator
 from typing import Any
 
+from jaxgeo._refusals import is_refusal
 from jaxgeo.cli._common import UserError
-from jaxgeo.cli._refusals import is_refusal
 
-# Options of `read_acquisition` whose command-line name differs by more than dashes.
-OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities"}
+# Options of `read_observations` whose command-line name differs by more than dashes.
+OTHER_NAMES = {"crs": "source-crs", "gimbal_deg": "gimbal", "velocities": "no-velocities", "exposures": "exposure",
+               "pixels": "pixel"}  # fmt: skip
 # Reader options available on the command line; the others are Python only.
 READING = (
     "height_datum", "takeoff_height", "image_size", "upright", "keep_damaged", "stream", "velocities", "crs", "camera",
     "gimbal_deg", "positions", "errors", "interior",
 )  # fmt: skip
+OBSERVED = ("scene", "shots", "exposures", "pixels")  # other options of `read_observations`
 # Reader options whose value is a flag on the command line.
 FLAGS = {"velocities=False": "--no-velocities", "keep_damaged=True": "--keep-damaged"}
 _VALUE = r'"[^"]*"|\((?:"|[-+.\d])[^()]*\)'  # a Python string, or a tuple
-_OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
+_OPTION = re.compile(rf"\b({'|'.join(('vertical_datum', *OBSERVED, *READING))})=(?:({_VALUE})|(?:\.\.\.)?\s?)")
 
 
 def typed(name: str) -> str:
@@ -47,20 +49,20 @@ def as_typed(text: str) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """Reason why a file cannot be read, in one line, with command-line options."""
+    """Reason why a file cannot be read, with command-line options."""
     from jaxgeo.io.acquisitions.detect import WrongOption
 
     if isinstance(error, WrongOption):
         options = [typed(name) for name in error.takes if name in READING]
         takes = f"it takes {', '.join(options)}" if options else "it takes no reading options"
         return f"{error.path} ({error.kind}) takes no {typed(error.name)}; {takes}."
-    return as_typed(" ".join(str(error).split())) or type(error).__name__
+    return as_typed("\n".join(" ".join(line.split()) for line in str(error).splitlines())) or type(error).__name__
 
 
 def reason_not_read(unread: Any) -> str:
     """Reason why one of many files could not be read, including internal errors."""
     if is_refusal(unread.error):
-        return reason_of(unread.error)
+        return " ".join(reason_of(unread.error).split())
     name, reason = type(unread.error).__name__, " ".join(str(unread.error).split())
     return (
         f"{unread.path}: internal error: unexpected {name}{f' ({reason})' if reason else ''}; run jaxgeo inspect "
@@ -104,7 +106,7 @@ def dem_as_typed(text: str) -> str:
 
 
 @contextlib.contextmanager
-def dem_words_as_typed() -> Iterator[None]:
+def translate_dem_errors() -> Iterator[None]:
     """Raise `read_dem` errors as `UserError` with command-line options."""
     try:
         yield
@@ -113,7 +115,7 @@ def dem_words_as_typed() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def reach_as_typed() -> Iterator[None]:
+def translate_reach_errors() -> Iterator[None]:
     """Raise remote- or outside-access errors of images as `UserError` with command-line options."""
     try:
         yield
@@ -127,7 +129,7 @@ def reach_as_typed() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def words_as_typed() -> Iterator[None]:
+def translate_reader_errors() -> Iterator[None]:
     """Raise reader errors as `UserError` with command-line options."""
     try:
         yield

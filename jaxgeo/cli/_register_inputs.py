@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import pathlib
 import shutil
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+import typer
 
 from jaxgeo._destination import check_no_input
 from jaxgeo._interruption import undone_if_stopped
@@ -24,6 +27,7 @@ from jaxgeo.cli._errors import (
     position_errors,
 )
 from jaxgeo.cli._inputs import check_on_image, numbers_in
+from jaxgeo.cli._options import OptionGroup
 
 FILES = ("scene.toml", "ties.geojson", "ortho.tif", "report.json", "registration.png")
 OLD = ".old"
@@ -33,18 +37,63 @@ PICTURED = 1024  # cells per side of the figure, at most
 TILE = 256  # as in registration, to reuse compiled programs
 
 
-class Sigmas(NamedTuple):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sigmas(OptionGroup):
     """Standard deviations as typed; None if not given."""
 
-    position: str
-    attitude: str
-    gimbal: str | None
-    focal: str | None
-    reference: float | None
-    registration: float
-    dem: float | None
-    dem_correlation: float | None
-    principal: str | None = None
+    position: Annotated[
+        str,
+        typer.Option("--position-sigma", metavar="SIGMA", help="Position standard deviation, m, or NORTH,EAST,DOWN."),
+    ]
+    attitude: Annotated[
+        str,
+        typer.Option(
+            "--attitude-sigma", metavar="SIGMA", help="Attitude standard deviation, deg, or HEADING,PITCH,ROLL."
+        ),
+    ]
+    gimbal: Annotated[
+        str | None,
+        typer.Option(
+            "--gimbal-sigma",
+            metavar="SIGMA",
+            help="Gimbal reading standard deviation, deg, or one per axis (default: exact).",
+        ),
+    ] = None
+    focal: Annotated[
+        str | None,
+        typer.Option(
+            "--focal-sigma", metavar="SIGMA", help="Also estimate the focal length, with prior sigma 5px, 0.1mm."
+        ),
+    ] = None
+    principal: Annotated[
+        str | None,
+        typer.Option(
+            "--principal-sigma",
+            metavar="SIGMA",
+            help="Also estimate the principal point, with prior sigma 5px, 0.1mm, or COLUMN,ROWpx.",
+        ),
+    ] = None
+    reference: Annotated[
+        float | None,
+        typer.Option(
+            "--reference-sigma",
+            help="Position sigma of the whole reference, m (default: one cell). It cannot be estimated "
+            "from one image: the value is your guarantee.",
+        ),
+    ] = None
+    registration: Annotated[
+        float,
+        typer.Option(
+            "--registration-sigma", help="Minimum sigma of a match besides its own, m; increased by residuals."
+        ),
+    ] = 0.0
+    dem: Annotated[float | None, typer.Option("--dem-sigma", help="DEM height standard deviation, m (default 5).")] = (
+        None
+    )
+    dem_correlation: Annotated[
+        float | None,
+        typer.Option("--dem-correlation", help="Correlation length of DEM errors, m (default 500; 0: uncorrelated)."),
+    ] = None
 
 
 class Errors(NamedTuple):

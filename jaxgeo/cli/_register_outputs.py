@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._register_inputs import Errors, fixes_of, picture_of, seen_part
 from jaxgeo.cli._results import print_json
-from jaxgeo.cli._screen import bars_on_stderr, number_table, tell
+from jaxgeo.cli._screen import bars_on_stderr, number_table, print_message
 
 UNKNOWNS = {
     "name": ("parameter", ""),
@@ -44,7 +44,9 @@ class Work(NamedTuple):
     bands: list[int] | None
 
 
-def written(work: Work, errors: Errors, pixels: list[list[float]], found: Any, folder: pathlib.Path) -> dict[str, Any]:
+def write_results(
+    work: Work, errors: Errors, pixels: list[list[float]], found: Any, folder: pathlib.Path
+) -> dict[str, Any]:
     """Write all files except the report; returns the report content."""
     from jaxgeo.io import write_tie_points, write_updated_scene
     from jaxgeo.io.registration_report import fix_report, report_of, tie_rows, versions
@@ -66,7 +68,7 @@ def written(work: Work, errors: Errors, pixels: list[list[float]], found: Any, f
     if rows:
         write_tie_points(folder / "ties.geojson", rows)
         written.append("ties.geojson")
-    if _pictured(work, errors, found, fixes[0], folder / "registration.png"):
+    if _write_figure(work, errors, found, fixes[0], folder / "registration.png"):
         written.append("registration.png")
     return content | {"files": written}
 
@@ -101,7 +103,7 @@ def _ortho(work: Work, found: Any, path: pathlib.Path) -> dict[str, Any]:
     }
 
 
-def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Path) -> bool:
+def _write_figure(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Path) -> bool:
     """Write the registration figure; returns whether there is one."""
     import numpy as np
 
@@ -110,7 +112,7 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
     try:
         figure = picture_of(found, work.reference, look, (grey, work.known), errors, fix)
     except ImportError as error:
-        tell(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         return False
     if figure is None:
         return False
@@ -119,7 +121,7 @@ def _pictured(work: Work, errors: Errors, found: Any, fix: Any, path: pathlib.Pa
     return True
 
 
-def reported(content: dict[str, Any], folder: pathlib.Path, found: Any, as_json: bool) -> None:
+def print_report(content: dict[str, Any], folder: pathlib.Path, found: Any, as_json: bool) -> None:
     """Print the report."""
     if as_json:
         print_json("register", content)

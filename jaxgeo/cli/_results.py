@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from jaxgeo.cli._console import as_json
+from jaxgeo.cli._options import OptionGroup
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the whole result as one JSON object only.")]
 NOT_ASKED = {"as_json", "debug"}  # output options, not inputs
@@ -40,9 +41,12 @@ def version() -> str:
         return "not installed"
 
 
-def asked(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Given options by name, from the `locals()` at the start of a command."""
-    return {name: plain(value) for name, value in options.items() if name not in NOT_ASKED and value is not None}
+def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Given options by name, from the `locals()` at the start of a command; groups of options as their fields."""
+    found: dict[str, Any] = {}
+    for name, value in options.items():
+        found |= vars(value) if isinstance(value, OptionGroup) else {name: value}
+    return {name: plain(value) for name, value in found.items() if name not in NOT_ASKED and value is not None}
 
 
 def plain(value: Any) -> Any:

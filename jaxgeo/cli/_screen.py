@@ -16,7 +16,7 @@ from jaxgeo.cli._console import Console
 Item = TypeVar("Item")
 
 
-def tell(message: str) -> None:
+def print_message(message: str) -> None:
     """Print a message on stderr, each line prefixed with `jaxgeo:`."""
     text = "\n".join(f"jaxgeo: {line}" for line in message.splitlines())
     stderr().print(text, markup=False, highlight=False, soft_wrap=True)

@@ -44,8 +44,8 @@ def found_apart(seed: int, folder: pathlib.Path | None) -> list[Study]:
                     _close(process)
                     written = pathlib.Path(place) / f"{name}.pickle"
                     if process.returncode != 0 or not written.exists():
-                        told = (pathlib.Path(place) / f"{name}.txt").read_text(encoding="utf-8", errors="replace")
-                        raise RuntimeError(f"study {name} ended with {process.returncode}: {told[-2000:]}")
+                        text = (pathlib.Path(place) / f"{name}.txt").read_text(encoding="utf-8", errors="replace")
+                        raise RuntimeError(f"study {name} ended with {process.returncode}: {text[-2000:]}")
                     done[name] = pickle.loads(written.read_bytes())  # written by our own subprocess
                     progress.update(task, completed=len(done), description=_words(going))
                 time.sleep(WAIT)
@@ -64,8 +64,8 @@ def _started(name: str, seed: int, folder: pathlib.Path | None, place: pathlib.P
     words = [sys.executable, "-m", MODULE, name, str(seed), str(place / f"{name}.pickle")]
     if folder is not None:
         words.append(str(folder.absolute()))
-    with (place / f"{name}.txt").open("wb") as told:
-        return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=told, stderr=told)
+    with (place / f"{name}.txt").open("wb") as stream:
+        return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=stream, stderr=stream)
 
 
 def _close(process: subprocess.Popen[bytes]) -> None:

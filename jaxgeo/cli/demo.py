@@ -11,9 +11,9 @@ from jaxgeo._destination import destination, is_device
 from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import keep_inputs
-from jaxgeo.cli._results import AsJson, asked, print_json
-from jaxgeo.cli._screen import fix_table, print_counts, tell, working
+from jaxgeo.cli._inputs import check_no_overwrite
+from jaxgeo.cli._results import AsJson, given_options, print_json
+from jaxgeo.cli._screen import fix_table, print_counts, print_message, working
 
 PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # written by matplotlib itself
 
@@ -31,7 +31,7 @@ def demo_command(
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') only the table is printed, and the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         _demo(output, write_scene, inputs if as_json else None)
 
@@ -41,7 +41,7 @@ def _demo(output: pathlib.Path, write_scene: pathlib.Path | None, inputs: dict[s
     from jaxgeo import demo
 
     _check_one_is_not_the_other(output, write_scene)
-    keep_inputs("--write-scene", write_scene, [demo.scene_file()])
+    check_no_overwrite("--write-scene", write_scene, [demo.scene_file()])
     with destination("--output", output, binary=True) as stream:
         picture_format = _picture_format(output)
         if write_scene is not None:
@@ -124,5 +124,5 @@ def _draw(made: Any, stream: Any, picture_format: str) -> None:
     try:
         demo.draw(made, stream, picture_format)
     except ImportError as error:
-        tell(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        print_message(f"no figure: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(NO_ANSWER) from None

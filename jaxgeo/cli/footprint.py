@@ -14,22 +14,9 @@ from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shot_of, shots_of, single
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    DemFiles,
-    HeightDatum,
-    HeightUnit,
-    Nodata,
-    SceneFile,
-    ShotsFile,
-    VerticalDatum,
-)
-from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shot_of, shots_of, single
+from jaxgeo.cli._options import DemFiles, DemOptions, HeightDatum, SceneFile, ShotsFile
+from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
 ENDINGS = (".geojson", ".json", ".gpkg")
@@ -53,14 +40,7 @@ def footprint_command(
     scene: SceneFile,
     dem: DemFiles,
     shots: ShotsFile = None,
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptions = DemOptions(),
     height_datum: HeightDatum = None,
     output: Annotated[
         pathlib.Path | None,
@@ -77,7 +57,7 @@ def footprint_command(
     debug: Debug = False,
 ) -> None:
     """Image footprints on the terrain: outlines for a map, areas, and ground sample distance (GSD) at the centre."""
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         if output is not None:
             _check_output(output)
@@ -85,13 +65,8 @@ def footprint_command(
             raise UserError(f"--tolerance {tolerance:g}: must be above 0 m.")
         if height_datum is not None and shots is None:
             raise UserError(f"--height-datum {height_datum} applies to the heights of --shots FILE; leave it out.")
-        ground = (
-            dem,
-            vertical_datum,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
-        )
-        keep_inputs("--output", output, [scene, shots], ground)
-        rows, outlines = _footprint(scene, ground, shots, height_datum, output, (crs, tolerance, edges))
+        check_no_overwrite("--output", output, [scene, shots], dem, reading)
+        rows, outlines = _footprint(scene, dem, reading, shots, height_datum, output, (crs, tolerance, edges))
         _show(rows, outlines, inputs if as_json else None)
 
 
@@ -103,7 +78,8 @@ def _check_output(output: pathlib.Path) -> None:
 
 def _footprint(
     scene_path: pathlib.Path,
-    ground: tuple[list[str], str | None, DemReading],
+    dem: list[str],
+    reading: DemOptions,
     shots_path: pathlib.Path | None,
     height_datum: str | None,
     output: pathlib.Path | None,
@@ -126,10 +102,10 @@ def _footprint(
         shots = list(single(batch))
     if output is not None:
         check_footprint_file(output, crs, _attributes(carried), len(shots))
-    terrain = read_terrain(*ground)
+    terrain = read_terrain(dem, reading)
     outlines, rows = [], []
     for index, shot in enumerate(track(shots, "computing footprints")):
-        outline, row = _outlined(scene, shot, terrain, tolerance)
+        outline, row = _footprint_of(scene, shot, terrain, tolerance)
         outlines.append(outline)
         rows.append({"shot": index, **row})
     if output is not None:
@@ -164,7 +140,7 @@ def _places(outline: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _outlined(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
+def _footprint_of(scene: Any, shot: Any, terrain: Any, tolerance: float) -> tuple[Any, dict[str, Any]]:
     """(footprint of a shot, its table row)."""
     from jaxgeo.coverage import footprint, ground_sample_distance
     from jaxgeo.status import Status

@@ -7,34 +7,20 @@ import math
 import pathlib
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.markup import escape
 
+import jaxgeo
 from jaxgeo._destination import check_place, destination
-from jaxgeo.cli._acquisitions import (
-    CameraName,
-    GimbalAngles,
-    InteriorFile,
-    KeepDamaged,
-    NoVelocities,
-    PositionsFile,
-    SbetErrors,
-    SourceCrs,
-    SourceDatum,
-    Stream,
-    TakeoffHeight,
-    Upright,
-    VideoSize,
-    how_to_read,
-)
+from jaxgeo._refusals import is_refusal
+from jaxgeo.cli._acquisitions import ReadingOptions, print_unread, reading_files
 from jaxgeo.cli._common import FAULT, Debug, UserError, name_says, report_errors
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._exposure_rows import middles_of, rows_of, tags_of
-from jaxgeo.cli._file_views import read_files, tell_unread
-from jaxgeo.cli._inputs import keep_inputs
+from jaxgeo.cli._exposure_tables import centre_pixels, rows_of, tags_of
+from jaxgeo.cli._inputs import check_no_overwrite
 from jaxgeo.cli._option_names import as_typed, reason_not_read
-from jaxgeo.cli._refusals import is_refusal
-from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import number_table
 
 SHOWN = 5  # exposures printed
@@ -45,19 +31,7 @@ def inspect_command(
         list[pathlib.Path],
         typer.Argument(metavar="FILE", help="Drone images or folders, KLV, SBET, table, reconstruction, scene."),
     ],
-    height_datum: SourceDatum = None,
-    takeoff_height: TakeoffHeight = None,
-    crs: SourceCrs = None,
-    camera: CameraName = None,
-    gimbal: GimbalAngles = None,
-    image_size: VideoSize = None,
-    upright: Upright = False,
-    keep_damaged: KeepDamaged = False,
-    stream: Stream = None,
-    errors: SbetErrors = None,
-    no_velocities: NoVelocities = False,
-    interior: InteriorFile = None,
-    positions: PositionsFile = None,
+    reading: ReadingOptions = ReadingOptions(),
     output: Annotated[
         pathlib.Path | None,
         typer.Option(
@@ -72,7 +46,7 @@ def inspect_command(
     debug: Debug = False,
 ) -> None:
     """Exposures in a file: cameras, poses, error sources, and the assumptions of its reader."""
-    inputs = asked(locals())
+    inputs = given_options(locals())
     inputs |= {"file": inputs.pop("files")[0]} if len(files) == 1 else {}
     with report_errors(debug):
         from jaxgeo._checks import enable_x64
@@ -81,30 +55,19 @@ def inspect_command(
             if output.suffix.lower() != ".csv":
                 raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
             check_place("--output", output)
-            keep_inputs("--output", output, [*_files_in(files), errors, interior, positions])
+            check_no_overwrite(
+                "--output", output, [*_files_in(files), reading.errors, reading.interior, reading.positions]
+            )
         if tags and not as_json:
             raise UserError("--tags needs --json.")
         enable_x64()
-        how = how_to_read(
-            height_datum,
-            takeoff_height,
-            crs,
-            camera,
-            image_size,
-            (upright, keep_damaged, stream),
-            errors,
-            interior,
-            no_velocities,
-            gimbal,
-            positions=positions,
-        )
-        found, unstated = _read(files, how)
+        found, unstated = _read(files, reading.arguments)
         rows = rows_of(found)
         if output is not None:
             if unstated is not None:
                 raise UserError(as_typed(unstated))
             _write(output, found, rows)
-        tell_unread(found.unread)
+        print_unread(found.unread)
         if as_json:
             print_json("inspect", {"inputs": inputs, **_content(files, found, rows, unstated, tags)})
         else:
@@ -117,26 +80,28 @@ def _files_in(files: list[pathlib.Path]) -> list[pathlib.Path]:
     return [*files, *(inside for one in files if one.is_dir() for inside in one.iterdir())]
 
 
-def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[Any, str | None]:
+def _read(files: list[pathlib.Path], how: dict[str, Any]) -> tuple[jaxgeo.io.AcquisitionSet, str | None]:
     """(exposures, why their vertical datum is unknown or None); without a datum heights are as in the files."""
     from jaxgeo.io.acquisitions import UnstatedDatum
+    from jaxgeo.io.observations import read_files
 
     try:
-        return read_files(files, how), None
+        with reading_files(files) as progress:
+            return read_files(files, progress=progress, **how), None
     except UserError as error:
         if not isinstance(error.__cause__, UnstatedDatum):
             raise
-        found = read_files(files, {**how, "height_datum": "ellipsoid"})
+        found, _ = _read(files, {**how, "height_datum": "ellipsoid"})
         assumed = tuple(one for one in found.assumed if not one.startswith("Heights are above"))  # not stated
         return dataclasses.replace(found, assumed=assumed), str(error)
 
 
-def _write(output: pathlib.Path, found: Any, rows: list[dict[str, Any]]) -> None:
+def _write(output: pathlib.Path, found: jaxgeo.io.AcquisitionSet, rows: list[dict[str, Any]]) -> None:
     """Write a table of shots, with columns for the vertical datum and the gimbal reference."""
     from jaxgeo.io.tables import write_csv
 
     more = {"height_datum": "ellipsoid"}
-    rows = [row | more | middle for row, middle in zip(rows, middles_of(found), strict=True)]
+    rows = [row | more | middle for row, middle in zip(rows, centre_pixels(found), strict=True)]
     with destination("--output", output) as stream:
         write_csv(({name: _text(name, value) for name, value in row.items()} for row in rows), stream)
 
@@ -148,7 +113,11 @@ def _text(name: str, value: Any) -> Any:
 
 
 def _content(
-    files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None, tags: bool
+    files: list[pathlib.Path],
+    found: jaxgeo.io.AcquisitionSet,
+    rows: list[dict[str, Any]],
+    unstated: str | None,
+    tags: bool,
 ) -> dict[str, Any]:
     """JSON content: all exposures, and each part of one structure (one camera)."""
     parts = [
@@ -162,7 +131,7 @@ def _content(
     return content | ({"tags": tags_of(found)} if tags else {})
 
 
-def _named(files: list[pathlib.Path], found: Any) -> str:
+def _named(files: list[pathlib.Path], found: jaxgeo.io.AcquisitionSet) -> str:
     if len(files) > 1:
         return f"{files[0]} and {len(files) - 1} more"
     return found.parts[0].path if not files[0].is_dir() else f"{files[0]}"
@@ -172,14 +141,15 @@ def _unread(one: Any) -> dict[str, str]:
     return {"name": one.name, "path": one.path, "reason": reason_not_read(one)}
 
 
-def _sensor(found: Any) -> dict[str, Any] | None:
+def _sensor(found: jaxgeo.io.Acquisition) -> dict[str, Any] | None:
     """The sensor of the first exposure."""
     if found.sensor is None:
         return None
-    import numpy as np
+    from jaxgeo.io.observations import frame_camera_of
 
     sensor, _, _ = found.exposure(0)
-    camera = sensor.camera
+    assert sensor is not None
+    camera = frame_camera_of(sensor)
     focal = np.asarray(camera.focal_px)
     half = 0.5 * np.array([camera.width, camera.height])
     return {
@@ -194,20 +164,20 @@ def _sensor(found: Any) -> dict[str, Any] | None:
     }
 
 
-def _errors(found: Any) -> dict[str, float]:
+def _errors(found: jaxgeo.io.Acquisition) -> dict[str, float]:
     """Standard deviations of the first exposure by axis, angles in deg."""
-    import numpy as np
-
     _, _, sources = found.exposure(0)
-    told = {}
+    sigmas = {}
     for source in sources:
         unit, scale = ("deg", 180.0 / math.pi) if source.unit == "rad" else (source.unit, 1.0)
         for axis, sigma in zip(source.sigma_axes, np.asarray(source.sigma), strict=True):
-            told[f"{source.label}: {axis}, {unit}"] = float(sigma) * scale
-    return told
+            sigmas[f"{source.label}: {axis}, {unit}"] = float(sigma) * scale
+    return sigmas
 
 
-def _show(files: list[pathlib.Path], found: Any, rows: list[dict[str, Any]], unstated: str | None) -> None:
+def _show(
+    files: list[pathlib.Path], found: jaxgeo.io.AcquisitionSet, rows: list[dict[str, Any]], unstated: str | None
+) -> None:
     console = Console(width=None if Console().is_terminal else 160, highlight=False)
     count, unread = len(rows), len(found.unread)
     for number, part in enumerate(found.parts):
@@ -254,22 +224,21 @@ def _columns(rows: list[dict[str, Any]]) -> dict[str, tuple[str, str]]:
     return shown | {name: (f"diff {title}", ".2f") for name, title in beside.items() if name in row and compared}
 
 
-def _sensor_line(found: Any) -> str:
-    told = _sensor(found)
-    if told is None:
+def _sensor_line(found: jaxgeo.io.Acquisition) -> str:
+    sensor = _sensor(found)
+    if sensor is None:
         return "  sensor: none in this file"
-    (fu, fv), (across, down) = told["focal_px"], told["field_of_view_deg"]
-    gimbal = ", ".join(told["gimbal"])
-    held = f"gimbal {gimbal} relative to the {told['gimbal_reference']}" if gimbal else "fixed, no gimbal"
+    (fu, fv), (across, down) = sensor["focal_px"], sensor["field_of_view_deg"]
+    gimbal = ", ".join(sensor["gimbal"])
+    held = f"gimbal {gimbal} relative to the {sensor['gimbal_reference']}" if gimbal else "fixed, no gimbal"
     return (
-        f"  sensor: {told['width']} x {told['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, field of view "
-        f"{across:.2f} x {down:.2f} deg, {held}"
+        f"  sensor: {sensor['width']} x {sensor['height']} pixels, focal length {fu:.1f} x {fv:.1f} pixels, "
+        f"field of view {across:.2f} x {down:.2f} deg, {held}"
     )
 
 
 def _comparison(rows: list[dict[str, Any]]) -> str:
     """Percentiles of the differences to the reported range, frame centre and corners, over all exposures."""
-    import numpy as np
 
     def middle(name: str, places: int) -> str:
         values = np.array([row[name] for row in rows if row[name] is not None])

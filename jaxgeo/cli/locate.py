@@ -2,75 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 import pathlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, TextIO
 
 import typer
 
+import jaxgeo
 from jaxgeo._destination import check_place, destination, is_device
-from jaxgeo.cli._acquisitions import (
-    CameraName,
-    GimbalAngles,
-    InteriorFile,
-    KeepDamaged,
-    NoVelocities,
-    PositionsFile,
-    SbetErrors,
-    SourceCrs,
-    SourceDatum,
-    Stream,
-    TakeoffHeight,
-    Upright,
-    VideoSize,
-    how_to_read,
-)
+from jaxgeo.cli._acquisitions import ReadingOptions
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._errors import (
-    AttitudeSigma,
-    DemCorrelation,
-    DemSigma,
-    FocalSigma,
-    GimbalSigma,
-    PositionSigma,
-    PrincipalSigma,
-    Sigmas,
-)
-from jaxgeo.cli._exposures import ExposureSet
-from jaxgeo.cli._inputs import DemReading
-from jaxgeo.cli._locate_inputs import LocateInputs, told_question
-from jaxgeo.cli._locate_options import (
-    Exposures,
-    Ground,
-    GroundDatum,
-    GroundDem,
-    LocateOptions,
-    Pixels,
-    Refraction,
-    SceneOption,
-    Source,
-    TableOfShots,
-)
-from jaxgeo.cli._locate_results import LocateResults, fixes_in_parts, fixes_table, leave_without_a_fix, located
-from jaxgeo.cli._options import (
-    SURE,
-    WRITING,
-    AllowOutside,
-    AllowRemote,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    HeightUnit,
-    Nodata,
-)
+from jaxgeo.cli._errors import Sigmas
+from jaxgeo.cli._locate_inputs import LocateInputs, read_inputs
+from jaxgeo.cli._locate_options import GroundOptions, LocateOptions, ObservationOptions, Refraction
+from jaxgeo.cli._locate_results import exit_without_fix, fixes_as_computed, fixes_table, locate_inputs
+from jaxgeo.cli._option_names import reason_not_read
+from jaxgeo.cli._options import SURE, WRITING, OptionGroup, Probability
 from jaxgeo.cli._results import AsJson, print_json
 from jaxgeo.cli._screen import print_counts
 
 ENDINGS = (".csv", ".geojson", ".json", ".gpkg", ".parquet", ".kml", ".kmz")
+Row = dict[str, Any]
 
 
 class Format(StrEnum):
@@ -84,22 +43,71 @@ class Format(StrEnum):
 OF_FORMAT = {Format.table: (".csv",), Format.csv: (".csv",), Format.geojson: (".geojson", ".json")}
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OutputOptions(OptionGroup):
+    """File or terminal format, and coordinates of a file."""
+
+    panel: ClassVar[str | None] = WRITING
+
+    output: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help=f"File to write ({', '.join(ENDINGS)}); default: the terminal."
+        ),
+    ] = None
+    format: Annotated[
+        Format | None,
+        typer.Option("--format", help="Terminal format (default: table, or csv for --shots).", show_default=False),
+    ] = None
+    crs: Annotated[
+        str,
+        typer.Option("--crs", metavar="CRS", help='CRS of the --output: "EPSG:4326", "EPSG:32616", ...'),
+    ] = "EPSG:4326"
+    heights: Annotated[
+        str | None,
+        typer.Option(
+            "--heights", metavar="DATUM", help='Vertical datum of the --output: "ellipsoid", "EPSG:5773", ...'
+        ),
+    ] = None
+    mgrs: Annotated[bool, typer.Option("--mgrs", help="With --output: also MGRS coordinates.")] = False
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the output is a file whose extension determines its format."""
+        return self.output is not None and not is_device(self.output) and self.format is None
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Arguments of `write_fixes`."""
+        return {"crs": self.crs, "heights": self.heights, "mgrs": self.mgrs}
+
+    def check(self) -> None:
+        """Raises `UserError` for options that contradict each other, and as `check_place`."""
+        output = self.output
+        if output is not None and not is_device(output):
+            check_place("--output", output)
+            ending = output.suffix.lower()
+            if self.format is None and ending not in ENDINGS:
+                raise UserError(
+                    f"--output {output}: {name_says(output)}; use {', '.join(ENDINGS)}, or give --format table, csv or "
+                    f"geojson."
+                )
+            if self.format is not None and ending in ENDINGS and ending not in OF_FORMAT[self.format]:
+                raise UserError(f"--format {self.format.value} conflicts with --output {output}; leave one out.")
+        if not self.is_file and (self.crs != "EPSG:4326" or self.heights is not None or self.mgrs):
+            raise UserError(f"--crs, --heights and --mgrs need --output FILE ({', '.join(ENDINGS)}).")
+
+    def format_of_rows(self, shots: pathlib.Path | None) -> Format:
+        """Format of rows on the terminal or a pipe, whose name may have an extension."""
+        by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
+        usual = Format.table if shots is None else Format.csv
+        return self.format or (usual if self.output is None else by_name.get(self.output.suffix.lower(), usual))
+
+
 def locate_command(
-    files: Source = None,
-    scene: SceneOption = None,
-    shots: TableOfShots = None,
-    pixel: Pixels = None,
-    exposure: Exposures = None,
-    dem: GroundDem = None,
-    vertical_datum: GroundDatum = None,
-    ground: Ground = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    of_images: ObservationOptions,
+    ground: GroundOptions,
+    *,
     accuracy: Annotated[
         bool | None,
         typer.Option(
@@ -109,270 +117,146 @@ def locate_command(
             rich_help_panel=SURE,
         ),
     ] = None,
-    probability: Annotated[
-        float,
-        typer.Option(metavar="SHARE", help="Confidence level of CE/LE/SE.", rich_help_panel=SURE),
-    ] = 0.9,
-    position_sigma: PositionSigma = None,
-    attitude_sigma: AttitudeSigma = None,
-    gimbal_sigma: GimbalSigma = None,
-    focal_sigma: FocalSigma = None,
-    principal_sigma: PrincipalSigma = None,
-    dem_sigma: DemSigma = None,
-    dem_correlation: DemCorrelation = None,
+    probability: Probability = 0.9,
+    sigmas: Sigmas,
     refraction: Refraction = False,
-    height_datum: SourceDatum = None,
-    takeoff_height: TakeoffHeight = None,
-    source_crs: SourceCrs = None,
-    camera: CameraName = None,
-    gimbal: GimbalAngles = None,
-    image_size: VideoSize = None,
-    upright: Upright = False,
-    keep_damaged: KeepDamaged = False,
-    stream: Stream = None,
-    errors: SbetErrors = None,
-    no_velocities: NoVelocities = False,
-    interior: InteriorFile = None,
-    positions: PositionsFile = None,
-    output: Annotated[
-        pathlib.Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help=f"File to write ({', '.join(ENDINGS)}); default: the terminal.",
-            rich_help_panel=WRITING,
-        ),
-    ] = None,
-    output_format: Annotated[
-        Format | None,
-        typer.Option(
-            "--format",
-            help="Terminal format (default: table, or csv for --shots).",
-            show_default=False,
-            rich_help_panel=WRITING,
-        ),
-    ] = None,
-    crs: Annotated[
-        str,
-        typer.Option(
-            metavar="CRS", help='CRS of the --output: "EPSG:4326", "EPSG:32616", ...', rich_help_panel=WRITING
-        ),
-    ] = "EPSG:4326",
-    heights: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DATUM",
-            help='Vertical datum of the --output: "ellipsoid", "EPSG:5773", ...',
-            rich_help_panel=WRITING,
-        ),
-    ] = None,
-    mgrs: Annotated[
-        bool,
-        typer.Option("--mgrs", help="With --output: also MGRS coordinates.", rich_help_panel=WRITING),
-    ] = False,
+    reading: ReadingOptions,
+    writing: OutputOptions,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Ground coordinates of pixels and their accuracy: one row per pixel, with a status."""
     with report_errors(debug):
-        how = how_to_read(
-            height_datum,
-            takeoff_height,
-            source_crs,
-            camera,
-            image_size,
-            (upright, keep_damaged, stream),
-            errors,
-            interior,
-            no_velocities,
-            gimbal,
-            positions=positions,
-        )
-        sigmas = Sigmas(
-            position_sigma, attitude_sigma, gimbal_sigma, focal_sigma, dem_sigma, dem_correlation, principal_sigma
-        )
-        asked = LocateOptions(
-            files or [],
-            scene,
-            shots,
-            pixel or [],
-            exposure or [],
-            dem or [],
-            ground,
-            vertical_datum,
-            refraction,
-            how,
-            sigmas,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
-        )
+        options = LocateOptions(of_images, ground, reading, sigmas, refraction)
+        _ = reading.arguments  # raises for wrong values
         if not 0.0 < probability < 1.0:
             raise UserError(f"--probability {probability:g}: must be between 0 and 1.")
-        if accuracy is False and sigmas.are_given:
+        if accuracy is False and sigmas.given:
             raise UserError("--no-accuracy contradicts standard deviations (--...-sigma); leave one out.")
-        is_file = _is_file(output, output_format)
-        if not is_file and (crs != "EPSG:4326" or heights is not None or mgrs):
-            raise UserError(f"--crs, --heights and --mgrs need --output FILE ({', '.join(ENDINGS)}).")
-        _locate(asked, accuracy, probability, (output, is_file, output_format), (crs, heights, mgrs), as_json)
-
-
-def _is_file(output: pathlib.Path | None, asked: Format | None) -> bool:
-    """Whether the output is a file whose extension determines its format."""
-    if output is None or is_device(output):
-        return False
-    check_place("--output", output)
-    if asked is None and output.suffix.lower() not in ENDINGS:
-        raise UserError(
-            f"--output {output}: {name_says(output)}; use {', '.join(ENDINGS)}, or give --format table, csv or geojson."
-        )
-    if asked is not None and output.suffix.lower() in ENDINGS and output.suffix.lower() not in OF_FORMAT[asked]:
-        raise UserError(f"--format {asked.value} conflicts with --output {output}; leave one out.")
-    return asked is None
-
-
-def _format(output: pathlib.Path | None, asked: Format | None, shots: pathlib.Path | None) -> Format:
-    """Format of rows on the terminal or a pipe, whose name may have an extension."""
-    by_name = {".csv": Format.csv, ".geojson": Format.geojson, ".json": Format.geojson}
-    usual = Format.table if shots is None else Format.csv
-    return asked or (usual if output is None else by_name.get(output.suffix.lower(), usual))
-
-
-def _locate(
-    asked: LocateOptions,
-    accuracy: bool | None,
-    probability: float,
-    where: tuple[pathlib.Path | None, bool, Format | None],
-    drawn: tuple[str, str | None, bool],
-    as_json: bool,
-) -> None:
-    from jaxgeo._checks import enable_x64
-
-    output, is_file, output_format = where
-    if is_file or as_json:
-        compile_quickly(asked.samples_of_field)
-        enable_x64()
-        check = functools.partial(_check_file, output, drawn, probability) if output is not None and is_file else None
-        question = told_question(asked, accuracy, output, check)
-        found = located(question, probability)
-        _finish(question, found, probability, output if is_file else None, drawn, as_json)
-        return
-    with destination("--output", output) as stream:
-        compile_quickly(asked.samples_of_field)
-        enable_x64()
-        question = told_question(asked, accuracy, output)
-        chosen = _format(output, output_format, asked.shots)
-        counts: dict[str, int] = {}
-        if chosen is Format.table or question.has_errors or question.is_each:
-            found = located(question, probability)
-            rows = found.rows("--output", question)
-            counts |= _counts(rows)
+        writing.check()
+        if writing.is_file or as_json:
+            _locate_all(options, accuracy, probability, writing, as_json)
         else:
-            found, rows = None, _rows(question, counts)
+            _locate_rows(options, accuracy, probability, writing)
+
+
+def _locate_all(
+    options: LocateOptions, accuracy: bool | None, probability: float, writing: OutputOptions, as_json: bool
+) -> None:
+    """Locate, then write the file and the JSON object."""
+    _start(options)
+    check = functools.partial(_check_file, writing, probability) if writing.is_file else None
+    inputs = read_inputs(options, accuracy, writing.output, check)
+    fixes, found = locate_inputs(inputs, probability)
+    rows = inputs.observed.table(fixes, found, reasons=inputs.reasons)
+    if writing.is_file:
+        from jaxgeo.io import write_fixes
+
+        assert writing.output is not None
+        write_fixes(
+            writing.output,
+            fixes,
+            accuracy=found,
+            probability=probability if found is not None else None,
+            attributes=_typed(inputs.observed),
+            reasons=inputs.reasons,
+            **writing.drawn,
+        )
+    print_counts(Counter(row["status"] for row in rows), len(rows))
+    if as_json:
+        print_json("locate", {"inputs": options.inputs, "assumed": inputs.assumed, "fixes": rows})
+    exit_without_fix(inputs, fixes)
+
+
+def _locate_rows(options: LocateOptions, accuracy: bool | None, probability: float, writing: OutputOptions) -> None:
+    """Locate, and write rows to the terminal or a pipe: as they are computed if there are no errors to estimate."""
+    with destination("--output", writing.output) as stream:
+        _start(options)
+        inputs = read_inputs(options, accuracy, writing.output)
+        chosen = writing.format_of_rows(options.of_images.shots)
+        counts: Counter[str] = Counter()
+        fixes = found = None
+        if chosen is Format.table or inputs.has_errors or not inputs.observed.batches[0].is_one_camera:
+            fixes, found = locate_inputs(inputs, probability)
+            rows = inputs.observed.table(fixes, found, reasons=inputs.reasons)
+            counts.update(row["status"] for row in rows)
+        else:
+            rows = _rows(inputs, counts)
             if stream.isatty():  # a progress bar on the same terminal would break the rows
                 rows = list(rows)
         if chosen is Format.table:
-            print_counts(counts, len(question.carried))
-        _write_rows(rows, question, probability if found and found.accuracy is not None else None, chosen, stream)
+            print_counts(counts, len(inputs.observed))
+        _write_rows(rows, inputs, None if found is None else probability, chosen, stream)
         stream.flush()
     if chosen is not Format.table:  # after the rows, not between them
-        print_counts(counts, len(question.carried))
-    if found is not None:
-        leave_without_a_fix(question, found)
+        print_counts(counts, len(inputs.observed))
+    if fixes is not None:
+        exit_without_fix(inputs, fixes)
 
 
-def _check_file(
-    output: pathlib.Path, drawn: tuple[str, str | None, bool], probability: float, views: ExposureSet, has_errors: bool
-) -> None:
+def _start(options: LocateOptions) -> None:
+    """Set up JAX."""
+    from jaxgeo._checks import enable_x64
+
+    compile_quickly(options.has_terrain_field)
+    enable_x64()
+
+
+def _check_file(writing: OutputOptions, probability: float, observed: jaxgeo.io.Observations, has_errors: bool) -> None:
     """Raises if the output file cannot be written as requested, before the ground is read."""
     from jaxgeo.io.fix_files import check_fix_file
 
-    crs, heights, mgrs = drawn
+    assert writing.output is not None
     check_fix_file(
-        output,
-        crs,
-        heights,
-        views.position,
-        attributes=_typed(views.carried, views.readings),
-        mgrs=mgrs,
-        reasons=views.reasons,
+        writing.output,
+        writing.crs,
+        writing.heights,
+        observed.position,
+        attributes=_typed(observed),
+        mgrs=writing.mgrs,
+        reasons=observed.reasons_by(reason_not_read),
         probability=probability if has_errors else None,
     )
 
 
-def _finish(
-    question: LocateInputs,
-    found: LocateResults,
-    probability: float,
-    output: pathlib.Path | None,
-    drawn: tuple[str, str | None, bool],
-    as_json: bool,
-) -> None:
-    """Write the file, then the terminal output."""
-    rows = found.rows("locate", question)
-    if output is not None:
-        from jaxgeo.io import write_fixes
-
-        crs, heights, mgrs = drawn
-        carried = _typed(question.carried, question.readings)
-        level = probability if found.accuracy is not None else None
-        write_fixes(
-            output,
-            found.fixes,
-            accuracy=found.accuracy,
-            probability=level,
-            crs=crs,
-            heights=heights,
-            attributes=carried,
-            mgrs=mgrs,
-            reasons=question.reasons,
-        )
-    print_counts(_counts(rows), len(rows))
-    if as_json:
-        print_json("locate", {"inputs": question.inputs, "assumed": question.assumed, "fixes": rows})
-    leave_without_a_fix(question, found)
-
-
-def _typed(carried: list[dict[str, Any]], readings: tuple[str, ...]) -> list[dict[str, Any]]:
-    """Carried columns; numeric columns of a table of shots as numbers, NaN as None."""
+def _typed(observed: jaxgeo.io.Observations) -> list[Row]:
+    """Input columns; numeric columns of a table of shots as numbers, NaN as None."""
     from jaxgeo.io.tables import number_columns
 
-    numbers = number_columns(readings)
-    return [{name: _number(value) if name in numbers else value for name, value in row.items()} for row in carried]
+    numbers = number_columns(observed.gimbal_names)
+    return [
+        {name: _number(value) if name in numbers else value for name, value in row.items()} for row in observed.columns
+    ]
 
 
 def _number(value: Any) -> float | None:
-    import math
-
     number = math.nan if value is None else float(value)
     return number if math.isfinite(number) else None
 
 
-def _rows(question: LocateInputs, counts: dict[str, int]) -> Iterator[dict[str, Any]]:
+def _rows(inputs: LocateInputs, counts: Counter[str]) -> Iterator[Row]:
     """Rows of fixes without accuracy, as they are computed; statuses are counted in `counts`."""
     from jaxgeo.io import height_msl
     from jaxgeo.io.tables import fix_rows
 
-    for start, fixes in fixes_in_parts(question):
-        for i, row in enumerate(fix_rows(fixes, height_msl(fixes)), start):
-            counts[row["status"]] = counts.get(row["status"], 0) + 1
-            yield {**question.carried[i], **row}
-
-
-def _counts(rows: list[dict[str, Any]]) -> dict[str, int]:
-    names = [row["status"] for row in rows]
-    return {name: names.count(name) for name in dict.fromkeys(names)}
+    columns = iter(inputs.observed.columns)
+    for fixes in fixes_as_computed(inputs):
+        for row in fix_rows(fixes, height_msl(fixes)):
+            counts[row["status"]] += 1
+            yield {**next(columns), **row}
 
 
 def _write_rows(
-    rows: Any, question: LocateInputs, probability: float | None, output_format: Format, stream: Any
+    rows: Iterable[Row], inputs: LocateInputs, probability: float | None, output_format: Format, stream: TextIO
 ) -> None:
     from jaxgeo.io.tables import number_columns, write_csv, write_geojson
 
     if output_format is Format.csv:
         write_csv(rows, stream)
     elif output_format is Format.geojson:
-        write_geojson(rows, stream, number_columns(question.readings))
+        write_geojson(rows, stream, number_columns(inputs.observed.gimbal_names))
     else:
+        assert isinstance(rows, Sequence)
         console = Console(file=stream, width=None if stream.isatty() else 160, highlight=False)
         console.print(fixes_table(rows, probability, console.width))
         if len(rows) == 1 and rows[0].get("accuracy_text"):

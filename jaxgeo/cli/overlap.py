@@ -15,24 +15,9 @@ from jaxgeo._text_numbers import numbers_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, shots_of, single, trajectory_of
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    Along,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    DemFiles,
-    HeightDatum,
-    HeightUnit,
-    NavigationFile,
-    Nodata,
-    SceneFile,
-    ShotsFile,
-    VerticalDatum,
-)
-from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, shots_of, single, trajectory_of
+from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, NavigationFile, SceneFile, ShotsFile
+from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import number_table, print_counts, track
 
 DECIMALS = {"near": 6, "far": 6, "least": 6, "side": 6, "area": 6, "step_m": 3}
@@ -70,14 +55,7 @@ def overlap_command(
     ] = None,
     shots: ShotsFile = None,
     along: Along = None,
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptions = DemOptions(),
     height_datum: HeightDatum = None,
     output_format: Annotated[
         Format | None, typer.Option("--format", help="Default: csv with --output, table on the terminal.")
@@ -90,16 +68,11 @@ def overlap_command(
     debug: Debug = False,
 ) -> None:
     """Overlap of consecutive images on the terrain, one row per pair."""
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         chosen = _chosen_format(output_format, output)
         moments = _moments(navigation, times, shots)
-        ground = (
-            dem,
-            vertical_datum,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
-        )
-        keep_inputs("--output", output, [scene, navigation, shots], ground)
+        check_no_overwrite("--output", output, [scene, navigation, shots], dem, reading)
         with destination("--output", output) as stream:
             from jaxgeo._checks import enable_x64
             from jaxgeo.io.scene import read_scene
@@ -112,14 +85,14 @@ def overlap_command(
                 images = _exposures(given, scene, navigation, moments, height_datum)
             else:
                 images = _images(given, scene, shots, height_datum)
-            terrain = read_terrain(*ground)
+            terrain = read_terrain(dem, reading)
             rows = _overlaps(given, images, terrain, None if along is None else along.value)
             _count(rows)
             if output is not None or not as_json:
                 _write(rows, chosen, stream)
         if as_json:
-            told = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
-            print_json("overlap", {"inputs": inputs, "pairs": told})
+            pairs = [{**row, **status_words(Status[row["status"]], BOTH)} for row in rows]
+            print_json("overlap", {"inputs": inputs, "pairs": pairs})
 
 
 def _chosen_format(asked: Format | None, output: pathlib.Path | None) -> Format:

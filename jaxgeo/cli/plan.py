@@ -12,23 +12,10 @@ from jaxgeo._destination import check_place
 from jaxgeo._text_numbers import number_in
 from jaxgeo.cli._common import Debug, UserError, name_says, report_errors
 from jaxgeo.cli._compiler import compile_quickly
-from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain, trajectory_of
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    Along,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    DemFiles,
-    HeightDatum,
-    HeightUnit,
-    Nodata,
-    SceneFile,
-    VerticalDatum,
-)
-from jaxgeo.cli._poses import pose_columns, rows_of
-from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._exposure_tables import as_rows, pose_columns
+from jaxgeo.cli._inputs import check_no_overwrite, read_terrain, trajectory_of
+from jaxgeo.cli._options import Along, DemFiles, DemOptions, HeightDatum, SceneFile
+from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import print_counts, stderr, working
 from jaxgeo.cli.overlap import BOTH
 
@@ -65,14 +52,7 @@ def plan_command(
     ] = None,
     start: Annotated[float | None, typer.Option(help="Time of the first exposure, s (default: first record).")] = None,
     along: Along = None,
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptions = DemOptions(),
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -81,21 +61,17 @@ def plan_command(
 
     Output heights are above the ellipsoid.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         if output.suffix.lower() != ".csv":
             raise UserError(f"--output {output}: {name_says(output)}; use .csv.")
         check_place("--output", output)
-        ground = (
-            dem,
-            vertical_datum,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
-        )
-        keep_inputs("--output", output, [scene, navigation], ground)
-        period = _checked_wishes(timing, overlap, place)
+        check_no_overwrite("--output", output, [scene, navigation], dem, reading)
+        period = _check_timing(timing, overlap, place)
         exposures = _plan(
             (scene, navigation),
-            ground,
+            dem,
+            reading,
             height_datum,
             (timing, period if overlap is None else overlap, place or Place.near),
             (start, None if along is None else along.value),
@@ -105,7 +81,7 @@ def plan_command(
             print_json("plan", {"inputs": inputs, "exposures": exposures})
 
 
-def _checked_wishes(timing: str, overlap: float | None, place: Place | None) -> float | None:
+def _check_timing(timing: str, overlap: float | None, place: Place | None) -> float | None:
     """Check the options; the period in s of a fixed timing, or None."""
     way, _, number = timing.partition(":")
     if way not in ("ground", "velocity-height", "fixed") or bool(number) != (way == "fixed"):
@@ -132,7 +108,8 @@ def _period(timing: str, number: str, overlap: float | None) -> float:
 
 def _plan(
     files: tuple[pathlib.Path, pathlib.Path],
-    ground: tuple[list[str], str | None, DemReading],
+    dem: list[str],
+    reading: DemOptions,
     height_datum: str | None,
     wishes: tuple[str, float | None, Place],
     course: tuple[float | None, Any],
@@ -153,7 +130,7 @@ def _plan(
     scene = read_scene(scene_path)
     flight = trajectory_of(scene, scene_path, navigation, height_datum)
     _check_count(wishes, flight, start)
-    terrain = read_terrain(*ground)
+    terrain = read_terrain(dem, reading)
     with working("compiling and planning"):
         found = plan(
             scene.sensor, flight, terrain, _timing(*wishes), start=start, along=along, atmosphere=scene.atmosphere
@@ -182,7 +159,7 @@ def _exposures(shots: Any, names: tuple[str, ...], overlaps: Any) -> list[dict[s
     """One row per exposure, with its overlap with the one before."""
     import numpy as np
 
-    rows = rows_of({"exposure": np.arange(np.size(shots.time)), **pose_columns(shots, names)})
+    rows = as_rows({"exposure": np.arange(np.size(shots.time)), **pose_columns(shots, names)})
     for index, row in enumerate(rows[1:]):
         shares = {f"overlap_{name}": float(getattr(overlaps, name)[index]) for name in ("near", "far", "least", "side")}
         row |= shares | status_words(overlaps.status[index], BOTH)

@@ -10,20 +10,9 @@ import typer
 from jaxgeo.cli._common import DONE, NO_ANSWER, Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import DemReading, check_on_image, numbers_in, read_terrain, said_datum, shot_of
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    HeightDatum,
-    HeightUnit,
-    Nodata,
-    SceneFile,
-    VerticalDatum,
-)
-from jaxgeo.cli._results import AsJson, asked, print_json, status_words
+from jaxgeo.cli._inputs import as_datum, check_goes_with_dem, check_on_image, numbers_in, read_terrain, shot_of
+from jaxgeo.cli._options import DemOptions, HeightDatum, SceneFile
+from jaxgeo.cli._results import AsJson, given_options, print_json, status_words
 from jaxgeo.cli._screen import stderr, working
 
 UNHIDDEN = "Pointing solved; terrain not checked (no --dem)."
@@ -52,14 +41,7 @@ def point_command(
     pixel: Annotated[
         str | None, typer.Option(metavar="PIXEL", help="COLUMN,ROW to point (default: optical axis).")
     ] = None,
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptions = DemOptions(),
     height_datum: HeightDatum = None,
     as_json: AsJson = False,
     debug: Debug = False,
@@ -68,16 +50,14 @@ def point_command(
 
     The exit code is 1 if the target is outside the gimbal range (the nearest readings are given) or hidden by terrain.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
-            reading.check_goes_with_dem()
-            if vertical_datum is not None:
-                raise UserError(f"--vertical-datum {vertical_datum} applies to --dem; leave it out.")
-        ground = dem or [], vertical_datum, reading
-        names, found, aim = _point(scene, ground, (target, line_of_sight, pixel), height_datum)
-        code = _shown(names, found, UNHIDDEN if not dem else None, as_json)
+            check_goes_with_dem(reading)
+            if reading.vertical_datum is not None:
+                raise UserError(f"--vertical-datum {reading.vertical_datum} applies to --dem; leave it out.")
+        names, found, aim = _point(scene, dem or [], reading, (target, line_of_sight, pixel), height_datum)
+        code = _print_readings(names, found, UNHIDDEN if not dem else None, as_json)
         if as_json:
             meaning = UNHIDDEN if not dem else None
             print_json(
@@ -88,7 +68,8 @@ def point_command(
 
 def _point(
     scene_path: pathlib.Path,
-    ground: tuple[list[str], str | None, DemReading],
+    dem: list[str],
+    reading: DemOptions,
     texts: tuple[str | None, str | None, str | None],
     height_datum: str | None,
 ) -> tuple[tuple[str, ...], Any, Any]:
@@ -96,10 +77,10 @@ def _point(
     target, direction, pixel = texts
     if (target is None) == (direction is None):
         raise UserError("give either --target LAT,LON[,HEIGHT] or --line-of-sight AZIMUTH,DEPRESSION.")
-    if direction is not None and ground[0]:
+    if direction is not None and dem:
         raise UserError("--dem needs --target: a line of sight has no target to check for visibility.")
     place = [] if target is None else numbers_in("--target", target, (2, 3), "LAT,LON or LAT,LON,HEIGHT, deg and m")
-    if len(place) == 2 and not ground[0]:
+    if len(place) == 2 and not dem:
         raise UserError(f"--target {target}: give its height, LAT,LON,HEIGHT, or --dem.")
     if height_datum is not None and len(place) != 3:
         raise UserError(f"--height-datum {height_datum} applies to a target height: --target LAT,LON,HEIGHT.")
@@ -114,9 +95,9 @@ def _point(
     shot = shot_of(scene, scene_path, "pointing")
     if not scene.sensor.gimbal.names:
         raise UserError(f"{scene_path}: a gimbal of kind 'fixed' has no readings to point with.")
-    if pixel is not None:
+    if pixel is not None and uv is not None:
         check_on_image(pixel, uv, scene.sensor.camera)
-    terrain = read_terrain(*ground) if ground[0] else None
+    terrain = read_terrain(dem, reading) if dem else None
     aim = _aim(direction) if direction is not None else _target(scene, place, terrain, height_datum)
     with working("compiling and pointing"):
         found = point_gimbal(scene.sensor, shot, target=aim, uv=uv, terrain=terrain, atmosphere=scene.atmosphere)
@@ -142,7 +123,7 @@ def _target(scene: Any, place: list[float], terrain: Any, height_datum: str | No
     if terrain is not None:
         _check_is_on(terrain, place)
     if len(place) == 3:
-        stated = scene.height_datum if height_datum is None else said_datum(height_datum)
+        stated = scene.height_datum if height_datum is None else as_datum(height_datum)
         height = float(ellipsoidal_heights([lon], [lat], [place[2]], stated)[0])
     else:
         assert terrain is not None
@@ -179,7 +160,7 @@ def _content(names: tuple[str, ...], found: Any, aim: Any) -> dict[str, Any]:
     return content
 
 
-def _shown(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
+def _print_readings(names: tuple[str, ...], found: Any, unhidden: str | None, as_json: bool) -> int:
     """Print readings as in a scene file, unless `as_json`, and the status on stderr; returns the exit code.
 
     `unhidden` replaces the sentence of a hit if no terrain was given.

@@ -13,21 +13,10 @@ import typer
 from jaxgeo.cli._common import Debug, UserError, report_errors
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
-from jaxgeo.cli._inputs import DemReading, numbers_in, read_terrain, shot_of, terrain_files
-from jaxgeo.cli._option_names import reach_as_typed
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    AssumeWgs84,
-    DemBandBesideBand,
-    DemBounds,
-    DemFiles,
-    HeightUnit,
-    Nodata,
-    SceneFile,
-    VerticalDatum,
-)
-from jaxgeo.cli._results import AsJson, asked, print_json
+from jaxgeo.cli._inputs import numbers_in, read_terrain, shot_of, terrain_files
+from jaxgeo.cli._option_names import translate_reach_errors
+from jaxgeo.cli._options import DemFiles, DemOptions, DemOptionsBesideBand, SceneFile
+from jaxgeo.cli._results import AsJson, given_options, print_json
 from jaxgeo.cli._screen import bars_on_stderr, print_counts
 
 QUICK_PIXELS = 40_000_000  # below this, optimised compilation does not pay off
@@ -49,14 +38,7 @@ def rectify_command(
     scene: SceneFile,
     dem: DemFiles,
     output: Annotated[pathlib.Path, typer.Option("--output", "-o", metavar="FILE", help="GeoTIFF to write (.tif).")],
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBandBesideBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptionsBesideBand = DemOptionsBesideBand(),
     crs: Annotated[
         str | None, typer.Option(metavar="CRS", help='CRS of the file: "EPSG:32616", ... (default: UTM zone).')
     ] = None,
@@ -85,7 +67,7 @@ def rectify_command(
     debug: Debug = False,
 ) -> None:
     """Orthorectify an image: a GeoTIFF on a map grid, cells hidden by terrain masked."""
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         edges = None if bounds is None else tuple(numbers_in("--bounds", bounds, (4,), "WEST,SOUTH,EAST,NORTH"))
         form = "one size, or ACROSS,DOWN"
@@ -96,12 +78,7 @@ def rectify_command(
         if bounds is not None and crs is None:
             raise UserError(f"--bounds {bounds}: give the CRS of the bounds with --crs.")
         wishes = {"bands": band, "cog": cog, "status": status, "mask_hidden": not no_hidden_mask}
-        ground = (
-            dem,
-            vertical_datum,
-            DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside),
-        )
-        done, seconds = _rectify(image, scene, ground, output, placed | wishes, interpolation)
+        done, seconds = _rectify(image, scene, dem, reading, output, placed | wishes, interpolation)
         if as_json:
             print_json("rectify", {"inputs": inputs, **_content(done, seconds)})
         else:
@@ -112,7 +89,8 @@ def rectify_command(
 def _rectify(
     image: pathlib.Path,
     scene_path: pathlib.Path,
-    ground: tuple[list[str], str | None, DemReading],
+    dem: list[str],
+    reading: DemOptions,
     output: pathlib.Path,
     wishes: dict[str, Any],
     interpolation: Interpolation,
@@ -127,21 +105,21 @@ def _rectify(
     from jaxgeo.io.scene import read_scene
 
     checked_target(output, "an orthoimage")
-    reach = ground[2].reach
+    reach = reading.reach
     wishes |= {"allow_remote": reach.remote, "allow_outside": reach.outside}
     rasters = [image] if wishes["like"] is None else [image, wishes["like"]]
-    read = [scene_path, *terrain_files(*ground), *(file for one in rasters for file in files_behind(one, reach))]
+    read = [scene_path, *terrain_files(dem, reading), *(file for one in rasters for file in files_behind(one, reach))]
     check_no_input("--output", [output, status_file(output)] if wishes["status"] else [output], read)
-    with reach_as_typed():
+    with translate_reach_errors():
         pixels = pixels_of(image, reach)
     if pixels < QUICK_PIXELS:
         compile_quickly()
     enable_x64()
     scene = read_scene(scene_path)
     shot = shot_of(scene, scene_path, "rectifying")
-    terrain = read_terrain(*ground)
+    terrain = read_terrain(dem, reading)
     began = time.perf_counter()
-    with bars_on_stderr() as is_shown, reach_as_typed():
+    with bars_on_stderr() as is_shown, translate_reach_errors():
         done = rectify_file(
             output,
             image,

@@ -14,20 +14,11 @@ from jaxgeo.cli._common import NO_ANSWER, Debug, UserError, check_writable, repo
 from jaxgeo.cli._compiler import compile_quickly
 from jaxgeo.cli._console import Console
 from jaxgeo.cli._examples import examples_of
-from jaxgeo.cli._inputs import DemReading, keep_inputs, read_terrain
-from jaxgeo.cli._option_names import reach_as_typed
-from jaxgeo.cli._options import (
-    AllowOutside,
-    AllowRemote,
-    AssumeWgs84,
-    DemBand,
-    DemBounds,
-    HeightUnit,
-    Nodata,
-    VerticalDatum,
-)
-from jaxgeo.cli._results import AsJson, asked, print_json
-from jaxgeo.cli._screen import tell, working
+from jaxgeo.cli._inputs import check_goes_with_dem, check_no_overwrite, read_terrain
+from jaxgeo.cli._option_names import translate_reach_errors
+from jaxgeo.cli._options import DemOptions, expand_groups
+from jaxgeo.cli._results import AsJson, given_options, print_json
+from jaxgeo.cli._screen import print_message, working
 
 WIDE = 150  # characters per line in a file
 POSITION_SIGMA, ATTITUDE_SIGMA = 50.0, 0.5  # m and deg, defaults for the navigation of a real image
@@ -54,7 +45,7 @@ def li2020_command(
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         _check_seed(seed)
         _begin(output)
@@ -75,7 +66,7 @@ def li2023_command(
 
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         _check_seed(seed)
         _begin(output)
@@ -109,7 +100,7 @@ def xue2019_command(
     Takes minutes, mostly compilation. Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and
     with --output the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         _check_seed(seed)
         _begin(output)
@@ -122,6 +113,7 @@ def xue2019_command(
 
 
 @studies.command("gu2017", epilog=examples_of("gu2017"))
+@expand_groups
 def gu2017_command(
     output: Folder = None,
     seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
@@ -137,14 +129,7 @@ def gu2017_command(
     scene: Annotated[
         pathlib.Path | None, typer.Option(help="Scene file (TOML): camera, gimbal, mount and pose.")
     ] = None,
-    vertical_datum: VerticalDatum = None,
-    nodata: Nodata = None,
-    height_unit: HeightUnit = None,
-    dem_band: DemBand = None,
-    dem_bounds: DemBounds = None,
-    assume_wgs84: AssumeWgs84 = None,
-    allow_remote: AllowRemote = None,
-    allow_outside: AllowOutside = None,
+    reading: DemOptions = DemOptions(),
     position_sigma: Annotated[
         float | None, typer.Option(help="Position standard deviation of a real image, m (default 50).")
     ] = None,
@@ -159,7 +144,7 @@ def gu2017_command(
     Takes minutes, mostly compilation. Without a real image, one is simulated over the packaged elevation model.
     Without matplotlib (pip install 'jaxgeo\\[plot]') there are no figures, and with --output the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         files = {"--image": image, "--reference": reference, "--dem": dem or None, "--scene": scene}
         missing = [name for name, value in files.items() if value is None]
@@ -167,17 +152,16 @@ def gu2017_command(
             raise UserError(f"a real image needs {', '.join(missing)} as well; leave out all four to simulate one.")
         _check_seed(seed)
         sigmas = _sigmas(position_sigma, attitude_sigma, is_given=image is not None)
-        reading = DemReading(nodata, height_unit, dem_band, dem_bounds, assume_wgs84, allow_remote, allow_outside)
         if not dem:
-            reading.check_goes_with_dem()
-        keep_inputs("--output", output, [image, reference, scene], (dem or [], vertical_datum, reading))
+            check_goes_with_dem(reading)
+        check_no_overwrite("--output", output, [image, reference, scene], dem, reading)
         _begin(output, runs_long=True)
         from jaxgeo.studies import gu2017
 
         given = None
         if image is not None and reference is not None and scene is not None:
-            terrain = read_terrain(dem or [], vertical_datum, reading)
-            with reach_as_typed():
+            terrain = read_terrain(dem or [], reading)
+            with translate_reach_errors():
                 given = gu2017.read(image, reference, scene, terrain, sigmas, reading.reach)
         _show(gu2017, lambda: gu2017.run(seed, given), output, inputs if as_json else None)
 
@@ -194,7 +178,7 @@ def all_command(
     With --output, writes index.html with verdicts, tables and figures, and a folder per study. Takes minutes. Without
     jinja2 and matplotlib (pip install 'jaxgeo\\[report]') there is no page, and with --output the exit code is 1.
     """
-    inputs = asked(locals())
+    inputs = given_options(locals())
     with report_errors(debug):
         _check_seed(seed)
         if output is not None:
@@ -222,7 +206,7 @@ def all_command(
         except ImportError as error:
             missing = missing or str(error)
         if missing:
-            tell(f"no figures or no page ({missing}); pip install 'jaxgeo[report]'")
+            print_message(f"no figures or no page ({missing}); pip install 'jaxgeo[report]'")
             raise typer.Exit(NO_ANSWER) from None
         if not as_json:
             console.print(f"page, tables and figures: {output / 'index.html'}", highlight=False, soft_wrap=True)
@@ -291,7 +275,7 @@ def _show(study: Any, run: Callable[[], Any], folder: pathlib.Path | None, input
     try:
         study.write_pictures(report, folder)
     except ImportError as error:
-        tell(f"no figures: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
+        print_message(f"no figures: matplotlib cannot be imported ({error}); pip install 'jaxgeo[plot]'")
         raise typer.Exit(NO_ANSWER) from None
     if inputs is None:
         console.print(f"tables and figures: {folder}", highlight=False, soft_wrap=True)

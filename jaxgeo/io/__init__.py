@@ -25,8 +25,10 @@ from jaxgeo.io.geoid import height_msl, undulation
 from jaxgeo.io.image_points import read_image_points, write_image_points
 from jaxgeo.io.images import read_image
 from jaxgeo.io.locate_on_disk import intersect_files, locate_files
+from jaxgeo.io.located import accuracy_of_observations, locate_observations
 from jaxgeo.io.map_raster import MapRaster
 from jaxgeo.io.navigation import read_navigation
+from jaxgeo.io.observations import ObservationBatch, Observations, observations_of, read_observations
 from jaxgeo.io.opensfm import Reconstruction, read_opensfm, read_opensfm_cameras
 from jaxgeo.io.orientation_writer import write_orientations
 from jaxgeo.io.orientations import Orientations, read_orientations
@@ -46,6 +48,8 @@ __all__ = [
     "GroundControl",
     "ImageError",
     "MapRaster",
+    "ObservationBatch",
+    "Observations",
     "Orientations",
     "OrthoWriter",
     "OrthoimageReport",
@@ -56,10 +60,13 @@ __all__ = [
     "UnstatedDatum",
     "VerticalDatumError",
     "accuracy_map_dataset",
+    "accuracy_of_observations",
     "example_dem",
     "height_msl",
     "intersect_files",
     "locate_files",
+    "locate_observations",
+    "observations_of",
     "open_dem",
     "read_acquisition",
     "read_acquisitions",
@@ -70,6 +77,7 @@ __all__ = [
     "read_image",
     "read_image_points",
     "read_navigation",
+    "read_observations",
     "read_opensfm",
     "read_opensfm_cameras",
     "read_orientations",

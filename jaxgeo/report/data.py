@@ -12,6 +12,8 @@ import numpy as np
 
 from jaxgeo.earth import Atmosphere
 from jaxgeo.fix import Fix
+from jaxgeo.io.located import axis_of, take_rows, terrain_at
+from jaxgeo.io.observations import Observations
 from jaxgeo.locate import locate
 from jaxgeo.sensor import Sensor, Shot
 from jaxgeo.status import counts_as_fix
@@ -78,6 +80,43 @@ class ReportData:
         fixes = jax.tree.map(np.asarray, fixes)
         return cls(sensor, shots, uv, terrain, errors, fixes, found, in_axes, atmosphere, probability, labels)
 
+    @classmethod
+    def of_observations(
+        cls,
+        observed: Observations,
+        grounds: Sequence[AbstractTerrain],
+        fixes: Fix,
+        accuracy: AccuracyOfEach | None,
+        probability: float = 0.9,
+    ) -> ReportData:
+        """Observations with their fixes and accuracy, without rows whose file could not be read.
+
+        `grounds` hold the terrain of each batch; without error sources `accuracy` is None.
+        """
+        first, rows = observed.batches[0], observed.read_rows
+        own = None if first.is_one_camera else 0
+        axes, shots, uv, looks = (own, 0, 0, axis_of(grounds[0]), own), first.shots, first.observation.uv, None
+        if len(observed.batches) > 1:
+            looks = [_look(observed, grounds, int(row)) for row in rows]
+            pose = jax.tree.map(lambda *leaves: np.stack(leaves), *(shot.pose for _, shot, _, _, _ in looks))
+            shots, uv = Shot(pose, np.zeros((len(rows), 0))), np.stack([one[2] for one in looks])
+            axes = 0, *axes[1:]
+        fixes, accuracy = take_rows(fixes, accuracy, rows)
+        return cls(
+            first.sensor,
+            shots,
+            uv,
+            grounds[0],
+            first.sources or None,
+            fixes,
+            accuracy,
+            axes,
+            observed.atmosphere,
+            probability,
+            [observed.columns[row] for row in rows],
+            None if looks is None else looks.__getitem__,
+        )
+
     def __len__(self) -> int:
         return len(np.asarray(self.fixes.status))
 
@@ -113,3 +152,11 @@ class ReportData:
         label = self.labels[index].get("name") if self.labels else None
         pixel = f"pixel {u:g}, {v:g}"
         return f"{label}, {pixel}" if label else pixel
+
+
+def _look(observed: Observations, grounds: Sequence[AbstractTerrain], row: int) -> tuple[Any, ...]:
+    """(sensor, shot, pixel, terrain, errors) of one row."""
+    number, index = observed.place(row)
+    observation, sources = observed.batches[number].at(index)
+    exposure = observation.exposure
+    return exposure.sensor, exposure.motion, observation.uv, terrain_at(grounds[number], index), sources or None

@@ -11,11 +11,7 @@ from support.drone_image_files import packet, write_image
 from support.klv_packets import local_set, usual
 from test_sbet import flight
 
-from jaxgeo.cli._common import UserError
-from jaxgeo.cli._errors import Sigmas
-from jaxgeo.cli._file_views import views_of_files
-from jaxgeo.cli._locate_options import LocateOptions
-from jaxgeo.io import read_acquisitions
+from jaxgeo.io import TableError, read_acquisitions, read_observations
 
 DJI = {
     "drone-dji:GpsLatitude": "+47.1",
@@ -73,28 +69,27 @@ def test_a_file_alone_has_the_names_of_its_records(files) -> None:
     assert names_of(files["video"]) == ["0", "1", "2"]
 
 
-def asked(paths: list[pathlib.Path], *exposures: str) -> LocateOptions:
-    how = {"height_datum": "ellipsoid"}
-    return LocateOptions(paths, None, None, [], list(exposures), [], "300", None, False, how, Sigmas())
+def rows_of(paths: list[pathlib.Path], *exposures: str) -> list[dict]:
+    return read_observations(paths, exposures=exposures, height_datum="ellipsoid").columns
 
 
 @pytest.mark.parametrize("kinds", [("video", "image"), ("video", "other", "image"), ("video",)], ids=str)
 def test_every_name_asks_for_its_own_exposure(files, kinds: tuple[str, ...]) -> None:
     paths = [files[kind] for kind in kinds]
-    rows = views_of_files(asked(paths)).carried
+    rows = rows_of(paths)
     assert len({row["name"] for row in rows}) == len(rows)
     for row in rows:
-        (again,) = views_of_files(asked(paths, row["name"])).carried
+        (again,) = rows_of(paths, row["name"])
         assert again == row
 
 
 def test_a_name_among_several_files_serves_for_its_file_alone(files) -> None:
     for name in ("a.ts/2", f"{files['video']}/2", "2"):
-        (row,) = views_of_files(asked([files["video"]], name)).carried
+        (row,) = rows_of([files["video"]], name)
         assert row["name"] == "2"
     for name in ("b.ts/2", "a.ts/7", "a.ts/"):
-        with pytest.raises(UserError, match=f"--exposure {name}: no exposure has this name; known: 0, 1, 2"):
-            views_of_files(asked([files["video"]], name))
+        with pytest.raises(TableError, match=f'exposures="{name}": no exposure has this name; known: 0, 1, 2'):
+            rows_of([files["video"]], name)
 
 
 def test_positions_of_a_file_are_those_of_its_own_rows(files) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import rasterio
 
-from jaxgeo.cli._refusals import is_refusal
+from jaxgeo._refusals import is_refusal
 from jaxgeo.io import (
     DemError,
     ImageError,
