@@ -9,17 +9,23 @@ from typing import Any
 
 
 def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """A module `__getattr__` that maps the old `names` of a `package` to their new ones."""
+    """A module `__getattr__` that maps the old `names` of a `package` to their new ones: names of the package, or full
+    names of another (`jaxgeo.ortho.rectify`)."""
 
     def __getattr__(name: str) -> Any:
-        new = names.get(name)
-        if new is None:
+        if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module, _, new = full_name(package, names[name]).rpartition(".")
         warnings.warn(
-            f"{package}.{name} is now {package}.{new}; the old name goes with version 0.3.",
+            f"{package}.{name} is now {module}.{new}; the old name goes with version 0.3.",
             DeprecationWarning,
             stacklevel=2,
         )
-        return getattr(importlib.import_module(package), new)
+        return getattr(importlib.import_module(module), new)
 
     return __getattr__
+
+
+def full_name(package: str, new: str) -> str:
+    """The full name of an entry of `DEPRECATED`."""
+    return new if "." in new else f"{package}.{new}"

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from jaxgeo._renamed import full_name
+
 PACKAGES = ("jaxgeo", *(f"jaxgeo.{name}" for name in ("adjust", "coverage", "register", "sensor", "uncertainty")))
 CASES = [
     (package, old, new) for package in PACKAGES for old, new in importlib.import_module(package).DEPRECATED.items()
@@ -17,10 +19,12 @@ CASES = [
 @pytest.mark.parametrize("package, old, new", CASES)
 def test_an_old_name_warns_and_is_the_new_one(package: str, old: str, new: str) -> None:
     module = importlib.import_module(package)
-    with pytest.warns(DeprecationWarning, match=rf"{package}\.{old} is now {package}\.{new}; .* version 0\.3"):
+    full = full_name(package, new)
+    with pytest.warns(DeprecationWarning, match=rf"{package}\.{old} is now {full}; .* version 0\.3"):
         found = getattr(module, old)
-    assert found is getattr(module, new)
-    assert new in module.__all__
+    home, _, name = full.rpartition(".")
+    assert found is getattr(importlib.import_module(home), name)
+    assert name in importlib.import_module(home).__all__
     assert old not in module.__all__
 
 

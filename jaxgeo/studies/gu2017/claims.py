@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxgeo.register import Orthoimage
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.register.gu2017 import Case, Row, error_table
 from jaxgeo.studies.claims import Claim, Explanation
 from jaxgeo.studies.gu2017 import intervals, printed
@@ -224,7 +224,7 @@ def _end_to_end(found: Flow) -> list[Claim]:
                 "Fig. 4",
                 "rectified after the update, every detail lies nearer to the map (c) than before (b)",
                 after > before,
-                "jaxgeo.register.rectify",
+                "jaxgeo.ortho.rectify",
                 f"Correlation with the map cell by cell: {before:.3f} before, {after:.3f} after; the photographs "
                 "themselves were not published.",
             )

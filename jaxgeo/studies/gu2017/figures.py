@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxgeo.ortho import Orthoimage
 from jaxgeo.plot import EDGE, FIX, SIGHT, checkerboard, circles_on_map
-from jaxgeo.register import Orthoimage
 from jaxgeo.studies.gu2017.density import Dense
 from jaxgeo.studies.gu2017.flow import Flow
 from jaxgeo.studies.gu2017.frames import Frame

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgeo.observation import Exposure
-from jaxgeo.register import Orthoimage, Registration, rectify, register_image
+from jaxgeo.ortho import Orthoimage, rectify
+from jaxgeo.register import Registration, register_image
 from jaxgeo.register.prediction import window_of
 from jaxgeo.sensor import Shot
 from jaxgeo.studies.gu2017.fixes import Fixes, Spread, direct, spread, truth, updated

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxgeo.earth import WGS84, Geodetic
 from jaxgeo.observation import Exposure
-from jaxgeo.register import Matches, Orthoimage, TiePoints, blocks_of, match_blocks, rectify, remove_illumination
+from jaxgeo.ortho import Orthoimage, rectify
+from jaxgeo.register import Matches, TiePoints, blocks_of, match_blocks, remove_illumination
 from jaxgeo.register.choice import Chosen
 from jaxgeo.register.prediction import Shifts, in_chunks, shifts_of
 from jaxgeo.sensor import Shot

@@ -31,11 +31,11 @@ from jaxgeo import (
 )
 from jaxgeo.io.gridding import make_grid
 from jaxgeo.io.mapping import file_map
-from jaxgeo.register.cells import cells_one_by_one, may_be_hidden
-from jaxgeo.register.interpolation import Bilinear, Cubic, Nearest
-from jaxgeo.register.orthoimage import Orthoimage
-from jaxgeo.register.rectify import Rectifier, rectify
-from jaxgeo.register.visibility_bounds import OpenSight
+from jaxgeo.ortho.cells import cells_one_by_one, may_be_hidden
+from jaxgeo.ortho.interpolation import Bilinear, Cubic, Nearest
+from jaxgeo.ortho.orthoimage import Orthoimage
+from jaxgeo.ortho.rectification import Rectifier, rectify
+from jaxgeo.ortho.visibility_bounds import OpenSight
 from jaxgeo.sensor import BrownConrady
 from jaxgeo.terrain import ConstantField, FittedGrid, GeographicGrid, TangentGrid, TransverseMercatorGrid
 from jaxgeo.terrain.grid import AbstractGrid, surface_point
@@ -135,7 +135,7 @@ def _projected(sensor: Sensor, shot: Any, point: Any, **how: Any) -> tuple[np.nd
 
 @pytest.fixture(autouse=True)
 def small_crowds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules["jaxgeo.register.rectify"], "SEARCHED", CROWD)
+    monkeypatch.setattr(sys.modules["jaxgeo.ortho.rectification"], "SEARCHED", CROWD)
 
 
 def expected(sensor: Sensor, shot: Any, terrain: Any, grid: AbstractGrid, *, mask: bool = True, **how: Any) -> Seen:

@@ -16,8 +16,8 @@ from jaxgeo._checks import check_is
 from jaxgeo.earth import WGS84, Atmosphere
 from jaxgeo.locate import FIRST_HIT, located_anywhere
 from jaxgeo.observation import Exposure, accepts_exposure
-from jaxgeo.register.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
-from jaxgeo.register.orthoimage import Orthoimage
+from jaxgeo.ortho.interpolation import AbstractInterpolation, Bilinear, Pixels, sampled
+from jaxgeo.ortho.orthoimage import Orthoimage
 from jaxgeo.sensor import Sensor, Shot, Trajectory
 from jaxgeo.status import Status
 from jaxgeo.terrain import AbstractTerrain
