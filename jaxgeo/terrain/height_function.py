@@ -16,8 +16,7 @@ from jaxgeo.earth.ellipsoid import WGS84
 from jaxgeo.earth.geodetic import Geodetic
 from jaxgeo.earth.ray import Ray
 from jaxgeo.terrain.field import AbstractField, Bounds, ConstantField, checked_field
-from jaxgeo.terrain.interface import AbstractTerrain, Bracket
-from jaxgeo.terrain.search.base import AbstractSearch
+from jaxgeo.terrain.interface import AbstractSearch, AbstractTerrain, Bracket
 from jaxgeo.terrain.search.first_hit import FirstHit
 from jaxgeo.terrain.search.safe_march import safe_march
 

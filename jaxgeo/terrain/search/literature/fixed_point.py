@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import Search, ending_where
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import Search, ending_where
 
 Step = Callable[[Descent, DemSample], tuple[Scalar, Index]]
 """From a sample at Z to the next height, and the number of evaluations used."""

@@ -22,10 +22,10 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
-from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.literature.window import AbstractWindow, TargetArea
 
 STUCK = 1e-9  # m between the middle and the upper end: resolution of heights
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 
 from jaxgeo._typing import Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search
 
 
 class Photogrammetric(AbstractStudiedSearch):

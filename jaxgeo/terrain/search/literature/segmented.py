@@ -19,13 +19,13 @@ import jax.numpy as jnp
 from jaxgeo._numerics import tree_where
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.exhaustive import nearest_of
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.improved import secant_step
-from jaxgeo.terrain.search.run import Ending, ending_code
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search, ending_where
-from jaxgeo.terrain.search.window import AbstractWindow, TargetArea
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.exhaustive import nearest_of
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.improved import secant_step
+from jaxgeo.terrain.search.literature.run import Ending, ending_code
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search, ending_where
+from jaxgeo.terrain.search.literature.window import AbstractWindow, TargetArea
 
 SHORTEST = 1e-6  # m between tries; without a crossing at this step there is none in the window
 

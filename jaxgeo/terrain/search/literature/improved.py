@@ -22,9 +22,9 @@ import jax.numpy as jnp
 
 from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, ScalarField
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.fixed_point import iterate, middle_height
-from jaxgeo.terrain.search.studied import EPS, AbstractStudiedSearch, Search
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.fixed_point import iterate, middle_height
+from jaxgeo.terrain.search.literature.studied import EPS, AbstractStudiedSearch, Search
 
 
 class ImprovedLiteral(AbstractStudiedSearch):

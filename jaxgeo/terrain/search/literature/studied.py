@@ -13,10 +13,10 @@ from jaxgeo._record import Record
 from jaxgeo._typing import Flag, Index, Scalar, StatusCode
 from jaxgeo.earth.ray import Ray
 from jaxgeo.status import Status, first_failure, status_where
-from jaxgeo.terrain.interface import Bracket
-from jaxgeo.terrain.search.base import AbstractSearch, is_buried, is_mapped, reach_of
-from jaxgeo.terrain.search.descent import DemSample, Descent
-from jaxgeo.terrain.search.run import Ending, Run, ending_code
+from jaxgeo.terrain.interface import AbstractSearch, Bracket
+from jaxgeo.terrain.search.literature.descent import DemSample, Descent
+from jaxgeo.terrain.search.literature.run import Ending, Run, ending_code
+from jaxgeo.terrain.search.reach import is_buried, is_mapped, reach_of
 
 if TYPE_CHECKING:
     from jaxgeo.terrain.dem import Dem
