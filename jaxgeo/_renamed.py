@@ -15,15 +15,25 @@ def renamed(package: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     def __getattr__(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, _, new = full_name(package, names[name]).rpartition(".")
-        warnings.warn(
-            f"{package}.{name} is now {module}.{new}; the old name goes with version 0.3.",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return getattr(importlib.import_module(module), new)
+        return _found(f"{package}.{name}", full_name(package, names[name]))
 
     return __getattr__
+
+
+def moved_method(old: str, new: str) -> Callable[..., Any]:
+    """A method `old` that is now the function `new` (full names); it takes the object first."""
+
+    def method(self: Any, *given: Any, **options: Any) -> Any:
+        return _found(old, new)(self, *given, **options)
+
+    return method
+
+
+def _found(old: str, new: str) -> Any:
+    """The object of the full name `new`, with a warning that it was `old` at the line of the caller's caller."""
+    warnings.warn(f"{old} is now {new}; the old name goes with version 0.3.", DeprecationWarning, stacklevel=3)
+    module, _, name = new.rpartition(".")
+    return getattr(importlib.import_module(module), name)
 
 
 def full_name(package: str, new: str) -> str:

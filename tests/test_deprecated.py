@@ -41,3 +41,20 @@ def test_a_name_that_never_was_is_refused() -> None:
 
     with pytest.raises(AttributeError, match="has no attribute 'EachSortie'"):
         _ = uncertainty.EachSortie
+
+
+def test_a_method_that_is_now_a_function_warns_and_calls_it() -> None:
+    import numpy as np
+
+    import jaxgeo
+    from jaxgeo.sensor import point_shot
+
+    camera = jaxgeo.FrameCamera.from_pixels(focal_px=3700.0, width=4000, height=3000)
+    sensor = jaxgeo.Sensor(camera, jaxgeo.Gimbal.two_axis(), jaxgeo.Mount.nadir())
+    pose = jaxgeo.Pose.from_degrees(lat=47.0, lon=11.0, height=3000.0)
+    target = jaxgeo.Geodetic.from_degrees(lat=47.001, lon=11.001, height=600.0)
+    with pytest.warns(DeprecationWarning, match=r"jaxgeo\.Sensor\.looking_at is now jaxgeo\.sensor\.point_shot"):
+        old = sensor.looking_at(pose, target, time=3.0)
+    new = point_shot(sensor, pose, target, time=3.0)
+    np.testing.assert_array_equal(old.gimbal_readings, new.gimbal_readings)
+    assert float(old.time) == 3.0

@@ -16,7 +16,7 @@ from jaxgeo._numerics import all_finite, safe_norm, tree_where
 from jaxgeo._typing import Scalar, StatusCode
 from jaxgeo.earth import WGS84, Atmosphere, Geodetic
 from jaxgeo.locate import project
-from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory
+from jaxgeo.sensor import Pose, Sensor, Shot, Trajectory, point_shot
 from jaxgeo.status import Status, counts_as_fix, first_failure, status_where
 from jaxgeo.terrain import AbstractSearch, AbstractTerrain, Dem
 from jaxgeo.uncertainty.assess import NO_FIX, Judged, judged, linear_figures
@@ -220,7 +220,7 @@ def _placed(lat: Scalar, lon: Scalar, world: MapContext) -> Cell:
     if not isinstance(world.motion, Pose):
         seen = project(world.sensor, world.motion, stand_in, time=world.time, atmosphere=world.air)
         return Cell(jnp.asarray(seen.uv), first_failure(unknown, jnp.asarray(seen.status)), ground)
-    readings = world.sensor.looking_at(world.motion, stand_in, atmosphere=world.air).gimbal_readings
+    readings = point_shot(world.sensor, world.motion, stand_in, atmosphere=world.air).gimbal_readings
     uv, status = world.sensor.camera.project(world.sensor.camera.axis())
     reached = status_where(all_finite(readings), Status.hit, Status.invalid_input.code)
     return Cell(uv, first_failure(unknown, reached, status), ground, readings)
