@@ -96,7 +96,11 @@ def views_of_files(asked: LocateOptions) -> ExposureSet:
 
 
 # Phrases in the readers' sentences about error sources, and the options that replace these sources.
-ERRORS_TOLD = {"Focal lengths err by": "focal", "Principal points err by": "principal", "these err by": "position"}
+ERRORS_TOLD = {
+    "Focal length sigma:": "focal",
+    "Principal point sigma:": "principal",
+    "position sigma there:": "position",
+}
 
 # Phrase for lenses without a distortion model; replaced if --focal-sigma is given.
 BENT = "what it bends at the corners counts as an error of the focal length"

@@ -189,7 +189,7 @@ def _report(
         details = details_of(subject, most=most)
     told = ReportHeader(title or _title(asked), _inputs(asked, question), [*question.assumed, *_unread(question)])
     with working("drawing"):
-        stream.write(report_html(subject, told=told, details=details))
+        stream.write(report_html(subject, header=told, details=details))
     rows = found.rows("report", question)
     names = [row["status"] for row in rows]
     print_counts({name: names.count(name) for name in names}, len(names))

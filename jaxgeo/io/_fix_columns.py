@@ -57,21 +57,21 @@ def figures_of(
             raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
         return None
     count = len(np.asarray(fixes.status))
-    told = _unknown(count, USUAL if probability is None else probability)
+    columns = _unknown(count, USUAL if probability is None else probability)
     if isinstance(accuracy, AccuracyMap):
-        told = _of_map(name, fixes, accuracy, probability)
+        columns = _of_map(name, fixes, accuracy, probability)
     elif isinstance(accuracy, AccuracyOfEach):
-        told = _of_batch(name, fixes, accuracy, probability)
+        columns = _of_batch(name, fixes, accuracy, probability)
     elif accuracy is not None:
-        told = _of_each(name, fixes, accuracy, probability)
-    level = float(check_probability(told.probability))
+        columns = _of_each(name, fixes, accuracy, probability)
+    level = float(check_probability(columns.probability))
     if cov_enu is not None:
         cov = _shaped(name, cov_enu, "cov_enu", (count, 3, 3))
         bias = np.zeros((count, 3)) if bias_enu is None else _shaped(name, bias_enu, "bias_enu", (count, 3))
-        told = told._replace(cov_enu=cov, bias_enu=np.where(np.isnan(cov[:, :, 0]), np.nan, bias))
+        columns = columns._replace(cov_enu=cov, bias_enu=np.where(np.isnan(cov[:, :, 0]), np.nan, bias))
     elif bias_enu is not None:
         raise ValueError(f"{name}: bias_enu is the mean of errors whose cov_enu must be given too.")
-    return _with_ellipses(name, told._replace(probability=level), radii_too=accuracy is None)
+    return _with_ellipses(name, columns._replace(probability=level), radii_too=accuracy is None)
 
 
 def rows_of(fixes: Fix, figures: Figures | None, reasons: Sequence[str | None] | None = None) -> list[dict[str, Any]]:
@@ -137,8 +137,8 @@ def _of_map(name: str, fixes: Fix, accuracy: AccuracyMap, probability: float | N
     radii = (np.asarray(x, np.float64).reshape(-1) for x in (accuracy.circular, accuracy.linear, accuracy.spherical))
     circular, linear, spherical = radii
     method = [None if code == NO_FIX else Method(int(code)).words for code in trust]
-    told = _unknown(count, accuracy.probability)
-    return told._replace(circular=circular, linear=linear, spherical=spherical, method=method)
+    columns = _unknown(count, accuracy.probability)
+    return columns._replace(circular=circular, linear=linear, spherical=spherical, method=method)
 
 
 def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: float | None) -> Figures:
@@ -149,11 +149,11 @@ def _of_batch(name: str, fixes: Fix, accuracy: AccuracyOfEach, probability: floa
         raise ValueError(f"{name}: accuracy is of a batch of the shape {trust.shape}, fixes of {count}.")
     _check_probability(name, accuracy.probability, probability)
     _check_same(name, np.linalg.norm(np.asarray(accuracy.fix.ecef) - np.asarray(fixes.ecef), axis=-1))
-    told = _unknown(count, accuracy.probability)
+    columns = _unknown(count, accuracy.probability)
     has_fix = trust != NO_FIX
     figures = (accuracy.circular, accuracy.linear, accuracy.spherical, accuracy.cov_enu, accuracy.bias_enu)
     circular, linear, spherical, cov, bias = (np.array(x, np.float64) for x in figures)
-    return told._replace(
+    return columns._replace(
         circular=circular,
         linear=linear,
         spherical=spherical,
@@ -171,7 +171,7 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
     if not isinstance(each, list | tuple) or len(each) != count:
         length = len(each) if isinstance(each, list | tuple) else type(each).__name__
         raise ValueError(f"{name}: accuracy must be a list with one, or None, for each of {count} fixes; got {length}.")
-    told, asked = _unknown(count, USUAL if probability is None else probability), probability
+    columns, asked = _unknown(count, USUAL if probability is None else probability), probability
     method: list[str | None] = [None] * count
     because: list[str | None] = [None] * count
     far = np.full(count, np.nan)
@@ -181,19 +181,19 @@ def _of_each(name: str, fixes: Fix, accuracy: Any, probability: float | None) ->
         check_is(one, Accuracy, f"accuracy[{i}]")
         asked = _check_probability(name, one.probability, asked)
         far[i] = np.linalg.norm(np.asarray(one.fix.ecef) - np.asarray(fixes.ecef)[i])
-        told.circular[i], told.linear[i], told.spherical[i] = one.circular, one.linear, one.spherical
+        columns.circular[i], columns.linear[i], columns.spherical[i] = one.circular, one.linear, one.spherical
         method[i], because[i] = one.trust.words, one.because
         if one.trust is not Method.samples:
-            told.cov_enu[i] = np.asarray(one.propagation.cov_enu)
-            told.bias_enu[i] = np.asarray(one.propagation.bias_enu)
+            columns.cov_enu[i] = np.asarray(one.propagation.cov_enu)
+            columns.bias_enu[i] = np.asarray(one.propagation.bias_enu)
     _check_same(name, far)
-    return told._replace(probability=USUAL if asked is None else asked, method=method, because=because)
+    return columns._replace(probability=USUAL if asked is None else asked, method=method, because=because)
 
 
 def _check_probability(name: str, own: float, asked: float | None) -> float:
     if asked is not None and abs(own - asked) > 1e-12:
         raise ValueError(
-            f"{name}: accuracy is told with a probability of {own:g}, but {asked:g} is asked for; leave probability "
+            f"{name}: accuracy has a probability of {own:g}, but {asked:g} is asked for; leave probability "
             f"out, or compute the accuracy with it."
         )
     return own

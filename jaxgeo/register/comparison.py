@@ -29,7 +29,7 @@ class AbstractComparison(abc.ABC):
     cell: float
 
     @abc.abstractmethod
-    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
+    def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: Any, block: int) -> None:
         """Resample both, with a margin of `block` cells. Raises `RegistrationFailed` if there is nothing to compare."""
 
     @abc.abstractmethod

@@ -67,7 +67,7 @@ CASES = (
 
 
 def conditions(
-    look: ModelInputs, model: ErrorModel, ties: Float[Array, "ties 2"], p_ecef: Float[Array, "ties 3"], height: Scalar
+    inputs: ModelInputs, model: ErrorModel, ties: Float[Array, "ties 2"], p_ecef: Float[Array, "ties 3"], height: Scalar
 ) -> tuple[Conditions, ByParameters, ByGround]:
     """F (ties, 3) in px, px, m of points imaged at `ties`, with J and B: Eqs 1 and 2 and their derivatives.
 
@@ -76,7 +76,7 @@ def conditions(
     """
 
     def of(error: Float[Array, " axes"], p: Vector3, uv: Float[Array, "2"]) -> Vector3:
-        moved = model.moved(look, error)
+        moved = model.moved(inputs, error)
         image, _, _ = image_of_point(moved.sensor, moved.motion, jnp.asarray(moved.time), p, moved.air)
         return jnp.append(image - uv, WGS84.normal_and_height(p)[1] - height)
 
@@ -112,8 +112,8 @@ def parameter_covariance(J: ByParameters, B: ByGround, ground: Float[Array, "tie
     scale = jnp.sqrt(jnp.diagonal(prior))
     unit = scale[:, None] * scale[None, :]
     J = J * scale[None, None, :]
-    told = jnp.einsum("tia,tib->ab", J, jnp.linalg.solve(inner, J))
-    return unit * jnp.linalg.inv(told + jnp.linalg.inv(prior / unit))
+    information = jnp.einsum("tia,tib->ab", J, jnp.linalg.solve(inner, J))
+    return unit * jnp.linalg.inv(information + jnp.linalg.inv(prior / unit))
 
 
 def error_table(

@@ -48,9 +48,9 @@ class InImage(AbstractComparison):
     occluding edge.
     """
 
-    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
+    def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: ImagePlace, block: int) -> None:
         del block
-        self._look, self._model = look, model
+        self._inputs, self._model = inputs, model
         self._factor, (down, across) = place.factor, place.aside
         self._first = np.array([-down, -across])
         grey, known = images.shrunk(place.factor)
@@ -61,7 +61,7 @@ class InImage(AbstractComparison):
         self.grey[inner], self.known[inner] = images.even(grey, known), known
         cells = np.stack(np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"), axis=-1)
         source = images.coarse(place.coarser)
-        values, seen, status = seen_at(look, source, self._pixels(cells.reshape(-1, 2)))
+        values, seen, status = seen_at(inputs, source, self._pixels(cells.reshape(-1, 2)))
         if not np.any(status == Status.hit):
             raise RegistrationFailed(Outcome.unknown_ground)
         if not seen.any():
@@ -72,12 +72,12 @@ class InImage(AbstractComparison):
 
     def shifts(self, places: np.ndarray, reach: float) -> Shifts:
         del reach
-        return shifts_in_image(self._look, self._model, self._pixels(places), self._factor)
+        return shifts_in_image(self._inputs, self._model, self._pixels(places), self._factor)
 
     def ties(self, matches: Matches, chosen: Chosen, shifts: Shifts) -> TiePoints:
         kept = tied(chosen, shifts)
         there = (np.asarray(matches.centre) + chosen.of(matches.shift))[kept]
-        found, at = met(self._look, self._pixels(there)), self.shifts(there, 0.0)
+        found, at = met(self._inputs, self._pixels(there)), self.shifts(there, 0.0)
         if np.any(found.status != Status.hit):
             raise RegistrationFailed(Outcome.unknown_ground)
         here = np.asarray(shifts.cells_per_metre)[kept]
@@ -96,18 +96,18 @@ def pixels_of(places: np.ndarray, factor: int) -> np.ndarray:
     return (np.asarray(places, np.float64)[:, ::-1] + 0.5) * factor - 0.5
 
 
-def shifts_in_image(look: ModelInputs, model: ErrorModel, uv: np.ndarray, factor: int) -> Shifts:
+def shifts_in_image(inputs: ModelInputs, model: ErrorModel, uv: np.ndarray, factor: int) -> Shifts:
     """Shifts of the ground seen at pixels (n, 2), in cells of `factor` pixels, on the terrain facets hit; pixels may
     lie outside the image."""
-    ground = met(look, uv)
+    ground = met(inputs, uv)
     rows = np.concatenate([uv, ground.p_ecef, ground.height[:, None], ground.cell], axis=1)
-    found = Shifts(*in_chunks(lambda part: _shifts(look, model, part), rows))
+    found = Shifts(*in_chunks(lambda part: _shifts(inputs, model, part), rows))
     seen = found.seen & (ground.status == Status.hit)
     return found._replace(by_error=found.by_error / factor, cells_per_metre=found.cells_per_metre / factor, seen=seen)
 
 
 @eqx.filter_jit
-def _shifts(look: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
+def _shifts(inputs: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> Shifts:
     """Shifts for rows of a pixel, the ECEF point in m that it sees, its height and its terrain cell."""
 
     def one(row: Float[Array, "8"]) -> tuple[Array, ...]:
@@ -115,7 +115,7 @@ def _shifts(look: ModelInputs, model: ErrorModel, rows: Float[Array, "n 8"]) -> 
         R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
 
         def image(error: Array, step: Array) -> Array:
-            there = model.moved(look, error)
+            there = model.moved(inputs, error)
             on_terrain = on_surface(there.terrain, p_ecef + R[:, :2] @ step, cell)
             rowcol = image_of_point(there.sensor, there.motion, jnp.asarray(there.time), on_terrain, there.air)[0]
             return rowcol[::-1]

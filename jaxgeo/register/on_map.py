@@ -39,12 +39,12 @@ class MapPlace(NamedTuple):
 class OnMap(AbstractComparison):
     """Comparison for near-vertical images, as in Gu and Qiao (2017): a pose error only shifts the blocks."""
 
-    def __init__(self, look: ModelInputs, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
+    def __init__(self, inputs: ModelInputs, model: ErrorModel, images: Images, place: MapPlace, block: int) -> None:
         level = images.level(place.factor)
         top, left, bottom, right = window = _wider(place.window, level.known.shape, 4 * block)
-        self._look, self._model = look, model
+        self._inputs, self._model = inputs, model
         self._grid = level.grid.window(float(top), float(left))
-        grey, self.known = _rectified(look, images, self._grid, place.window, window)
+        grey, self.known = _rectified(inputs, images, self._grid, place.window, window)
         if not self.known.any():
             raise RegistrationFailed(Outcome.unknown_ground)
         part = np.s_[top:bottom, left:right]
@@ -53,7 +53,7 @@ class OnMap(AbstractComparison):
         self.cell = cell_side(self._grid)
 
     def shifts(self, places: np.ndarray, reach: float) -> Shifts:
-        return shifts_of(self._look, self._model, self._grid, places, reach)
+        return shifts_of(self._inputs, self._model, self._grid, places, reach)
 
     def ties(self, matches: Matches, chosen: Chosen, shifts: Shifts) -> TiePoints:
         kept = tied(chosen, shifts)
@@ -76,7 +76,7 @@ def _wider(window: tuple[int, int, int, int], shape: tuple[int, ...], aside: int
 
 
 def _rectified(
-    look: ModelInputs,
+    inputs: ModelInputs,
     images: Images,
     grid: AbstractGrid,
     inner: tuple[int, int, int, int],
@@ -85,9 +85,9 @@ def _rectified(
     """(grey, known) of the image on the outer window, with the grid relative to it; rectified in the inner window
     only."""
     shape = outer[2] - outer[0], outer[3] - outer[1]
-    time = None if isinstance(look.motion, Shot) else look.time
+    time = None if isinstance(inputs.motion, Shot) else inputs.time
     rectifier = Rectifier(
-        look.sensor, look.motion, images.grey, images.known, look.terrain, grid, time=time, atmosphere=look.air
+        inputs.sensor, inputs.motion, images.grey, images.known, inputs.terrain, grid, time=time, atmosphere=inputs.air
     )
     grey, known = np.zeros(shape, np.float32), np.zeros(shape, bool)
     first, last = np.array(inner[:2]) - outer[:2], np.array(inner[2:]) - outer[:2]

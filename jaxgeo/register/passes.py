@@ -56,7 +56,7 @@ class Pass(Record):
 
 
 def one_pass(
-    look: ModelInputs,
+    inputs: ModelInputs,
     model: ErrorModel,
     covariance: np.ndarray,
     images: Images,
@@ -67,7 +67,7 @@ def one_pass(
 ) -> tuple[Pass, TiePoints]:
     """(result of the pass, tie points of the agreeing blocks) for model inputs whose errors and map shift have
     `covariance` (axes + 2, axes + 2). Raises `RegistrationFailed` if no blocks could be matched."""
-    pair = plan.comparison(look, model, images, plan.place, plan.block)
+    pair = plan.comparison(inputs, model, images, plan.place, plan.block)
     centres = blocks_of(pair.known, plan.block)
     if not len(centres):
         raise RegistrationFailed(Outcome.too_small)

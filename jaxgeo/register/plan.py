@@ -59,7 +59,7 @@ class _Size(NamedTuple):
 
 
 def planned(
-    look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
+    inputs: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int = 0
 ) -> Plan:
     """Plan of a pass from model inputs whose errors and map shift have `covariance` (axes + 2, axes + 2).
 
@@ -67,31 +67,31 @@ def planned(
     match.
     """
     reference = images.reference
-    window = window_of(look, reference.grid, reference.shape)
+    window = window_of(inputs, reference.grid, reference.shape)
     if window is None:
         raise RegistrationFailed(Outcome.no_overlap)
-    shifts, share = _foretold(look, model, reference.grid, window)
+    shifts, share = _foretold(inputs, model, reference.grid, window)
     finest = max(1, round(float(np.median(shifts.ground_sampling)) / reference.ground_sampling))
     side = np.sqrt(share * (window[2] - window[0]) * (window[3] - window[1]))
     if float(np.median(shifts.stretch)) > OBLIQUE:
-        return _in_image(look, model, covariance, images, search, coarser)
+        return _in_image(inputs, model, covariance, images, search, coarser)
     bends = _bends(shifts, covariance)
     size = _sized(side, _spread(shifts.covariance(covariance)), bends, finest, FAR, search, coarser)
     if size.block * bends > 2.0 * BENT:
-        return _in_image(look, model, covariance, images, search, coarser)
+        return _in_image(inputs, model, covariance, images, search, coarser)
     top, left, bottom, right = window
     coarse = top // size.factor, left // size.factor, -(-bottom // size.factor), -(-right // size.factor)
     return Plan(OnMap, MapPlace(size.factor, coarse), size.block, size.is_last)
 
 
 def _in_image(
-    look: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
+    inputs: ModelInputs, model: ErrorModel, covariance: np.ndarray, images: Images, search: Search, coarser: int
 ) -> Plan:
     """Plan of a pass in image space."""
     rows, cols = images.grey.shape[1:]
     t = (np.arange(LATTICE) + 0.5) / LATTICE
     row, col = np.meshgrid(t * rows - 0.5, t * cols - 0.5, indexing="ij")
-    found = shifts_in_image(look, model, np.stack([col.ravel(), row.ravel()], axis=1), 1)
+    found = shifts_in_image(inputs, model, np.stack([col.ravel(), row.ravel()], axis=1), 1)
     seen = np.asarray(found.seen)
     if not seen.any():
         raise RegistrationFailed(Outcome.unknown_ground)
@@ -125,7 +125,7 @@ def _sized(side: float, spread: float, bends: float, finest: int, far: float, se
 
 
 def _foretold(
-    look: ModelInputs, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
+    inputs: ModelInputs, model: ErrorModel, grid: AbstractGrid, window: tuple[int, int, int, int]
 ) -> tuple[Shifts, float]:
     """(shifts at the visible positions of the window, the visible share of all positions)."""
     t = (np.arange(LATTICE) + 0.5) / LATTICE
@@ -133,7 +133,7 @@ def _foretold(
         window[0] + t * (window[2] - window[0]) - 0.5, window[1] + t * (window[3] - window[1]) - 0.5, indexing="ij"
     )
     reach = 0.5 * min(window[2] - window[0], window[3] - window[1]) / LATTICE
-    shifts = shifts_of(look, model, grid, np.stack([row.ravel(), col.ravel()], axis=1), reach)
+    shifts = shifts_of(inputs, model, grid, np.stack([row.ravel(), col.ravel()], axis=1), reach)
     seen = np.asarray(shifts.seen)
     if not seen.any():
         raise RegistrationFailed(Outcome.unknown_ground)

@@ -48,10 +48,10 @@ class Shifts(NamedTuple):
         return np.einsum("nia,ab,njb->nij", self.by_error, cov, self.by_error)
 
 
-def shifts_of(look: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: np.ndarray, reach: float) -> Shifts:
+def shifts_of(inputs: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: np.ndarray, reach: float) -> Shifts:
     """Shifts at (n, 2) = (row, col) on a grid, on the plane that best fits the ground within `reach` cells to each
     side: it represents the block better than the facet at its centre."""
-    found = in_chunks(lambda part: _shifts(look, model, grid, part, jnp.asarray(float(reach))), places)
+    found = in_chunks(lambda part: _shifts(inputs, model, grid, part, jnp.asarray(float(reach))), places)
     return Shifts(*found)
 
 
@@ -65,22 +65,22 @@ def in_chunks(function: Callable[[Array], Any], places: np.ndarray) -> list[np.n
 
 @eqx.filter_jit
 def _shifts(
-    look: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: Float[Array, "n 2"], reach: Scalar
+    inputs: ModelInputs, model: ErrorModel, grid: AbstractGrid, places: Float[Array, "n 2"], reach: Scalar
 ) -> Shifts:
     def one(place: Float[Array, "2"]) -> tuple[Array, ...]:
         normal = grid.normal(place)
-        height, by_cell, known = _plane(look.terrain, grid, place, reach)
+        height, by_cell, known = _plane(inputs.terrain, grid, place, reach)
         p_ecef = surface_point(normal) + height * normal
         R = R_ecef_from_enu(WGS84.to_geodetic(p_ecef))
-        uv, status = _image(look, p_ecef)
-        by_enu = jax.jacfwd(lambda p: _image(look, p)[0])(p_ecef) @ R
+        uv, status = _image(inputs, p_ecef)
+        by_enu = jax.jacfwd(lambda p: _image(inputs, p)[0])(p_ecef) @ R
         per_metre = jax.jacfwd(lambda p: grid.rowcol(WGS84.normal_and_height(p)[0]))(p_ecef) @ R[:, :2]
         slope = by_cell @ per_metre
         along = by_enu[:, :2] + by_enu[:, 2:] * slope[None, :]  # derivative by a step over the terrain
 
         def moved(error: Float[Array, " axes"]) -> Float[Array, "2"]:
-            there = model.moved(look, error)
-            lifted = p_ecef + (_lift(there.terrain, p_ecef) - _lift(look.terrain, p_ecef)) * normal
+            there = model.moved(inputs, error)
+            lifted = p_ecef + (_lift(there.terrain, p_ecef) - _lift(inputs.terrain, p_ecef)) * normal
             return _image(there, lifted)[0]
 
         by_error = jax.jacfwd(moved)(jnp.zeros(model.size))
@@ -98,12 +98,12 @@ def _shifts(
     return Shifts(*jax.vmap(one)(places))
 
 
-def window_of(look: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[int, int, int, int] | None:
+def window_of(inputs: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> tuple[int, int, int, int] | None:
     """(first row, first col, last row + 1, last col + 1) of the image's extent on a grid; None if outside.
 
     Computed without a terrain search, from the intersections of lines of sight with the lowest and highest heights.
     """
-    rowcol, seen = (np.asarray(x) for x in _passed(look, grid))
+    rowcol, seen = (np.asarray(x) for x in _passed(inputs, grid))
     if not seen.any():
         return None
     low, high = rowcol[seen].min(axis=0), rowcol[seen].max(axis=0)
@@ -116,23 +116,23 @@ def window_of(look: ModelInputs, grid: AbstractGrid, shape: tuple[int, int]) -> 
 
 
 @eqx.filter_jit
-def _passed(look: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
+def _passed(inputs: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"], Bool[Array, " n"]]:
     """(row, col) where lines of sight of a pixel lattice intersect the lowest and the highest height; flags whether
     they do.
 
     Lines of sight that intersect neither end at the horizon.
     """
-    camera = look.sensor.camera
+    camera = inputs.sensor.camera
     t = jnp.linspace(0.0, 1.0, LATTICE)
     u, v = jnp.meshgrid(t * getattr(camera, "width") - 0.5, t * getattr(camera, "height") - 0.5)  # noqa: B009
     uv = jnp.stack([u.reshape(-1), v.reshape(-1)], axis=1)
-    if isinstance(look.terrain, Dem):
-        low, high = look.terrain.known_heights
+    if isinstance(inputs.terrain, Dem):
+        low, high = inputs.terrain.known_heights
     else:
-        low = high = -look.terrain.clearance(jnp.array([WGS84.a, 0.0, 0.0]), jnp.zeros(2, jnp.int32))
+        low = high = -inputs.terrain.clearance(jnp.array([WGS84.a, 0.0, 0.0]), jnp.zeros(2, jnp.int32))
 
     def one(pixel: Float[Array, "2"], height: Scalar) -> tuple[Array, Array]:
-        origin, direction, status = line_of_sight(look.sensor, look.motion, jnp.asarray(look.time), pixel)
+        origin, direction, status = line_of_sight(inputs.sensor, inputs.motion, jnp.asarray(inputs.time), pixel)
         near, _, meets = WGS84.ranges_to_height(origin, direction, height)
         ahead = (status == Status.hit) & meets & (near > 0.0)
         p_ecef = jnp.where(ahead, origin + jnp.where(ahead, near, 0.0) * direction, jnp.array([WGS84.a, 0.0, 0.0]))
@@ -142,8 +142,8 @@ def _passed(look: ModelInputs, grid: AbstractGrid) -> tuple[Float[Array, "n 2"],
     return jnp.concatenate([part[0] for part in both]), jnp.concatenate([part[1] for part in both])
 
 
-def _image(look: ModelInputs, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array]:
-    uv, status, _ = image_of_point(look.sensor, look.motion, jnp.asarray(look.time), p_ecef, look.air)
+def _image(inputs: ModelInputs, p_ecef: Vector3) -> tuple[Float[Array, "2"], Array]:
+    uv, status, _ = image_of_point(inputs.sensor, inputs.motion, jnp.asarray(inputs.time), p_ecef, inputs.air)
     return uv, status
 
 

@@ -167,20 +167,20 @@ def register_image(
     check_mapped_terrain(terrain)
     values = checked_image(image, sensor)
     grey = np.asarray(values, np.float32).mean(axis=0, keepdims=True)
-    look = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
-    model = checked_model(errors, look)
+    inputs = ModelInputs(Exposure(sensor, motion, moment, checked_air(atmosphere)), terrain=of_arrays(terrain))
+    model = checked_model(errors, inputs)
     tie_errors = as_float64(tie_errors, "tie_errors")
     prior = Prior.of(model, tie_errors) if prior is None else checked_prior(prior, model)
     images = Images(grey, known, reference, flatten)
     search = Search(choice, probability, block)
-    given = _Given(look, model, prior, tie_errors, loss, time is not None or isinstance(motion, Trajectory))
+    given = _Given(inputs, model, prior, tie_errors, loss, time is not None or isinstance(motion, Trajectory))
     return _registered(given, images, search, limits)
 
 
 class _Given(Record):
     """Model inputs of the navigation, with its errors and those of the map."""
 
-    look: ModelInputs
+    inputs: ModelInputs
     model: ErrorModel
     prior: Prior
     tie_errors: TieErrors
@@ -189,18 +189,18 @@ class _Given(Record):
 
     def updated(self, ties: TiePoints, tie_errors: TieErrors) -> Update:
         """Update of the navigation's model inputs from ties."""
-        look = self.look
+        inputs = self.inputs
         return update_orientation(
-            look.sensor,
-            look.motion,
+            inputs.sensor,
+            inputs.motion,
             ties,
-            look.terrain,
+            inputs.terrain,
             self.model,
             tie_errors,
             prior=self.prior,
             loss=self.loss,
-            time=look.time if self.has_time else None,
-            atmosphere=look.air,
+            time=inputs.time if self.has_time else None,
+            atmosphere=inputs.air,
         )
 
 
@@ -209,11 +209,11 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
     found: Update | None = None
     ties, tie_errors = None, given.tie_errors
     mean = np.asarray(given.prior.mean)
-    look, images = _moved(given, mean[:-2]), images.less(mean[-2:])
+    inputs, images = _moved(given, mean[:-2]), images.less(mean[-2:])
     covariance = np.asarray(given.prior.covariance)
 
     def ended(outcome: Outcome) -> Registration:
-        source = found if outcome is Outcome.registered and found is not None else given.look
+        source = found if outcome is Outcome.registered and found is not None else given.inputs
         shot: Any = source.shot if isinstance(source, Update) else source.motion
         kept = found if outcome is Outcome.registered else None
         return Registration(outcome, source.sensor, shot, source.terrain, kept, tie_errors, ties, tuple(passes))
@@ -221,10 +221,10 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
     coarser, factor, outcome = 0, None, Outcome.registered
     for _ in range(limits.most_passes):
         try:
-            plan = planned(look, given.model, covariance, images, search, coarser)
+            plan = planned(inputs, given.model, covariance, images, search, coarser)
             if coarser and plan.place.factor == factor:
                 return ended(outcome)
-            done, ties = one_pass(look, given.model, covariance, images, search, plan, is_first=found is None)
+            done, ties = one_pass(inputs, given.model, covariance, images, search, plan, is_first=found is None)
         except RegistrationFailed as stopped:
             return ended(stopped.outcome)
         passes.append(done)
@@ -246,7 +246,7 @@ def _registered(given: _Given, images: Images, search: Search, limits: Limits) -
         if plan.is_last and not _fits(given, ties, found, tie_errors, done.cell, limits):
             return ended(Outcome.does_not_fit)
         moved = np.inf if before is None else done.moved_by(np.asarray(found.unknowns) - before)
-        look, covariance = _look_of(found, given.look), np.asarray(found.covariance)
+        inputs, covariance = _inputs_of(found, given.inputs), np.asarray(found.covariance)
         images = images.less(np.asarray(found.shift))
         if plan.is_last and moved < limits.settled:
             return ended(Outcome.registered)
@@ -309,9 +309,9 @@ def _beyond(found: Update, limits: Limits) -> bool:
 
 
 def _moved(given: _Given, error: np.ndarray) -> ModelInputs:
-    return given.model.moved(given.look, jnp.asarray(error)) if np.any(error != 0.0) else given.look
+    return given.model.moved(given.inputs, jnp.asarray(error)) if np.any(error != 0.0) else given.inputs
 
 
-def _look_of(found: Update, look: ModelInputs) -> ModelInputs:
-    time = look.time if found.time is None else found.time
+def _inputs_of(found: Update, inputs: ModelInputs) -> ModelInputs:
+    time = inputs.time if found.time is None else found.time
     return ModelInputs(Exposure(found.sensor, found.shot, time, found.atmosphere), terrain=found.terrain)

@@ -120,7 +120,7 @@ def check_axes(gimbal: Gimbal) -> None:
     """Raise `ValueError` for a gimbal without axes."""
     if not gimbal.axes:
         raise ValueError(
-            "This sensor's gimbal has no axes, so it cannot look at a point: turn the platform, e.g. Pose.looking_at."
+            "This sensor's gimbal has no axes, so it cannot point: turn the platform, e.g. Pose.looking_at."
         )
 
 

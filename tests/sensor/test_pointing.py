@@ -134,7 +134,7 @@ MISTAKES = {
     ),
     "pixel without a ray": (
         lambda: point_shot(LENS_ON_FRAME, POSE, POINT, uv=np.array([1e7, 0.0])),
-        "Pixel uv cannot be put on the point. The pixel, or the image of the point, lies outside the image",
+        "Pixel uv cannot be put on the point. The pixel, or the image of the point, is outside the image",
     ),
     "pose not finite": (
         lambda: point_shot(NARROW, Pose(POSE.position, np.nan, 0.0, 0.0), POINT),

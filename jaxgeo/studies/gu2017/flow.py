@@ -90,8 +90,8 @@ def _pictured(im: Imaged, runs: list[Run]) -> Flow:
 
 def part_of(im: Imaged) -> Orthoimage:
     """The part of the map that contains the image by the navigation, with a margin."""
-    look = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
-    window = window_of(look, im.reference.grid, im.reference.shape)
+    inputs = ModelInputs(Exposure(im.sensor, im.given, jnp.asarray(0.0)), terrain=im.terrain)
+    window = window_of(inputs, im.reference.grid, im.reference.shape)
     if window is None:
         return im.reference
     top, left, bottom, right = window

@@ -40,8 +40,8 @@ class Mapped(NamedTuple):
     def shifts(self, centres: np.ndarray, size: int) -> Shifts:
         """Shifts of blocks by the errors."""
         im = self.im
-        look = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
-        return shifts_of(look, self.errors, im.reference.grid, centres, size / 2.0)
+        inputs = ModelInputs(Exposure(im.sensor, self.shot, jnp.asarray(0.0)), terrain=im.terrain)
+        return shifts_of(inputs, self.errors, im.reference.grid, centres, size / 2.0)
 
 
 class Blocks(NamedTuple):

@@ -61,13 +61,13 @@ def run(
     draws: int = 4,
     models: Sequence[str] = tuple(MODELS),
     limits: Limits = HILLS_AT_1_500,
-    told: Callable[[str], None] = lambda _: None,
+    callback: Callable[[str], None] = lambda _: None,
 ) -> Report:
     """Run the study over `size` m squared, with the noise of `seed`, and `trials` smaller blocks with other noise.
 
     Image pairs are drawn `draws` more times. `models` names the self-calibration models; `limits` are those of a
-    standard for maps at 1:500; `told` is a callback that receives the name of the next case. Raises `ValueError` for an
-    area too small for strips, for a negative number of trials, and for fewer than 2 draws.
+    standard for maps at 1:500; `callback` receives the name of the next case. Raises `ValueError` for an area
+    too small for strips, for a negative number of trials, and for fewer than 2 draws.
     """
     if trials < 0:
         raise ValueError(f"trials must be 0 or more; got {trials}.")
@@ -75,14 +75,14 @@ def run(
         raise ValueError(f"draws must be 2 or more, for a spread; got {draws}.")
     flight = flown(size)
     block = measured(flight, seed)
-    cases = cases_of(block, told, models)
+    cases = cases_of(block, callback, models)
     lens = MODELS[models[-1]]
-    field = field_cases(flight, seed, told, models)
-    told("pairs with other noise")
+    field = field_cases(flight, seed, callback, models)
+    callback("pairs with other noise")
     pairs = pair_draws(flight, cases.calibrated, lens, range(seed + 1, seed + 1 + draws))
-    nets = free_nets(block, lens, cases.of("compensated pair").rms, seed, told)
+    nets = free_nets(block, lens, cases.of("compensated pair").rms, seed, callback)
     found = Report(block, cases, field, pairs, nets, limits)
     if not trials:
         return found
-    told("trials")
+    callback("trials")
     return replace(found, trials=run_trials(trials, seed=seed))

@@ -38,5 +38,5 @@ class Photogrammetric(AbstractStudiedSearch):
         return iterate(descent, start, _to_ground, jnp.asarray(self.eps), jnp.asarray(self.limit))
 
 
-def _to_ground(descent: Descent, look: DemSample) -> tuple[Scalar, Index]:
-    return look.ground, jnp.asarray(0, jnp.int32)
+def _to_ground(descent: Descent, sample: DemSample) -> tuple[Scalar, Index]:
+    return sample.ground, jnp.asarray(0, jnp.int32)
