@@ -56,7 +56,7 @@ class Status(enum.IntEnum):
 _MESSAGES = {
     Status.hit: "Visible: no known terrain in the way.",
     Status.near_tangent: "The ray grazes the terrain: the position is valid, its derivatives are not.",
-    Status.enters_from_side: "The ray enters over the edge below the highest ground: unknown ground may hide the point.",
+    Status.enters_from_side: "The ray enters over the edge below the highest ground: unknown ground may hide it.",
     Status.hits_void: "The ray passes below the highest ground over a void: the ground is unknown from here on.",
     Status.rises_away: "The ray rises above the highest ground without meeting the terrain.",
     Status.leaves_terrain: "The ray leaves the terrain's area before it meets the ground; load a larger area.",

@@ -106,8 +106,8 @@ def flow_sheet(found: Flow) -> Sheet:
         f"hills, with a DEM height sigma of {SIGMA_TERRAIN:g} m, which is twice as much and more along the "
         "line of sight, and a navigation sigma of 50 m and 0.5 deg. sigma is the root mean square of the "
         "predicted errors, CE90 the median of the radii. squares are those of the errors in standard deviations, 1 on "
-        "average for each axis if these are right, and less here, since errors of heights even out over a block. Pixels that "
-        "graze a ridge, as predicted, are left out. The first registration took "
+        "average for each axis if these are right, and less here, since errors of heights even out over a block. "
+        "Pixels that graze a ridge, as predicted, are left out. The first registration took "
         f"{found.runs[0].seconds:.1f} s, with compilation, the last {found.runs[-1].seconds:.1f} s."
     )
     return Sheet("flow", "An image from end to end (Figs. 1 and 4)", columns, rows, note)
