@@ -203,9 +203,6 @@ class Pose(Record):
         return -omega, -phi, -kappa
 
 
-_READINGS = partial(as_array, name="gimbal_readings")
-
-
 class Shot(Record):
     """One exposure: pose of the platform, gimbal readings (rad, in axis order) and time (s)."""
 

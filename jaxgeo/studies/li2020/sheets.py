@@ -270,6 +270,7 @@ def relief_sheet(found: Sequence[Relief]) -> Sheet:
         "or places of the example terrain with its relief made smaller and larger; relief is the standard deviation of "
         "heights. Mean, spread along a flight, and rms off the required overlap, each with half of its 95 % interval "
         "over the places. By Eq 28: (1 - rho0) times the relief over the height, for a step planned over the mean "
-        "ground. Planned height times by Eq 36 over the mean ground, as the paper does; velocity-height over the ground seen."
+        "ground. Planned height times by Eq 36 over the mean ground, as the paper does; velocity-height over "
+        "the ground seen."
     )
     return Sheet("relief", "Relief of the ground (the paper's later work)", columns, rows, note)

@@ -4,45 +4,9 @@
 """
 
 from jaxgeo.terrain.interface import AbstractSearch
+from jaxgeo.terrain.search import literature
 from jaxgeo.terrain.search.first_hit import FirstHit
-from jaxgeo.terrain.search.literature import (
-    AbstractStudiedSearch,
-    AbstractWindow,
-    Bisection,
-    Ending,
-    ExhaustiveFirst,
-    ExhaustiveNearest,
-    FastIteration,
-    HeightsBetween,
-    ImprovedLiteral,
-    ImprovedSecant,
-    Outcome,
-    Photogrammetric,
-    Run,
-    Segmented,
-    TargetArea,
-    WholeTerrain,
-    outcome_of,
-)
+from jaxgeo.terrain.search.literature import *  # noqa: F403
 
-__all__ = [
-    "AbstractSearch",
-    "AbstractStudiedSearch",
-    "AbstractWindow",
-    "Bisection",
-    "Ending",
-    "ExhaustiveFirst",
-    "ExhaustiveNearest",
-    "FastIteration",
-    "FirstHit",
-    "HeightsBetween",
-    "ImprovedLiteral",
-    "ImprovedSecant",
-    "Outcome",
-    "Photogrammetric",
-    "Run",
-    "Segmented",
-    "TargetArea",
-    "WholeTerrain",
-    "outcome_of",
-]
+__all__ = ["AbstractSearch", "FirstHit"]
+__all__ += literature.__all__
