@@ -80,13 +80,13 @@ def _apart(sensor: Sensor, shot: Shot, centre: Geodetic, corners: jax.Array) -> 
     comes_down = axis_enu[2] * centre_enu[2] > 0.0
     reach = centre_enu[2] / jnp.where(comes_down, axis_enu[2], 1.0)
     miss = jnp.where(comes_down, reach * axis_enu - centre_enu, jnp.nan)
-    (azimuth, elevation), (reported_azimuth, reported_elevation) = (
+    (azimuth, elevation), (azimuth_0, elevation_0) = (
         _angles(R_ned_from_ecef @ direction) for direction in (axis, to_centre)
     )
-    across = _wrapped(azimuth - reported_azimuth) * jnp.cos(reported_elevation)
+    across = _wrapped(azimuth - azimuth_0) * jnp.cos(elevation_0)
     turn = _turn(sensor, sight, Geodetic(lat=corners[:, 0], lon=corners[:, 1], height=centre.height))
     distance = jnp.where(jnp.all(jnp.isfinite(to_centre)), safe_norm(to_centre), jnp.nan)  # `safe_norm` of NaN is zero
-    return distance, miss[0], miss[1], across, elevation - reported_elevation, turn
+    return distance, miss[0], miss[1], across, elevation - elevation_0, turn
 
 
 def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:
@@ -100,11 +100,8 @@ def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:
     places = jax.vmap(
         lambda lat, lon: sight.to_camera(WGS84.to_ecef(Geodetic(lat=lat, lon=lon, height=corners.height)))
     )
-    own, reported_corners = (_about_middle(one) for one in (rays, places(corners.lat, corners.lon)))
-    return jnp.arctan2(
-        jnp.sum(own[:, 0] * reported_corners[:, 1] - own[:, 1] * reported_corners[:, 0]),
-        jnp.sum(own * reported_corners),
-    )
+    own, other = (_about_middle(one) for one in (rays, places(corners.lat, corners.lon)))
+    return jnp.arctan2(jnp.sum(own[:, 0] * other[:, 1] - own[:, 1] * other[:, 0]), jnp.sum(own * other))
 
 
 def _about_middle(p_camera: jax.Array) -> jax.Array:

@@ -230,14 +230,14 @@ def _joined(found: list[Acquisition]) -> Acquisition:
 def _facts(found: list[Acquisition]) -> dict[str, str]:
     """Each fact once; if it differs between files, the first value and the number of others."""
     names = dict.fromkeys(name for one in found for name in one.facts)
-    values_of_all = {}
+    merged = {}
     for name in names:
         values = list(dict.fromkeys(one.facts[name] for one in found if name in one.facts))
         more = len(values) - 1
-        values_of_all[name] = values[0] + (
+        merged[name] = values[0] + (
             f"; and {more} other value{'s' if more != 1 else ''} in other files" if more else ""
         )
-    return values_of_all
+    return merged
 
 
 def _reported(found: list[Acquisition]) -> Reported | None:

@@ -135,13 +135,11 @@ def _other_content(data: bytes) -> str:
 
 def _heights(columns: Columns, prefix: str, datum: str | float | None) -> np.ndarray:
     """Heights above the ellipsoid: as stated, else from those above mean sea level."""
-    ellipsoidal, msl = columns[f"{prefix}height"], columns[f"{prefix}height_msl"]
+    own, msl = columns[f"{prefix}height"], columns[f"{prefix}height_msl"]
     lon_deg, lat_deg = np.degrees(columns[f"{prefix}lon"]), np.degrees(columns[f"{prefix}lat"])
-    msl = np.where(np.isfinite(ellipsoidal), np.nan, msl)
+    msl = np.where(np.isfinite(own), np.nan, msl)
     return np.where(
-        np.isfinite(ellipsoidal),
-        ellipsoidal,
-        ellipsoidal_heights(lon_deg, lat_deg, msl, EGM96 if datum is None else datum),
+        np.isfinite(own), own, ellipsoidal_heights(lon_deg, lat_deg, msl, EGM96 if datum is None else datum)
     )
 
 
