@@ -80,13 +80,13 @@ def _apart(sensor: Sensor, shot: Shot, centre: Geodetic, corners: jax.Array) -> 
     comes_down = axis_enu[2] * centre_enu[2] > 0.0
     reach = centre_enu[2] / jnp.where(comes_down, axis_enu[2], 1.0)
     miss = jnp.where(comes_down, reach * axis_enu - centre_enu, jnp.nan)
-    (azimuth, elevation), (azimuth_0, elevation_0) = (
+    (azimuth, elevation), (stated_azimuth, stated_elevation) = (
         _angles(R_ned_from_ecef @ direction) for direction in (axis, to_centre)
     )
-    across = _wrapped(azimuth - azimuth_0) * jnp.cos(elevation_0)
+    across = _wrapped(azimuth - stated_azimuth) * jnp.cos(stated_elevation)
     turn = _turn(sensor, sight, Geodetic(lat=corners[:, 0], lon=corners[:, 1], height=centre.height))
     distance = jnp.where(jnp.all(jnp.isfinite(to_centre)), safe_norm(to_centre), jnp.nan)  # `safe_norm` of NaN is zero
-    return distance, miss[0], miss[1], across, elevation - elevation_0, turn
+    return distance, miss[0], miss[1], across, elevation - stated_elevation, turn
 
 
 def _turn(sensor: Sensor, sight: Sight, corners: Geodetic) -> jax.Array:

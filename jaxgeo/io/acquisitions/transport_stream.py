@@ -65,7 +65,7 @@ def _chosen(path: str | os.PathLike[str], data: dict[int, bytes], stream: int | 
             raise TableError(f"{path}: stream={stream} is no data stream; those are {_listed(data)}.")
         return stream
     ours = [index for index, content in data.items() if UAS_LOCAL_SET in content]
-    if not told:
+    if not ours:
         others = dict.fromkeys(words for content in data.values() for words in other_sets(content))
         held = f"they hold {' and '.join(others)}" if others else "they hold none"
         raise TableError(
