@@ -241,7 +241,7 @@ def test_a_field_of_view_from_target_width_and_slant_range(file: File) -> None:
     np.testing.assert_allclose(camera.focal_px[:2], expected, rtol=3e-4)
     R = np.asarray(jax.jit(jax.vmap(Sensor.R_ned_from_camera))(found.sensor, found.shots))
     np.testing.assert_allclose(R[0, :, 2], R[2, :, 2], atol=1e-9)
-    assert any("of 2 packets is not told; it is from target width and slant range" in one for one in found.assumed)
+    assert any("of 2 packets is not given; it is from target width and slant range" in one for one in found.assumed)
     for unknown in ({21: bytes(4)}, {22: bytes(2)}):  # no range, no width
         with pytest.raises(TableError, match=r"for want of field of view \(tags 16, 17, or target width 22 or 96"):
             read_telemetry(file(told | unknown))

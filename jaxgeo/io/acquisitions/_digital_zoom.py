@@ -46,7 +46,7 @@ def magnified_calibration(tags: ImageTags, zoom: float, named: KnownCamera | Non
         raise tags.wrong(
             RATIO,
             f"the image is magnified {zoom:g} times, and {camera_shown(tags)} with {width} x {height} pixels of it is "
-            f"not in the table of cameras, by which the part of the detector could be told. Give the camera with its "
+            f"not in the table of cameras, which would give the part of the detector. Give the camera with its "
             f"focal length {zoom:g} times as long: {FORMS}.",
         )
     plain = calibration_by_table(known, width, height)

@@ -45,7 +45,7 @@ def angles_given(tags: ImageTags, given: GivenAngles) -> tuple[float, float, flo
         yaw = tags.number(HEADING, YAW)
     if yaw is None:
         raise TableError(
-            f"{tags.path}: yaw is asked for as the heading of the aircraft, which is not told ({HEADING}); "
+            f"{tags.path}: yaw is asked for as the heading of the aircraft, which is not given ({HEADING}); "
             f"give it in deg: gimbal_deg=(0, {pitch:g}, {roll:g})."
         )
     return yaw, pitch, roll

@@ -99,7 +99,7 @@ def assumed(
             f"{(~from_msl).sum()} packets have heights above the ellipsoid, so height_datum was not used there."
         )
     if not upright and not np.isfinite(columns["turn"]).all():
-        notes.append("The roll of the sensor (tag 20) is not told everywhere: zero, the top of the image up.")
+        notes.append("The roll of the sensor (tag 20) is not given everywhere: zero, the top of the image up.")
     notes += (
         ["The camera is the one given, not that of the packets, and has no error."]
         if is_given
@@ -129,7 +129,7 @@ def _fields_of_view(numbers: Numbers) -> list[str]:
     if derived.any():
         angle = np.degrees(np.median(across[derived]))
         notes.append(
-            f"The field of view of {derived.sum()} packets is not told; it is from target width and slant range, "
+            f"The field of view of {derived.sum()} packets is not given; it is from target width and slant range, "
             f"2 atan(width / (2 range)): {angle:.3g} deg across (median). It moves pixels away from the middle only."
         )
     if not np.isfinite([across, down]).all():
