@@ -145,7 +145,7 @@ def _stem(name: str) -> str:
 def _by_time(found: Acquisition, table: PositionTable) -> np.ndarray:
     if table.time is None or not found.time_is_utc:
         raise TableError(
-            f"{table.path}: photos are matched by number and time, but {found.path} has no numbers of four digits in its "
+            f"{table.path}: photos match by number and time, but {found.path} has no numbers of four digits in its "
             f"names, and no times in UTC."
         )
     apart = np.abs(np.asarray(found.shots.time)[:, None] - table.time[None, :])
